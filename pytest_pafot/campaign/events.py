@@ -43,6 +43,7 @@ class Find:
     problem: str = ""  # why there is no file, or empty
     difference: str = ""  # what differed when it was run again, or empty
     is_timed: bool = False  # it depends on wall-clock time
+    unshrunk: str = ""  # why it is not yet as simple as it is to be, or empty
     repeats: int = 0  # further runs that failed in the same way
 
     @property
@@ -55,7 +56,7 @@ class Find:
         """What a reader must know besides, or nothing."""
         flaky = f"flaky: {self.difference}" if self.is_flaky else ""
         timed = "depends on wall-clock time" if self.is_timed else ""
-        return "; ".join(filter(None, [flaky, timed]))
+        return "; ".join(filter(None, [flaky, timed, self.unshrunk]))
 
     @property
     def summary(self) -> str:

@@ -142,14 +142,15 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "max_time",
         "seconds",
-        "End each search after so many seconds of wall-clock time; shrinking comes on top. A search that this cuts is "
-        "not reproducible.",
+        "End each search after so many seconds of wall-clock time, shrinking and reference drivers included: a search "
+        "that has found something leaves them a third. A search that this cuts is not reproducible.",
     ),
     Option(
         "total_time",
         "seconds",
         "End the searches of the session so many seconds of wall-clock time after its start; each gets an equal "
-        "share of what is left when it begins. Shrinking comes on top. A search that this cuts is not reproducible.",
+        "share of what is left when it begins, shrinking included as with --pafot-max-time. A search that this cuts is "
+        "not reproducible.",
         is_argument=False,
     ),
     Option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -76,6 +77,8 @@ class Recorder:
     seed: int
     confirm: Callable[[Run], str]  # says what differs when a run is repeated; empty where nothing does
     listener: Listener
+    clock: Callable[[], float]  # seconds since any moment
+    pace: float = 0.0  # seconds that it has taken to confirm a second of a run, at most
     # Files that were there before the search; a find that comes to be kept is not what they show
     replayed: frozenset[Path] = frozenset()
     kept: dict[str, FindTold] = field(default_factory=dict)  # the finds so far, by id
@@ -108,7 +111,8 @@ class Recorder:
             root=str(harness.root),
         )
         files = files_in(harness.folder)  # None of a folder that cannot be read; writing into it says why.
-        if max(len(files), len(self.kept)) >= harness.request.settings.max_saved:
+        is_full = max(len(files), len(self.kept)) >= harness.request.settings.max_saved
+        if is_full and not os.path.lexists(free_path(harness.folder, finding, self.replayed)[0]):  # else it has a file
             self.unsaved.append(finding.id)
             self.first = self.first or verdict.exception
             return finding.id
@@ -117,7 +121,7 @@ class Recorder:
         kept = replace(kept, run=run, number=number)
         differs = ""
         try:
-            differs = "" if verdict.is_timed else self.confirm(run)
+            differs = "" if verdict.is_timed else self.confirmed(run)
         finally:  # An interrupt in these runs must not keep the find from being told.
             if differs:
                 kept = self.call_flaky(kept, differs)
@@ -127,6 +131,13 @@ class Recorder:
                 self.kept[kept.find.id] = kept
                 self.held.append(kept.find.id)
         return kept.find.id
+
+    def confirmed(self, run: Run) -> str:
+        """Return what differs when a run is repeated, empty where nothing does; and learn how long that takes."""
+        began = self.clock()
+        differs = self.confirm(run)
+        self.pace = max(self.pace, (self.clock() - began) / max(run.duration, 1.0))
+        return differs
 
     def release(self) -> None:
         """Announce what is held, and from now on each find at once."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.search_loop import SearchLoop
-from pytest_pafot.campaign.state_file import FLAG, Counts, EarlierFind, StateFile, state_path
+from pytest_pafot.campaign.state_file import FLAG, Answer, Counts, EarlierFind, StateFile, state_path
 from pytest_pafot.corpus.layout import link_below
 from pytest_pafot.corpus.saved import Saved, refusal
 from pytest_pafot.execution.pool import ProcessLostError
@@ -106,6 +106,10 @@ class Sessions:
     loop: SearchLoop
     beginning: RandomBeginning
     clock: Callable[[], float]  # seconds since any moment
+    # What attempts to shrink finds have shown so far, by the id of the find
+    answers: dict[str, list[Answer]] = field(default_factory=dict)
+    # Ids of finds that are yet to be simplified, and for which this session has no time
+    _postponed: set[str] = field(init=False, default_factory=set)
     _began: float = field(init=False)
     _file: StateFile | None = field(init=False, default=None)
     _last: Callable[[], Checkpoint[Any]] | None = field(init=False, default=None)  # the checkpoint at the last border
@@ -160,8 +164,10 @@ class Sessions:
         shown = plural(sum(1 + self.loop.repeats[id_] for id_ in unsaved), "run")
         options = " and ".join(sorted(set(unsaved.values())))
         left = f"{plural(len(unsaved), 'finding')} of earlier sessions not saved ({options}), shown by {shown}"
+        postponed = f"no time was left to shrink {plural(len(self._postponed), 'finding')} of earlier sessions"
         return [
             *([] if self._earlier is None else [went_on]),
+            *([postponed] if self._postponed else []),
             *([left] if unsaved else []),
             *filter(None, [problem]),
         ]
@@ -216,10 +222,11 @@ class Sessions:
         is_of_search = found is not None and (found.seed, found.algorithm) == (self.seed, algorithm)
         return self.go_on and is_of_search and saved.id not in self._before
 
-    def find_again(self, saved: Sequence[Saved]) -> None:
-        """Take up finds of a session that ended before it could simplify and tell them, and those whose file is gone.
+    def find_again(self, saved: Sequence[Saved], until: float) -> None:
+        """Take up finds of a session that ended before it had simplified them, and those whose file is gone.
 
-        Without the second, a corpus that did not come along would leave a search that passes for ever.
+        Without the second, a corpus that did not come along would leave a search that passes for ever. From the moment
+        ``until`` on [s], finds that have a file are left to another session.
         """
         __tracebackhide__ = True
         saves = self.harness.request.settings.save != "none"
@@ -234,6 +241,10 @@ class Sessions:
                 continue
             if is_there and not find.is_due:
                 continue
+            if is_there and self.clock() >= until:
+                self._postponed.add(find.id)
+                self.answers[find.id] = list(find.answers)
+                continue
             if not is_there:  # also for a process that dies in it: its find is new then
                 del self.loop.finds[find.signature]
             scenario, generation, number = find.found
@@ -245,7 +256,8 @@ class Sessions:
             verdict = self.loop.simulation.judge(run)
             failure = verdict.failure if verdict.failed else None
             if failure is not None and of_failure(run, failure) == find.signature:
-                self.loop.finds[find.signature] = self.loop.recorder.keep(run, verdict, generation, number)
+                find_id = self.loop.recorder.keep(run, verdict, generation, number)
+                self.loop.finds[find.signature], self.answers[find_id] = find_id, list(find.answers)
 
     def at_border(self, checkpoint: Callable[[], Checkpoint[Any]]) -> None:
         """Told after each generation, and at the end, how to make the checkpoint."""
@@ -253,26 +265,31 @@ class Sessions:
         if self._file is not None:
             self._file.offer(checkpoint, self._counts)
 
-    def store(self, *, is_simplified: bool = False) -> None:
-        """Write where the search has ended, unless something has broken it off."""
+    def store(self, simplified: Collection[str] = ()) -> None:
+        """Write where the search has ended, unless something has broken it off, and which finds need no more work."""
         if self._file is not None and self._last is not None and self.loop.finished is not None:
-            self._file.write(self._last(), self._counts(is_simplified=is_simplified))
+            self._file.write(self._last(), self._counts(simplified))
 
-    def _counts(self, *, is_simplified: bool = False) -> Counts:
+    def _counts(self, simplified: Collection[str] = ()) -> Counts:
         loop = self.loop
         kept = loop.recorder.kept
         found = {each.id: each.found for each in (() if self._earlier is None else self._earlier.finds)}
         for id_, each in kept.items():  # as the search made it, whether it is simplified by now or not
             finding = each.finding
             found[id_] = (finding.original or finding.scenario, finding.found.generation, each.number)
-        due = {id_ for id_, each in kept.items() if each.is_firm and not is_simplified}
+        due = self._postponed | {id_ for id_, each in kept.items() if each.is_firm and id_ not in simplified}
         return Counts(
             before=self._before,
             seconds=self.seconds,
             decides_for_many=self.decides_for_many,
             finds=tuple(
                 EarlierFind(
-                    id=id_, signature=signature, repeats=loop.repeats[id_], found=found.get(id_), is_due=id_ in due
+                    id=id_,
+                    signature=signature,
+                    repeats=loop.repeats[id_],
+                    found=found.get(id_),
+                    is_due=id_ in due,
+                    answers=tuple(self.answers.get(id_, ())) if id_ in due else (),
                 )
                 for signature, id_ in loop.finds.items()
             ),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -42,6 +42,13 @@ from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
 
 DONE, ALL_RUN = "all generations done", "all runs done"
+FOR_SIMPLIFYING = 1 / 3
+"""The share of a limit of time that a search leaves to its finds, to be shrunk and tried with reference drivers."""
+
+RUNS_TO_CONFIRM = 4
+"""The time of a run that finds something, of the one that is compared with it, and of one in highway-env's own
+environment, which takes about twice as long."""
+
 AFTER_A_DEATH = "ran as with --pafot-isolate, since a process has died in this search before"
 
 
@@ -51,14 +58,14 @@ def search_seed(base_seed: int, node_id: str) -> int:
 
 
 class TimeLimit(NamedTuple):
-    """A moment by the clock of a search [s], or infinity, and the flag of the option that it comes from."""
+    """The moment at which a search and what follows its finds end [s], or infinity, and the flag of its option."""
 
     flag: str
     until: float
 
 
 def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:
-    """When a search must end that begins now [s]: after its own limit of time, or after its share of the session's.
+    """Return when a search must be through that begins now [s]: by its own limit, or its share of the session's.
 
     The session ``began`` at a moment [s]; each of the searches ``left``, this one included, gets as much of its time.
     """
@@ -119,7 +126,7 @@ def prepared(harness: Harness, listener: Listener) -> Iterator[Sessions]:
         beginning = RandomBeginning(listener=listener)
         loop = SearchLoop(
             simulation=simulation,
-            recorder=Recorder(harness=harness, seed=seed, confirm=confirm, listener=listener),
+            recorder=Recorder(harness=harness, seed=seed, confirm=confirm, listener=listener, clock=time.monotonic),
             space=space,
             fitness=fitness,
             listener=beginning,
@@ -142,7 +149,10 @@ class Search:
     progress_seconds: float = 10.0  # between two tellings of progress
     notes: list[str] = field(default_factory=list)  # to be told once in the summary
     _shrink_runs: int = field(init=False, default=0)
-    _told_at: float = field(init=False, default_factory=time.monotonic)
+    _told_at: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._told_at = self.sessions.clock()
 
     @property
     def harness(self) -> Harness:
@@ -164,19 +174,27 @@ class Search:
         harness, loop, recorder, simulation = self.harness, self.loop, self.loop.recorder, self.loop.simulation
         speed_limit = float(harness.world.speed_limit)
         recorder.listener(SearchStarted(node_id=self.node_id, seed=self.sessions.seed, speed_limit=speed_limit))
+        began = self.sessions.clock()
         retried = [self._retried(leftover) for leftover in harness.left_behind()]
         self.notes += [note for each in retried for note in each.notes]
         reason, fault = "interrupted", None
         try:
             with simulation.runner:
-                reason = self._searched(saved_in(harness.folder))
+                reason = self._searched(saved_in(harness.folder), began)
             recorder.release()
             self.sessions.store()
             plain = None if loop.space is None else (loop.space.ego_lane, loop.space.ego_speed)
-            work = Simplification(loop=loop, tell=self._tell_progress, plain=plain)
-            work.run_all()
+            work = Simplification(
+                loop=loop,
+                tell=self._tell_progress,
+                plain=plain,
+                answers=self.sessions.answers,
+                clock=self.sessions.clock,
+                until=self.limit.until,
+            )
+            work.run_all(f"; {BY_NAME['resume'].flag} goes on" if self.sessions.go_on else "")
             self._shrink_runs = work.runs
-            self.sessions.store(is_simplified=True)
+            self.sessions.store(simplified=work.done)
         except SetupFaultError as error:
             reason, fault = "error", error
             recorder.withdraw()
@@ -232,8 +250,8 @@ class Search:
             run_here=self.loop.simulation.rerun_one_by_one,
         )
 
-    def _searched(self, saved: Sequence[Saved]) -> str:
-        """Run the campaign; returns why it ended.
+    def _searched(self, saved: Sequence[Saved], began: float) -> str:
+        """Run the campaign of a search that began at a moment [s]; returns why it ended.
 
         Raises:
             RequestError: where the algorithm does not take the settings or the road, or the fitness cannot be used.
@@ -258,7 +276,8 @@ class Search:
         loop.recorder.replayed = frozenset(each.path for each in others)
         loop.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
         loop.shown = self.replays.shown_by(others)  # Their failures are not new.
-        self.sessions.find_again(saved)
+        search_until = began + (self.limit.until - began) * (1 - FOR_SIMPLIFYING)
+        self.sessions.find_again(saved, search_until)
         reads_near_misses = request.blame != "any" and request.algorithm.reads_near_misses
 
         def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:
@@ -277,8 +296,8 @@ class Search:
                 generations=settings.generations,
                 runs=settings.runs,
                 seed=self.sessions.seed,
-                max_seconds=max(0.0, self.limit.until - time.monotonic()),
-                clock=time.monotonic,
+                max_seconds=self._most_seconds(search_until),
+                clock=self.sessions.clock,
                 stop=lambda: limit is not None and loop.recorder.count >= limit,
                 seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
                 foresee=foresee,
@@ -296,8 +315,26 @@ class Search:
         reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
 
+    def _most_seconds(self, search_until: float) -> Callable[[], float]:
+        """Return what says how long the campaign that begins now may take [s], by what it has found so far.
+
+        Once there is something to simplify, it is to end at the moment ``search_until``. As long as there is not, all
+        of the time is for the search, but for a rest in which what its last run may find can be confirmed.
+        """
+        loop, clock, began, runs_before = self.loop, self.sessions.clock, self.sessions.clock(), self.loop.runs
+        workers = self.harness.request.settings.workers
+
+        def most_seconds() -> float:
+            ends = search_until
+            if not any(kept.is_firm for kept in loop.recorder.kept.values()):
+                run_seconds = (clock() - began) * workers / max(loop.runs - runs_before, 1)
+                ends = max(ends, self.limit.until - RUNS_TO_CONFIRM * run_seconds)
+            return max(0.0, ends - began)
+
+        return most_seconds
+
     def _tell_progress(self, phase: str = "") -> None:
-        now, loop = time.monotonic(), self.loop
+        now, loop = self.sessions.clock(), self.loop
         if now - self._told_at < self.progress_seconds:
             return
         self._told_at = now
@@ -359,11 +396,19 @@ class Search:
     def _left_undone(self, reason: str) -> Iterator[str]:
         """What a longer search would do besides, and how to have it."""
         settings, recorder = self.harness.request.settings, self.loop.recorder
-        left = [kept for kept in recorder.kept.values() if kept.is_firm and kept.finding.shrunk is None]
-        if left and not self.sessions.go_on and settings.shrink_rollouts != 0 and reason in ("interrupted", "error"):
+        is_broken_off = reason in ("interrupted", "error")
+        firm = [kept for kept in recorder.kept.values() if kept.is_firm]
+        left = [kept for kept in firm if (kept.finding.shrunk is None if is_broken_off else kept.find.unshrunk)]
+        if left and settings.shrink_rollouts != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete what is saved of it and " if any(kept.file for kept in left) else ""
-            yield f"ended before {what} shrunk: {first}search again with --pafot-seed={settings.seed}"
+            again = f"{first}search again with --pafot-seed={settings.seed}"
+            resume = BY_NAME["resume"].flag
+            if not is_broken_off:
+                how = f"{resume} goes on" if self.sessions.go_on else f"{again} and more time, or with {resume}"
+                yield f"{self.limit.flag} ended before {what} shrunk: {how}"
+            elif not self.sessions.go_on:
+                yield f"ended before {what} shrunk: {again}"
         is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
         if is_default and reason == ALL_RUN and not self.loop.verdicts["failed"] and not recorder.count:
             yield f"{settings.runs} runs are a short search: --pafot-runs={PROFILES[FULL]['runs']} looks further"

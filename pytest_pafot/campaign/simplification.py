@@ -1,22 +1,25 @@
 """After a search: each find becomes as simple as it can be, and is tried with reference drivers.
 
 Nothing that was found depends on it: a find is saved and announced before, and its file and its report are replaced
-when there is something better.
+when there is something better. What a limit of time leaves open is gone on with by another session that is given the
+answers so far: shrinking asks the same questions in the same order, so that it comes to the same end.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.search_loop import SearchLoop
+from pytest_pafot.campaign.state_file import Answer, Shown
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import Expect, Perceived, of_failure
 from pytest_pafot.findings.replay import ending
-from pytest_pafot.findings.shrink import Shrunk, Start, shrink
+from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import LANE, SPEED
@@ -52,77 +55,179 @@ ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000
 """Runs that shrinking one find may take by default; more where the kernel runs a vehicle class without any Python."""
 
 
+RUNS_TO_CONCLUDE = 3
+"""What follows shrinking, but for confirming the result, takes at most about as long as so many runs of it: one is for
+the verdict, the others are those of reference drivers, in which the ADS is not asked."""
+
+
+@dataclass(slots=True, kw_only=True)
+class _Turn:
+    """The time in which a find is shrunk.
+
+    Attributes:
+        until: the moment at which it ends [s], or infinity.
+        to_conclude: how long it will take to run the result again and to try reference drivers [s], as far as is known.
+        attempts: so far.
+        seconds: that they took.
+        is_over: whether it has ended shrinking.
+    """
+
+    until: float
+    to_conclude: float = 0.0
+    attempts: int = 0
+    seconds: float = 0.0
+    is_over: bool = False
+
+    def check(self, now: float) -> None:
+        """Raise OutOfBudget where no time is left for one more attempt and for what follows, and ever after."""
+        mean = self.seconds / max(self.attempts, 1)
+        self.is_over = self.is_over or now + mean + self.to_conclude >= self.until
+        if self.is_over:
+            raise OutOfBudget
+
+    def took(self, seconds: float, confirming: float | None) -> None:
+        """Learn from an attempt; where it is the result so far, with the seconds that it will take to confirm it."""
+        self.attempts += 1
+        self.seconds += seconds
+        if confirming is not None:
+            self.to_conclude = RUNS_TO_CONCLUDE * seconds + confirming
+
+
 @dataclass(slots=True, kw_only=True)
 class Simplification:
-    """Simplifies the finds of one search."""
+    """Simplifies the finds of one search.
 
-    loop: SearchLoop  # of the search
-    tell: Callable[[str], None]  # is told what goes on, often
-    plain: Start | None = None  # at which an ego starts that the search does not draw elsewhere
-    runs: int = field(default=0, init=False)  # taken so far
+    Attributes:
+        loop: of the search.
+        tell: is told what goes on, often.
+        plain: the start of an ego that the search does not draw elsewhere.
+        answers: what attempts have shown, in this session or an earlier one, by the id of the find.
+        clock: seconds since any moment.
+        until: the moment at which it has to be through [s], or infinity.
+        done: ids of the finds of which nothing is left to do.
+        runs: taken so far in this session.
+    """
 
-    def run_all(self) -> None:
-        """Each find, in the order in which they were found. What does not repeat cannot be shrunk."""
+    loop: SearchLoop
+    tell: Callable[[str], None]
+    plain: Start | None
+    answers: dict[str, list[Answer]]
+    clock: Callable[[], float]
+    until: float = math.inf
+    done: set[str] = field(default_factory=set, init=False)
+    runs: int = field(default=0, init=False)
+
+    def run_all(self, way_on: str) -> None:
+        """Simplify each find, in the order in which they were found. What does not repeat cannot be shrunk.
+
+        With a limit of time each has an equal share of what is left. What it leaves is for those after it, and what
+        all of them leave is for those that were cut. How it goes on with one that stays cut is told as ``way_on``.
+        """
         __tracebackhide__ = True
         recorder = self.loop.recorder
-        for kept in [kept for kept in recorder.kept.values() if kept.is_firm]:
-            try:
-                self._refine(kept)
-            except ProcessLostError as error:
-                recorder.call_flaky(kept, f"the process that ran it again {error.how}")
-                self.loop.lose(error)
+        finds, before = [find_id for find_id, kept in recorder.kept.items() if kept.is_firm], -1
+        while finds and self.runs > before:  # A round that runs nothing has no time left.
+            before, round_ = self.runs, finds
+            for number, find_id in enumerate(round_):
+                self._have_turn(find_id, sharing=len(round_) - number)
+            finds = [find_id for find_id in round_ if find_id not in self.done]
+        for kept in [recorder.kept[find_id] for find_id in finds]:
+            cut = "not shrunk" if kept.finding.shrunk is None else "shrunk in part"
+            find = replace(kept.find, unshrunk=f"{cut}: out of time{way_on}")
+            recorder.tell(replace(kept, find=find, is_new=False))
 
-    def _refine(self, kept: FindTold) -> None:
-        """Shrink a find, run the result once more, try reference drivers, and tell."""
+    def _have_turn(self, find_id: str, sharing: int) -> None:
+        """Simplify a find in its share of the time that is left, one of so many."""
         __tracebackhide__ = True
-        before = kept.finding
-        scenario, shrunk = self._shrunk(kept)
-        self.runs += shrunk.rollouts
+        now, kept = self.clock(), self.loop.recorder.kept[find_id]
+        if now >= self.until:
+            return
+        try:
+            is_done = self._refine(kept, _Turn(until=now + (self.until - now) / sharing))
+        except ProcessLostError as error:
+            self.loop.recorder.call_flaky(kept, f"the process that ran it again {error.how}")
+            self.loop.lose(error)
+            is_done = True
+        if is_done:
+            self.done.add(find_id)
+
+    def _refine(self, kept: FindTold, turn: _Turn) -> bool:
+        """Shrink a find, run the result once more, try reference drivers, and tell; returns whether it is done with."""
+        __tracebackhide__ = True
+        found = kept.finding.original or kept.finding.scenario
+        scenario, shrunk = self._shrunk(kept, found, turn)
+        self.runs += turn.attempts
+        is_as_told = turn.is_over and scenario == kept.finding.scenario
+        if is_as_told or self.clock() + turn.to_conclude > self.until:
+            return False
         run, verdict, differs = self._run_again(scenario, kept)
-        if differs and scenario != before.scenario:
+        if differs and len(self.answers[kept.find.id]) > turn.attempts:
+            self.answers[kept.find.id].clear()  # Of earlier sessions, since which the ADS may have changed.
+            return self._refine(kept, _Turn(until=turn.until))
+        if differs and scenario != found:
             # The simplification does not hold; what was found does, or is flaky itself.
-            scenario, shrunk = before.scenario, Shrunk(rollouts=shrunk.rollouts, is_minimal=False)
+            scenario, shrunk, turn.is_over = found, Shrunk(rollouts=shrunk.rollouts, is_minimal=False), False
             run, verdict, differs = self._run_again(scenario, kept)
         if differs:
             self.loop.recorder.call_flaky(kept, differs)
         else:
             self._conclude(kept, scenario, shrunk, run, verdict)
+        return bool(differs) or not turn.is_over
 
-    def _shrunk(self, kept: FindTold) -> tuple[Scenario, Shrunk]:
+    def _shrunk(self, kept: FindTold, found: Scenario, turn: _Turn) -> tuple[Scenario, Shrunk]:
         __tracebackhide__ = True
-        loop, harness = self.loop, self.loop.simulation.harness
+        harness, answers = self.loop.simulation.harness, self.answers.setdefault(kept.find.id, [])
         rollouts, top_speed = rollouts_for(harness), float(harness.world.speed_limit)
-        spent = 0
         starts: dict[Scenario, tuple[Start, ...]] = {}
+        asked = 0
 
         def attempt(candidate: Scenario) -> Scenario | None:
-            nonlocal spent
-            if candidate in loop.fatal:
+            nonlocal asked
+            if asked < len(answers) and answers[asked][0] != candidate.id:
+                del answers[asked:]  # They are of a session with other settings, by which others were asked for.
+            if asked == len(answers):
+                began = self.clock()
+                turn.check(began)
+                self.tell(f"shrinking {kept.find.id}, run {asked + 1} of {rollouts}")
+                shown = self._shown(kept.find.id, candidate, top_speed)
+                answers.append((candidate.id, shown))
+                turn.took(self.clock() - began, None if shown is None else self._confirming(shown[0]))
+            _, shown = answers[asked]
+            asked += 1
+            if shown is None:
                 return None
-            spent += 1
-            self.tell(f"shrinking {kept.find.id}, run {spent} of {rollouts}")
-            try:
-                run = loop.simulation.run(candidate)
-            except ProcessLostError as error:
-                loop.lose(error)
-                return None
-            scenario = driven(run)
-            verdict = loop.simulation.judge(run, scenario)
-            if not self._shows(kept.find.id, run, verdict):
-                return None
-            starts[scenario] = starts_of(run, top_speed)
+            scenario, starts[scenario] = shown
             return scenario
 
         if rollouts == 0:
-            return kept.finding.scenario, Shrunk(rollouts=0, is_minimal=False)
+            return found, Shrunk(rollouts=0, is_minimal=False)
         return shrink(
-            kept.finding.scenario,
+            found,
             attempt,
             rollouts=rollouts,
             top_speed=top_speed,
             starts=lambda scenario: starts.get(scenario, ()),
             plain=self.plain,
         )
+
+    def _confirming(self, scenario: Scenario) -> float:
+        """Return the seconds that it will take to confirm a scenario, as long as it took with those before."""
+        return self.loop.recorder.pace * scenario.genes * scenario.gene_seconds
+
+    def _shown(self, find_id: str, candidate: Scenario, top_speed: float) -> Shown:
+        """Run a candidate: as driven, with the start of each gene, where it fails in the same way as a find."""
+        __tracebackhide__ = True
+        loop = self.loop
+        if candidate in loop.fatal:
+            return None
+        try:
+            run = loop.simulation.run(candidate)
+        except ProcessLostError as error:
+            loop.lose(error)
+            return None
+        scenario = driven(run)
+        verdict = loop.simulation.judge(run, scenario)
+        return (scenario, starts_of(run, top_speed)) if self._shows(find_id, run, verdict) else None
 
     def _shows(self, find_id: str, run: Run, verdict: Verdict) -> bool:
         """Whether a run shows the failure of a find; by the same fault, too, so that the find's name still fits."""
@@ -138,12 +243,13 @@ class Simplification:
         if not self._shows(kept.find.id, run, verdict):
             otherwise = f"a later run of it ended otherwise: {ending(run)}"
             return run, verdict, "the reference failed when it ran again" if verdict.kind == "common" else otherwise
-        return run, verdict, "" if scenario == kept.finding.scenario else self.loop.recorder.confirm(run)
+        return run, verdict, "" if scenario == kept.finding.scenario else self.loop.recorder.confirmed(run)
 
     def _conclude(self, kept: FindTold, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
         if verdict.failure is None or verdict.exception is None:
             return
         before, harness, recorder = kept.finding, self.loop.simulation.harness, self.loop.recorder
+        found = before.original or before.scenario
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
         outcomes = harness.reference_outcomes(run, verdict)
         perception = self._perceived(kept, scenario)
@@ -160,7 +266,7 @@ class Simplification:
                 root=str(harness.root),
             ),
             perception=perception,
-            original=before.scenario if scenario != before.scenario else None,
+            original=found if scenario != found else None,
             shrunk=shrunk if shrunk.rollouts else None,
         )
         if finding == before:

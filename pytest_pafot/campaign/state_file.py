@@ -21,6 +21,7 @@ from typing import Any, BinaryIO, NoReturn
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus.layout import safe_name
+from pytest_pafot.findings.shrink import Start
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import ResumableSearch
@@ -34,7 +35,7 @@ from pytest_pafot.support.errors import FieldError
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.world import codec
 
-VERSION = 1
+VERSION = 2
 """Of the format; a file of another one is refused."""
 
 MAX_BYTES = 1 << 28
@@ -52,6 +53,13 @@ ANEW = f"delete the file to begin the search anew, or give another folder with {
 PARTS = ("version", "settings", "algorithm", "sums", "begun", "counts", "remembered")
 
 
+Shown = tuple[Scenario, tuple[Start, ...]] | None
+"""What a run shows of a find: the scenario as driven, with the start of each gene, where it fails in the same way."""
+
+Answer = tuple[str, Shown]
+"""An attempt to shrink a find: the id of the candidate, and what its run has shown."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlierFind:
     """A find of a search.
@@ -62,6 +70,7 @@ class EarlierFind:
         repeats: further runs that failed in the same way.
         found: the scenario as found, its generation and the number of its run; None where it was only counted.
         is_due: whether it is yet to be simplified.
+        answers: where it is due, what the attempts to shrink it have shown so far, in their order.
     """
 
     id: str
@@ -69,6 +78,7 @@ class EarlierFind:
     repeats: int
     found: tuple[Scenario, int, int] | None
     is_due: bool
+    answers: tuple[Answer, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

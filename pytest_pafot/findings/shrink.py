@@ -107,7 +107,7 @@ class Shrunk:
 
 
 class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is no error)
-    """No runs are left."""
+    """No runs are left, or no time for them."""
 
 
 def sort_key(scenario: Scenario) -> tuple[int, ...]:
@@ -167,7 +167,8 @@ def shrink(
 
     Args:
         scenario: as driven; it fails.
-        attempt: never asked twice about the same scenario.
+        attempt: never asked twice about the same scenario, and in the same order as long as it answers alike; what
+            ends it before its rollouts is to raise :class:`OutOfBudget` from then on.
         rollouts: how often it may be asked.
         top_speed: that no instruction may exceed [m/s].
         starts: lets a scenario begin later, in the ego's state of that moment.
@@ -230,15 +231,15 @@ class _Gate:
         """The candidate as driven where it fails likewise.
 
         Raises:
-            OutOfBudget: when that is not known and no runs are left.
+            OutOfBudget: when that is not known and no runs, or no time, are left.
         """
         if any(_tenths(gene) > self.top for chain in candidate.npcs for gene in chain):
             return None
         if candidate not in self.tried:
             if self.spent >= self.rollouts:
                 raise OutOfBudget
-            self.spent += 1
             driven = self.tried[candidate] = self.attempt(candidate)
+            self.spent += 1  # after the attempt, which may refuse as well
             if driven is not None:
                 self.tried[driven] = driven  # A scenario as driven is a fixed point of the repair.
         return self.tried[candidate]

@@ -249,6 +249,7 @@ class SearchMessages:
             again=[*self.settings.budget.split(), f"--pafot-seed={self.settings.seed}"],
             headline=kept.find.headline,
             detail=kept.find.problem,
+            unshrunk=kept.find.unshrunk,
         )
 
 

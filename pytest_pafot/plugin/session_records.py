@@ -109,7 +109,11 @@ class Records:
             case "start":
                 self._searches[node_id] = SearchRecord(node_id=node_id, **data)
             case "record":
-                finding = self._findings[data["node_id"]] = FindingRecord(**data)
+                finding = FindingRecord(**data)
+                told = self._findings.get(finding.node_id)
+                if told is not None and told.unshrunk:  # by a search, whose file is replayed as well
+                    finding = replace(finding, unshrunk=told.unshrunk)
+                self._findings[finding.node_id] = finding
                 if finding.is_new:
                     self._write_json(None)
             case "search":

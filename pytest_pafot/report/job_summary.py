@@ -91,6 +91,7 @@ def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     """A finding: what it is, and the command that shows it again, with its file."""
     told = [plain(finding.headline or finding.detail)]
     told += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
+    told += [plain(finding.unshrunk)] if finding.unshrunk else []
     if finding.xfail is not None and finding.result == "xfailed":
         until = finding.xfail["until"]
         told.append(f"accepted{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")

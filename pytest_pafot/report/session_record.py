@@ -55,6 +55,7 @@ class FindingRecord:
         algorithm: that found it.
         against: the reference that passes where it fails; empty without one.
         flaky: what differed when it was run again; null where nothing did.
+        unshrunk: why a new one is not yet as simple as it is to be; empty where it is.
         xfail: `reason` and `until` (null for good) with which the failure is accepted; null where it is not.
     """
 
@@ -81,6 +82,7 @@ class FindingRecord:
     algorithm: str = ""
     against: str = ""
     flaky: str | None = None
+    unshrunk: str = ""
     xfail: Mapping[str, str | None] | None = None
 
     @property

@@ -59,7 +59,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     generations: int | None,
     seed: int,
     runs: int | None = None,
-    max_seconds: float | None = None,
+    max_seconds: float | Callable[[], float] | None = None,
     clock: Callable[[], float] | None = None,
     stop: Callable[[], bool] | None = None,
     seeds_matter: bool = False,
@@ -85,7 +85,8 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         seed: of all draws, at least 0.
         runs: simulated scenarios, at least 1, after which it ends, also within a generation, which counts as finished
             then without that the algorithm is told; None for no limit.
-        max_seconds: looked at between two calls of ``evaluate``, so that at least one scenario is simulated.
+        max_seconds: looked at between two calls of ``evaluate``, so that at least one scenario is simulated; a function
+            is asked each time, for what depends on the evaluations so far.
         clock: seconds since any fixed moment; needed for ``max_seconds``, and without one no time is measured.
         stop: asked between two calls of ``evaluate`` whether to end the campaign.
         seeds_matter: whether a run depends on its scenario's seed beyond the chains that were driven.
@@ -109,7 +110,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     for name, value, least in (("generations", generations, 1), ("runs", runs, 1), ("seed", seed, 0)):
         if value is not None and value < least:
             raise ValueError(f"{name}: expected a whole number, at least {least}, received {value!r}")
-    if max_seconds is not None and not max_seconds >= 0:
+    if isinstance(max_seconds, (int, float)) and not max_seconds >= 0:
         raise ValueError(f"max_seconds: expected seconds, at least 0, or None for no limit, received {max_seconds!r}")
     if max_seconds is not None and clock is None:
         raise ValueError("clock: expected a function that gives seconds, such as time.monotonic, with max_seconds")
@@ -120,7 +121,8 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
             return "stopped"
         if left <= 0:
             return "runs"
-        return "time" if max_seconds is not None and seconds >= max_seconds else None
+        most = max_seconds() if callable(max_seconds) else max_seconds
+        return "time" if most is not None and seconds >= most else None
 
     evaluator = _Evaluator(evaluate, foresee, EvaluationCache(seeds_matter=seeds_matter))
     if resumed is None:

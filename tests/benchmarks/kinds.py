@@ -106,7 +106,7 @@ def searched(pair: tuple[str, str], seed: int, seconds: float) -> Searched:
 
     world = pafot.World("highway-v0") if policy == "ppo" else pafot.Highway()
     pafot.explore(
-        POLICIES[policy](), holds=holds, world=world, runs=ENDLESS, max_time=seconds, seed=seed, blame="ego",
+        POLICIES[policy](), holds=holds, world=world, runs=ENDLESS, max_time=1.5 * seconds, seed=seed, blame="ego",
         shrink_rollouts=0, on_event=listen, **ARMS[arm],
     )  # fmt: skip
     return Searched(tuple(sorted(found.values())), runs, invalid)

@@ -271,8 +271,8 @@ FAULTS = {
     "no text": (lambda text: b"\xff\xfe\x00", "expected the JSON of a search's state, received UnicodeDecodeError"),
     "another kind": (lambda text: "[1, 2]", "expected a mapping, received"),
     "deep": (lambda text: "[" * 100_000, "expected the JSON of a search's state, received RecursionError"),
-    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 1', '"version": NaN'), "NaN is no number"),
-    "version": (changed(lambda data: data.update(version=2)), "expected a state of version 1, received version 2"),
+    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 2', '"version": NaN'), "NaN is no number"),
+    "version": (changed(lambda data: data.update(version=1)), "expected a state of version 2, received version 1"),
     "extra key": (changed(lambda data: data.update(run="rm")), "expected the keys version, settings"),
     "missing key": (changed(lambda data: data.pop("begun")), "expected the keys version, settings"),
     "other versions": (
@@ -302,7 +302,7 @@ def test_a_file_that_is_no_state_is_refused_and_left_as_it_is(search, begun, fau
 
 @pytest.mark.parametrize(
     "secret",
-    ['{"version": 1, "HUSH": "HUSH"}', '{"version": "HUSH"}', '"HUSH"', '["HUSH"]', "HUSH=1", '{"a": "\\HUSH"}'],
+    ['{"version": 2, "HUSH": "HUSH"}', '{"version": "HUSH"}', '"HUSH"', '["HUSH"]', "HUSH=1", '{"a": "\\HUSH"}'],
 )
 def test_nothing_of_a_file_that_is_no_state_is_shown(search, begun, secret):
     begun.write_text(secret)

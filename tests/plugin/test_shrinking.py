@@ -1,5 +1,6 @@
 """After a search: finds are confirmed, shrunk and limited, and nothing that was found is lost on the way."""
 
+import json
 from types import SimpleNamespace
 
 import pytest
@@ -7,9 +8,9 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot.campaign.simplification
 import pytest_pafot.world.engines.gym_replay  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
-from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, rollouts_for, starts_of
+from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, _Turn, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.findings.shrink import sort_key
+from pytest_pafot.findings.shrink import OutOfBudget, sort_key
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway
@@ -172,10 +173,33 @@ def test_a_process_that_dies_while_shrinking_leaves_the_find(project):
 
 
 @pytest.mark.parametrize("flag", ["--pafot-max-time=0", "--pafot-total-time=0"])
-def test_a_limit_of_time_does_not_cut_shrinking(project, flag):
+def test_a_limit_of_time_ends_shrinking_and_everybody_is_told(project, flag):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
-    run(project, flag).assert_outcomes(failed=2)
-    assert load(project.only_file).original is not None
+    result = run(project, flag, "--pafot-resume=states", "--pafot-json=out.json", "--pafot-report=page.html")
+    result.assert_outcomes(failed=2)
+    told = "not shrunk: out of time; --pafot-resume goes on"
+    result.stdout.fnmatch_lines([f"note       {told}"])
+    assert [each["unshrunk"] for each in json.loads((project.path / "out.json").read_text())["findings"]] == [told]
+    assert f"new ({told})" in (project.path / "page.html").read_text()
+    assert load(project.only_file).original is None
+    again = run(project, "--pafot-resume=states", "--pafot-json=out.json", "-k", "search")
+    again.stdout.fnmatch_lines(["*shrunk     from *"])
+    assert [each["unshrunk"] for each in json.loads((project.path / "out.json").read_text())["findings"]] == [""]
+    assert load(project.only_file).shrunk.is_minimal
+
+
+def test_a_find_that_is_cut_again_is_told_so_though_its_file_is_replayed(project, monkeypatch):
+    def check(turn, now):
+        turn.is_over = True
+        raise OutOfBudget
+
+    monkeypatch.setattr(_Turn, "check", check)
+    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
+    for _ in range(2):
+        result = run(project, "--pafot-resume=states", "--pafot-json=out.json")
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    (finding,) = json.loads((project.path / "out.json").read_text())["findings"]
+    assert finding["unshrunk"] == "not shrunk: out of time; --pafot-resume goes on"
 
 
 def rollouts_without_an_option(ads, **road):

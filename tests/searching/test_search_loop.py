@@ -166,6 +166,20 @@ def test_the_time_is_looked_at_between_evaluations(cheap_world):
     assert events[-1].seconds == 60.0
 
 
+def test_a_limit_of_time_may_depend_on_what_was_evaluated(cheap_world):
+    world, now = cheap_world(), [0.0]
+
+    def slow(scenario):
+        now[0] += 10.0
+        return world(scenario)
+
+    def most():
+        return 55.0 if len(world.simulated) < 3 else 25.0
+
+    events = list(run_campaign(RandomSearch(), slow, generations=5, seed=1, max_seconds=most, clock=lambda: now[0]))
+    assert (events[-1].reason, len(world.simulated)) == ("time", 3)
+
+
 def test_a_search_that_finishes_in_its_last_second_was_not_cut(cheap_world):
     now = [0.0]
 

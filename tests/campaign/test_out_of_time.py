@@ -1,0 +1,212 @@
+"""A limit of time is for the search and for what follows its finds; a clock that only judged runs move measures it."""
+
+import math
+from collections import Counter
+from types import SimpleNamespace
+
+import pytest
+
+import pytest_pafot as pafot
+from example_ads import constant_speed
+from pytest_pafot.campaign import explore, search, state_file
+from pytest_pafot.campaign.events import FindTold, Progress
+
+NODE_ID = "test_it.py::test_it"
+SHORT = {"population": 4, "genes": 2, "gene_seconds": 5, "npcs": 2, "node_id": NODE_ID, "shrink_rollouts": 25}
+
+
+@pytest.fixture
+def clock(tmp_path, monkeypatch):
+    """The only clock of searches, which run in a folder of their own; a second passes with each run that is judged."""
+    monkeypatch.chdir(tmp_path)
+    clock = SimpleNamespace(now=0.0, step=lambda: 1.0)
+    for module in (explore, search):
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    return clock
+
+
+def searched(clock, holds, corpus="corpus", **options):
+    def judged(run):
+        clock.now += clock.step()
+        holds(run)
+
+    return pafot.explore(constant_speed.make, holds=judged, corpus=corpus, **SHORT | options)
+
+
+def never_collides(run):
+    pafot.check(run.npcs[0].gap, name="keeps off", at_least=0.2)
+    assert not run.collision
+
+
+def fails_in_three_ways(run):
+    speed = run.scenario.npcs[0][0].speed
+    if speed >= 15:
+        assert run.duration < 0
+    if speed >= 7:
+        assert run.hardest_brake < 0
+    assert run.scenario.id == ""
+
+
+def files(folder):
+    return {path.name: path.read_text() for path in sorted(folder.rglob("*.pafot.yaml"))}
+
+
+def unshrunk(exploration):
+    return [find.unshrunk for find in exploration.summary.finds]
+
+
+def attempts(exploration):
+    """How many runs were made to shrink each find, of which progress is told before each."""
+    phases = [event.phase.split() for event in exploration.events if isinstance(event, Progress)]
+    return Counter(phase[1] for phase in phases if phase[:1] == ["shrinking"])
+
+
+def test_a_search_without_finds_leaves_time_to_confirm_one_and_no_more(clock):
+    result = searched(clock, lambda run: None, runs=1000, max_time=30)
+    assert (result.summary.runs, result.summary.reason) == (26, "--pafot-max-time")
+
+
+def test_a_search_with_a_find_leaves_a_third_of_its_time_to_shrink_it(clock):
+    result = searched(clock, fails_in_three_ways, runs=1000, max_time=31)
+    assert result.summary.reason == "--pafot-max-time"
+    assert result.summary.runs == 21
+    assert 0 < result.summary.shrink_runs < 10
+    assert clock.now <= 31
+
+
+def test_a_find_in_the_last_third_ends_the_search_at_once(clock):
+    def fails_late(run):
+        assert clock.now < 25
+
+    result = searched(clock, fails_late, runs=1000, max_time=30)
+    assert result.summary.runs in (25, 26)
+
+
+@pytest.mark.parametrize("limit", [5, 10, 30, 60, 90])
+def test_several_finds_share_what_is_left_and_none_exceeds_it(clock, limit):
+    result = searched(clock, fails_in_three_ways, runs=1000, max_time=limit, shrink_rollouts=300)
+    assert limit - 7 <= clock.now <= limit + 1
+    assert all(unshrunk(result))
+    shares = attempts(result)
+    if limit >= 60:
+        assert len(shares) == len(result.findings) == 3
+        assert max(shares.values()) - min(shares.values()) <= 5
+
+
+def test_what_one_find_leaves_of_its_share_goes_to_the_others(clock):
+    given = {"runs": 1000, "max_time": 300, "shrink_rollouts": 40}
+    result = searched(clock, fails_in_three_ways, **given)
+    assert unshrunk(result) == ["", "", ""]
+    assert clock.now < 300
+
+
+def test_a_find_that_is_cut_is_told_so_with_the_way_on(clock):
+    result = searched(clock, fails_in_three_ways, runs=1000, max_time=3)
+    assert set(unshrunk(result)) == {"not shrunk: out of time"}
+    assert any("ended before" in note and "with --pafot-resume" in note for note in result.summary.notes)
+    going_on = searched(clock, fails_in_three_ways, "other", runs=1000, max_time=3, resume="states")
+    assert set(unshrunk(going_on)) == {"not shrunk: out of time; --pafot-resume goes on"}
+    assert any(note.endswith(": --pafot-resume goes on") for note in going_on.summary.notes)
+
+
+def test_a_find_that_is_cut_while_it_becomes_simpler_is_saved_as_simple_as_it_is(clock, tmp_path):
+    result = searched(clock, fails_in_three_ways, runs=1000, max_time=60, shrink_rollouts=300)
+    assert set(unshrunk(result)) == {"shrunk in part: out of time"}
+    assert all(finding.original is not None for finding in result.findings)
+    assert len(files(tmp_path / "corpus")) == 3
+
+
+@pytest.mark.parametrize(("holds", "limit"), [(never_collides, 30), (fails_in_three_ways, 20)])
+def test_sessions_that_go_on_leave_the_files_of_one_without_a_limit(clock, tmp_path, holds, limit):
+    whole = searched(clock, holds, "whole", runs=12)
+    assert whole.findings
+    done = sessions = 0
+    while done < 12:
+        part = searched(clock, holds, runs=12 - done, max_time=limit, resume="states")
+        done, sessions = part.summary.runs, sessions + 1
+    while any(unshrunk(part)) and sessions < 20:
+        part = searched(clock, holds, runs=1, max_time=limit, resume="states")
+        sessions += 1
+    assert 1 < sessions < 20
+    saved, expected = files(tmp_path / "corpus"), files(tmp_path / "whole")
+    assert {name: saved[name] for name in expected} == expected
+
+
+def test_a_find_that_is_shrunk_by_now_is_not_told_again(clock):
+    first = searched(clock, fails_in_three_ways, runs=20, max_time=40, resume="states")
+    assert any(unshrunk(first))
+    second = searched(clock, fails_in_three_ways, runs=1, resume="states")
+    assert [find.id for find in second.summary.finds] == [find.id for find in first.summary.finds if find.unshrunk]
+    third = searched(clock, fails_in_three_ways, runs=1, resume="states")
+    assert not third.findings
+
+
+def test_a_session_takes_up_as_many_open_finds_as_it_has_time_for(clock, tmp_path):
+    first = searched(clock, fails_in_three_ways, runs=30, max_time=45, shrink_rollouts=60, resume="states")
+    assert len(first.findings) == sum(map(bool, unshrunk(first))) == 3
+    began = clock.now
+    second = searched(clock, fails_in_three_ways, runs=1, max_time=2, shrink_rollouts=60, resume="states")
+    assert clock.now - began <= 4
+    assert len(second.findings) == 2
+    assert "no time was left to shrink 1 finding of earlier sessions" in second.summary.notes
+    third = searched(clock, fails_in_three_ways, runs=1, shrink_rollouts=60, resume="states")
+    assert len(third.findings) == 3
+    assert not any(unshrunk(third))
+
+
+def test_a_full_corpus_keeps_no_find_from_being_shrunk_later(clock, tmp_path):
+    given = {"resume": "states", "max_saved": 3}
+    assert all(unshrunk(searched(clock, fails_in_three_ways, runs=20, max_time=45, **given)))
+    assert len(files(tmp_path / "corpus")) == 3
+    later = searched(clock, fails_in_three_ways, runs=1, **given)
+    assert not later.summary.unsaved
+    assert all(finding.shrunk is not None for finding in later.findings)
+
+
+def test_answers_to_other_questions_are_not_used(clock, tmp_path):
+    given = {"runs": 1, "resume": "states"}
+    first = searched(clock, fails_in_three_ways, runs=20, max_time=40, resume="states", shrink_rollouts=300)
+    assert any(unshrunk(first))
+    searched(clock, fails_in_three_ways, **given)
+    searched(clock, fails_in_three_ways, "whole", runs=first.summary.runs)
+    saved, expected = files(tmp_path / "corpus"), files(tmp_path / "whole")
+    assert {name: saved[name] for name in expected} == expected
+
+
+def test_answers_of_another_ads_are_not_believed(clock):
+    def fails_sometimes(run):
+        assert run.scenario.npcs[0][0].speed < fails_sometimes.limit, "too fast"
+
+    fails_sometimes.limit = 1
+    first = searched(clock, fails_sometimes, runs=4, max_time=30, resume="states")
+    assert set(unshrunk(first)) == {"shrunk in part: out of time; --pafot-resume goes on"}
+    assert first.findings[0].scenario.npcs[0][0].speed < 10
+    fails_sometimes.limit = 10
+    second = searched(clock, fails_sometimes, runs=1, resume="states")
+    again = next(each for each in second.findings if each.id == first.findings[0].id)
+    assert again.shrunk.is_minimal
+    assert again.scenario.npcs[0][0].speed == 10
+    assert again.flaky is None
+
+
+def test_a_session_that_only_replays_shrinks_nothing(clock, tmp_path):
+    searched(clock, fails_in_three_ways, runs=20, max_time=3, resume="states")
+    before = files(tmp_path)
+    replayed = searched(clock, fails_in_three_ways, generations=0, resume="states")
+    assert (replayed.summary.reason, replayed.summary.shrink_runs) == ("replay only", 0)
+    assert files(tmp_path) == before
+
+
+def test_without_a_limit_no_clock_decides_anything(clock, tmp_path, monkeypatch):
+    monkeypatch.setattr(state_file, "SHARE", 0)
+    searched(clock, never_collides, "usual", runs=20)
+    clock.step = lambda: 1e9 * math.cos(clock.now)  # which also runs backwards
+    searched(clock, never_collides, "strange", runs=20)
+    assert files(tmp_path / "usual") == files(tmp_path / "strange") != {}
+
+
+def test_the_last_telling_of_a_find_says_whether_it_was_cut(clock):
+    result = searched(clock, fails_in_three_ways, runs=1000, max_time=60, shrink_rollouts=300)
+    last = {event.find.id: event.find for event in result.events if isinstance(event, FindTold)}
+    assert all(find.unshrunk for find in last.values())
+    assert all("out of time" in find.summary for find in last.values())
