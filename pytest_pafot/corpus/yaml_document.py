@@ -24,8 +24,11 @@ MOST_VALUES = 40_000
 Place = tuple[str | int, ...]
 """Keys and indices from the top of the document."""
 
-DAY: Place = ("xfail", "until")
-"""Where a date needs no quotes: it is read as its text."""
+XFAIL, REASON = "xfail", "reason"
+"""In the mapping ``xfail`` a date needs no quotes: it is read as its text, under any key but that of the reason.
+
+So a key that is misspelt is named as unknown, rather than its date as one that wants quotes.
+"""
 
 _PREFIX = "tag:yaml.org,2002:"
 _PLAIN_TAGS = frozenset(_PREFIX + name for name in ("null", "bool", "int", "float", "str"))
@@ -133,7 +136,7 @@ class _Builder:
         if event.tag is not None:
             raise self._error(event, "values without tags", f"the tag {event.tag!r:.60}", "remove the tag")
         if isinstance(event, yaml.ScalarEvent):
-            return self._scalar(event, is_day=place == DAY)
+            return self._scalar(event, is_day=place[:-1] == (XFAIL,) and place[-1] != REASON)
         if len(place) >= DEPTH:
             raise self._error(event, f"at most {DEPTH} levels of nesting", "more", "flatten it")
         if isinstance(event, yaml.MappingStartEvent):

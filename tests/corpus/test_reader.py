@@ -170,6 +170,9 @@ def test_an_error_says_where_what_and_the_way_out(path):
         ('# xfail: "reason"', "xfail: {reason: slow, until: 2027-01-31 12:00:00}", 17, "xfail.until"),
         ('# xfail: "reason"', "xfail: {reason: slow, until: 20270131}", 17, "xfail.until"),
         ('# xfail: "reason"', "xfail: {reason: slow, till: soon}", 17, "xfail.till"),
+        ('# xfail: "reason"', "xfail: {reason: slow, til: 2027-01-31}", 17, "xfail.til"),
+        ('# xfail: "reason"', "xfail: {reason: 2027-01-31}", 17, ""),
+        ('# xfail: "reason"', "xfail: {reason: slow, until: [2027-01-31]}", 17, ""),
         ('# xfail: "reason"', "xfail: 2027-01-31", 17, ""),
     ],
 )
@@ -219,6 +222,13 @@ def test_a_wrong_day_comes_with_how_to_write_it(path):
     assert str(error).endswith(
         ":17: xfail.until: expected a day of the calendar, as year-month-day, received '2027-02-30'; "
         "write it as 2027-01-31"
+    )
+
+
+def test_a_misspelt_key_of_xfail_is_named_before_its_date(path):
+    error = fault(path, swapped('# xfail: "reason"', "xfail: {reason: slow, untill: 2027-01-31}"))
+    assert str(error).endswith(
+        ":17: xfail.untill: expected one of reason, until (format 2), received 'untill'; did you mean 'until'?"
     )
 
 
