@@ -178,6 +178,8 @@ class ProgressLine:
         is_terminal = self.told.isatty()
         if now - self.told_at < (POLL_SECONDS if is_terminal else TOLD_EVERY):
             return
+        if not is_terminal and self.done + shares >= self.job.total:
+            return  # the line of the end follows at once
         self.told_at = now
         line = self.line(shares, now)
         self._tell(f"\r{line}\x1b[K" if is_terminal else f"{line}\n")
@@ -192,13 +194,15 @@ class ProgressLine:
         return f"{job.command}: {done} of {job.total} {job.units}, {share:.0%}{left}".replace("%", " %")
 
     def finished(self, task: Task) -> None:
-        """One more task."""
+        """One more task; those of many units show in :meth:`tick`, which also knows what the others have done."""
         job = self.job
         self.done += job.size(task)
-        if not self.told.isatty():
+        if self.told.isatty():
+            return
+        which = "100 %," if job.sizes else f"{task[0]} {job.units.removesuffix('s')} {task[1]} done"
+        if not job.sizes or self.done == job.total:
             spent = _duration(self.clock() - self.started)
-            which = f", {task[0]} {job.units.removesuffix('s')} {task[1]}" if job.size(task) == 1 else ""
-            self._tell(f"{job.command}: {self.done} of {job.total} {job.units}{which} done after {spent}\n")
+            self._tell(f"{job.command}: {self.done} of {job.total} {job.units}, {which} after {spent}\n")
 
     def close(self) -> None:
         """End the line that was rewritten."""

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -243,6 +244,23 @@ class TestProgressLine:
         lines = told.getvalue().splitlines()
         assert len(lines) == 4
         assert lines[-1] == "compare: 1 of 2 runs, pafot run 0 done after 24 s"
+
+    def test_where_a_task_is_many_units_all_lines_are_of_one_style(self):
+        now, told = [0.0], io.StringIO()
+        sizes = {("ads-25", 0): 25, ("ads-1", 25): 1}
+        job = replace(job_of(2), command="rate", units="episodes", tasks=tuple(sizes), sizes=sizes)
+        progress = ProgressLine(job=job, done=0, told=told, clock=lambda: now[0])
+        for second, shares in ((0.0, 0.0), (5.0, 6.0), (10.0, 13.0)):
+            now[0] = second
+            progress.tick(shares)
+        progress.finished(("ads-25", 0))
+        now[0] = 20.0
+        progress.tick(1.0)
+        progress.finished(("ads-1", 25))
+        assert told.getvalue().splitlines() == [
+            "rate: 0 of 26 episodes, 0 %", "rate: 13 of 26 episodes, 50 %, 10 s left",
+            "rate: 26 of 26 episodes, 100 %, after 20 s",
+        ]  # fmt: skip
 
 
 def dying():

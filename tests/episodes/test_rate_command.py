@@ -41,7 +41,7 @@ def test_it_tells_the_share_its_interval_the_crashes_per_hour_and_their_seeds(tm
     assert re.search(r"^constant_speed@planner in highway-fast-v0: \d of 10 episodes crashed, [\d.]+ % \(95 %: ", out)
     assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 30.8 %); none in " in out
     assert "0 with idm_mobil alone, 0 with both" in out
-    assert "rate: 20 of 20 episodes done after " in told
+    assert "rate: 20 of 20 episodes, 100 %, after " in told
     rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
     assert [int(row["seed"]) for row in rows] == [*range(10), *range(10)]
     crashed = [row["seed"] for row in rows if row["outcome"] == "collision"]
