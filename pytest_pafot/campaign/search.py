@@ -386,12 +386,24 @@ class Search:
             shrink_runs=self._shrink_runs,
             known=dict(loop.known + self.sessions.found_before),
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
-            notes=(*self.notes, *filter(None, [loop.doubt]), *cut, *self._left_undone(reason)),
+            notes=(*self.notes, *filter(None, [loop.doubt, self._unused]), *cut, *self._left_undone(reason)),
             against="" if self.harness.against is None else self.harness.against.shown,
             random=(0, 0) if is_cut_short else (self.sessions.beginning.failing, self.sessions.beginning.runs),
             drawn="" if self.loop.space is None else self.loop.space.described,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit)) if loop.runs else "",
         )
+
+    @property
+    def _unused(self) -> str:
+        """Say what no scenario of the search has, since nobody drives on the roads that meet the ego's way."""
+        world, unused = self.harness.world, protocol.unused_roads(self.harness.world)
+        if not unused or not self.loop.runs:
+            return ""
+        verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}
+        none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
+        where = getattr(world, "env_id", type(world).__name__)
+        which = f"at {where} all NPCs drive along the ego's way: none {none}"
+        return f"{which}, so that the search says nothing of such traffic"
 
     def _left_undone(self, reason: str) -> Iterator[str]:
         """What a longer search would do besides, and how to have it."""

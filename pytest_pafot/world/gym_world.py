@@ -17,7 +17,7 @@ from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehic
 from pytest_pafot.world.engines.lock_step import SteppedRun
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
-from pytest_pafot.world.roads.network import NetworkRoad
+from pytest_pafot.world.roads.network import Meeting, NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.validation import (
@@ -128,6 +128,17 @@ class World(BuiltInWorld):
         """The ego's lane and speed [m/s] as the environment has them; None on a straight road, where any will do."""
         road = self.road
         return None if isinstance(road, StraightRoad) else (road.ego_lane, road.ego_speed)
+
+    @property
+    def unused_roads(self) -> frozenset[Meeting]:
+        """Return how roads meet the ego's way on which nobody drives, as far as that is known.
+
+        An environment of the user's own that has steps of its own may have anybody drive there.
+        """
+        environment, road = self.environment, self.road
+        is_stock = type(environment.unwrapped).__module__.startswith("highway_env.")
+        is_known = is_stock or not environment.steps_itself(drives_itself=False)
+        return road.unused if is_known and not isinstance(road, StraightRoad) else frozenset()
 
     @property
     def speed_limit(self) -> float:

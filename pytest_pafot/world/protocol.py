@@ -17,6 +17,7 @@ from pytest_pafot.oracle.run import ReferenceWorld
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import HANG_LIMIT
+from pytest_pafot.world.roads.network import Meeting
 from pytest_pafot.world.roads.straight import StraightRoad
 
 # What an ADS is given at its first decision and must return, for the message where it fails there.
@@ -136,6 +137,14 @@ def road_start(world: Any) -> RoadStart | None:
     """How the ego starts where the road of a world says so, by its ``start``; None where any lane and speed will do."""
     start: tuple[int, float] | None = getattr(world, "start", None)
     return None if start is None else RoadStart(*start, physics_hz=world.physics_hz)
+
+
+def unused_roads(world: Any) -> frozenset[Meeting]:
+    """Return how roads meet the ego's way in a world on which no NPC drives, where its own class says so.
+
+    What it inherits does not count: a class that derives from a world may have anybody drive anywhere.
+    """
+    return world.unused_roads if "unused_roads" in vars(type(world)) else frozenset()
 
 
 def straight_road(world: Any) -> StraightRoad | None:

@@ -14,7 +14,7 @@ from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, wrapped
 from pytest_pafot.world.roads.straight import StraightRoad
+
+Meeting = Literal["crosses", "joins", "oncoming"]
+"""How another road meets the ego's way; one that only leaves it does not count."""
 
 # How fast an NPC may be at each place of a lane, and how a vehicle lies in its bends. Pure functions of arrays.
 
@@ -274,6 +277,35 @@ class NetworkRoad:
     def point(self, along: float) -> int:
         """The point of the line that is nearest to a place."""
         return min(max(round(along / STEP), 0), len(self._points) - 1)
+
+    @cached_property
+    def unused(self) -> frozenset[Meeting]:
+        """Return how lanes meet the ego's way on which no NPC ever drives, as all of them drive along that way."""
+        own_lanes = len(self.lanes) - len(self.others)
+        ways = zip(self.others, self.lanes[own_lanes:], strict=True)
+        return frozenset(filter(None, (self._meeting(index[:2], lane) for index, lane in ways)))
+
+    def _meeting(self, section: tuple[str, str], lane: Lane) -> Meeting | None:
+        """Return how a lane of no section of the way meets it; None where it leaves the way, or is far from it."""
+        nodes, ends = {node for each in self.sections for node in each}, {end for _, end in self.sections}
+        is_turned = section[::-1] in self.sections
+        if section[1] in ends:
+            return "joins"
+        if not is_turned and not nodes.isdisjoint(section):
+            return None
+        places = np.linspace(0.0, lane.length, max(2, math.ceil(lane.length)))
+        straight = np.stack(
+            [lane.x + math.cos(lane.heading) * places, lane.y + math.sin(lane.heading) * places], axis=-1
+        )
+        points = np.array(lane.points) if lane.points else straight
+        apart = np.hypot(points[:, :1] - self.line.x, points[:, 1:] - self.line.y)
+        if not is_turned:
+            return "crosses" if apart.min() < self.lane_width / 2 else None
+        # Two halves of a ring have the same two nodes as the two directions of a road, but lead on where they meet.
+        here, there = np.unravel_index(int(apart[:-1].argmin()), apart[:-1].shape)
+        x, y = points[here + 1] - points[here]
+        heading = self.line.heading[there]
+        return "oncoming" if x * math.cos(heading) + y * math.sin(heading) < 0 else None
 
     @cached_property
     def _points(self) -> list[tuple[float, float, float]]:

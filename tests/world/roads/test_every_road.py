@@ -371,9 +371,47 @@ class OwnTaper(OwnCircuit):
         self.road.vehicles.append(self.vehicle)
 
 
+class OwnMeeting(OwnCircuit):
+    """A straight road from west to east, and another one that does something with it."""
+
+    @classmethod
+    def default_config(cls):
+        return {**super().default_config(), "other": ["n", "s"], "points": [[200.0, -80.0], [200.0, 90.0]]}
+
+    def _reset(self):
+        network, (origin, end) = RoadNetwork(), self.config["other"]
+        network.add_lane("a", "b", StraightLane([0, 0], [300, 0], speed_limit=20))
+        network.add_lane("b", "c", StraightLane([300, 0], [600, 0], speed_limit=20))
+        network.add_lane(origin, end, StraightLane(*self.config["points"], speed_limit=20))
+        self.road = Road(network, np_random=self.np_random)
+        self.vehicle = self.action_type.vehicle_class(self.road, [50.0, 0.0], 0.0, 10.0)
+        self.road.vehicles.append(self.vehicle)
+
+
+class OwnTraffic(OwnMeeting):
+    """The same, where a step may do anything."""
+
+    def step(self, action):
+        return super().step(action)
+
+
+class OwnHalves(OwnCircuit):
+    """Two half circles, the second of which no run comes to: its nodes are those of the first in the other order."""
+
+    def _reset(self):
+        network = RoadNetwork()
+        for node, after, start in (("n", "s", 0.0), ("s", "n", math.pi)):
+            network.add_lane(node, after, CircularLane([0, 0], 200, start, start + math.pi, speed_limit=12))
+        self.road = Road(network, np_random=self.np_random)
+        lane = network.get_lane(("n", "s", 0))
+        self.vehicle = self.action_type.vehicle_class(self.road, lane.position(200, 0), lane.heading_at(200), 10.0)
+        self.road.vehicles.append(self.vehicle)
+
+
 @pytest.fixture
 def registered():
     ids = {"OwnCircuit-v0": OwnCircuit, "OwnDeadEnd-v0": OwnDeadEnd, "OwnTaper-v0": OwnTaper}
+    ids |= {"OwnMeeting-v0": OwnMeeting, "OwnTraffic-v0": OwnTraffic, "OwnHalves-v0": OwnHalves}
     for env_id, entry_point in ids.items():
         gymnasium.register(id=env_id, entry_point=entry_point)
     yield
@@ -427,3 +465,40 @@ def test_where_the_lane_of_its_cell_is_gone_an_npc_keeps_its_own_and_takes_the_g
 def test_a_road_that_ends_in_front_of_the_ego_is_refused():
     with pytest.raises(WorldError, match="OwnDeadEnd-v0: expected a road that goes on from where the ego starts"):
         World("OwnDeadEnd-v0").check()
+
+
+UNUSED = {"intersection": {"crosses", "joins"}, "two-way": {"oncoming"}}
+UNUSED |= {name: {"joins"} for name in ("merge", "merge-generic", "roundabout", "roundabout-generic")}
+
+
+def test_a_world_knows_the_roads_that_nobody_uses():
+    """On others nothing meets the ego's way: the exit leaves it, circuits and bends have no other road."""
+    assert {env_id: set(world_of(env_id).unused_roads) for env_id in ROADS} == {
+        env_id: UNUSED.get(env_id.rpartition("-")[0], set()) for env_id in ROADS
+    }
+    assert World("highway-v0").unused_roads == frozenset()
+
+
+@pytest.mark.usefixtures("registered")
+@pytest.mark.parametrize(
+    ("other", "points", "unused"),
+    [
+        (("n", "s"), ([200, -80], [200, 90]), {"crosses"}),
+        (("n", "b"), ([200, -80], [300, 0]), {"joins"}),
+        (("b", "s"), ([300, 0], [400, 90]), set()),  # leaves
+        (("n", "s"), ([200, -80], [200, -10]), set()),  # ends before it
+        (("n", "s"), ([0, 12], [600, 12]), set()),  # runs beside it
+        (("b", "a"), ([300, -4], [0, -4]), {"oncoming"}),
+    ],
+)
+def test_how_a_road_meets_the_way_of_the_ego(other, points, unused):
+    config = {"other": list(other), "points": [list(map(float, point)) for point in points]}
+    assert World("OwnMeeting-v0", config=config, duration=10.0).unused_roads == unused
+
+
+@pytest.mark.usefixtures("registered")
+def test_what_no_one_can_know_of_a_road_is_not_said():
+    assert World("OwnTraffic-v0", duration=10.0).unused_roads == frozenset()
+    assert World("OwnTraffic-v0", duration=10.0).road.unused == {"crosses"}
+    halves = World("OwnHalves-v0", duration=3.0)
+    assert (halves.road.others, halves.unused_roads) == ((("s", "n", 0),), frozenset())
