@@ -15,8 +15,8 @@ from typing import Any, TextIO
 from pytest_pafot.attribution.near_misses import NONE, Floors, near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
 from pytest_pafot.commands.policy_reference import PlanError, ads_factory, caution
-from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job
-from pytest_pafot.comparison.plan import Plan
+from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, claim, run_job
+from pytest_pafot.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.findings.finding import ads_failure, first_decision_cause, of_failure
@@ -92,6 +92,8 @@ class RunFacts:
 def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
     """Run what is not finished yet; the file with all rows, by algorithm and run in the order of the plan.
 
+    Where algorithms have different scenarios, that is said before hours are spent on them.
+
     The arguments, and what is raised, are those of :func:`run_job`.
     """
     job = ResumableJob(
@@ -106,6 +108,10 @@ def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Call
         text=partial(_text, plan),
         caution=caution([plan.ads]),
     )
+    claim(job, folder)  # a folder that cannot be used is the first thing to hear of
+    if len(plan.scenarios) > 1:
+        groups = "".join(f"  {', '.join(names)}: {which}\n" for which, names in plan.scenarios.items())
+        told.write(f"compare: warning: {DIFFERENT}\n{groups}")
     return run_job(job, folder, workers=workers, told=told, clock=clock)
 
 

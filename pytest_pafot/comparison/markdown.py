@@ -14,7 +14,7 @@ import pandas as pd
 
 from pytest_pafot.commands.resumable import file_name, seconds_of
 from pytest_pafot.comparison import statistics
-from pytest_pafot.comparison.plan import Plan
+from pytest_pafot.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.comparison.run_measures import (
     FAULTS,
     SECONDS_PER_HOUR,
@@ -154,7 +154,15 @@ What counts as a failure in the search: {hits}; and faults of the ADS, which are
 
 World: `{json.dumps(dict(plan.world))}`.
 Scenarios: `{json.dumps(dict(plan.space))}`{drawn}.
-"""
+{_warning(plan)}"""
+
+
+def _warning(plan: Plan) -> str:
+    """Name the groups of algorithms that were given different scenarios; say nothing of a single group."""
+    if len(plan.scenarios) == 1:
+        return ""
+    groups = "\n".join(f"- {', '.join(names)}: {scenarios}" for scenarios, names in plan.scenarios.items())
+    return f"\n**Warning:** {DIFFERENT}.\n\n{groups}\n"
 
 
 def _effectiveness(results: Results) -> str:

@@ -14,11 +14,17 @@ from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmCla
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world import from_dict as world_from_dict
 from pytest_pafot.world.protocol import WorldLike, road_start
 
+DIFFERENT = (
+    "the algorithms have different scenarios, so that what differs between these groups may be due to the scenarios; "
+    "NAME@paper is an algorithm with the paper's"
+)
+"""What :attr:`Plan.scenarios` means where it has more than one entry."""
 PAPER, POPULATION = "paper", 4
 """What stands behind the ``@`` for the paper's scenarios, and how many of them are in a generation then."""
 
@@ -121,6 +127,17 @@ class Plan:
         ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
+
+    @property
+    def scenarios(self) -> dict[str, list[str]]:
+        """Return the names of the algorithms by what their scenarios are; those under one text have the same space."""
+        found: dict[str, list[str]] = {}
+        for name in self.names:
+            _, space = self.setting(name)
+            patterns = "; half of them are made of dangerous patterns" if space.patterns else ""
+            genes = f"{plural(space.genes, 'gene')} of {space.gene_seconds:g} s"
+            found.setdefault(f"{space.described}; {genes}{patterns}", []).append(name)
+        return found
 
     def made(self, name: str) -> Algorithm[Any]:
         """The algorithm of one of the names, on the space of its scenarios."""

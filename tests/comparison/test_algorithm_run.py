@@ -182,3 +182,11 @@ def test_near_misses_are_judged_down_to_their_floors_as_in_a_search_and_the_rows
     assert len({str(floors) for floors in given}) > 1
     monkeypatch.setattr(algorithm_run, "near_misses", lambda trace, floors: near_misses(trace))
     assert list(run_rows(plan, "distinct", 0)) == rows
+
+
+def test_runs_of_another_length_are_told_as_other_scenarios(quick):
+    equal = quick(algorithms=("pafot", "av-fuzzer", "random@paper"))
+    assert list(equal.scenarios.values()) == [["pafot", "av-fuzzer", "random@paper"]]
+    (_, whole), (shorter, short) = quick(algorithms=("pafot", "av-fuzzer@15", "cma-es")).scenarios.items()
+    assert (whole, short) == (["pafot", "cma-es"], ["av-fuzzer@15"])
+    assert shorter.endswith("; 3 genes of 5 s"), "225 ticks make no two genes"

@@ -166,7 +166,7 @@ def test_runs_of_equal_seconds_are_compared_at_these_alone_and_those_of_other_le
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_each_algorithm_has_the_scenarios_of_a_test_unless_the_papers_are_asked_for(tmp_path):
+def test_each_algorithm_has_the_scenarios_of_a_test_unless_the_papers_are_asked_for(tmp_path, capsys):
     arguments = ["--algorithms", "distinct,distinct@paper,pafot", "--runs", "1", "--generations", "1", "--seed", "3"]
     assert compare(tmp_path, *arguments) == 0
     drawn = {}
@@ -176,7 +176,19 @@ def test_each_algorithm_has_the_scenarios_of_a_test_unless_the_papers_are_asked_
         drawn[name] = len(scenarios), {len(npcs) for npcs, *_ in scenarios}, len({speed for *_, speed, _ in scenarios})
     assert drawn == {"distinct": (16, {4}, drawn["distinct"][2]), "distinct@paper": (4, {2}, 1), "pafot": (4, {2}, 1)}
     assert drawn["distinct"][2] > 8, "first speeds of the ego"
-    assert "; of distinct with `{" in (tmp_path / "report.md").read_text()
+    report, told = (tmp_path / "report.md").read_text(), capsys.readouterr().err
+    assert "; of distinct with `{" in report
+    of_test, papers = (
+        "4 NPCs; the ego starts at 12 to 26.8 m/s in lanes 0 to 3",
+        "2 NPCs; the ego starts at 22 m/s in lane 1",
+    )
+    warning, _, tables = report.partition("## How many collisions")
+    assert "**Warning:** the algorithms have different scenarios, so that" in warning
+    assert f"- distinct: {of_test}; 2 genes of 10 s; half of them are made of dangerous patterns\n" in warning
+    assert f"- distinct@paper, pafot: {papers}; 2 genes of 10 s\n" in warning
+    assert "| pafot |" in tables
+    assert "compare: warning: the algorithms have different scenarios" in told
+    assert f"  distinct@paper, pafot: {papers}; 2 genes of 10 s\n" in told
 
 
 def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
