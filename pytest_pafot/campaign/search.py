@@ -38,6 +38,7 @@ from pytest_pafot.searching.ask_tell import Algorithm, floors_of
 from pytest_pafot.searching.campaign import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
 from pytest_pafot.world import WorldError, codec, protocol
+from pytest_pafot.world.driving.ads import loading_hint
 from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
 
@@ -360,6 +361,7 @@ class Search:
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         finds = [kept.find for kept in loop.recorder.kept.values()]
         # An error says nothing of the ego, and random scenarios that end with the first failure say too much.
+        notes = (loop.doubt, self._unused, loading_hint(self.harness.ads) if loop.runs else "")
         is_cut_short = reason == "error" or (reason == "enough findings" and not self.sessions.beginning.is_whole)
         return SearchSummary(
             node_id=self.node_id,
@@ -386,7 +388,7 @@ class Search:
             shrink_runs=self._shrink_runs,
             known=dict(loop.known + self.sessions.found_before),
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
-            notes=(*self.notes, *filter(None, [loop.doubt, self._unused]), *cut, *self._left_undone(reason)),
+            notes=(*self.notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             against="" if self.harness.against is None else self.harness.against.shown,
             random=(0, 0) if is_cut_short else (self.sessions.beginning.failing, self.sessions.beginning.runs),
             drawn="" if self.loop.space is None else self.loop.space.described,

@@ -21,6 +21,7 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.world import AdsFactoryError, WorldError
+from pytest_pafot.world.driving.ads import loading_hint
 
 if TYPE_CHECKING:
     from pytest_pafot.episodes.episode import Episode
@@ -121,7 +122,9 @@ def _plan_of(arguments: argparse.Namespace) -> RatePlan:
 def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) -> str:
     lines = []
     for rate in rates:
-        lines += [f"{rate.ads} in {plan.env_id}: {rate.sentence}", *(f"  {note}" for note in rate.notes)]
+        hint = loading_hint(factory_of(rate.ads)[0])
+        notes = [*rate.notes, *filter(None, [hint])]
+        lines += [f"{rate.ads} in {plan.env_id}: {rate.sentence}", *(f"  {note}" for note in notes)]
         if not rate.episodes and "@" not in rate.ads:
             lines.append(f"  a planner in SI units, as for pafot.Highway, is --ads {rate.ads}@planner")
     if len(rates) == 2:

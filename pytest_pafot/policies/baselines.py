@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.policies.loading import PolicyLoader, digest_of, library, named, refused
-from pytest_pafot.support.errors import plain_whole
+from pytest_pafot.support.errors import AdsFactoryError, plain_whole
 
 Array = npt.NDArray[Any]
 
@@ -60,6 +60,14 @@ class Sb3Policy(PolicyLoader):
     def weights_digest(self) -> str:
         """Of the zip, and of the statistics after it."""
         return digest_of(path for path in (self.file, self.vecnormalize) if path is not None)
+
+    @functools.cached_property
+    def loading_hint(self) -> str:
+        """Say what tells of a training behind VecNormalize where no statistics are given; empty without evidence."""
+        try:
+            return "" if self.vecnormalize is not None else _missing_statistics(self.file)
+        except (OSError, AdsFactoryError):  # a hint never stands in the way
+            return ""
 
     def load(self) -> BaselineModel:
         """The model on the CPU."""
@@ -248,3 +256,34 @@ def _parameters(file: Path) -> dict[str, Any]:
         received = f"{file} ({type(error).__name__}: {error})"
         raise refused("a zip that the save() of a Stable-Baselines3 model wrote", received, "save it again") from None
     return parameters
+
+
+def _missing_statistics(file: Path) -> str:
+    """Say why a zip without statistics is probably short of them; empty where nothing tells.
+
+    Which wrappers a model was trained in is stored nowhere. But ``learn`` keeps the observations from before
+    VecNormalize for the next call, or None where there was none, and the zip has all that is kept. Algorithms with a
+    replay buffer keep some in either case.
+    """
+    beside = [each for folder in (file.parent, file.with_suffix("")) for each in sorted(folder.glob("*.pkl"))]
+    found = next((each for each in beside if _is_statistics(each)), None)
+    zipped = _parameters(file)
+    name = "statistics.pkl" if found is None else found.relative_to(file.parent).as_posix()
+    given = f"vecnormalize={name!r}"
+    if "buffer_size" not in zipped and zipped.get("_last_original_obs") is not None:
+        return (
+            f"{file.name} was trained behind VecNormalize, by what it stores, and is given no statistics: unless only "
+            f"rewards were normalised, it sees other numbers here than in its training; give sb3(..., {given})"
+        )
+    if found is None:
+        return ""
+    return (
+        f"{file.name} is given no statistics of VecNormalize, and {name} beside it has some: a model that was "
+        f"trained behind them sees other numbers here; give sb3(..., {given})"
+    )
+
+
+def _is_statistics(file: Path) -> bool:
+    """Return whether ``VecNormalize.save`` wrote a file, by the class at its beginning; nothing is unpickled."""
+    with file.open("rb") as opened:
+        return b"vec_normalize" in opened.read(200)

@@ -93,6 +93,12 @@ def test_results_of_other_weights_are_not_gone_on_with(tmp_path, capsys, monkeyp
     assert "from before" not in told
 
 
+def test_what_a_loader_doubts_stands_beside_the_rate(capsys, monkeypatch):
+    monkeypatch.setattr(Trained, "loading_hint", "mind the statistics", raising=False)
+    assert rate("--ads", f"{__name__}:trained", "--episodes", "1") == 0
+    assert "\n  mind the statistics\n" in capsys.readouterr().out
+
+
 def test_a_policy_that_tells_no_weights_is_gone_on_with_and_that_is_told(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)

@@ -4,6 +4,7 @@ import json
 import pickle
 import subprocess
 import sys
+import types
 import zipfile
 from dataclasses import dataclass
 from typing import ClassVar
@@ -40,6 +41,7 @@ class Weighing:
 class Loader(PolicyLoader):
     frames: int = 1
     weights_digest = "sha256:00"
+    loading_hint: str = ""
     loads: ClassVar = []
 
     def load(self):
@@ -193,6 +195,61 @@ def test_a_policy_is_loaded_in_the_session_whose_forks_run_it():
     Loader.loads.clear()
     pafot.explore(Loader(frames=4), holds=lambda run: None, world=WORLD, runs=1, isolate=True)
     assert Loader.loads == [Loader(frames=4)]
+
+
+@pytest.fixture
+def statistics(tmp_path, monkeypatch):
+    """What ``VecNormalize.save`` writes, which is the pickle of an instance."""
+    module = "stable_baselines3.common.vec_env.vec_normalize"
+    fake = types.ModuleType(module)
+    fake.VecNormalize = type("VecNormalize", (), {"__module__": module})
+    for end in range(1, 5):  # a class is pickled by its name, from which it is imported
+        name = ".".join(module.split(".")[:end])
+        monkeypatch.setitem(sys.modules, name, fake if name == module else types.ModuleType(name))
+    path = tmp_path / "vecnormalize.pkl"
+    path.write_bytes(pickle.dumps(fake.VecNormalize()))
+    return path
+
+
+STORED = {":type:": "<class 'numpy.ndarray'>", ":serialized:": "gASVAAAAAA=="}
+
+
+def test_statistics_that_the_zip_tells_of_and_nobody_gives_are_missed(tmp_path):
+    """As ``save`` writes it: with a replay buffer observations are kept in either case."""
+    of_ppo, of_dqn = {"clip_range": 0.2}, {"buffer_size": 9, "exploration_fraction": 0.1}
+    file = zipped(tmp_path / "model.zip", {**of_ppo, "_last_original_obs": STORED})
+    assert pafot.policies.sb3(file).loading_hint == (
+        "model.zip was trained behind VecNormalize, by what it stores, and is given no statistics: unless only rewards "
+        "were normalised, it sees other numbers here than in its training; give sb3(..., vecnormalize='statistics.pkl')"
+    )
+    assert pafot.policies.sb3(file, vecnormalize=tmp_path / "given.pkl").loading_hint == ""
+    for parameters in (of_ppo, {**of_ppo, "_last_original_obs": None}, {**of_dqn, "_last_original_obs": STORED}):
+        assert pafot.policies.sb3(zipped(tmp_path / "plain.zip", parameters)).loading_hint == ""
+    assert pafot.policies.sb3(tmp_path / "nowhere.zip").loading_hint == ""
+
+
+def test_statistics_beside_the_zip_are_a_hint(tmp_path, statistics):
+    (tmp_path / "buffer.pkl").write_bytes(pickle.dumps({"other": "things"}))
+    file = zipped(tmp_path / "model.zip", {"buffer_size": 9, "_last_original_obs": STORED})
+    assert pafot.policies.sb3(file).loading_hint == (
+        "model.zip is given no statistics of VecNormalize, and vecnormalize.pkl beside it has some: a model that was "
+        "trained behind them sees other numbers here; give sb3(..., vecnormalize='vecnormalize.pkl')"
+    )
+    below = tmp_path / "model"
+    below.mkdir()
+    statistics.rename(below / statistics.name)  # where RL Zoo has them
+    assert "vecnormalize='model/vecnormalize.pkl')" in pafot.policies.sb3(file).loading_hint
+    (below / statistics.name).unlink()
+    assert pafot.policies.sb3(file).loading_hint == ""
+
+
+def test_a_search_says_the_hint_of_its_policy_once():
+    def notes(ads):
+        return pafot.explore(ads, holds=lambda run: None, world=WORLD, population=2, generations=2).summary.notes
+
+    hinting = Loader(loading_hint="mind the statistics")
+    assert notes(hinting) == notes(pafot.Perception(hinting, latency=0.2)) == ("mind the statistics",)
+    assert notes(Loader()) == ()
 
 
 @pytest.mark.parametrize("ads", [Loader(), pafot.Perception(Loader(), latency=0.2)])

@@ -134,6 +134,17 @@ def test_only_what_remembers_nothing_is_pure(framed, tmp_path):
     assert not hasattr(pafot.policies.sb3(plain, deterministic=False)(), "batch")
 
 
+def test_a_model_without_its_statistics_is_told_and_no_other(framed, tmp_path):
+    file, statistics = framed
+    hint = pafot.policies.sb3(file, frame_stack=3).loading_hint
+    assert hint.startswith("model.zip was trained behind VecNormalize")
+    assert hint.endswith("give sb3(..., vecnormalize='statistics.pkl')")
+    assert pafot.policies.sb3(file, vecnormalize=statistics, frame_stack=3).loading_hint == ""
+    for cls in (stable_baselines3.PPO, stable_baselines3.DQN):
+        plain, _ = saved_model(tmp_path, cls, steps=64)
+        assert pafot.policies.sb3(plain).loading_hint == ""
+
+
 def test_a_finding_keeps_the_hash_of_the_weights(framed, tmp_path):
     file, statistics = framed
     policy = pafot.policies.sb3(file, vecnormalize=statistics, frame_stack=3)

@@ -41,8 +41,8 @@ AdsFactory = Callable[..., Any]
 """Gives a fresh ADS, called once per scenario.
 
 It may have a method ``check_world(world)``, which raises where it gives nothing that drives there; a method
-``preload()``, which is called in the session, whose forked processes then have what it loads; and a text
-``weights_digest``, a hash of the policy, which findings keep.
+``preload()``, which is called in the session, whose forked processes then have what it loads; a text
+``weights_digest``, a hash of the policy, which findings keep; and a text ``loading_hint``, which is a note of a search.
 """
 
 
@@ -108,6 +108,12 @@ def preload(factory: AdsFactory) -> None:
 def weights_digest(factory: AdsFactory) -> str:
     """The hash of the policy that a factory gives; empty where it tells none."""
     told = _of_factory(factory, "weights_digest")
+    return told if isinstance(told, str) else ""
+
+
+def loading_hint(factory: AdsFactory) -> str:
+    """Return what a factory doubts of how it was asked to load its policy; empty where it says nothing."""
+    told = _of_factory(factory, "loading_hint")
     return told if isinstance(told, str) else ""
 
 
