@@ -45,8 +45,8 @@ def main(arguments: list[str] | None = None) -> int:
     export.set_defaults(run=exporting.run)
     of_corpus = commands.add_parser(
         "corpus",
-        help="list and count saved scenarios",
-        description="Tell which saved scenarios lie in folders, without running them.",
+        help="list, count and join saved scenarios",
+        description="Tell which saved scenarios lie in folders, and which say the same, without running them.",
     )
     corpus.add_arguments(of_corpus)
     of_corpus.set_defaults(run=corpus.run)

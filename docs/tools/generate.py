@@ -36,7 +36,7 @@ from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Moment, Run
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.marks import rate
-from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
+from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SearchRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.training import training_env
@@ -125,6 +125,7 @@ def sections() -> dict[str, str]:
     return {
         "options": _options_table(),
         "session-record": _record_table(SessionRecord),
+        "orphan-record": _record_table(OrphanRecord),
         "search-record": _record_table(SearchRecord),
         "finding-record": _record_table(FindingRecord),
         "marker": _marker_table(),

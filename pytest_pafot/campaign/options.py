@@ -261,8 +261,17 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "strict_health",
         "switch",
-        "Fail searches with a health warning, such as scenarios without any interaction.",
+        "Fail searches with a health warning, such as scenarios without any interaction, and a session whose saved "
+        "scenarios have lost their test, as with the variable CI.",
         default=False,
+    ),
+    Option(
+        "allow_orphans",
+        "switch",
+        "Let a session pass whose saved scenarios have lost their test, also under CI or --pafot-strict-health: where "
+        "projects share a corpus, or a job has a part of the tests. The summary names them all the same.",
+        default=False,
+        is_argument=False,
     ),
 )
 
@@ -294,6 +303,7 @@ class Settings:
     profile: str
     strict_drift: bool
     strict_health: bool
+    allow_orphans: bool
 
     @property
     def is_search(self) -> bool:

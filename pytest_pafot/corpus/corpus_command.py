@@ -1,4 +1,7 @@
-"""``python -m pytest_pafot corpus``: which saved scenarios lie in folders, told to people or to programs."""
+"""``python -m pytest_pafot corpus``: which saved scenarios lie in folders, told to people or to programs.
+
+What it changes are files of one kind in one folder, of which ``join --write`` keeps one.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.corpus.layout import files_in, folders_below
-from pytest_pafot.corpus.saved import Saved, read_saved_file
-from pytest_pafot.findings.shrink import size_of
+from pytest_pafot.corpus.layout import files_in, folders_below, link_below
+from pytest_pafot.corpus.saved import Saved, of_one_kind, read_saved_file, refusal
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.shrink import size_of, sort_key
+from pytest_pafot.support.files import way_out
 from pytest_pafot.support.text import ascii_text, plural, quiet_json, visible
 
 MARKS = ("flaky", "xfail", "xfail_until")
@@ -25,26 +30,88 @@ NO_FOLDER = 2
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     kinds = parser.add_subparsers(required=True, metavar="WHAT", dest="what")
+    of_folders = "in which, or below which, saved scenarios lie (default: here)"
     for name, about in (("list", "a line for each saved scenario"), ("stats", "how many there are of each kind")):
         each = kinds.add_parser(name, help=about, description=about.capitalize())
         each.add_argument("--json", action="store_true", help="as JSON, for programs")
-        of_folders = "in which, or below which, saved scenarios lie (default: here)"
         each.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
+    about = "of files in one folder that were saved for the same kind of failure, keep one; nothing is run"
+    joining = kinds.add_parser("join", help=about, description=about.capitalize())
+    joining.add_argument("--write", action="store_true", help="remove the others; without, it only says which")
+    joining.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Tell what lies in the folders; the exit code, which is 1 where a file cannot be read."""
+    """Tell what lies in the folders, or join it; the exit code, which is 1 where a file cannot be read or joined."""
     for folder in arguments.folders:
         if not folder.is_dir():
             sys.stderr.write(f"corpus: expected a folder, received {visible(str(folder))}; give one that exists\n")
             return NO_FOLDER
+        link = None if folder.is_absolute() else link_below(Path.cwd(), Path.cwd() / folder)
+        if arguments.what == "join" and link is not None:
+            sys.stderr.write(f"corpus: {visible(refusal(link))}\n")
+            return NO_FOLDER
     below = {below.resolve(): below for folder in arguments.folders for below in folders_below(folder)}
+    if arguments.what == "join":
+        joined = [_join(folder, write=arguments.write) for folder in sorted(below.values())]
+        told = [ascii_text(line) for lines, _ in joined for line in lines] or ["nothing to join"]
+        sys.stdout.write("".join(f"{line}\n" for line in told))
+        return int(any(failed for _, failed in joined))
     files = [file for folder in sorted(below.values()) for file in files_in(folder)]  # each once, however it is reached
     rows = [_row(read_saved_file(file)) for file in files]
-    told: Any = rows if arguments.what == "list" else _counts(rows)
-    lines = [quiet_json(json.dumps(told, indent=2))] if arguments.json else _lines(told)
+    shown: Any = rows if arguments.what == "list" else _counts(rows)
+    lines = [quiet_json(json.dumps(shown, indent=2))] if arguments.json else _lines(shown)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(any("error" in row for row in rows))
+
+
+def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
+    """Say which files of a folder are not needed beside another one of their kind, and remove them where asked to.
+
+    The simplest is kept, in the order of shrinking, and one whose failure is accepted before all others: no acceptance
+    is lost, and none goes to a scenario that it was not written for. A flaky one is kept where there is no other.
+    Files that name different tests are not joined.
+
+    Returns:
+        Lines, and whether something in the folder is left for a person to mend.
+    """
+    files = [read_saved_file(path) for path in files_in(folder) if not path.is_symlink()]
+    lines = [f"left alone: {saved.error}" for saved in files if saved.finding is None]
+    failed = bool(lines)
+    for group in of_one_kind(files):
+        findings = {saved.path: saved.finding for saved in group if saved.finding is not None}
+        accepted = {(finding.xfail, finding.xfail_until) for finding in findings.values() if finding.xfail is not None}
+        if len(accepted) > 1:
+            names = ", ".join(path.name for path in findings)
+            lines.append(
+                f"{folder}: {names}: left alone: expected one reason and one day in their lines `xfail:`, "
+                f"received {len(accepted)}; write the same in these files, and join again"
+            )
+            failed = True
+            continue
+        kept, *others = sorted(findings, key=lambda path: _order(findings[path]))
+        for path in others:
+            problem = _removed(path) if write else ""
+            failed = failed or bool(problem)
+            verb = "not removed" if problem else "removed" if write else "would remove"
+            is_firmer = findings[path].flaky is not None and findings[kept].flaky is None
+            why = "not flaky" if is_firmer else "as simple or simpler"
+            why = "accepted" if findings[kept].xfail is not None else why
+            lines.append(f"{verb}: {path}: {problem or f'{kept.name} shows the same, and is {why}'}")
+    return lines, failed
+
+
+def _order(finding: Finding) -> tuple[bool, bool, tuple[int, ...], str]:
+    return finding.xfail is None, finding.flaky is not None, sort_key(finding.scenario), finding.id
+
+
+def _removed(path: Path) -> str:
+    """Remove a file; return what is wrong where that is not possible, or an empty text."""
+    try:
+        path.unlink(missing_ok=True)  # Another command may have been faster.
+    except OSError as error:
+        return f"{error.strerror or error}; {way_out(error, 'then join again')}"
+    return ""
 
 
 def _row(saved: Saved) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,6 +12,7 @@ from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:  # pytest sessions that collect no such file import nothing of findings
     from pytest_pafot.findings.finding import Finding
+    from pytest_pafot.findings.signature import Signature
 
 
 class Saved(NamedTuple):
@@ -63,6 +65,20 @@ def read_saved_file(path: Path) -> Saved:
 def saved_in(folder: Path) -> list[Saved]:
     """All files of one test, by id."""
     return [read_saved_file(path) for path in files_in(folder)]
+
+
+def kinds_in(files: Iterable[Saved]) -> set[Signature]:
+    """Return the kinds of failures that files were saved for, of those that can be read."""
+    return {saved.finding.signature for saved in files if saved.finding is not None}
+
+
+def of_one_kind(files: Iterable[Saved]) -> list[list[Saved]]:
+    """Return the groups of two files or more that name the same test, for the same kind of failure."""
+    groups: dict[tuple[str, Signature], list[Saved]] = {}
+    for saved in files:
+        if saved.finding is not None:
+            groups.setdefault((saved.finding.test, saved.finding.signature), []).append(saved)
+    return [group for group in groups.values() if len(group) > 1]
 
 
 def refused_in(folder: Path, link: Path) -> list[Saved]:

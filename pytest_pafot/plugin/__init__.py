@@ -17,6 +17,7 @@ from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, RATE_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.merge_item import MERGE, Merging
 from pytest_pafot.plugin.option_sources import add_options
+from pytest_pafot.plugin.orphans import Guard
 from pytest_pafot.plugin.rate_item import Rates
 from pytest_pafot.plugin.report_pages import Pages
 from pytest_pafot.plugin.session import (
@@ -54,7 +55,7 @@ def pytest_configure(config: pytest.Config) -> None:
     else:
         asked = config.getoption(BY_NAME["today"].key)
         config.stash[SHARED] = Shared(today=asked) if asked else Shared()
-        features |= {"reporting": Reporter(config), "pages": Pages(config)}
+        features |= {"reporting": Reporter(config), "pages": Pages(config), "guard": Guard()}
         if session_records.is_asked_for(config, os.environ):
             features["records"] = session_records.Records(config)
     if config.getoption(MERGE):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Mapping
+import os
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import date
 from functools import cached_property
@@ -17,7 +18,7 @@ from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id, qualified_name, saved_part
 from pytest_pafot.plugin.option_sources import corpus_name
-from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_orphans, find_strays
+from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_doubles, find_orphans, find_strays
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
 from pytest_pafot.support.text import visible
 
@@ -49,13 +50,19 @@ class Collection:
         self._rootpath = config.rootpath
         self._given_files, self._modules_for_them = accept_files(config)
         self._collected = Collected(rootpath=config.rootpath)
+        self._corpora: set[Path] = set()  # that were met where test files are looked for
         self._saved = config.stash.setdefault(COLLECTED, {})
-        config.stash[UNRUN] = Unrun({}, {}, {})
+        config.stash[UNRUN] = Unrun({}, {}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
         """What lies in a corpus is data, whatever its name."""
         folders = [collection_path, *collection_path.parents]
-        return True if any(self._is_corpus(folder) for folder in folders) else None
+        if not any(self._is_corpus(folder) for folder in folders):
+            return None
+        # All tests beside it may be gone, and no item would lead to it.
+        if self._corpus is not None and layout.is_corpus(collection_path, self._corpus):
+            self._corpora.add(collection_path)
+        return True
 
     def _is_corpus(self, folder: Path) -> bool:
         """What pytest runs in is none, nor, but by the usual name, what it was asked for."""
@@ -71,9 +78,14 @@ class Collection:
     @cached_property
     def _asked_for(self) -> set[Path]:
         """Folders that the rootdir or an argument is, or lies in."""
-        given = (_given_path(self._config, arg) for arg in self._config.args)
-        folders = [self._rootpath, *(path for path in given if path.is_dir())]
+        folders = [self._rootpath, *self._folders_given]
         return {each for folder in folders for each in (folder, *folder.parents)}
+
+    @property
+    def _folders_given(self) -> list[Path]:
+        """Folders that the session was asked to collect; it was asked for none by names of files and tests."""
+        given = (_given_path(self._config, arg) for arg in self._config.args)
+        return [path for path in given if path.is_dir()]
 
     @pytest.hookimpl(trylast=True)  # so that its part of the name stands behind those of marks: test_x[1-search]
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
@@ -129,7 +141,7 @@ class Collection:
         corpus, folder = corpus_name(self._config, arguments), None
         if corpus is not None:
             folder = layout.folder_of_test(item.path, qualified_name(item), corpus, self._rootpath)
-            self._collected.folders.add(folder)
+            self._collected.folders[folder] = base_id(item)
             self._collected.roots[folder.parents[1]] = item.path.parent
         mark = item.get_closest_marker(SAVED_MARK)
         if mark is None:
@@ -162,14 +174,24 @@ class Collection:
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
             roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
+            met = [each for each in sorted(self._corpora) if any(map(each.is_relative_to, self._folders_given))]
+            roots = dict(_roots_in(met, Path(corpus), self._rootpath)) | roots
         links = {root: layout.link_out(directory, root, self._rootpath) for root, directory in roots.items()}
         for link in sorted(set(filter(None, links.values()))):  # Not even the names of what lies behind it are listed.
             self._config.stash[SUMMARY_LINES].problems.append(refusal(link))
         roots = {root: directory for root, directory in roots.items() if links[root] is None}
         if not self._collected.roots and not any(map(layout.is_folder, roots)):
             return
-        collected = replace(self._collected, roots=roots, files={item.path for item in items})
+        saved = {folder: self._saved.get(folder, {}).values() for folder in self._collected.folders}
+        collected = replace(
+            self._collected,
+            roots=roots,
+            files={item.path for item in items},
+            saved=saved,
+            asked_for=self._folders_given,
+        )
         unrun = self._config.stash[UNRUN]
+        unrun.doubles.update(find_doubles(collected, items))
         unrun.orphans.update(find_orphans(collected))
         unrun.strays.update(find_strays(collected, unrun.orphans))
 
@@ -216,7 +238,18 @@ def _is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
 
 def _given_path(config: pytest.Config, arg: str) -> Path:
     """The path of an argument of the command line, without names of tests in it."""
-    return config.invocation_params.dir / arg.split("::", 1)[0]
+    return Path(os.path.normpath(config.invocation_params.dir / arg.split("::", 1)[0]))
+
+
+def _roots_in(corpora: Iterable[Path], corpus: Path, rootpath: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield the corpora in folders of an option ``corpus``, each with the folder of the test files that it serves."""
+    for met in corpora:
+        if not corpus.is_absolute():
+            yield met, met.parents[len(corpus.parts) - 1]
+            continue
+        for root in {folder.parents[1] for folder in layout.folders_below(met)}:
+            if root.is_relative_to(met):
+                yield root, rootpath / root.relative_to(met)
 
 
 def _module_of(file: Path, config: pytest.Config) -> Path:

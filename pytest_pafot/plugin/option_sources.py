@@ -52,9 +52,14 @@ def add_options(parser: pytest.Parser) -> None:
 
 def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | None:
     """The option ``corpus`` alone; None where it, or the choice of a profile, is wrong."""
-    sources = Sources(config=config, marker=marker, environ=os.environ)
+    value = option_value(config, BY_NAME["corpus"], marker)
+    return None if value is None else str(value)
+
+
+def option_value(config: pytest.Config, option: Option, marker: Mapping[str, object]) -> Any:
+    """Return what an option is under a mark, or under none; None where its value is wrong, which each search says."""
     try:
-        return str(sources.value(BY_NAME["corpus"], None, LOCAL))
+        return Sources(config=config, marker=marker, environ=os.environ).value(option, None, LOCAL)
     except OptionError:
         return None
 

@@ -1,34 +1,70 @@
 """Saved scenarios that no test runs: orphans, whose test is gone, and strays, which lie beside the folders of tests.
 
-They are found without blaming a selection. Orphans are removed, and only when asked for.
+They are found without blaming a selection. Orphans are removed, and only when asked for. A session of a CI fails where
+a test is gone: what it once found would be replayed by nobody, and nobody would notice.
 """
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
-from collections.abc import Iterable, Iterator
+import shlex
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
-from pytest_pafot.corpus.layout import entries_of, files_in, is_folder, module_named, modules_in, relative, safe_name
-from pytest_pafot.corpus.saved import read_saved_file
+from pytest_pafot.campaign.options import BY_NAME, is_ci
+from pytest_pafot.corpus.layout import (
+    counterparts,
+    entries_of,
+    files_in,
+    is_folder,
+    may_be_of,
+    module_named,
+    modules_in,
+    relative,
+    safe_name,
+)
+from pytest_pafot.corpus.saved import Saved, kinds_in, of_one_kind, saved_in
+from pytest_pafot.plugin.marks import SAVED_MARK
+from pytest_pafot.plugin.option_sources import option_value
+from pytest_pafot.support.text import plural, visible
+
+if TYPE_CHECKING:
+    from pytest_pafot.findings.signature import Signature
 
 # A node id and nothing else: the name of a test is shown of broken files, too, and a file may be anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 
 
+MAX_NAME = 120  # of a test that a file names, in an error: a file may be anything
+ERROR_ID = "pafot::saved_scenarios_without_a_test"
+"""Node id of the error by which a session fails whose saved scenarios have lost their test."""
+
+
+class Orphan(NamedTuple):
+    """What is known of a folder of saved scenarios whose test is gone."""
+
+    removable: list[str]  # paths of the files that may be removed
+    expected: str  # which test, and what is there in its place, in words
+    way_out: str
+    is_gone: bool  # neither the module nor the function is there any more, though the session collected their folder
+
+
 class Unrun(NamedTuple):
     """What a session found."""
 
-    # folders of saved scenarios whose test is gone, each with the files that may be removed
-    orphans: dict[Path, list[Path]]
+    orphans: dict[Path, Orphan]  # by folder
     strays: dict[str, str]  # saved scenarios that lie in no folder of a test, each with where it should be, in words
     unmerged: dict[str, str]  # folders of other corpora whose files no test takes, each with why
+    # what to say of files of one kind that lie side by side, with the node ids of the items that replay them
+    doubles: dict[str, list[str]]
 
 
 UNRUN = pytest.StashKey[Unrun]()
@@ -39,7 +75,9 @@ class Collected:
     """What a session collected, before any selection."""
 
     rootpath: Path  # of the session
-    folders: set[Path] = field(default_factory=set)  # corpus folders of the items
+    asked_for: list[Path] = field(default_factory=list)  # folders that the session was asked to collect
+    folders: dict[Path, str] = field(default_factory=dict)  # corpus folders of the items, with the ids of their tests
+    saved: Mapping[Path, Collection[Saved]] = field(default_factory=dict)  # in these folders
     roots: dict[Path, Path] = field(default_factory=dict)  # corpora, with the folder of the test files that each serves
     # node ids of the classes that exist in collected modules and classes
     classes: set[str] = field(default_factory=set)
@@ -47,15 +85,15 @@ class Collected:
     files: set[Path] = field(default_factory=set)  # test files with at least one item
 
 
-def find_orphans(collected: Collected) -> dict[Path, list[Path]]:
-    """Folders that hold saved scenarios of no test, each with the files that may be removed.
+def find_orphans(collected: Collected) -> dict[Path, Orphan]:
+    """Return the folders that hold saved scenarios of no test.
 
     A folder is an orphan when its module is gone, or when the module or class where its test would be was collected
     and made no such item. Selections by ``-k``, ``-m`` or node ids do not matter: pytest collects all members of a
     module or class before it selects. A module that failed or was skipped at import blames nobody.
     """
     return {
-        folder: _own_files(folder, directory, collected.rootpath)
+        folder: _orphan(folder, root, directory, collected)
         for root, directory in sorted(collected.roots.items())
         for module in modules_in(root)
         for folder in entries_of(module)
@@ -80,6 +118,23 @@ def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]
     return {relative(file, top): _home(file, collected) for file in files}
 
 
+def find_doubles(collected: Collected, items: Iterable[pytest.Item]) -> Iterator[tuple[str, list[str]]]:
+    """Yield what to say of files of one kind in the folder of a test, with the node ids of the items that replay them.
+
+    Two branches that have found the same failure, each by itself, leave such files once both are merged.
+    """
+    ids = {mark.args[0].path: item.nodeid for item in items for mark in item.iter_markers(SAVED_MARK) if mark.args}
+    for folder, saved in collected.saved.items():
+        place = relative(folder, collected.rootpath)
+        for group in of_one_kind(saved):
+            names = " and ".join(each.path.name for each in group)
+            command = shlex.join(["python", "-m", "pytest_pafot", "corpus", "join", place])
+            yield (
+                f"{names} in {place} fail in one way; one of them will do: {command}",
+                [ids[each.path] for each in group if each.path in ids],
+            )
+
+
 def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
     """Remove files, and the folders around them that are empty then; returns those removed, and what failed."""
     removed: list[Path] = []
@@ -98,6 +153,57 @@ def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
             folder.rmdir()
             folder.parent.rmdir()
     return removed, failures
+
+
+class Guard:
+    """Fails a session whose saved scenarios have lost their test, once, on the controller."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
+        """Report the error when all items have run: workers of pytest-xdist have said by then what they collected."""
+        result = yield
+        lines = _error(session.config)
+        if lines:
+            _report(session, lines)
+        return result
+
+
+def _error(config: pytest.Config) -> list[str]:
+    """Return why the session fails: what is wrong, then each folder with what to do below it, or nothing."""
+    strict, allow, prune = (BY_NAME[name] for name in ("strict_health", "allow_orphans", "prune"))
+    cause = "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
+    if not cause or config.getoption("collectonly") or option_value(config, allow, {}):
+        return []
+    gone = {folder: orphan for folder, orphan in config.stash[UNRUN].orphans.items() if orphan.is_gone}
+    if config.getoption(prune.key):  # What that does not remove stays a failure.
+        gone = {folder: orphan for folder, orphan in gone.items() if len(orphan.removable) < len(files_in(folder))}
+    if not gone:
+        return []
+    counts = plural(sum(len(files_in(folder)) for folder in gone), "saved scenario")
+    lines = [f"the test of {counts} is gone ({cause}; {allow.flag} lets it pass):"]
+    for folder, orphan in gone.items():
+        lines += [relative(folder, config.rootpath), f"  {orphan.expected}", f"  {orphan.way_out}"]
+    return [visible(line) for line in lines]
+
+
+def _report(session: pytest.Session, lines: Sequence[str]) -> None:
+    """Report an error of the session like that of an item, so that it counts and is in files for other tools."""
+    try:
+        pytest.fail("\n".join(lines), pytrace=False)
+    except pytest.fail.Exception as error:
+        longrepr = pytest.ExceptionInfo.from_exception(error).getrepr(style="value")
+        crash = getattr(longrepr, "reprcrash", None)
+        if crash is not None:  # It is the line of the short summary, too: what is wrong, and which folders they are.
+            crash.message = f"{lines[0]} {', '.join(line for line in lines[1:] if not line.startswith(' '))}"
+    manager = session.config.pluginmanager
+    # These would wait for an item of this name in the next session, which collects none.
+    rerunning = [manager.get_plugin(name) for name in ("lfplugin", "stepwiseplugin")]
+    log = manager.subset_hook_caller("pytest_runtest_logreport", rerunning)
+    place = ("pafot", None, ERROR_ID.partition("::")[2])
+    report = partial(pytest.TestReport, nodeid=ERROR_ID, location=place, keywords={})
+    session.testscollected += 1
+    log(report=report(outcome="failed", longrepr=longrepr, when="setup"))
+    log(report=report(outcome="passed", longrepr=None, when="teardown"))
 
 
 def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
@@ -119,6 +225,69 @@ def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
     return True
 
 
+def _orphan(folder: Path, root: Path, directory: Path, collected: Collected) -> Orphan:
+    """Say of a folder which test is gone, and where that may be now."""
+    module = module_named(directory, folder.parent.name)
+    file = relative(module, collected.rootpath)
+    saved = saved_in(folder)
+    named = next((name for name in map(_test_of, saved) if _is_folder_of(folder, name)), "")
+    name = named.partition("::")[2] or folder.name
+    there, is_gone = f"no file {file}", True
+    if os.path.lexists(module):
+        tests = [
+            test.removeprefix(f"{file}::").partition("[")[0]
+            for test in collected.folders.values()
+            if test.startswith(f"{file}::")
+        ]
+        is_gone = not any(may_be_of(folder.name, test) for test in tests)
+        there = f"{file} without {'this search' if is_gone else 'these parameters'}"
+    is_asked_for = any(module.is_relative_to(each) for each in collected.asked_for)
+    return Orphan(
+        removable=[str(path) for path in _own_files(folder, saved, directory, collected.rootpath)],
+        expected=f"expected the test {file}::{name:.{MAX_NAME}}, received {there}: it was renamed, moved or deleted",
+        way_out=_way_out(folder, kinds_in(saved), root, collected),
+        is_gone=is_gone and is_asked_for,
+    )
+
+
+def _way_out(folder: Path, kinds: set[Signature], root: Path, collected: Collected) -> str:
+    """Say where the files of a folder belong now, as far as names and kinds of failures tell, or how to remove them.
+
+    A test without saved scenarios may have got a new name; one with scenarios of the same kinds shows the same.
+    """
+    new = [each for each, saved in collected.saved.items() if not saved]
+    beside = [each for each in new if each.parent == folder.parent]
+    near = difflib.get_close_matches(folder.name, [each.name for each in beside], n=1)
+    guesses = (
+        ("has the same name", counterparts(folder.relative_to(root), collected.folders)),
+        ("has the same name", [each for each in new if each.name == folder.name]),
+        ("has a similar name", [each for each in beside if each.name in near]),
+        (
+            "has saved scenarios of the same kinds",
+            [each for each, saved in collected.saved.items() if kinds and kinds <= kinds_in(saved)],
+        ),
+        ("has no saved scenarios", beside),
+    )
+    prune = f"remove the files with {BY_NAME['prune'].flag}"
+    for why, found in guesses:
+        if len(found) == 1:
+            test, place = collected.folders[found[0]], relative(found[0], collected.rootpath)
+            what = "files" if collected.saved[found[0]] else "folder"
+            return f"{test:.{MAX_NAME}} {why}. If it is the same test, move the {what} to {place}; else {prune}"
+    return f"rename the folder to the test's new name, or {prune}"
+
+
+def _is_folder_of(folder: Path, name: str) -> bool:
+    """Return whether a folder is where the files of a test lie, by its own name and that of the module's folder."""
+    module, _, test = name.partition("::")
+    return (safe_name(Path(module).stem), safe_name(test)) == (folder.parent.name, folder.name)
+
+
+def _test_of(saved: Saved) -> str:
+    """Return the node id of the test that a saved scenario names; empty where it names none."""
+    return _named_test(saved.path) if saved.finding is None else saved.finding.test
+
+
 def _named_test(file: Path) -> str:
     """The node id of the test that a saved scenario names, also where it is broken; empty where it names none."""
     from pytest_pafot.corpus.reader import content_of  # noqa: PLC0415  (yaml, which few sessions need)
@@ -131,7 +300,7 @@ def _named_test(file: Path) -> str:
     return line.group(1).decode("utf-8", "replace").strip("'\"") if line else ""
 
 
-def _own_files(folder: Path, directory: Path, rootpath: Path) -> list[Path]:
+def _own_files(folder: Path, saved: Iterable[Saved], directory: Path, rootpath: Path) -> list[Path]:
     """Files of a folder that name a test of this rootdir whose folder it is, and that no link leads to.
 
     A corpus outside of the rootdir may serve other projects, too: there a test is of this rootdir if its module is.
@@ -143,14 +312,12 @@ def _own_files(folder: Path, directory: Path, rootpath: Path) -> list[Path]:
     if any(each.is_symlink() for each in _up(folder, top) if each != top):
         return []
 
-    def is_own(file: Path) -> bool:
-        finding = read_saved_file(file).finding
-        module, _, test = (_named_test(file) if finding is None else finding.test).partition("::")
-        path = rootpath / module
-        is_there = (safe_name(path.stem), safe_name(test)) == (folder.parent.name, folder.name)
-        return is_there and path.parent == directory and (inside or os.path.lexists(path))
+    def is_own(file: Path, name: str) -> bool:
+        path = rootpath / name.partition("::")[0]
+        return _is_folder_of(folder, name) and path.parent == directory and (inside or os.path.lexists(path))
 
-    return [file for file in files_in(folder) if not file.is_symlink() and file.is_file() and is_own(file)]
+    files = {each.path: _test_of(each) for each in saved if not each.path.is_symlink() and each.path.is_file()}
+    return [file for file, name in files.items() if is_own(file, name)]
 
 
 def _home(file: Path, collected: Collected) -> str:

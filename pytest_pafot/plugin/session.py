@@ -22,7 +22,7 @@ from pytest_pafot.corpus.layout import chosen_folder, corpus_root, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
-from pytest_pafot.plugin.orphans import UNRUN
+from pytest_pafot.plugin.orphans import UNRUN, Orphan
 from pytest_pafot.support.text import plural
 
 KERNEL = Path(__file__).parents[1] / "world" / "kernel"
@@ -62,6 +62,7 @@ class SummaryLines:
 
     problems: list[str] = field(default_factory=list)  # anything that went wrong beside the tests
     reports: list[str] = field(default_factory=list)  # where reports are
+    warnings: list[str] = field(default_factory=list)  # of saved scenarios
 
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:
@@ -201,11 +202,11 @@ class Controller:
         told = getattr(node, "workeroutput", {}).get(KEY)
         if told is None:  # It died.
             return
-        orphans, strays, unmerged = json.loads(told)
+        orphans, *others = json.loads(told)
         unrun = node.config.stash[UNRUN]
-        unrun.orphans.update((Path(folder), list(map(Path, files))) for folder, files in orphans.items())
-        unrun.strays.update(strays)
-        unrun.unmerged.update(unmerged)
+        unrun.orphans.update((Path(folder), Orphan(*orphan)) for folder, orphan in orphans.items())
+        for known, other in zip(unrun[1:], others, strict=True):
+            known.update(other)
 
 
 class Worker:
@@ -218,8 +219,8 @@ class Worker:
         have, and replaces a worker that tries to by one that tries the same.
         """
         unrun = session.config.stash[UNRUN]
-        orphans = {str(folder): list(map(str, files)) for folder, files in unrun.orphans.items()}
-        told = json.dumps((orphans, unrun.strays, unrun.unmerged))
+        orphans = {str(folder): orphan for folder, orphan in unrun.orphans.items()}
+        told = json.dumps((orphans, *unrun[1:]))
         session.config.workeroutput[KEY] = told  # type: ignore[attr-defined]
 
 

@@ -16,14 +16,16 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
+from pytest_pafot.plugin.orphans import UNRUN
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, refused_output
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding
-    from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
+    from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SearchRecord, SessionRecord
 
 JSON = BY_NAME["json"]
 SUMMARY = "GITHUB_STEP_SUMMARY"
@@ -85,7 +87,8 @@ class Records:
         """Write both, also when the session was interrupted."""
         self._write_json(int(session.exitstatus))
         path = os.environ.get(SUMMARY)
-        if not path or not any((self._searches, self._findings, *self._texts.values(), self._lines.problems)):
+        orphans = self._config.stash[UNRUN].orphans
+        if not path or not any((self._searches, self._findings, *self._texts.values(), orphans, self._lines.problems)):
             return  # Nothing is imported for it in a session that has nothing to tell.
         with self._lines.faults(f"the summary in {SUMMARY}"):
             from pytest_pafot.report.job_summary import markdown  # noqa: PLC0415
@@ -174,9 +177,27 @@ class Records:
             ],
             rates=sorted(self._texts["rate"]),
             merged=sorted(self._texts["merge"]),
-            warnings=sorted(self._texts["warning"]),
+            orphans=self._orphans() if code is not None else [],
+            warnings=sorted([*self._texts["warning"], *self._lines.warnings]),
             problems=list(self._lines.problems),
         )
+
+    def _orphans(self) -> list[OrphanRecord]:
+        """Folders of saved scenarios whose test is gone, without those that are pruned by now."""
+        from pytest_pafot.report.session_record import OrphanRecord  # noqa: PLC0415
+
+        left = ((folder, each, len(files_in(folder))) for folder, each in self._config.stash[UNRUN].orphans.items())
+        return [
+            OrphanRecord(
+                folder=relative(folder, self._config.rootpath),
+                files=count,
+                expected=orphan.expected,
+                way_out=orphan.way_out,
+                is_gone=orphan.is_gone,
+            )
+            for folder, orphan, count in sorted(left)
+            if count
+        ]
 
     def _write_json(self, code: int | None) -> None:
         if self._file is None:

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchSummary
     from pytest_pafot.report import terminal
 
+FAILING = ("still failing", "introduced", "common")
+"""Labels of replays that fail as their files say."""
+
 TERMINAL_SECONDS = 0.25  # how often a search reports its progress on a terminal [s]
 
 
@@ -146,9 +149,13 @@ class Reporter:
         with self._lines.faults("records of processes that died"):
             if self._searches or self._replays or self._running:
                 self._lines.problems.extend([*misspelt(os.environ), *unclaimed(self._config)])
+        # One that passes now says nothing of another one of its kind, which a search has found since.
+        failing = {replay.node_id for replay in self._replays if replay.label in FAILING}
+        unrun = self._config.stash[UNRUN]
+        self._lines.warnings.extend(told for told, ids in unrun.doubles.items() if failing.issuperset(ids))
         if self._config.getoption(BY_NAME["prune"].key):
             with self._lines.faults("--pafot-prune"):
-                files = [file for own in self._config.stash[UNRUN].orphans.values() for file in own]
+                files = [Path(file) for orphan in unrun.orphans.values() for file in orphan.removable]
                 if files:
                     names = (f"  {self._relative(file)}" for file in files)
                     self._live.write(["", "pafot: --pafot-prune removes", *names])
@@ -169,15 +176,17 @@ class Reporter:
 
     def _summary(self) -> list[str]:
         unrun = self._config.stash[UNRUN]
-        if not any((self._searches, self._replays, self._running, *unrun, self._lines.problems, self._lines.reports)):
+        lines = (self._lines.problems, self._lines.reports)
+        told = (unrun.orphans, unrun.strays, unrun.unmerged)
+        if not any((self._searches, self._replays, self._running, *told, *lines)):
             return []
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
-        left = ((self._relative(folder), len(files_in(folder))) for folder in unrun.orphans)
+        left = [(folder, orphan, len(files_in(folder))) for folder, orphan in unrun.orphans.items()]
         session = terminal.SessionSummary(
             searches=self._searches,
             replays=self._replays,
-            orphans=[(name, count) for name, count in left if count],
+            orphans=[(self._relative(folder), count, orphan.way_out) for folder, orphan, count in left if count],
             removed=list(Counter(self._relative(file.parent) for file in self._removed).items()),
             strays=sorted(unrun.strays.items()),
             unmerged=sorted(unrun.unmerged.items()),
@@ -185,7 +194,7 @@ class Reporter:
             problems=self._lines.problems,
             written=self._lines.reports,
             interrupted=list(self._running),
-            warnings=sorted(self._warnings),
+            warnings=sorted({*self._warnings, *self._lines.warnings}),
             notes=list(self._notes),
         )
         width = self._config.stash[SHARED].width

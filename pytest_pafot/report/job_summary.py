@@ -69,6 +69,8 @@ def _lines(record: SessionRecord) -> Iterator[str]:
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
     yield from _listed("Crashes in ordinary traffic", [plain(" ".join(each.splitlines())) for each in record.rates])
     yield from _listed("Merged", [plain(" ".join(each.splitlines())) for each in record.merged])
+    lost = [f"{code(each.folder)}: {plain(each.expected)}; {plain(each.way_out)}" for each in record.orphans]
+    yield from _listed("Saved scenarios whose test is gone", lost)
     yield from _listed("Warnings", [plain(each) for each in record.warnings])
     yield from _listed("Problems", [plain(each) for each in record.problems])
 

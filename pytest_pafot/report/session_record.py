@@ -220,6 +220,25 @@ class SearchRecord:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OrphanRecord:
+    """A folder of saved scenarios that no test runs.
+
+    Attributes:
+        folder: relative to the rootdir.
+        files: how many saved scenarios are in it.
+        expected: the test that it is of, and what is there in its place.
+        way_out: where the files may belong now, and how to remove them.
+        is_gone: whether neither the module nor the function is there any more, by which a session under CI fails.
+    """
+
+    folder: str
+    files: int
+    expected: str
+    way_out: str
+    is_gone: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SessionRecord:
     """A session.
 
@@ -230,7 +249,8 @@ class SessionRecord:
         findings: saved scenarios that were replayed, and new findings, in the order of node ids.
         rates: a sentence for each test that counted crashes in ordinary traffic.
         merged: what `--pafot-merge` told of each test, and where it failed, why.
-        warnings: of saved scenarios that are no longer accepted.
+        orphans: folders of saved scenarios that no test runs any more, in the order of their paths.
+        warnings: of saved scenarios that are no longer accepted, or that fail in the same way.
         problems: anything that went wrong beside the tests.
     """
 
@@ -240,13 +260,14 @@ class SessionRecord:
     findings: list[FindingRecord] = field(default_factory=list)
     rates: list[str] = field(default_factory=list)
     merged: list[str] = field(default_factory=list)
+    orphans: list[OrphanRecord] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing in the session concerned this plugin."""
-        return not any((self.searches, self.findings, self.rates, self.merged, self.problems))
+        return not any((self.searches, self.findings, self.rates, self.merged, self.orphans, self.problems))
 
 
 def to_text(record: SessionRecord) -> str:

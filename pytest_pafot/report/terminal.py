@@ -37,7 +37,6 @@ _BESIDE: Mapping[ReferenceOutcome, str] = {
 }
 """What is said beside the names of reference drivers."""
 
-ORPHANED = "rename the folder to the test's new name, or remove it with --pafot-prune"
 LEFT_ALONE = (
     "left alone: --pafot-prune removes files whose line `test:` names a test of this rootdir and of that folder, and "
     "follows no link; delete the others by hand"
@@ -63,18 +62,18 @@ class SessionSummary:
 
     Attributes:
         searches, replays: in the order in which they ended.
-        orphans: folders of saved scenarios whose test is gone, with their number of files.
+        orphans: folders of saved scenarios whose test is gone, with their number of files and the way out.
         removed: folders from which such files were removed, with how many.
         pruned: whether they were to be removed.
         strays: saved scenarios that lie in no folder of a test, each with where it should be.
         unmerged: folders of other corpora that were not merged, each with why.
         interrupted: node ids of searches that began and did not end.
-        warnings: of saved scenarios that are no longer accepted.
+        warnings: of saved scenarios that are no longer accepted, or that fail in the same way.
     """
 
     searches: Sequence[SearchSummary] = ()
     replays: Sequence[ReplaySummary] = ()
-    orphans: Sequence[tuple[str, int]] = ()
+    orphans: Sequence[tuple[str, int, str]] = ()
     removed: Sequence[tuple[str, int]] = ()
     pruned: bool = False
     strays: Sequence[tuple[str, str]] = ()
@@ -280,11 +279,13 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     for node_id in session.interrupted:
         lines += [node_id, *_wrapped("ended before its time; what it found is reported", width)]
     lines += [*replay_lines(session.replays, width), *against_lines(session, width)]
-    for verb, folders in (("removed", session.removed), ("orphaned", session.orphans)):
-        for folder, count in folders:
-            lines.append(f"{verb}: {plural(count, 'saved scenario')} of no test in {folder}")
-    if session.orphans:
-        lines += _wrapped(LEFT_ALONE if session.pruned else ORPHANED, width)
+    for folder, count in session.removed:
+        lines.append(f"removed: {plural(count, 'saved scenario')} of no test in {folder}")
+    for folder, count, way_out in session.orphans:
+        lines.append(f"orphaned: {plural(count, 'saved scenario')} of no test in {folder}")
+        lines += [] if session.pruned else _wrapped(way_out, width)
+    if session.orphans and session.pruned:
+        lines += _wrapped(LEFT_ALONE, width)
     for file, place in session.strays:
         lines.append(f"not run: {file}, which lies in no folder of a test; move it to {place}")
     lines += [f"not merged: {folder}: {why}" for folder, why in session.unmerged]

@@ -1,8 +1,10 @@
 """``python -m pytest_pafot corpus``: which saved scenarios there are, without running them."""
 
+import errno
 import json
 import os
 import sys
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
@@ -10,6 +12,9 @@ import pytest
 
 from pytest_pafot.__main__ import main
 from pytest_pafot.corpus.writer import write
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
 from tests.findings.builders import plain_finding
 
 
@@ -63,3 +68,88 @@ def test_an_output_that_cannot_be_written_is_a_line_and_one_that_has_read_enough
             "corpus: expected a standard output that can be written, received No space left on device; "
             "free some space on the disk, or send it to another place\n"
         )
+
+
+def save(folder, **findings):
+    """Write files into a folder, by id: of chains of so many instructions, with what else is given of each finding."""
+    for name, (genes, changes) in findings.items():
+        scenario = Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0), PositionInstruction(Cell(2), 8.0)) * genes,))
+        write(folder / f"{name}.pafot.yaml", plain_finding(**{"id": name, "scenario": scenario} | changes))
+
+
+def names(folder):
+    return sorted(path.name.removesuffix(".pafot.yaml") for path in folder.rglob("*.pafot.yaml"))
+
+
+def join(folder, capsys, *options):
+    """The exit code, and the lines without the folder."""
+    code = main(["corpus", "join", *options, str(folder)])
+    return code, capsys.readouterr().out.replace(f"{folder}{os.sep}", "").splitlines()
+
+
+def test_join_keeps_the_simplest_of_each_kind_of_a_folder_once_it_may_write(tmp_path, capsys):
+    other_kind = {"expect": replace(plain_finding().expect, outcome=Outcome.OFF_ROAD, npc=None, cell=None, side=None)}
+    one, two = tmp_path / "test_it" / "test x", tmp_path / "test_it" / "test_y[a b]"
+    save(one, a=(3, {}), b=(1, {}), c=(2, {}), d=(4, other_kind), e=(4, {"test": "tests/test_safety.py::test_other"}))
+    save(two, f=(3, {}))
+    (one / "notes.md").write_text("why")
+    told = [f"would remove: test_it/test x/{name}: b.pafot.yaml shows the same, and is as simple or simpler"
+            for name in ("c.pafot.yaml", "a.pafot.yaml")]  # fmt: skip
+    assert join(tmp_path, capsys) == (0, told)
+    assert names(tmp_path) == list("abcdef")
+    assert join(tmp_path, capsys, "--write") == (0, [line.replace("would remove", "removed") for line in told])
+    assert names(tmp_path) == list("bdef")
+    assert (one / "notes.md").exists()
+    assert join(tmp_path, capsys, "--write") == (0, ["nothing to join"])
+
+
+def test_join_loses_no_acceptance_and_keeps_firm_ones(tmp_path, capsys):
+    accepted = {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}
+    for name, files in {
+        "accepted": {"a": (1, {}), "b": (2, accepted), "c": (3, accepted)},
+        "differing": {"d": (1, accepted), "e": (2, {"xfail": "issue 13"}), "f": (3, {})},
+        "flaky": {"g": (1, {"flaky": "other end"}), "h": (2, {})},
+    }.items():
+        save(tmp_path / name, **files)
+    code, lines = join(tmp_path, capsys, "--write")
+    assert code == 1
+    assert names(tmp_path) == list("bdefh")
+    assert lines == [
+        "removed: accepted/c.pafot.yaml: b.pafot.yaml shows the same, and is accepted",
+        "removed: accepted/a.pafot.yaml: b.pafot.yaml shows the same, and is accepted",
+        "differing: d.pafot.yaml, e.pafot.yaml, f.pafot.yaml: left alone: expected one reason and one "
+        "day in their lines `xfail:`, received 2; write the same in these files, and join again",
+        "removed: flaky/g.pafot.yaml: h.pafot.yaml shows the same, and is not flaky",
+    ]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
+def test_join_leaves_broken_files_and_what_lies_behind_links_alone(tmp_path, capsys, monkeypatch):
+    own, elsewhere = tmp_path / "own", tmp_path / "elsewhere"
+    save(own, a=(1, {}))
+    save(elsewhere, b=(2, {}), c=(3, {}))
+    (own / "d.pafot.yaml").symlink_to(elsewhere / "b.pafot.yaml")
+    (own / "sub").symlink_to(elsewhere, target_is_directory=True)
+    (own / "e.pafot.yaml").write_text("pafot: 99\n")
+    code, lines = join(own, capsys, "--write")
+    assert code == 1
+    (line,) = lines
+    assert line.startswith("left alone: e.pafot.yaml:1: ")
+    assert names(tmp_path) == ["a", "b", "c", "d", "e"]
+    monkeypatch.chdir(own)
+    assert main(["corpus", "join", "--write", "sub"]) == 2
+    assert "received the link" in capsys.readouterr().err
+    assert names(elsewhere) == ["b", "c"]
+
+
+def test_join_tells_of_a_file_that_cannot_be_removed(tmp_path, capsys, monkeypatch):
+    save(tmp_path, a=(1, {}), b=(2, {}))
+
+    def refuse(path, missing_ok=False):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    code, (line,) = join(tmp_path, capsys, "--write")
+    assert (code, names(tmp_path)) == (1, ["a", "b"])
+    assert line.startswith("not removed: b.pafot.yaml: ")
+    assert line.endswith("mount it so that it can be written, then join again")

@@ -68,7 +68,7 @@ def test_the_summary_of_a_session_reads_so(snapshot):
             ReplaySummary(node_id="t[saved-b]", label="still failing"),
             ReplaySummary(node_id="t[saved-c]", label="drifted", detail="numpy 1 then, 2 now"),
         ],
-        orphans=[("corpus/test_a", 2)],
+        orphans=[("corpus/test_a", 2, "rename the folder to the test's new name")],
         removed=[("corpus/test_b", 1)],
         strays=[("corpus/x.pafot.yaml", "corpus/test_safety/test_it/x.pafot.yaml")],
         problems=["a fault in the page"],
@@ -164,12 +164,13 @@ def test_replays_are_counted_by_label_and_listed_unless_they_fail_as_before():
 
 
 def test_orphans_say_what_to_do_removed_ones_that_they_are_gone_and_others_why_they_are_left_alone():
-    kept = terminal.session_lines(SessionSummary(orphans=[("corpus/test_a", 2)]))
+    orphan = ("corpus/test_a", 2, "or remove them with --pafot-prune")
+    kept = terminal.session_lines(SessionSummary(orphans=[orphan]))
     assert kept[0] == "orphaned: 2 saved scenarios of no test in corpus/test_a"
     assert "--pafot-prune" in kept[1]
     gone = terminal.session_lines(SessionSummary(removed=[("corpus/test_a", 2)], pruned=True))
     assert gone == ["removed: 2 saved scenarios of no test in corpus/test_a"]
-    left = terminal.session_lines(SessionSummary(orphans=[("corpus/test_a", 2)], pruned=True))
+    left = terminal.session_lines(SessionSummary(orphans=[orphan], pruned=True))
     assert left[0] == kept[0]
     assert left[1].startswith("  left alone: --pafot-prune removes files whose line `test:` names a test of")
 

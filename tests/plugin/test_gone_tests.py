@@ -1,0 +1,229 @@
+"""Saved scenarios whose test is gone fail a session of a CI, once, with the way out; nothing else does."""
+
+import json
+import shutil
+
+import pytest
+
+from tests.plugin.conftest import FAILING
+from tests.plugin.test_prune import links
+
+ERROR = "pafot::saved_scenarios_without_a_test"
+
+RENAMED = FAILING.replace("test_fails", "test_fails_fast").replace("run.duration < 1", "run")
+FOLDER = "pafot_corpus/test_it/test_fails"
+
+
+@pytest.fixture
+def ci(monkeypatch):
+    monkeypatch.setenv("CI", "true")
+
+
+def replay(project, *args):
+    return project.run(*args, generations=0)
+
+
+def is_red(result):
+    """Whether a session fails by one error, which is the one of tests that are gone."""
+    errors = [line for line in result.stdout.lines if line.startswith(f"ERROR {ERROR} - ")]
+    assert len(errors) <= 1
+    return result.ret == 1 and len(errors) == 1
+
+
+def way_out(project):
+    """What a red session advises for its one folder."""
+    result = replay(project)
+    assert is_red(result)
+    lines = result.stdout.lines
+    return lines[
+        next(number for number, line in enumerate(lines) if line.startswith("  expected the test ")) + 1
+    ].strip()
+
+
+def test_a_renamed_test_fails_only_a_strict_session(saved, monkeypatch, tmp_path_factory):
+    saved.write(RENAMED)
+    result = replay(saved)
+    assert result.ret == 0
+    result.stdout.fnmatch_lines([f"orphaned: 1 saved scenario of no test in {FOLDER}", "*--pafot-prune"])
+    assert is_red(replay(saved, "--pafot-strict-health"))
+    summary = tmp_path_factory.mktemp("job") / "summary.md"
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
+    monkeypatch.setenv("CI", "true")
+    result = replay(saved, "--pafot-json=p.json", "--junitxml=j.xml", "-p", "junitxml")
+    assert is_red(result)
+    advice = (
+        "test_it.py::test_fails_fast has a similar name. If it is the same test, move the folder to "
+        "pafot_corpus/test_it/test_fails_fast; else remove the files with --pafot-prune"
+    )
+    expected = (
+        "expected the test test_it.py::test_fails, received test_it.py without this search: it was renamed, moved or "
+        "deleted"
+    )
+    result.stdout.fnmatch_lines(
+        [
+            f"*ERROR at setup of {ERROR.partition('::')[2]} *",
+            "the test of 1 saved scenario is gone (CI is set; --pafot-allow-orphans lets it pass):",
+            FOLDER,
+            f"  {expected}",
+            f"  {advice}",
+        ]
+    )
+    told = json.loads((saved.path / "p.json").read_text())
+    orphan = {"folder": FOLDER, "files": 1, "expected": expected, "way_out": advice, "is_gone": True}
+    assert (told["exit"], told["orphans"]) == (1, [orphan])
+    assert "**Saved scenarios whose test is gone**" in summary.read_text()
+    assert '<error message="failed on setup with &quot;the test of 1 saved' in (saved.path / "j.xml").read_text()
+    shutil.move(saved.path / FOLDER, saved.path / f"{FOLDER}_fast")
+    replay(saved).assert_outcomes(passed=1, skipped=1)
+
+
+def test_what_lets_a_session_pass_all_the_same(saved, ci, monkeypatch):
+    saved.write(RENAMED)
+    for args in (["--pafot-allow-orphans"], ["-o", "pafot_allow_orphans=true"], ["--collect-only"], ["--pafot-prune"]):
+        kept = saved.contents
+        assert replay(saved, *args).ret == 0, args
+        for name, text in kept.items():
+            (saved.path / name).parent.mkdir(parents=True, exist_ok=True)
+            (saved.path / name).write_text(text)
+    for name, value in (("PAFOT_ALLOW_ORPHANS", "1"), ("CI", "false"), ("CI", "")):
+        with monkeypatch.context() as patch:
+            patch.setenv(name, value)
+            assert replay(saved).ret == 0, name
+    saved.only_file.write_text("test: test_it.py::test_of_another_folder\n")
+    assert is_red(replay(saved, "--pafot-prune"))  # which leaves it alone
+
+
+def test_what_expressions_leave_out_is_not_gone_and_names_blame_nobody(saved, ci):
+    saved.write(FAILING + "\n\ndef test_ordinary():\n    pass\n")
+    for args in (["-k", "ordinary"], ["-m", "not pafot"], ["--deselect", "test_it.py::test_fails"], ["test_it.py"]):
+        assert not is_red(replay(saved, *args)), args
+    saved.write("def test_ordinary():\n    pass\n")
+    for args in (["test_it.py"], ["test_it.py::test_ordinary"]):
+        result = replay(saved, *args)
+        assert result.ret == 0, args
+    for args in (["-k", "ordinary"], ["-m", "not slow"], ["."]):
+        assert is_red(replay(saved, *args)), args
+    (saved.path / "other").mkdir()
+    saved.write("def test_ordinary():\n    pass\n", name="other/test_other")
+    assert replay(saved, "other").ret == 0
+
+
+def test_a_module_that_is_gone_fails_also_where_no_test_is_left(saved, ci):
+    (saved.path / "test_it.py").unlink()
+    result = replay(saved)
+    assert is_red(result)
+    result.stdout.fnmatch_lines(["  expected the test test_it.py::test_fails, received no file test_it.py: *"])
+    (saved.path / "tests").mkdir()
+    shutil.move(saved.path / "pafot_corpus", saved.path / "tests" / "pafot_corpus")
+    assert is_red(replay(saved, "tests"))
+    shutil.move(saved.path / "tests" / "pafot_corpus", saved.path / "all")
+    assert is_red(replay(saved, "--pafot-corpus", saved.path / "all"))
+
+
+def test_the_way_out_names_where_the_test_is_now(saved, ci):
+    source = (saved.path / "test_it.py").read_text()
+    (saved.path / "test_it.py").rename(saved.path / "test_new.py")
+    place = "pafot_corpus/test_new/test_fails"
+    assert way_out(saved).startswith(
+        f"test_new.py::test_fails has the same name. If it is the same test, move the folder to {place}; "
+    )
+    (saved.path / "low").mkdir()
+    (saved.path / "test_new.py").rename(saved.path / "low" / "test_it.py")
+    assert f"move the folder to low/{FOLDER}; else " in way_out(saved)
+    (saved.path / "low" / "test_it.py").unlink()
+    (saved.path / "test_it.py").write_text(source.replace("test_fails", "test_never_so_short"))
+    assert way_out(saved).startswith("test_it.py::test_never_so_short has no saved scenarios. ")
+    saved.write(FAILING.replace("test_fails", "test_never_so_short"), name="test_else")
+    file = saved.only_file
+    for name in ("test_it/test_never_so_short", "test_else/test_never_so_short"):
+        (saved.path / "pafot_corpus" / name).mkdir(parents=True)
+        shutil.copy(file, saved.path / "pafot_corpus" / name)
+    assert way_out(saved) == "rename the folder to the test's new name, or remove the files with --pafot-prune"
+    shutil.rmtree(saved.path / "pafot_corpus" / "test_it" / "test_never_so_short")
+    (saved.path / "test_it.py").unlink()
+    told = "test_else.py::test_never_so_short has saved scenarios of the same kinds. If it is the same test, move the "
+    assert way_out(saved).startswith(f"{told}files to ")
+
+
+def test_modules_that_failed_or_skipped_at_import_and_lost_parameters_blame_nobody(project, ci):
+    source = """
+class TestClass:
+    @pytest.mark.parametrize("limit", ["a b", 2])
+    @pafot.search(SHORT, stop_after=1)
+    def test_it(self, run, limit):
+        assert not limit
+"""
+    project.write(source)
+    project.run_once()
+    assert len(project.files) == 2
+    project.write(source.replace('"a b", ', ""))
+    result = replay(project)
+    assert not is_red(result)
+    result.stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in *"])
+    project.write("pytest.importorskip('nothing_of_this_name')\n" + source)
+    assert replay(project).ret in (0, 5)
+    project.write("import nothing_of_this_name\n" + source)
+    assert not is_red(replay(project, "--continue-on-collection-errors"))
+    for old in ("TestClass", "test_it"):
+        project.write(source.replace(old, f"{old}_of_another_name"))
+        result = replay(project)
+        assert is_red(result)
+        result.stdout.fnmatch_lines(["  expected the test test_it.py::TestClass::test_it[[]a b], received *"])
+
+
+@links
+def test_links_broken_files_and_huge_names_are_told_in_short_and_kept(saved, ci, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / "gone"
+    folder = saved.only_file.parent
+    shutil.move(folder, elsewhere)
+    (folder.parent / "test_gone").symlink_to(elsewhere, target_is_directory=True)
+    result = replay(saved, "--pafot-prune")
+    assert is_red(result)
+    assert list(elsewhere.iterdir())
+    (folder.parent / "test_gone").unlink()
+    huge = f"test_{'x' * 5000}"
+    for name in (f"{'y' * 200}", "a [b] c\n::error::d"):
+        (folder.parent / name).mkdir()
+        (folder.parent / name / "a.pafot.yaml").write_text(f"pafot: 99\ntest: test_it.py::{huge}\n")
+        (folder.parent / name / "b.pafot.yaml").write_bytes(b"\xff\x00")
+    result = replay(saved)
+    assert is_red(result)
+    output = result.stdout.str()
+    assert "the test of 4 saved scenarios is gone" in output
+    assert huge not in output
+    assert "\n::error::" not in output
+    assert len(saved.files) == 4
+
+
+def test_what_reruns_failures_does_not_wait_for_the_error(saved, ci):
+    saved.write("def test_ordinary():\n    pass\n")
+    shutil.rmtree(saved.path / ".pytest_cache")
+    assert is_red(replay(saved))
+    result = replay(saved, "--lf")
+    assert is_red(result)
+    result.stdout.no_fnmatch_line("*known failure*")
+
+
+@pytest.mark.processes
+def test_workers_fail_the_session_by_one_error(saved, ci):
+    saved.write(RENAMED)
+    assert is_red(replay(saved, "-n2"))
+    (saved.path / "test_it.py").unlink()
+    assert is_red(replay(saved, "-n2"))
+
+
+def test_two_files_of_one_kind_that_both_fail_are_told_with_the_command(saved):
+    first = saved.only_file
+    second = first.with_name("a-000000.pafot.yaml")
+    shutil.copy(first, second)
+    told = (
+        f"  warning: {second.name} and {first.name} in {FOLDER} fail in one way; one of them will do: "
+        f"python -m pytest_pafot corpus join {FOLDER}"
+    )
+    result = replay(saved, "--pafot-json=p.json")
+    result.assert_outcomes(failed=2, skipped=1)
+    assert told in result.stdout.lines
+    assert json.loads((saved.path / "p.json").read_text())["warnings"] == [told.removeprefix("  warning: ")]
+    assert "will do" not in replay(saved, "-k", first.name[:8]).stdout.str()
+    saved.write(FAILING.replace("< 1", "> 1"))
+    assert "will do" not in replay(saved).stdout.str()
