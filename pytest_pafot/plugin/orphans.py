@@ -14,6 +14,7 @@ from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, 
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -25,6 +26,7 @@ from pytest_pafot.corpus.layout import (
     entries_of,
     files_in,
     is_folder,
+    link_below,
     may_be_of,
     module_named,
     modules_in,
@@ -92,8 +94,9 @@ def find_orphans(collected: Collected) -> dict[Path, Orphan]:
     and made no such item. Selections by ``-k``, ``-m`` or node ids do not matter: pytest collects all members of a
     module or class before it selects. A module that failed or was skipped at import blames nobody.
     """
+    kinds = {folder: kinds_in(saved) for folder, saved in collected.saved.items()}
     return {
-        folder: _orphan(folder, root, directory, collected)
+        folder: _orphan(folder, root, directory, collected, kinds)
         for root, directory in sorted(collected.roots.items())
         for module in modules_in(root)
         for folder in entries_of(module)
@@ -181,8 +184,10 @@ def _error(config: pytest.Config) -> list[str]:
         return []
     counts = plural(sum(len(files_in(folder)) for folder in gone), "saved scenario")
     lines = [f"the test of {counts} is gone ({cause}; {allow.flag} lets it pass):"]
-    for folder, orphan in gone.items():
-        lines += [relative(folder, config.rootpath), f"  {orphan.expected}", f"  {orphan.way_out}"]
+    for way_out, folders in groupby(gone, key=lambda folder: gone[folder].way_out):
+        for folder in folders:
+            lines += [relative(folder, config.rootpath), f"  {gone[folder].expected}"]
+        lines.append(f"  {way_out}")
     return [visible(line) for line in lines]
 
 
@@ -193,8 +198,8 @@ def _report(session: pytest.Session, lines: Sequence[str]) -> None:
     except pytest.fail.Exception as error:
         longrepr = pytest.ExceptionInfo.from_exception(error).getrepr(style="value")
         crash = getattr(longrepr, "reprcrash", None)
-        if crash is not None:  # It is the line of the short summary, too: what is wrong, and which folders they are.
-            crash.message = f"{lines[0]} {', '.join(line for line in lines[1:] if not line.startswith(' '))}"
+        if crash is not None:  # It is the line of the short summary, too, and names the first folder.
+            crash.message = " ".join(lines[:2])
     manager = session.config.pluginmanager
     # These would wait for an item of this name in the next session, which collects none.
     rerunning = [manager.get_plugin(name) for name in ("lfplugin", "stepwiseplugin")]
@@ -225,11 +230,13 @@ def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
     return True
 
 
-def _orphan(folder: Path, root: Path, directory: Path, collected: Collected) -> Orphan:
-    """Say of a folder which test is gone, and where that may be now."""
+def _orphan(
+    folder: Path, root: Path, directory: Path, collected: Collected, kinds: Mapping[Path, set[Signature]]
+) -> Orphan:
+    """Say of a folder which test is gone, and where that may be now; ``kinds`` are those in folders of tests."""
     module = module_named(directory, folder.parent.name)
     file = relative(module, collected.rootpath)
-    saved = saved_in(folder)
+    saved = saved_in(folder) if link_below(root, folder) is None else []
     named = next((name for name in map(_test_of, saved) if _is_folder_of(folder, name)), "")
     name = named.partition("::")[2] or folder.name
     there, is_gone = f"no file {file}", True
@@ -241,16 +248,18 @@ def _orphan(folder: Path, root: Path, directory: Path, collected: Collected) -> 
         ]
         is_gone = not any(may_be_of(folder.name, test) for test in tests)
         there = f"{file} without {'this search' if is_gone else 'these parameters'}"
+    own = kinds_in(saved)
+    alike = [each for each, others in kinds.items() if own and own <= others]
     is_asked_for = any(module.is_relative_to(each) for each in collected.asked_for)
     return Orphan(
         removable=[str(path) for path in _own_files(folder, saved, directory, collected.rootpath)],
         expected=f"expected the test {file}::{name:.{MAX_NAME}}, received {there}: it was renamed, moved or deleted",
-        way_out=_way_out(folder, kinds_in(saved), root, collected),
+        way_out=_way_out(folder, root, alike, collected),
         is_gone=is_gone and is_asked_for,
     )
 
 
-def _way_out(folder: Path, kinds: set[Signature], root: Path, collected: Collected) -> str:
+def _way_out(folder: Path, root: Path, alike: list[Path], collected: Collected) -> str:
     """Say where the files of a folder belong now, as far as names and kinds of failures tell, or how to remove them.
 
     A test without saved scenarios may have got a new name; one with scenarios of the same kinds shows the same.
@@ -262,10 +271,7 @@ def _way_out(folder: Path, kinds: set[Signature], root: Path, collected: Collect
         ("has the same name", counterparts(folder.relative_to(root), collected.folders)),
         ("has the same name", [each for each in new if each.name == folder.name]),
         ("has a similar name", [each for each in beside if each.name in near]),
-        (
-            "has saved scenarios of the same kinds",
-            [each for each, saved in collected.saved.items() if kinds and kinds <= kinds_in(saved)],
-        ),
+        ("has saved scenarios of the same kinds", alike),
         ("has no saved scenarios", beside),
     )
     prune = f"remove the files with {BY_NAME['prune'].flag}"

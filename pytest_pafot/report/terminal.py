@@ -10,6 +10,7 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 from pytest_pafot.campaign.events import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
@@ -281,11 +282,10 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     lines += [*replay_lines(session.replays, width), *against_lines(session, width)]
     for folder, count in session.removed:
         lines.append(f"removed: {plural(count, 'saved scenario')} of no test in {folder}")
-    for folder, count, way_out in session.orphans:
-        lines.append(f"orphaned: {plural(count, 'saved scenario')} of no test in {folder}")
-        lines += [] if session.pruned else _wrapped(way_out, width)
-    if session.orphans and session.pruned:
-        lines += _wrapped(LEFT_ALONE, width)
+    for way_out, orphans in groupby(session.orphans, key=lambda orphan: LEFT_ALONE if session.pruned else orphan[2]):
+        for folder, count, _ in orphans:
+            lines.append(f"orphaned: {plural(count, 'saved scenario')} of no test in {folder}")
+        lines += _wrapped(way_out, width)
     for file, place in session.strays:
         lines.append(f"not run: {file}, which lies in no folder of a test; move it to {place}")
     lines += [f"not merged: {folder}: {why}" for folder, why in session.unmerged]
