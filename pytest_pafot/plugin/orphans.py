@@ -126,7 +126,8 @@ def find_doubles(collected: Collected, items: Iterable[pytest.Item]) -> Iterator
 
     Two branches that have found the same failure, each by itself, leave such files once both are merged.
     """
-    ids = {mark.args[0].path: item.nodeid for item in items for mark in item.iter_markers(SAVED_MARK) if mark.args}
+    marks = ((item.nodeid, mark) for item in items for mark in item.iter_markers(SAVED_MARK) if mark.args)
+    ids = {mark.args[0].path: node_id for node_id, mark in marks if isinstance(mark.args[0], Saved)}
     for folder, saved in collected.saved.items():
         place = relative(folder, collected.rootpath)
         for group in of_one_kind(saved):
