@@ -80,7 +80,7 @@ class Collision:
         side: of the ego that was hit.
         cell: in which the NPC's centre was at the impact, or, when that is the ego's own, the last one before.
         ego_speed, npc_speed: at the impact [m/s].
-        closing_speed: magnitude of the difference of the two velocities [m/s].
+        closing_speed: magnitude of the difference of the two velocities, with the slip of turned wheels [m/s].
     """
 
     tick: int

@@ -10,7 +10,7 @@ import numpy as np
 
 from pytest_pafot.criticality import RelativePositions
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import HEADING, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.model.trace import HEADING, SPEED, STEERING, AdsError, Collision, FloatArray, Outcome, Trace
 from pytest_pafot.world.kernel.bodies import Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.observation import COLUMNS
@@ -79,7 +79,9 @@ class Record:
         before = self._boxes(states[max(self.tick - 1, 0)])
         ego, other = states[-1, 0], states[-1, npc + 1]
         positions = RelativePositions(states, np.array(self.sizes), self.rules.road.lanes, track)
-        velocity = [row[SPEED] * np.array([np.cos(row[HEADING]), np.sin(row[HEADING])]) for row in (ego, other)]
+        both = states[-1, [0, npc + 1]]
+        course = both[:, HEADING] + np.arctan(0.5 * np.tan(both[:, STEERING]))  # where wheels are turned, it slips
+        velocity = both[:, SPEED] * np.array([np.cos(course), np.sin(course)])
         return Collision(
             tick=self.tick,
             time=self.tick / self.rules.physics_hz,
@@ -88,7 +90,7 @@ class Record:
             cell=positions.last_cell(npc, self.tick) or self.director.first_cells()[npc],
             ego_speed=float(ego[SPEED]),
             npc_speed=float(other[SPEED]),
-            closing_speed=float(np.hypot(*(velocity[0] - velocity[1]))),
+            closing_speed=float(np.hypot(*(velocity[:, 0] - velocity[:, 1]))),
         )
 
     def _boxes(self, row: FloatArray) -> list[Box]:
