@@ -15,6 +15,7 @@ import numpy.typing as npt
 from pytest_pafot import criticality
 from pytest_pafot.attribution.last_chance import LastChance, TakeOver, last_chance
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
+from pytest_pafot.attribution.sentences import What
 from pytest_pafot.criticality.signals import (
     BY_NAME,
     EgoLaneChange,
@@ -28,7 +29,7 @@ from pytest_pafot.criticality.signals import (
 )
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.model.trace import ACCELERATION, AdsError, Collision, FloatArray, Outcome, Trace
 from pytest_pafot.support.shown import Drawn
 from pytest_pafot.support.text import ascii_text
 
@@ -415,8 +416,7 @@ class Run(Drawn):
         return f"no collision in {self.duration:.1f} s{_DEPARTURES.get(self.outcome, '')}"
 
     def _measures(self) -> list[str]:
-        brake = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
-        hit = self.collision
+        brake, hit = self._hardest_brake(), self.collision
         if hit is not None:
             speeds = f"ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s, closing {hit.closing_speed:.1f} m/s"
             return [f"  at the impact: {speeds}", f"  {brake}"]
@@ -426,6 +426,18 @@ class Run(Drawn):
             lines.append(f"  least time to contact: {self.min_ttc:.2f} s, NPC {worst.npc}{place} at {worst.time:.1f} s")
         lines.append(f"  closest at {self.closest_time:.1f} s: {self.min_distance:.2f} m between the boxes; {brake}")
         return lines
+
+    def _hardest_brake(self) -> str:
+        """How hard the ego braked and when, and where a verdict says that it did not, why that braking is no answer."""
+        text = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
+        if self.hardest_brake < 0.05:
+            return text
+        time = int(np.nanargmin(self.trace.ego[:, ACCELERATION])) / self.trace.physics_hz
+        text += f" at {time:.1f} s"
+        due = [fact.time_s for fact in self.attribution.facts if fact.what in (What.DID_NOT_BRAKE, What.SPED_UP)]
+        if not due:
+            return text
+        return f"{text}, {'before an answer was due' if time <= due[0] else 'too little to be an answer'}"
 
 
 def _no_world(name: str, argument: str) -> NoReferenceDriversError:

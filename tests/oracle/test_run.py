@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot import criticality
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Outcome
 from pytest_pafot.oracle.run import NoReferenceDriversError, Run
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.reference_runs import Drivers, closing, rammed
@@ -153,6 +153,24 @@ def test_an_explanation_tells_what_happened_whose_fault_and_what_the_npcs_were_t
         "       0.0  1 front-left 20.0 m/s reached 0.8 s  2 front 20.0 m/s not reached",
         f"  scenario {crash().scenario.id}, repair seed 0",
     ]
+
+
+@pytest.mark.parametrize(
+    ("tick", "braking", "told"),
+    [
+        (3, 3.3, "3.3 m/s^2 at 0.2 s, before an answer was due"),
+        (29, 0.4, "0.4 m/s^2 at 1.9 s, too little to be an answer"),
+        (29, 3.3, "3.3 m/s^2 at 1.9 s"),
+    ],
+)
+def test_hardest_braking_has_its_time_and_never_contradicts_the_reason(tick, braking, told):
+    """The danger begins at 1 s, when the NPC ahead slows down, and what is too little counts as no braking."""
+    ego, speed = vehicle(0.0, 4.0, speed=20.0, ticks=45), np.where(np.arange(46) < 15, 20.0, 4.0)
+    npc = vehicle(50.0 + np.concatenate(([0.0], np.cumsum(speed[1:]) / 15)), 4.0, speed=speed)
+    ego[tick, ACCELERATION], ego[tick:, SPEED] = -braking, 20.0 - braking / 15
+    text = Run(trace_of(ego, npc, outcome=Outcome.COLLISION)).explain()
+    assert f"hardest brake of the ego: {told}\n" in text
+    assert ("did not brake" in " ".join(text.split())) is ("answer" in told)
 
 
 def test_an_explanation_names_the_error_of_the_ads():
