@@ -1,4 +1,4 @@
-"""The last chance: when a reference driver in the ego's place would still have stayed free of fault."""
+"""The last chance: when a reference driver in the ego's place would still have prevented what failed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ TakeOver = Callable[[Trace, int, str], Trace]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LastChance:
-    """The last decision of the ego at which a reference driver would still have stayed free of fault in its place.
+    """The last decision of the ego at which a reference driver would still have prevented a failure in its place.
+
+    Of a collision it stays free of fault, of a failed check it keeps the check.
 
     Attributes:
         time: of that decision [s], to milliseconds.
@@ -69,15 +71,31 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
     """
     if trace.collision is None or fault is None or fault == "entered-lane":
         return None
-    every, first = trace.physics_hz // trace.ads_hz, max(trace.ticks - round(SCANNED * trace.physics_hz), 0)
-    for tick in range((trace.ticks - 1) // every * every, first - 1, -every):
+    impact = trace.collision
+
+    def is_free(taken: Trace) -> bool:
+        hit = taken.collision
+        is_same = hit is not None and hit.npc == impact.npc and hit.time <= impact.time + SAME_IMPACT
+        return taken.outcome is not Outcome.INVALID and not is_same and not is_ego_responsible(taken)
+
+    return last_decision(trace, trace.ticks, take_over, is_free)
+
+
+def last_decision(
+    trace: Trace, until: int, take_over: TakeOver, prevents: Callable[[Trace], bool]
+) -> LastChance | None:
+    """Return the last of the ego's decisions before a tick from which a reference driver's run prevents something.
+
+    Those of the last 10 s before it are tried, the latest first. None where none of them does, and where the run does
+    not repeat. See :func:`last_chance` for the arguments.
+    """
+    every, first = trace.physics_hz // trace.ads_hz, max(until - round(SCANNED * trace.physics_hz), 0)
+    for tick in range((until - 1) // every * every, first - 1, -every):
         taken = take_over(trace, tick, DRIVER)
         repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
         if repeated.shape != recorded.shape or not (np.abs(repeated - recorded) <= ROUNDING).all():
             return None
-        hit, impact = taken.collision, trace.collision
-        is_same = hit is not None and hit.npc == impact.npc and hit.time <= impact.time + SAME_IMPACT
-        if taken.outcome is not Outcome.INVALID and not is_same and not is_ego_responsible(taken):
+        if prevents(taken):
             time = round(tick / trace.physics_hz, 3)
             return LastChance(time=time, driver=DRIVER, action=_action(taken, tick), ego_action=_action(trace, tick))
     return None

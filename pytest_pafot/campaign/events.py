@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.severity import Severity
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Event
 from pytest_pafot.support.text import ascii_text
@@ -44,6 +45,8 @@ class Find:
     difference: str = ""  # what differed when it was run again, or empty
     is_timed: bool = False  # it depends on wall-clock time
     unshrunk: str = ""  # why it is not yet as simple as it is to be, or empty
+    severity: Severity | None = None  # None where nothing measures it, or no run is there
+    responsible: str = "none"  # for the collision, as in its file
     repeats: int = 0  # further runs that failed in the same way
 
     @property
@@ -96,8 +99,10 @@ class SearchSummary:
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # anything else to be told once
     against: str = ""  # the reference that failures were held against, or empty
-    # random scenarios at its beginning: runs that failed by the ego's fault, and all that say something of the ego
+    # random scenarios at its beginning: runs that failed in a collision which the ego answers for, alone or with the
+    # NPC, and all that say something of the ego; and those that failed in any other way
     random: tuple[int, int] = (0, 0)
+    random_otherwise: int = 0
     drawn: str = ""  # from what the scenarios were drawn, in one line
     coverage: str = ""  # one line on the Position-Instructions that the runs came to
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.attribution.last_chance import LastChance, last_decision
 from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
@@ -129,6 +130,28 @@ class Harness:
         if verdict.is_ads or run.world is None:
             return {}
         return dict(reference_outcomes(run, self.test, blame=self.request.blame, test_file=self.test_file))
+
+    def last_chance(self, run: Run, verdict: Verdict) -> LastChance | None:
+        """When a reference driver could last have prevented what failed; simulated.
+
+        For a collision it is that of the run. For a failed check it is the last decision before the check was worst
+        from which the driver keeps it to the end of the run. None for all else, and where a check does not say when.
+        """
+        take_over = run.take_over
+        if take_over is None or verdict.failure is None or verdict.severity is None:
+            return None
+        check = verdict.failure.check
+        if check is None:
+            return run.last_chance
+        if check.time is None:
+            return None
+
+        def keeps(taken: Trace) -> bool:
+            made = [each for each in self.judge(self.seen(taken)).checks if each.name == check.name]
+            return bool(made) and all(each.holds for each in made)
+
+        until = min(round(check.time * run.trace.physics_hz), run.trace.ticks)
+        return last_decision(run.trace, until, take_over, keeps)
 
     def judge_trace(self, world: Any, trace: Trace) -> Verdict:
         """What the function makes of a trace from a world."""

@@ -118,7 +118,7 @@ class Recorder:
             return finding.id
         origin = self._origin(generation, number)
         kept = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
-        kept = replace(kept, run=run, number=number)
+        kept = replace(kept, run=run, number=number, find=replace(kept.find, severity=verdict.severity))
         differs = ""
         try:
             differs = "" if verdict.is_timed else self.confirmed(run)
@@ -268,7 +268,15 @@ class Recorder:
         except CorpusWriteError as error:
             problem, content = str(error), text_of(finding)
         node_id, told = self.harness.saved_node_id(finding.id), "" if problem else relative(path, self.harness.root)
-        find = Find(id=finding.id, node_id=node_id, headline=line, path=told, problem=problem, is_timed=is_timed)
+        find = Find(
+            id=finding.id,
+            node_id=node_id,
+            headline=line,
+            path=told,
+            problem=problem,
+            is_timed=is_timed,
+            responsible=finding.expect.responsibility,
+        )
         return FindTold(
             finding=finding,
             find=find,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -129,7 +129,13 @@ class Replays:
         return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
 
     def passes_reference(self, saved: Saved, world: Any, owner: str) -> bool | None:
-        """Whether the reference passes a saved scenario, in another process where the ADS runs so; None without one."""
+        """Whether the reference passes a saved scenario; None without one."""
+        __tracebackhide__ = True
+        verdict = self.of_reference(saved, world, owner)
+        return None if verdict is None else verdict.passes
+
+    def of_reference(self, saved: Saved, world: Any, owner: str) -> Verdict | None:
+        """The verdict on the reference, in another process where the ADS runs so; None without a reference."""
         __tracebackhide__ = True
         harness, scenario = self.harness, _finding(saved).scenario
         job, isolate = harness.job(world, owner), self._is_apart(saved, owner)
@@ -137,7 +143,7 @@ class Replays:
             harness.recording(job) as record,
             harness.reference_runner(job, record, isolate=isolate) or nullcontext() as runner,
         ):
-            return None if runner is None else harness.judge_reference(runner, scenario, world).passes
+            return None if runner is None else harness.judge_reference(runner, scenario, world)
 
     def labelled(self, saved: Saved, owner: str) -> tuple[str, Run, Verdict]:
         """A replay with its label. One that passes is tried twice, since chance must not be called a fix.
@@ -161,7 +167,9 @@ class Replays:
         if verdict.discarded:
             return label, run, verdict
         if verdict.failed:
-            return BESIDE[self.passes_reference(saved, world, owner)] or label, run, verdict
+            reference = self.of_reference(saved, world, owner)
+            beside = BESIDE[None if reference is None else reference.passes]
+            return beside or label, run, replace(verdict, reference=reference)
         again, second = self.tried(saved, world, owner)
         if second.failed:
             return FLAKY, again, second

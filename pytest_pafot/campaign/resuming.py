@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.options import BY_NAME
@@ -29,9 +30,9 @@ from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 
-# How often random scenarios fail by the ego's fault, counted in those that a search begins with.
+# How often random scenarios fail, and how often by the ego's fault, counted in those that a search begins with.
 
-AT_FAULT = ("failed", "unpreventable", "common")
+FAILING = ("failed", "unpreventable", "common")
 """Kinds of verdicts on runs that failed, whatever else excuses them."""
 
 
@@ -43,13 +44,15 @@ class RandomBeginning:
         listener: to whom the events go.
         most: scenarios at the beginning that are random; infinite where all are.
         runs: of them, but for those that say nothing of the ego.
-        failing: of these, those that failed without an NPC alone being responsible.
+        at_fault: of these, those that failed in a collision which the ego answers for, alone or with the NPC.
+        otherwise: those that failed in any other way, such as by a check or an error of the ADS.
     """
 
     listener: Listener
     most: float = 0.0
     runs: int = 0
-    failing: int = 0
+    at_fault: int = 0
+    otherwise: int = 0
     _evaluated: int = 0
     _judged: dict[Scenario, Judged] = field(default_factory=dict)
 
@@ -59,13 +62,13 @@ class RandomBeginning:
         return self._evaluated >= self.most
 
     @property
-    def counts(self) -> tuple[int, int, int]:
-        """Scenarios that were evaluated, as far as it counts, ``runs`` and ``failing``."""
-        return self._evaluated, self.runs, self.failing
+    def counts(self) -> tuple[int, int, int, int]:
+        """Scenarios that were evaluated, as far as it counts, ``runs``, ``at_fault`` and ``otherwise``."""
+        return self._evaluated, self.runs, self.at_fault, self.otherwise
 
-    def restore(self, evaluated: int, runs: int, failing: int) -> None:
+    def restore(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
         """Go on from the counts of an earlier session."""
-        self._evaluated, self.runs, self.failing = evaluated, runs, failing
+        self._evaluated, self.runs, self.at_fault, self.otherwise = evaluated, runs, at_fault, otherwise
 
     def __call__(self, event: SearchEvent) -> None:
         """Told what happens; a run is judged, and perhaps judged again, before its scenario is evaluated."""
@@ -79,7 +82,10 @@ class RandomBeginning:
             judged = self._judged.pop(event.evaluation.scenario, None)
             if judged is not None and not (judged.verdict.discarded or judged.verdict.kind == "invalid"):
                 self.runs += 1
-                self.failing += judged.verdict.kind in AT_FAULT and judged.run.responsibility != "npc"
+                if judged.verdict.kind in FAILING:
+                    is_at_fault = is_ego_responsible(judged.run.trace)
+                    self.at_fault += is_at_fault
+                    self.otherwise += not is_at_fault
 
 
 MAX_SAVED = BY_NAME["max_saved"].flag

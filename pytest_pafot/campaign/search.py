@@ -362,7 +362,8 @@ class Search:
         finds = [kept.find for kept in loop.recorder.kept.values()]
         # An error says nothing of the ego, and random scenarios that end with the first failure say too much.
         notes = (loop.doubt, self._unused, loading_hint(self.harness.ads) if loop.runs else "")
-        is_cut_short = reason == "error" or (reason == "enough findings" and not self.sessions.beginning.is_whole)
+        beginning = self.sessions.beginning
+        is_cut_short = reason == "error" or (reason == "enough findings" and not beginning.is_whole)
         return SearchSummary(
             node_id=self.node_id,
             algorithm=self.harness.request.algorithm.name,
@@ -390,7 +391,8 @@ class Search:
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
             notes=(*self.notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             against="" if self.harness.against is None else self.harness.against.shown,
-            random=(0, 0) if is_cut_short else (self.sessions.beginning.failing, self.sessions.beginning.runs),
+            random=(0, 0) if is_cut_short else (beginning.at_fault, beginning.runs),
+            random_otherwise=0 if is_cut_short else beginning.otherwise,
             drawn="" if self.loop.space is None else self.loop.space.described,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit)) if loop.runs else "",
         )

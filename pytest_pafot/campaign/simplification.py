@@ -253,7 +253,6 @@ class Simplification:
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
         outcomes = harness.reference_outcomes(run, verdict)
         perception = self._perceived(kept, scenario)
-        last_chance = None if run.take_over is None else run.last_chance
         finding = replace(
             before,
             scenario=scenario,
@@ -261,7 +260,7 @@ class Simplification:
                 run,
                 verdict.failure,
                 reference_drivers=outcomes,
-                last_chance=last_chance,
+                last_chance=harness.last_chance(run, verdict),
                 against=before.expect.against,
                 root=str(harness.root),
             ),
@@ -273,7 +272,8 @@ class Simplification:
             return
         line = headline(run, verdict)
         line = line if perception is None else f"{line}, {perception.sentence}"
-        find = replace(kept.find, headline=line)
+        responsible = finding.expect.responsibility
+        find = replace(kept.find, headline=line, severity=verdict.severity, responsible=responsible)
         recorder.tell(
             replace(recorder.rewritten(kept, finding), find=find, exception=verdict.exception, run=run, is_new=False)
         )

@@ -91,7 +91,7 @@ class Counts:
         decides_for_many: whether the ADS has shown that it decides for many runs at once.
         finds: in the order in which they were found.
         known: see :class:`~pytest_pafot.campaign.search_loop.SearchLoop`, as the next five.
-        random: see :class:`~pytest_pafot.campaign.resuming.RandomBeginning`: evaluated, runs, failing.
+        random: see :class:`~pytest_pafot.campaign.resuming.RandomBeginning`: evaluated, runs, at_fault, otherwise.
         health: counts over all evaluations.
     """
 
@@ -105,7 +105,7 @@ class Counts:
     doubt: str
     broken: str | None
     fatal: tuple[Scenario, ...]
-    random: tuple[int, int, int]
+    random: tuple[int, int, int, int]
     health: Health
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal, Self
 
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.findings.finding import ads_failure, raised_failure
+from pytest_pafot.findings.severity import Severity, severity_of
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
@@ -39,6 +40,7 @@ class Verdict:
     checks: tuple[Check, ...] = ()  # those that the function made, in its order, up to one that failed
     is_timed: bool = False  # whether it depends on wall-clock time
     is_ads: bool = False  # whether the ADS itself failed, whatever the function asserts
+    severity: Severity | None = None  # of the failure; None where there is none, or nothing measures it
     reference: Verdict | None = None  # on the run of the reference in the same scenario; None where it was not run
 
     @property
@@ -125,7 +127,13 @@ def _asked(run: Run, test: Test, test_file: str) -> Verdict:
         if is_interruption(error):
             raise
         failure = raised_failure(error, test_file)
-        return Verdict(kind="failed", exception=error, failure=failure, checks=tuple(recording.checks))
+        return Verdict(
+            kind="failed",
+            exception=error,
+            failure=failure,
+            checks=tuple(recording.checks),
+            severity=severity_of(run, failure),
+        )
     if result is not None:
         raise RequestError(
             f"expected the test function to assert and to return None, received the return value {result!r:.60}; write "
@@ -156,14 +164,14 @@ def headline(run: Run, verdict: Verdict) -> str:
 
 
 def collision_in_short(run: Run) -> str:
-    """One line on the collision of a run: when, with whom, and whose fault; empty without one."""
+    """One line on the collision of a run: when, how fast they closed in, with whom, whose fault; empty without one."""
     hit = run.collision
     if hit is None:
         return ""
     place = hit.cell.label.replace("front", "ahead").replace("rear", "behind").replace("-", " ")
     place = f"on the {place}" if hit.cell in (Cell.LEFT, Cell.RIGHT) else place
     who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "nobody")
-    return f"collision after {hit.time:.1f} s: NPC {hit.npc} {place}, {who} at fault"
+    return f"collision after {hit.time:.1f} s at {hit.closing_speed:.1f} m/s: NPC {hit.npc} {place}, {who} at fault"
 
 
 def skips() -> tuple[type[BaseException], ...]:

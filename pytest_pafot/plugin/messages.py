@@ -17,6 +17,7 @@ from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding
+    from pytest_pafot.findings.severity import Severity
 
 
 PHASE = "pafot"  # of a report that is a message
@@ -83,10 +84,16 @@ def set_of_saved(item: pytest.Item, saved: Saved) -> None:
     set_properties(item.user_properties, seed=seed, id=saved.id, signature=signature, file=file)
 
 
-def of_findings(findings: Iterable[tuple[Finding, str]]) -> dict[str, str]:
+def severity_text(severity: Severity | None) -> str:
+    """How bad a failure is, as a property."""
+    return "none" if severity is None else severity.described
+
+
+def of_findings(findings: Iterable[tuple[Finding, str, Severity | None]]) -> dict[str, str]:
     """Those that tell findings, with their files: for several, what stands in each is separated by commas."""
-    columns: dict[str, list[str]] = {"id": [], "signature": [], "file": []}
-    for finding, file in findings:
-        for column, text in zip(columns.values(), (finding.id, finding.signature.text, file), strict=True):
+    columns: dict[str, list[str]] = {"id": [], "signature": [], "file": [], "severity": []}
+    for finding, file, severity in findings:
+        texts = (finding.id, finding.signature.text, file, severity_text(severity))
+        for column, text in zip(columns.values(), texts, strict=True):
             column.append(text)
     return {name: ", ".join(filter(None, column)) for name, column in columns.items()}

@@ -14,6 +14,7 @@ import pytest
 from pytest_pafot.campaign.events import Find, FindTold, Judged, Progress, SearchEvent, SearchStarted, SearchSummary
 from pytest_pafot.campaign.options import Settings
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.plugin import messages, node_ids
@@ -71,7 +72,8 @@ class PageMessages:
         if not find.path:  # What lies in no file is found again by its search.
             options = f"{self.settings.budget} --pafot-seed={self.settings.seed}"
             command = f"pytest {shlex.quote(self.item.nodeid)} {options}"
-        self._tell(view=plain(replace(view, label=label_of(find), path=find.path, command=command)))
+        view = replace(view, label=label_of(find), severity=find.severity, path=find.path, command=command)
+        self._tell(view=plain(view))
 
     def _searched(self, summary: SearchSummary) -> None:
         """Show the search, and what is known at its end of the finds."""
@@ -99,16 +101,17 @@ class PageMessages:
         label: str,
         path: str,
         check: Check | None = None,
+        severity: Severity | None = None,
     ) -> None:
         """Count a replay of a saved scenario, and show it where it fails, which its headline says.
 
-        Without a trace where its process did not come back; with the check that failed, if any.
+        Without a trace where its process did not come back; with the check that failed, if any, and how bad it is.
         """
         self._tell(replayed=label)
         if headline:
             view = finding_view(trace, finding, node_id=self.item.nodeid, headline=headline, check=check)
             accepted = f", accepted: {finding.accepted}" if finding.accepted else ""
-            self._tell(view=plain(replace(view, label=f"{label}{accepted}", path=path)))
+            self._tell(view=plain(replace(view, label=f"{label}{accepted}", severity=severity, path=path)))
 
     def _tell(self, **data: object) -> None:
         messages.send(self.item, PAGE, {"target": self.settings.report, **data})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import date
 from functools import partial
 from typing import NoReturn
@@ -18,16 +19,20 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.severity import worsening
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained
+from pytest_pafot.plugin.messages import set_properties, severity_text
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.session_records import tell_finding
+from pytest_pafot.report.terminal import ReplaySummary
+from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 
 
@@ -51,15 +56,17 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         leftover.discard()  # What came of it is told now.
     if lost is not None:
         _conclude_lost(item, replays, saved, finding, lost, beside)
-    detail = "; ".join(filter(None, [_against(replays), *replays.ads_changes(finding)]))
+    worse = _worsening(verdict) if label == BESIDE[False] else ""
+    told = [_against(replays), f"worse: {worse}" if worse else "", *replays.ads_changes(finding)]
+    detail = "; ".join(filter(None, told))
     if label in ("drifted", FLAKY):
         detail = replays.changes(finding, happened(finding, run, verdict.failure))
-    _tell(item, replays, saved, label, headline=headline(run, verdict) if verdict.failed else "", detail=detail)
+    line = headline(run, verdict) if verdict.failed else ""
+    _tell(item, replays, saved, label, headline=line, detail=detail, verdict=verdict, worse=worse)
     page = page_messages_of(item, request.settings)
     if page is not None:
-        line = headline(run, verdict) if verdict.failed else ""
         check = None if verdict.failure is None else verdict.failure.check
-        page.replayed(finding, run.trace, headline=line, label=label, path=path, check=check)
+        page.replayed(finding, run.trace, headline=line, label=label, path=path, check=check, severity=verdict.severity)
     if finding.xfail is not None and not verdict.failed:
         _add_section(item, [f"{label}: remove the line `xfail:` from {path}"])
     _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
@@ -90,18 +97,54 @@ def _against(replays: Replays) -> str:
     return "" if against is None else f"against {against.shown}"
 
 
-def _tell(item: pytest.Function, replays: Replays, saved: Saved, label: str, *, headline: str, detail: str) -> None:
+def _worsening(verdict: Verdict) -> str:
+    """How much worse a failure is than that of the reference in the same scenario; empty where it is not."""
+    return "" if verdict.reference is None else worsening(verdict.severity, verdict.reference.severity)
+
+
+def _tell(
+    item: pytest.Function,
+    replays: Replays,
+    saved: Saved,
+    label: str,
+    *,
+    headline: str,
+    detail: str,
+    verdict: Verdict | None = None,
+    worse: str = "",
+) -> None:
+    """Tell the controller of a replay, whose verdict is None where its process did not come back."""
     path, finding = relative(saved.path, replays.harness.root), saved.finding
+    against = "" if replays.harness.against is None else replays.harness.against.shown
+    worse = f"{saved.id} {worse}" if worse else ""
+    summary = ReplaySummary(node_id=item.nodeid, label=label, detail=detail, against=against, worse=worse)
     if finding is not None:
-        if finding.xfail is not None and not finding.is_accepted(date.fromisoformat(item.config.stash[SHARED].today)):
+        today = date.fromisoformat(item.config.stash[SHARED].today)
+        severity = None if verdict is None else verdict.severity
+        reference = None if verdict is None else verdict.reference
+        before = None if reference is None else reference.severity
+        if headline:
+            set_properties(item.user_properties, severity=severity_text(severity))
+        if headline and not finding.is_accepted(today):
+            responsible = finding.expect.responsibility
+            summary = replace(summary, id=finding.id, severity=severity, responsible=responsible)
+        if finding.xfail is not None and not finding.is_accepted(today):
             over = (
                 f"{path}: accepted ({finding.accepted}), which is over: mend it, write a later day, or remove the line"
             )
             messages.send(item, "warning", {"text": over})
-        told = {"headline": headline, "detail": detail}
-        tell_finding(item, finding, node_id=item.nodeid, status=label, file=path, **told)
-    against = "" if replays.harness.against is None else replays.harness.against.shown
-    messages.send(item, "replay", {"label": label, "detail": detail, "against": against})
+        tell_finding(
+            item,
+            finding,
+            node_id=item.nodeid,
+            status=label,
+            file=path,
+            headline=headline,
+            detail=detail,
+            severity=severity,
+            severity_before=before,
+        )
+    messages.send(item, "replay", {"summary": plain(summary)})
     item.user_properties.append(("pafot", label))
 
 

@@ -27,6 +27,7 @@ from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import message_of
+from pytest_pafot.findings.severity import worst_first
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained, is_compact, summarise
@@ -210,7 +211,7 @@ class SearchMessages:
         elif isinstance(event, FindTold):
             self._find(event)
         elif isinstance(event, SearchSummary):
-            found = of_findings((each.finding, each.find.path) for each in self.told.values())
+            found = of_findings((each.finding, each.find.path, each.find.severity) for each in self.told.values())
             set_properties(self.item.user_properties, **found)
             messages.send(self.item, "search", {"summary": plain(event)})
         if self.page is not None:
@@ -239,7 +240,8 @@ class SearchMessages:
         )
         lines = terminal.found_lines(kept.find, width) if kept.is_new else []
         report = _report(self.item, kept, section)
-        messages.send(self.item, "find", {"node_id": kept.find.node_id, "lines": lines, "report": report})
+        rank = list(worst_first(kept.find.responsible, kept.find.severity))
+        messages.send(self.item, "find", {"node_id": kept.find.node_id, "lines": lines, "report": report, "rank": rank})
         tell_finding(
             self.item,
             kept.finding,
@@ -250,6 +252,7 @@ class SearchMessages:
             headline=kept.find.headline,
             detail=kept.find.problem,
             unshrunk=kept.find.unshrunk,
+            severity=kept.find.severity,
         )
 
 
@@ -270,7 +273,7 @@ def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
     report.nodeid = find.node_id
     report.location = (path, line, node_ids.saved_name(item, find.id))
     report.sections.append(("pafot", section))
-    set_properties(report.user_properties, **of_findings([(kept.finding, find.path)]))
+    set_properties(report.user_properties, **of_findings([(kept.finding, find.path, find.severity)]))
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 

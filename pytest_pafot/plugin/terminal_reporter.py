@@ -100,7 +100,7 @@ class Reporter:
         self._config = config
         self._live = LiveTerminal(config)
         self._session: pytest.Session | None = None
-        self._pending: dict[str, dict[str, tuple[dict[str, Any], Any]]] = {}
+        self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, list[float]]]] = {}
         self._expanded: set[str] = set()
         self._running: dict[str, None] = {}
         self._searches: list[SearchSummary] = []
@@ -218,7 +218,7 @@ class Reporter:
                 self._running.pop(report.nodeid, None)
                 self._searches.append(from_plain(SearchSummary, data["summary"]))
             case "replay":
-                self._replays.append(terminal.ReplaySummary(node_id=report.nodeid, **data))
+                self._replays.append(from_plain(terminal.ReplaySummary, data["summary"]))
             case "rate" | "merge":
                 self._lines.reports.append(data["text"])
             case "note":
@@ -237,14 +237,15 @@ class Reporter:
     def _take_find(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
         if data["node_id"] not in self._expanded:
             finds = self._pending.setdefault(report.nodeid, {})
-            finds[data["node_id"]] = (data["report"], getattr(report, "node", None))
+            finds[data["node_id"]] = (data["report"], getattr(report, "node", None), data["rank"])
         self._live.erase_progress()
         if self._config.get_verbosity() >= 0:
             self._live.write(data["lines"])
 
     def _expand(self, search_id: str) -> None:
-        """Report the finds of a search as the items that they will be in the next session."""
-        for node_id, (data, node) in self._pending.pop(search_id, {}).items():
+        """Report the finds of a search as the items that they will be in the next session, the worst first."""
+        pending = sorted(self._pending.pop(search_id, {}).items(), key=lambda each: each[1][2])
+        for node_id, (data, node, _) in pending:
             self._expanded.add(node_id)
             report = self._config.hook.pytest_report_from_serializable(config=self._config, data=data)
             if self._session is not None:

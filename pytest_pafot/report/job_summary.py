@@ -8,7 +8,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
+from pytest_pafot.findings.severity import Severity, worsening, worst_first
 from pytest_pafot.report.session_record import ERROR, NEW, FindingRecord, SessionRecord
 from pytest_pafot.support.text import plural, visible
 
@@ -61,7 +63,7 @@ def _lines(record: SessionRecord) -> Iterator[str]:
     for name, group in groups.items():
         if group:
             yield from ("", f"**{_GROUPS[name]}**", "")
-            for finding in group[:MAX_LISTED]:
+            for finding in sorted(group, key=_rank)[:MAX_LISTED]:
                 yield from _finding_lines(finding)
             yield from ([f"- ... and {len(group) - MAX_LISTED} more"] if len(group) > MAX_LISTED else [])
     failed = [each for each in record.searches if each.result in ("failed", "error")]
@@ -89,9 +91,20 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
         yield f"Only what {against} passes is a failure."
 
 
+def _rank(finding: FindingRecord) -> tuple[Any, ...]:
+    """Return the key by which findings of one group are sorted."""
+    severity = None if finding.severity is None else Severity.of_data(finding.severity)
+    return *worst_first(finding.responsible, severity), -finding.runs, finding.node_id
+
+
 def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     """A finding: what it is, and the command that shows it again, with its file."""
     told = [plain(finding.headline or finding.detail)]
+    if finding.severity is not None:
+        severity = Severity.of_data(finding.severity)
+        before = None if finding.severity_before is None else Severity.of_data(finding.severity_before)
+        worse = "" if before is None else worsening(severity, before)
+        told.append(f"worse: {plain(worse)}" if worse else plain(severity.described))
     told += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
     told += [plain(finding.unshrunk)] if finding.unshrunk else []
     if finding.xfail is not None and finding.result == "xfailed":

@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
+from pytest_pafot.findings.severity import Severity
+
 Numbers = tuple[float | None, ...]
 Pose = tuple[float, float, float]
 """Along [m], across [m], heading [rad]."""
@@ -192,6 +194,7 @@ class FindingView:
         runs: of the search that failed in this way; 0 for a run that no test has judged.
         generation: in which it was first found, from 0; None where no search found it.
         label: ``new``, ``still failing``, ``flaky`` and so on.
+        severity: of the run that is shown; None where nothing measures it.
         vehicles: the ego, then the NPCs.
         times: of the frames; none where nobody saw a run.
         instructions: of all NPCs, ordered by NPC and gene.
@@ -220,6 +223,7 @@ class FindingView:
     runs: int = 1
     generation: int | None = None
     label: str = ""
+    severity: Severity | None = None
     path: str = ""
     assertion: str = ""
     check: CheckView | None = None

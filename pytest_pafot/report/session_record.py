@@ -14,6 +14,7 @@ from typing import Any, Self
 
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.text import quiet_json
 
@@ -56,6 +57,11 @@ class FindingRecord:
         against: the reference that passes where it fails; empty without one.
         flaky: what differed when it was run again; null where nothing did.
         unshrunk: why a new one is not yet as simple as it is to be; empty where it is.
+        severity: how bad the failure of this session is, of the scenario in the file: `kind`, which is `collision` or
+            `check`; `value`, the closing speed at the impact [m/s], or by how much the check is broken [`unit`], null
+            where it measured no number; `delta_v` of a collision, for equal masses [m/s]; `margin` and `name` of a
+            check. Null where it passes, and for what nothing measures.
+        severity_before: the same of the reference in this scenario, where it fails as well; null otherwise.
         xfail: `reason` and `until` (null for good) with which the failure is accepted; null where it is not.
     """
 
@@ -83,6 +89,8 @@ class FindingRecord:
     against: str = ""
     flaky: str | None = None
     unshrunk: str = ""
+    severity: Mapping[str, Any] | None = None
+    severity_before: Mapping[str, Any] | None = None
     xfail: Mapping[str, str | None] | None = None
 
     @property
@@ -91,7 +99,17 @@ class FindingRecord:
         return self.status == NEW
 
     @classmethod
-    def of(cls, finding: Finding, *, node_id: str, status: str, file: str | None, **told: Any) -> Self:
+    def of(
+        cls,
+        finding: Finding,
+        *,
+        node_id: str,
+        status: str,
+        file: str | None,
+        severity: Severity | None = None,
+        severity_before: Severity | None = None,
+        **told: Any,
+    ) -> Self:
         """From a finding; what else is told are attributes of the record."""
         expect, until = finding.expect, finding.xfail_until
         accepted = {"reason": finding.xfail, "until": None if until is None else until.isoformat()}
@@ -114,6 +132,8 @@ class FindingRecord:
             algorithm=finding.found.algorithm,
             against=expect.against,
             flaky=finding.flaky,
+            severity=None if severity is None else severity.data(),
+            severity_before=None if severity_before is None else severity_before.data(),
             xfail=None if finding.xfail is None else accepted,
             **told,
         )
@@ -150,7 +170,9 @@ class SearchRecord:
         finds: ids of its new findings.
         unsaved: runs of further findings by id, which the limit of saved ones left out.
         known: failing runs by the id of the saved scenario that shows the same.
-        random_failing: of the random scenarios at its beginning those that failed by the ego's fault.
+        random_failing: of the random scenarios at its beginning those that failed by the ego's fault, which is a
+            collision that it answers for, alone or with the NPC.
+        random_otherwise: those of them that failed in any other way, such as by a check or an error of the ADS.
         random_runs: all of those that say something of the ego.
         drawn: from what the scenarios were drawn, in one line.
         coverage: one line on the instructions that the runs came to.
@@ -186,6 +208,7 @@ class SearchRecord:
     unsaved: Mapping[str, int] = field(default_factory=dict)
     known: Mapping[str, int] = field(default_factory=dict)
     random_failing: int = 0
+    random_otherwise: int = 0
     random_runs: int = 0
     drawn: str = ""
     coverage: str = ""

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.options import is_page_file
+from pytest_pafot.findings.severity import worst_first
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.markup import finding_keys
 from pytest_pafot.report.page import render_page
@@ -22,8 +23,6 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 
 PAGE = "index.html"
-ORDER = ("ego", "both", "npc", "none")
-"""Of findings by responsibility: what the policy answers for comes first."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -117,10 +116,10 @@ def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
             yield re.sub(r"[^A-Za-z0-9._-]", "_", key) + ".png", animate(finding)
 
 
-def _rank(finding: FindingView) -> tuple[bool, int, int, str]:
-    """New before known, by responsibility, the most frequent first."""
-    who = ORDER.index(finding.responsibility) if finding.responsibility in ORDER else len(ORDER)
-    return not finding.label.startswith(NEW), who, -finding.runs, finding.node_id
+def _rank(finding: FindingView) -> tuple[Any, ...]:
+    """New before known, by responsibility, the worst first, then the most frequent."""
+    worst = worst_first(finding.responsibility, finding.severity)
+    return not finding.label.startswith(NEW), *worst, -finding.runs, finding.node_id
 
 
 def _counts(findings: Sequence[object], errors: Sequence[object]) -> str:

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from typing import Any
 
 from pytest_pafot.campaign.events import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.findings.severity import Severity, worst_first
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.model.scenario import PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
@@ -49,12 +51,22 @@ class ReplaySummary:
     """How an item's replay went: ``fixed``, ``still failing``, ``drifted`` or ``flaky``; what differs, or empty.
 
     Beside a reference ``against`` which it was run, also ``introduced``, ``common`` or ``fixed before``.
+
+    Attributes:
+        id: of the finding where it fails and is not accepted; empty otherwise.
+        severity: of that failure; None where nothing measures it.
+        responsible: for the collision, as in the file.
+        worse: which finding is worse than in the reference, and by how much; empty where it is not.
     """
 
     node_id: str
     label: str
     detail: str = ""
     against: str = ""
+    id: str = ""
+    severity: Severity | None = None
+    responsible: str = "none"
+    worse: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,15 +182,20 @@ def speed_sentences(finding: Finding) -> list[str]:
 
 def failure_line(search: SearchSummary) -> str:
     """Why a searching item fails, in one line."""
-    ids = [*(find.id for find in search.finds), *search.unsaved]
+    ids = [*(find.id for find in _worst_first(search.finds)), *search.unsaved]
     return f"{plural(len(ids), 'new finding')}: {_listed(ids, MAX_NAMED)}"
+
+
+def _worst_first(finds: Iterable[Find]) -> list[Find]:
+    """Return finds of one search in the order in which all lists have them."""
+    return sorted(finds, key=lambda each: (*worst_first(each.responsible, each.severity), -each.repeats, each.node_id))
 
 
 def failure_message(search: SearchSummary) -> str:
     """Why a searching item fails: its new finds, each of which is reported as an item of its own."""
     firm, flaky = [], []
-    for find in search.finds:
-        name = f"{find.id} ({plural(1 + find.repeats, 'run')})"
+    for find in _worst_first(search.finds):
+        name = f"{find.id} ({plural(1 + find.repeats, 'run')}{'' if find.severity is None else f', {find.severity}'})"
         if find.is_flaky:
             flaky.append(f"  {name} is flaky, so never called fixed: {find.difference}")
         else:
@@ -200,7 +217,8 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
     failing, random = search.random
     if random:
         share = interval_text(failing, random)
-        texts.append(f"random scenarios: {failing} of {random} failed by the ego's fault, {share}")
+        others = f"; {search.random_otherwise} failed otherwise" if search.random_otherwise else ""
+        texts.append(f"random scenarios: {failing} of {random} failed by the ego's fault, {share}{others}")
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     texts += [f"warning: {warning}" for warning in search.warnings]
@@ -269,7 +287,37 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
         introduced = plural(found + labels["introduced"], "failure")
         text = f"against {name}: introduces {introduced}, fixes {labels['fixed']}, {labels['common']} as before"
         lines += wrapped_to(text, width)
+        worse = [each.worse for each in session.replays if each.against == name and each.worse]
+        if worse:
+            count = f"{len(worse)} of {plural(labels['common'], 'failure')} in common became worse"
+            lines += wrapped_to(f"{count}: {'; '.join(worse[:MAX_REPLAYS])}", width)
     return lines
+
+
+def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
+    """Return all failures of a session, the worst first: new ones, then known ones; empty below two of them.
+
+    In each of the two, what the ego answers for comes first.
+    """
+    listed: list[tuple[tuple[Any, ...], str]] = []
+    for find in (find for search in session.searches for find in search.finds):
+        worst = worst_first(find.responsible, find.severity)
+        listed.append(((0, *worst, -find.repeats, find.node_id), _measured("new", find)))
+    for replay in (replay for replay in session.replays if replay.id):
+        worst = worst_first(replay.responsible, replay.severity)
+        listed.append(((replay.label != "introduced", *worst, 0, replay.node_id), _measured(replay.label, replay)))
+    if len(listed) < 2:
+        return []
+    lines = [line for _, text in sorted(listed)[:MAX_FINDS] for line in wrapped_to(f"  {text}", width)]
+    more = [f"  ... and {len(listed) - MAX_FINDS} more"] if len(listed) > MAX_FINDS else []
+    return ["failures, the worst first:", *lines, *more]
+
+
+def _measured(label: str, failure: Find | ReplaySummary) -> str:
+    """Return what a failure is called, how bad it is, and whether the ego answers for it."""
+    how = "has no measure" if failure.severity is None else str(failure.severity)
+    who = {"ego": ", ego at fault", "both": ", both at fault"}.get(failure.responsible, "")
+    return f"{label}: {failure.id} {how}{who}"
 
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
@@ -279,7 +327,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
         lines += search_lines(search, verbose=verbose, width=width)
     for node_id in session.interrupted:
         lines += [node_id, *_wrapped("ended before its time; what it found is reported", width)]
-    lines += [*replay_lines(session.replays, width), *against_lines(session, width)]
+    lines += [*replay_lines(session.replays, width), *against_lines(session, width), *worst_lines(session, width)]
     for folder, count in session.removed:
         lines.append(f"removed: {plural(count, 'saved scenario')} of no test in {folder}")
     for way_out, orphans in groupby(session.orphans, key=lambda orphan: LEFT_ALONE if session.pruned else orphan[2]):

@@ -29,7 +29,35 @@ def test_all_scenarios_of_a_random_search_are_counted_that_say_something_of_the_
     assert found.summary.random == (len(at_fault), len(valid))
     assert 0 < len(at_fault) < len(valid)
     told = " ".join(search_lines(found.summary))
+    by_npcs = sum(each.run.responsibility == "npc" for each in valid)
+    assert by_npcs == found.summary.random_otherwise > 0
+    assert f" %); {by_npcs} failed otherwise" in told
     assert f"random scenarios: {len(at_fault)} of {len(valid)} failed by the ego's fault, " in told
+
+
+def is_smooth(run):
+    pafot.check(abs(run.ego.jerk), name="jerk", at_most=-1.0)
+
+
+def is_short(run):
+    pafot.check(len(run.npcs), name="npcs", at_most=1)
+    assert not run.collision
+
+
+@pytest.mark.parametrize("holds", [is_smooth, is_short])
+def test_a_failed_check_is_no_fault_of_the_ego_unless_it_caused_a_collision(holds):
+    judged = []
+    found = pafot.explore(
+        constant_speed.make, holds=holds, seed=5, shrink_rollouts=0, gene_seconds=5.0, genes=2, blame="any", runs=20,
+        algorithm="random", on_event=lambda event: judged.append(event) if isinstance(event, Judged) else None,
+    )  # fmt: skip
+    runs = {each.run.trace.scenario.id: each.run for each in judged if each.verdict.failed}.values()
+    collided = sum(run.collision is not None and run.responsibility != "npc" for run in runs)
+    assert found.summary.random[0] == collided
+    assert found.summary.random_otherwise == len(runs) - collided > 0
+    told = " ".join(search_lines(found.summary))
+    assert " failed by the ego's fault, " in told
+    assert told.count(f"; {len(runs) - collided} failed otherwise") == 1
 
 
 def test_a_search_that_ended_for_its_findings_before_it_ran_all_of_them_says_nothing_of_their_share():

@@ -28,7 +28,7 @@ def test_a_find_is_announced_while_the_search_runs_and_its_report_has_the_file(f
     result.stdout.fnmatch_lines(
         [
             f"pafot: found test_it.py::test_fails[[]saved-{failing.only_id}[]]",
-            "  collision after 8.0 s: NPC 1 ahead, NPC at fault",
+            "  collision after 8.0 s at 5.8 m/s: NPC 1 ahead, NPC at fault",
             "FF*",
             f"saved as   {failing.files[0]}",
         ]

@@ -165,6 +165,7 @@ def test_junit_has_seed_id_signature_and_file_of_a_search_its_find_and_a_replay(
     find = load(failing.only_file)
     search, found = properties(failing).values()
     told = {"pafot_id": find.id, "pafot_signature": find.signature.text, "pafot_file": failing.files[0]}
+    told["pafot_severity"] = "none"  # of an assertion on how long the run takes
     assert search == found == {"pafot_seed": str(find.found.seed), "pafot_base_seed": "1", **told}
     failing.run("--junitxml=junit.xml", generations=0)
     replay = properties(failing)[f"test_fails[saved-{find.id}]"]

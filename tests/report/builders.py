@@ -3,7 +3,7 @@
 import math
 from dataclasses import fields, is_dataclass
 from functools import cache
-from typing import Union, get_args, get_origin, get_type_hints
+from typing import Literal, Union, get_args, get_origin, get_type_hints
 
 from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import strategies as st
@@ -135,6 +135,8 @@ def values_of(kind, leaves=None):
         return st.tuples(*(values_of(argument, leaves) for argument in arguments))
     if get_origin(kind) is Union or type(kind).__name__ == "UnionType":
         return st.none() | values_of(next(each for each in arguments if each is not type(None)), leaves)
+    if get_origin(kind) is Literal:
+        return st.sampled_from(arguments)
     raise TypeError(kind)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from pytest_pafot.findings.severity import Severity
 from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
@@ -39,21 +40,23 @@ def test_findings_of_one_id_have_files_of_their_own_and_names_that_any_system_ta
 
 
 RANKED = [
-    ("b1", "new", "ego", 9),
-    ("b2", "still failing", "ego", 9),  # known, but of the test that comes first
-    ("a1", "new (flaky: the outcome)", "ego", 2),
-    ("a2", "new", "both", 9),
-    ("a3", "new", "npc", 9),
-    ("a4", "new", "none", 9),
-    ("a5", "new", "nobody can tell", 9),
-    ("a6", "still failing", "ego", 9),
+    ("b1", "new", "ego", 9, 12.0),
+    ("b2", "still failing", "ego", 9, 30.0),  # known, but of the test that comes first
+    ("a1", "new (flaky: the outcome)", "both", 2, 10.0),
+    ("a2", "new", "ego", 9, 3.0),
+    ("a3", "new", "ego", 9, None),
+    ("a4", "new", "npc", 1, 20.0),
+    ("a5", "new", "none", 9, None),
+    ("a6", "new", "nobody can tell", 4, None),
+    ("a7", "still failing", "ego", 9, 30.0),
 ]
-"""Name, of which the first letter is the test's; label, responsibility and runs."""
+"""Name, of which the first letter is the test's; label, responsibility, runs and closing speed."""
 
 
-def shown(name="a1", label="new", responsibility="ego", runs=1):
+def shown(name="a1", label="new", responsibility="ego", runs=1, closing=None):
+    severity = None if closing is None else Severity(kind="collision", value=closing, unit="m/s")
     more = {"node_id": name, "test": name[0], "label": label, "responsibility": responsibility, "runs": runs}
-    return replace(real_report().findings[0], **more)
+    return replace(real_report().findings[0], severity=severity, **more)
 
 
 def report_of(draft, findings=(), *, errors=(), is_interrupted=False):
@@ -63,7 +66,7 @@ def report_of(draft, findings=(), *, errors=(), is_interrupted=False):
 
 
 @table("told", [RANKED, RANKED[::-1], RANKED[3:] + RANKED[:3]])
-def test_findings_stand_by_test_then_new_before_known_then_by_who_answers_for_them_then_by_frequency(told):
+def test_findings_stand_by_test_then_new_before_known_then_the_ego_s_fault_first_then_the_worst(told):
     report = report_of(Draft(target="x"), [shown(*each) for each in told])
     assert [finding.node_id for finding in report.findings] == [name for name, *_ in RANKED]
 

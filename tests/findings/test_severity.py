@@ -1,0 +1,164 @@
+"""How bad a failure is: figures by laws of mechanics and by hand, an order that is total, and what became worse."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.findings.severity import Severity, severity_of, worsening, worst_first
+from pytest_pafot.findings.signature import CHECK_FAILED, SLOW_DECISION, Failure
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome, Y
+from pytest_pafot.oracle.checks import Check, CheckFailed, check
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.world import Highway
+from tests.helpers.tables import table
+from tests.helpers.traces import collision_at, trace_of, vehicle
+
+CRASHED = Failure(kind="AssertionError", assertion="assert not run.collision")
+HIT = Severity(kind="collision", value=9.8, unit="m/s")
+JERK = Severity(kind="check", value=15.1, unit="m/s^3", margin=-0.755, name="jerk")
+
+
+def crash(closing=9.8, **fields):
+    ego, npc = vehicle(0.0, speed=20.0, ticks=9), vehicle(30.0, speed=10.0, ticks=9)
+    hit = replace(collision_at(9), closing_speed=closing)
+    return Run(trace_of(ego, npc, outcome=Outcome.COLLISION, collision=hit, **fields))
+
+
+def failed(value, **bounds):
+    with pytest.raises(CheckFailed) as raised:
+        check(value, name="jerk", unit="m/s^3", **bounds)
+    made = raised.value.check
+    return Failure(kind=CHECK_FAILED, message=str(made), assertion=made.name, check=made)
+
+
+@pytest.mark.parametrize("steering", [0.05, 0.2])
+def test_a_collision_is_measured_by_where_both_would_be_a_tick_later(steering):
+    """The ego turns its wheels towards the NPC beside it, and moves to where these lead, not to where it points."""
+    scenario = Scenario(npcs=[[PositionInstruction(4, 22.0)]], ego_lane=1, ego_speed=22.0)
+    trace = Highway().rollout(scenario, lambda: lambda seen: (0.0, steering if seen.time > 8.0 else 0.0))
+    before, last = np.diff(trace.states[-3:, :2, : Y + 1], axis=0) * trace.physics_hz
+    ego, npc = 2 * last - before  # of the next tick, as if there had been no contact
+    (speed, other), course = (
+        np.hypot(*np.transpose([ego, npc])),
+        np.arctan2(ego[1], ego[0]) - np.arctan2(npc[1], npc[0]),
+    )
+    by_cosines = math.sqrt(speed**2 + other**2 - 2 * speed * other * math.cos(course))
+    assert severity_of(Run(trace), CRASHED).value == pytest.approx(by_cosines, rel=0.01)
+
+
+@given(st.floats(0, 60), st.floats(0, 60), st.floats(-math.pi, math.pi))
+def test_delta_v_is_that_of_equal_masses_which_keep_their_momentum_and_stay_together(speed, other, angle):
+    first, second = np.array([speed, 0.0]), other * np.array([math.cos(angle), math.sin(angle)])
+    together = (1500.0 * first + 1500.0 * second) / 3000.0
+    severity = Severity(kind="collision", value=float(np.linalg.norm(first - second)), unit="m/s")
+    assert severity.delta_v == pytest.approx(np.linalg.norm(together - first), abs=1e-3)
+    assert severity.delta_v == pytest.approx(np.linalg.norm(together - second), abs=1e-3)
+
+
+@table(
+    ("value", "bounds", "by", "margin"),
+    [
+        (35.1, {"at_most": 20.0}, 15.1, -0.755),
+        (0.3, {"at_least": 0.5}, 0.2, -0.4),
+        (-1.0, {"at_least": 0.0, "at_most": 9.0}, 1.0, -1.0),
+        (12.0, {"at_least": 0.0, "at_most": 9.0}, 3.0, -1 / 3),
+        (12.0, {"at_most": 9.0, "scale": 6.0}, 3.0, -0.5),
+    ],
+)
+def test_a_failed_check_is_measured_by_how_much_its_bound_is_broken(value, bounds, by, margin):
+    severity = severity_of(crash(), failed(value, **bounds))
+    assert (severity.kind, severity.name, severity.unit) == ("check", "jerk", "m/s^3")
+    assert (severity.value, severity.margin) == (pytest.approx(by), pytest.approx(margin, rel=1e-5))
+    assert severity.delta_v is None
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_check_without_a_finite_number_is_worse_than_any_other_and_better_than_a_collision(value):
+    worst = severity_of(crash(), failed(value, at_most=1.0))
+    assert worst.value is worst.margin is None
+    assert str(worst) == "breaks jerk by no finite number m/s^3"
+    assert replace(JERK, margin=-1e9, value=1e9) < worst < replace(HIT, value=0.0)
+
+
+@table(
+    ("failure", "run"),
+    [
+        (CRASHED, Run(trace_of(vehicle(0.0, ticks=3), vehicle(30.0, ticks=3)))),
+        (Failure(kind="AssertionError", assertion="assert run.duration < 1"), crash()),
+        (Failure(kind=SLOW_DECISION, message="a decision took 0.5 s"), crash()),
+        (Failure(kind="KeyError", message="'x'"), Run(trace_of(vehicle(0.0, ticks=3), outcome=Outcome.OFF_ROAD))),
+    ],
+)
+def test_what_is_neither_a_collision_nor_a_check_has_no_measure(failure, run):
+    assert severity_of(run, failure) is None
+
+
+def severities():
+    figures = st.sampled_from([0.0, 0.1, 0.5, 1.0, 20.0])
+    collisions = st.builds(Severity, kind=st.just("collision"), value=figures, unit=st.just("m/s"))
+    words = {"unit": st.sampled_from(["", "m"]), "name": st.sampled_from(["a", "b"])}
+    margins = figures.map(lambda figure: -figure)
+    checks = st.builds(Severity, kind=st.just("check"), value=figures, margin=margins, **words)
+    return collisions | checks | st.builds(Severity, kind=st.just("check"), value=st.none(), **words)
+
+
+@given(severities(), severities(), severities())
+def test_the_order_is_total(one, two, three):
+    for first, second in itertools.product((one, two, three), repeat=2):
+        assert (first < second) + (first == second) + (first > second) == 1
+    ranked = [sorted(each) for each in itertools.permutations((one, two, three))]
+    assert all(each == ranked[0] for each in ranked)
+
+
+@given(st.permutations(range(7)))
+def test_the_worst_comes_first_after_what_the_ego_answers_for(order):
+    small = replace(JERK, value=900.0, margin=-0.1)
+    ranked = [
+        ("both", HIT), ("ego", replace(HIT, value=3.0)), ("ego", JERK), ("npc", replace(HIT, value=30.0)),
+        ("none", JERK), ("none", small), ("none", None),
+    ]  # fmt: skip
+    assert sorted((ranked[index] for index in order), key=lambda each: worst_first(*each)) == ranked
+
+
+@table(
+    ("now", "before", "told"),
+    [
+        (replace(HIT, value=12.1), replace(HIT, value=8.0), "hits at 12.1 m/s, 8.0 before"),
+        (HIT, None, "hits at 9.8 m/s, no collision before"),
+        (HIT, JERK, "hits at 9.8 m/s, no collision before"),
+        (JERK, replace(JERK, value=3.2, margin=-0.16), "breaks jerk by 15.1 m/s^3, 3.2 before"),
+        (HIT, HIT, ""),
+        (HIT, replace(HIT, value=9.75), ""),
+        (replace(HIT, value=8.0), HIT, ""),
+        (JERK, HIT, ""),
+        (JERK, replace(JERK, name="gap", margin=-0.1), ""),
+        (JERK, None, ""),
+        (None, HIT, ""),
+    ],
+)
+def test_worse_is_only_what_compares_and_differs_by_what_can_be_seen(now, before, told):
+    assert worsening(now, before) == told
+
+
+def test_data_for_programs_comes_back_with_the_delta_v_beside_it():
+    assert HIT.data() == {
+        "kind": "collision", "value": 9.8, "unit": "m/s", "margin": None, "name": "", "delta_v": 4.9,
+    }  # fmt: skip
+    assert [Severity.of_data(each.data()) for each in (HIT, JERK)] == [HIT, JERK]
+
+
+def test_what_is_read_has_what_follows_from_it():
+    assert HIT.described == "hits at 9.8 m/s (delta-v 4.9 m/s)"
+    assert JERK.described == "breaks jerk by 15.1 m/s^3 (margin -0.755)"
+
+
+def test_a_check_of_more_than_one_value_is_measured_by_the_one_that_it_names():
+    made = Check(name="gap", value=0.4, margin=-0.2, at_least=0.5, unit="m", time=3.0)
+    severity = severity_of(crash(), Failure(kind=CHECK_FAILED, assertion="gap", check=made))
+    assert str(severity) == "breaks gap by 0.1 m"
