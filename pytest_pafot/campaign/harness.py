@@ -146,11 +146,14 @@ class Harness:
         if check.time is None:
             return None
 
-        def keeps(taken: Trace) -> bool:
-            made = [each for each in self.judge(self.seen(taken)).checks if each.name == check.name]
-            return bool(made) and all(each.holds for each in made)
-
         until = min(round(check.time * run.trace.physics_hz), run.trace.ticks)
+
+        def keeps(taken: Trace) -> bool:
+            # Whoever is to blame for a later collision, the function is asked; an earlier one shows nothing.
+            asked = judge(self.seen(taken), self.test, blame="any", test_file=self.test_file)
+            made = [each for each in asked.checks if each.name == check.name]
+            return taken.ticks >= until and bool(made) and all(each.holds for each in made)
+
         return last_decision(run.trace, until, take_over, keeps)
 
     def judge_trace(self, world: Any, trace: Trace) -> Verdict:

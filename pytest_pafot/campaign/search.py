@@ -361,7 +361,7 @@ class Search:
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         finds = [kept.find for kept in loop.recorder.kept.values()]
         # An error says nothing of the ego, and random scenarios that end with the first failure say too much.
-        notes = (loop.doubt, self._unused, loading_hint(self.harness.ads) if loop.runs else "")
+        notes = (loop.doubt, loop.known_alone, self._unused, loading_hint(self.harness.ads) if loop.runs else "")
         beginning = self.sessions.beginning
         is_cut_short = reason == "error" or (reason == "enough findings" and not beginning.is_whole)
         return SearchSummary(

@@ -16,7 +16,7 @@ from pytest_pafot.campaign.verdict import worst_margins
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.signature import Signature
+from pytest_pafot.findings.signature import CHECK_FAILED, Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
@@ -24,6 +24,7 @@ from pytest_pafot.searching import events
 from pytest_pafot.searching.evaluation import Evaluation, interaction_of
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support.text import plural
 
 # What a search reads from every run, read in the process that has made it, so that this one need not.
 
@@ -83,9 +84,19 @@ class SearchLoop:
         return self.counted
 
     @property
+    def known_alone(self) -> str:
+        """That all that failed are checks whose failures are saved; empty where anything else failed, or nothing."""
+        checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
+        if not self.known or self.known.total() < self.verdicts["failed"] or not checks.issuperset(self.known):
+            return ""
+        names = " and ".join(f"saved-{id_}" for id_ in sorted(self.known))
+        which = "a failed check" if len(self.known) == 1 else "failed checks"
+        return f"all {plural(self.known.total(), 'failing run')} are known, by {names}, {which}; nothing else failed"
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """The search's health, and whether the test function was asked at all, and kept to itself what failed."""
-        warnings = self.health.warnings()
+        warnings = self.health.warnings(self.known.total())
         excused = self.verdicts["npc"] + self.verdicts["unpreventable"]
         if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
             blame, what = self.simulation.harness.request.blame, "collisions that an NPC is responsible for"

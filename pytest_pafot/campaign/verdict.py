@@ -157,7 +157,7 @@ def headline(run: Run, verdict: Verdict) -> str:
     line = collision_in_short(run) or run.explain().splitlines()[0]
     first = verdict.failure.message.partition("\n")[0].strip() if verdict.failure is not None else ""
     is_bare = run.collision is not None and first.startswith("assert ")
-    if is_bare or not first or line.partition(":")[0] in first:
+    if is_bare or not first or line.partition(":")[0].partition(" at ")[0] in first:
         return line
     kind = "" if isinstance(verdict.exception, AssertionError) else f"{type(verdict.exception).__name__}: "
     return f"{kind}{first[:120]} ({line})"

@@ -56,11 +56,16 @@ class Severity:
         return f"hits at {figure}" if self.kind == "collision" else f"breaks {self.name} by {figure}"
 
     @property
-    def described(self) -> str:
-        """What happens, and what that is beside: the delta-v of a collision, the margin of a check."""
+    def further(self) -> str:
+        """What a headline does not say: the delta-v of a collision; by how much a check is broken, and its margin."""
         if self.delta_v is not None:
-            return f"{self} (delta-v {self.delta_v:.1f} m/s)"
-        return str(self) if self.margin is None else f"{self} (margin {self.margin:.3g})"
+            return f"delta-v {self.delta_v:.1f} m/s"
+        by = f"by {self.figure} {self.unit}".rstrip()
+        return "no finite number" if self.margin is None else f"{by}, margin {self.margin:.3g}"
+
+    def is_fault(self, responsible: str) -> bool:
+        """Whether it is a collision that the ego answers for, alone or with the NPC."""
+        return self.kind == "collision" and responsible in ("ego", "both")
 
     def data(self) -> dict[str, Any]:
         """The fields and the delta-v, for programs."""
@@ -109,14 +114,14 @@ def _of_check(check: Check) -> Severity:
 
 
 def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:
-    """Return a key by which findings are sorted: those with a collision that the ego answers for, then others.
+    """Return a key by which findings are sorted: collisions that the ego answers for, then others.
 
-    It answers for what is called ``ego`` or ``both``. In each of the two the worst comes first, and what nothing
-    measures last. Whoever sorts puts before the key what must come first anyway, and behind it what decides between
-    findings that are as bad.
+    In each of the two the worst comes first, and what nothing measures last. Whoever sorts puts before the key what
+    must come first anyway, and behind it what decides between findings that are as bad.
     """
-    figures = (0, 0.0, 0.0) if severity is None else severity.figures
-    return responsible not in ("ego", "both"), *(-each for each in figures)
+    if severity is None:
+        return 1, 0, 0.0, 0.0
+    return not severity.is_fault(responsible), *(-each for each in severity.figures)
 
 
 def worsening(now: Severity | None, before: Severity | None) -> str:

@@ -86,7 +86,7 @@ def set_of_saved(item: pytest.Item, saved: Saved) -> None:
 
 def severity_text(severity: Severity | None) -> str:
     """How bad a failure is, as a property."""
-    return "none" if severity is None else severity.described
+    return "none" if severity is None else str(severity)
 
 
 def of_findings(findings: Iterable[tuple[Finding, str, Severity | None]]) -> dict[str, str]:

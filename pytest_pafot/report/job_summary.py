@@ -104,7 +104,7 @@ def _finding_lines(finding: FindingRecord) -> Iterator[str]:
         severity = Severity.of_data(finding.severity)
         before = None if finding.severity_before is None else Severity.of_data(finding.severity_before)
         worse = "" if before is None else worsening(severity, before)
-        told.append(f"worse: {plain(worse)}" if worse else plain(severity.described))
+        told.append(f"worse: {plain(worse)}" if worse else plain(severity.further))
     told += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
     told += [plain(finding.unshrunk)] if finding.unshrunk else []
     if finding.xfail is not None and finding.result == "xfailed":

@@ -315,9 +315,10 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
 
 def _measured(label: str, failure: Find | ReplaySummary) -> str:
     """Return what a failure is called, how bad it is, and whether the ego answers for it."""
-    how = "has no measure" if failure.severity is None else str(failure.severity)
-    who = {"ego": ", ego at fault", "both": ", both at fault"}.get(failure.responsible, "")
-    return f"{label}: {failure.id} {how}{who}"
+    if failure.severity is None:
+        return f"{label}: {failure.id} has no measure"
+    who = f", {failure.responsible} at fault" if failure.severity.is_fault(failure.responsible) else ""
+    return f"{label}: {failure.id} {failure.severity}{who}"
 
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:

@@ -178,8 +178,11 @@ class Health:
         """Of the genes started, those whose cell was reached; 0 when none was started."""
         return _share(self.genes_reached, self.genes_started)
 
-    def warnings(self) -> list[str]:
-        """What makes the search doubtful, in sentences that say what to do; empty when it is well."""
+    def warnings(self, known: int = 0) -> list[str]:
+        """What makes the search doubtful, in sentences that say what to do; empty when it is well.
+
+        So many of its runs failed in a way that is known: an ego that stands in these needs no other units.
+        """
         if self.simulated == 0:
             return ["no scenario was simulated, so nothing was tested; give the search generations and time"]
         found = []
@@ -201,8 +204,8 @@ class Health:
                 "than the ego's speed"
             )
         useless = (self.no_interaction, self.outran, self.barely_moved, self.immediate)
-        for count, (what, remedy) in zip(useless, USELESS, strict=True):
-            if _share(count, self.valid) > MAX_USELESS_SHARE:
+        for count, spared, (what, remedy) in zip(useless, (0, 0, known, known), USELESS, strict=True):
+            if _share(count - spared, self.valid) > MAX_USELESS_SHARE:
                 found.append(f"{_percent(count, self.valid)} valid runs {what}; {remedy}")
         return found
 

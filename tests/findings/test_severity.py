@@ -120,8 +120,8 @@ def test_the_order_is_total(one, two, three):
 def test_the_worst_comes_first_after_what_the_ego_answers_for(order):
     small = replace(JERK, value=900.0, margin=-0.1)
     ranked = [
-        ("both", HIT), ("ego", replace(HIT, value=3.0)), ("ego", JERK), ("npc", replace(HIT, value=30.0)),
-        ("none", JERK), ("none", small), ("none", None),
+        ("both", HIT), ("ego", replace(HIT, value=3.0)), ("npc", replace(HIT, value=30.0)),
+        ("none", replace(JERK, margin=-0.8)), ("ego", JERK), ("none", small), ("none", None),
     ]  # fmt: skip
     assert sorted((ranked[index] for index in order), key=lambda each: worst_first(*each)) == ranked
 
@@ -154,8 +154,8 @@ def test_data_for_programs_comes_back_with_the_delta_v_beside_it():
 
 
 def test_what_is_read_has_what_follows_from_it():
-    assert HIT.described == "hits at 9.8 m/s (delta-v 4.9 m/s)"
-    assert JERK.described == "breaks jerk by 15.1 m/s^3 (margin -0.755)"
+    assert (str(HIT), HIT.further) == ("hits at 9.8 m/s", "delta-v 4.9 m/s")
+    assert (str(JERK), JERK.further) == ("breaks jerk by 15.1 m/s^3", "by 15.1 m/s^3, margin -0.755")
 
 
 def test_a_check_of_more_than_one_value_is_measured_by_the_one_that_it_names():

@@ -1,9 +1,11 @@
 """A session against a reference: options, files, labels of saved scenarios, and the summary."""
 
+import json
 import sys
 
 import pytest
 
+from pytest_pafot.campaign import saved_scenario
 from pytest_pafot.corpus.reader import load
 
 KEEPS = "def make():\n    return lambda observation: (0.0, 0.0)\n"
@@ -55,6 +57,33 @@ def test_a_saved_scenario_is_labelled_by_what_both_do_in_it(changed):
         result = changed.run(AGAINST, generations=0)
         result.assert_outcomes(skipped=1, **{"failed" if now is SPEEDS else "passed": 1})
         result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}", f"against planner_before:make: {told}"])
+
+
+CRASHES = """
+@pafot.search(npcs=1, genes=2, gene_seconds=10, blame="ego", ads=planner.make, shrink_rollouts=0, stop_after=1)
+def test_never_collides(run):
+    assert not run.collision
+"""
+
+
+def test_what_both_fail_says_where_the_policy_hits_harder_than_the_reference(project):
+    project.write("import planner\n" + CRASHES)
+    brakes = KEEPS.replace("0.0, 0.0", "-1.0, 0.0")
+    policies(project, KEEPS, brakes)
+    project.run(generations=4)
+    saved = saved_scenario.load(project.only_file)
+    speeds = [
+        saved.replay(lambda policy=policy: lambda seen: (policy, 0.0)).collision.closing_speed for policy in (0.0, -1.0)
+    ]
+    assert speeds[0] > speeds[1] + 1.0
+    result = project.run(AGAINST, "--pafot-json=pafot.json", generations=0)
+    worse = f"hits at {speeds[0]:.1f} m/s, {speeds[1]:.1f} before"
+    result.stdout.fnmatch_lines([f"1 of 1 failure in common became worse: {saved.id} {worse}"])
+    told = json.loads((project.path / "pafot.json").read_text())["findings"][0]
+    assert [told[key]["value"] for key in ("severity", "severity_before")] == pytest.approx(speeds, abs=1e-3)
+    assert worse in told["detail"]
+    policies(project, brakes, KEEPS)
+    project.run(AGAINST, generations=0).stdout.no_fnmatch_line("*became worse*")
 
 
 def test_without_the_reference_a_saved_scenario_is_replayed_as_any_other(changed):

@@ -27,6 +27,33 @@ def test_parked(run):
     result.stdout.fnmatch_lines(["health warnings (--pafot-strict-health):*"])
 
 
+STOPS = """
+class Stops:
+    near = False
+
+    def __call__(self, observation):
+        self.near |= observation.time > 0.3 and any(abs(v.x - observation.ego.x) < 99 for v in observation.others)
+        return (-8.0 if self.near else 0.5 * (20.0 - observation.ego.speed)), 0.0
+
+@pafot.search(npcs=1, genes=6, gene_seconds=10, ads=lambda: Stops(), shrink_rollouts=0)
+def test_keeps_up(run):
+    pafot.check(run.ego.speed.mean(), name="pace", at_least=5.0)
+"""
+
+
+def test_a_search_that_is_left_with_a_known_check_says_so_and_nothing_of_units(project):
+    project.write(STOPS)
+    first = project.run(generations=3)
+    first.stdout.fnmatch_lines(["  warning: * mean speed below 2 m/s; check that the ADS returns accelerations*"])
+    first.stdout.no_fnmatch_line("*nothing else failed")
+    result = project.run(generations=3, seed=2)
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(
+        ["  note: all * failing runs are known, by saved-pace-*, a failed check; nothing else failed"]
+    )
+    result.stdout.no_fnmatch_line("*accelerations in m/s^2*")
+
+
 def test_an_ego_that_collides_before_anybody_can_have_caused_it_is_a_health_warning(project):
     project.write(
         """

@@ -1,0 +1,50 @@
+"""The last chance of a finding is about what failed: a check, and not the collision in the same run."""
+
+import numpy as np
+import pytest
+
+import pytest_pafot as pafot
+from example_ads import constant_speed
+from pytest_pafot.world import Highway
+
+WORLD = Highway(duration=20.0)
+
+
+def keeps_headway(run):
+    pafot.check(run.headway, name="headway", at_least=0.4)
+
+
+def covers_ground(run):
+    pafot.check(run.min_distance, name="distance", at_least=0.1)
+
+
+def has_headway(run):
+    assert run.headway.min() > 0.4
+
+
+def first(holds):
+    """The first finding of a search with a collision in it, and its run."""
+    found = pafot.explore(
+        constant_speed.make, holds=holds, world=WORLD, seed=5, runs=30, genes=2, shrink_rollouts=0, blame="ego"
+    )
+    return next(told for told in found.told if told.run.responsibility == "ego")
+
+
+def test_it_is_the_last_decision_from_which_the_driver_keeps_the_check():
+    told = first(keeps_headway)
+    chance, trace = told.finding.expect.last_chance, told.run.trace
+    every = trace.physics_hz // trace.ads_hz
+    kept = [
+        tick
+        for tick in range(0, trace.ticks, every)
+        if np.min(pafot.Run(WORLD.take_over(trace, tick, "careful-human")).headway) >= 0.4
+    ]
+    assert chance.time == pytest.approx(max(kept) / trace.physics_hz, abs=1e-3)
+    assert chance.time < told.run.last_chance.time  # to keep away takes longer than not to touch
+
+
+@pytest.mark.parametrize("holds", [covers_ground, has_headway])
+def test_none_is_told_of_what_has_no_moment_and_of_an_assertion_on_a_measure(holds):
+    told = first(holds)
+    assert told.run.last_chance is not None
+    assert told.finding.expect.last_chance is None
