@@ -45,7 +45,7 @@ def test_the_summary_says_in_one_line_each_what_was_found(explained, monkeypatch
         monkeypatch.setenv("CI", "1")
     first, second = summary(search(explained))
     assert first == f"1 new finding: {explained.only_id}"
-    assert re.fullmatch(r"collision after \d+\.\d s: NPC \d ahead, ego at fault", second)
+    assert re.fullmatch(r"collision after \d+\.\d s at \d+\.\d m/s: NPC \d ahead, ego at fault", second)
 
 
 def test_under_ci_the_summary_has_no_line_without_a_test(explained, monkeypatch):

@@ -5,6 +5,7 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.findings.severity import Severity
 from pytest_pafot.report.job_summary import MAX_LISTED, code, markdown, plain
 from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
 from tests.helpers.hostile import CHARACTERS
@@ -56,6 +57,28 @@ def test_what_is_found_known_and_fixed_is_counted_and_listed_with_how_to_replay_
   <br>`python -m pytest corpus/c.pafot.yaml`
 """
     )
+
+
+def hits(speed):
+    return Severity(kind="collision", value=speed, unit="m/s").data()
+
+
+def test_each_group_has_the_worst_first_after_what_the_ego_answers_for():
+    jerk = Severity(kind="check", value=15.1, unit="m/s^3", margin=-0.755, name="jerk").data()
+    findings = [
+        finding("a", severity=jerk, responsible="ego"),
+        finding("b", severity=hits(3.0), responsible="both"),
+        finding("c"),
+        finding("d", severity=hits(30.0), responsible="npc"),
+        finding("e", severity=hits(9.8), responsible="ego"),
+        finding("f", "common", severity=hits(12.1), severity_before=hits(8.0)),
+    ]
+    text = markdown(SessionRecord(findings=findings))
+    listed = re.findall(r"corpus/(\w)\.pafot", text)
+    assert "".join(listed) == "ebdacf"
+    assert "collision after 5.4 s; delta-v 4.9 m/s\n" in text
+    assert "collision after 5.4 s; by 15.1 m/s^3, margin -0.755\n" in text
+    assert "collision after 5.4 s; worse: hits at 12.1 m/s, 8.0 before\n" in text
 
 
 def test_where_nothing_is_found_it_says_so_in_two_lines():

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from pytest_pafot.campaign.events import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect
+from pytest_pafot.findings.severity import Severity
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
 from pytest_pafot.report.terminal import ReplaySummary, SessionSummary
@@ -48,6 +49,30 @@ SEARCH = SearchSummary(
     notes=("cut by --pafot-max-time: the same seed may find other scenarios next time",),
     coverage="reached 8/8 cells, 21/24 ring steps, 6/6 speed bins; requested 8/8, 23/24, 6/6",
 )
+
+
+def test_all_failures_of_a_session_are_listed_the_worst_first_and_new_ones_before_known_ones():
+    hit = Severity(kind="collision", value=4.6, unit="m/s")
+    finds = [
+        replace(FIND, id="other", node_id="t[o]"),
+        replace(FIND, id="slow", severity=hit, responsible="both"),
+        replace(FIND, id="fast", severity=replace(hit, value=12.1), responsible="npc"),
+    ]
+    replays = [
+        ReplaySummary(node_id="t[a]", label="fixed"),
+        ReplaySummary(node_id="t[b]", label="still failing", id="known", severity=replace(hit, value=30.0)),
+        ReplaySummary(node_id="t[c]", label="introduced", id="mine", severity=hit, responsible="ego"),
+    ]
+    session = SessionSummary(searches=[replace(SEARCH, finds=tuple(finds))], replays=replays)
+    assert terminal.worst_lines(session) == [
+        "failures, the worst first:",
+        "  new: slow hits at 4.6 m/s, both at fault",
+        "  introduced: mine hits at 4.6 m/s, ego at fault",
+        "  new: fast hits at 12.1 m/s",
+        "  new: other has no measure",
+        "  still failing: known hits at 30.0 m/s",
+    ]
+    assert terminal.worst_lines(SessionSummary(searches=[SEARCH])) == []
 
 
 def test_a_search_survives_the_way_through_plain_data():
