@@ -96,6 +96,11 @@ FILE_TEXTS: Mapping[str, str] = {
     "there where it means nothing.",
     "expect.check": "What the failed check measured, and its bounds, in its unit: `value`, `at_most`, `at_least`, "
     "`unit`. The assertion is its name then.",
+    "expect.situation": "Where the NPC of the failure was shortly before the ego's mistake, relative to the ego: the "
+    "`npc`, the `time` [s], how far `ahead` its centre was [m], negative behind, its `lane`, counted from the ego's to "
+    "the right, and both speeds, `ego_speed` and `npc_speed` [m/s], of a leader the lowest from then on. A replay that "
+    "passes is a [fix](../explanation/findings.md#what-a-replay-means) only where the situation comes up again. Not "
+    "there where no NPC took part, and in files of before.",
     "expect.last_chance": "When one of them would last have stayed free of fault in the ego's place: `time` [s], the "
     "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad]. Not there where "
     "there is no such moment.",

@@ -63,12 +63,14 @@ EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
     (
         *("assertion", "check", "message", "npc", "cell", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
-        *("reference_drivers", "last_chance", "against", "traceback"),
+        *("situation", "reference_drivers", "last_chance", "against", "traceback"),
     ),
 )
 EXPECT_OF_COLLISION = Keys((*EXPECT.required, "npc", "cell", "side"), EXPECT.optional)
 CHECK = Keys((), ("value", "at_most", "at_least", "unit"))
 """Of ``expect.check``."""
+SITUATION = Keys(("npc", "time", "ahead", "lane", "ego_speed", "npc_speed"))
+"""Of ``expect.situation``."""
 LAST_CHANCE = Keys(("time", "driver", "action", "ego_action"))
 """Of ``expect.last_chance``."""
 
@@ -138,12 +140,14 @@ def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
 def _expect_lines(expect: Expect) -> Iterator[str]:
     """One flow mapping; a block of lines where a text has several lines itself."""
     first = ("failure", "assertion", "check", "message", "outcome", "time", "npc", "cell", "side", "responsibility")
-    order = dict.fromkeys([*first, *(each.name for each in fields(expect) if each.name != "traceback"), "traceback"])
+    names = [each.name for each in fields(expect) if each.name not in ("situation", "traceback")]
+    order = dict.fromkeys([*first, *names, "situation", "traceback"])
     values = {name: getattr(expect, name) for name in order}
     values["check"] = (
         {} if expect.check is None else {k: v for k, v in asdict(expect.check).items() if v not in (None, "")}
     )
-    values["last_chance"] = {} if expect.last_chance is None else asdict(expect.last_chance)
+    for name in ("situation", "last_chance"):
+        values[name] = {} if values[name] is None else asdict(values[name])
     entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}
     if not any(isinstance(value, str) and "\n" in value for value in entries.values()):
         yield from _filled("expect: ", entries)

@@ -24,6 +24,7 @@ from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, NOT_SHOWN, Lines, Place, parse
 from pytest_pafot.findings.finding import MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived, check_plain, is_id
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import REPAIR, SHIFTS, Gene, Scenario, ScenarioError, gene_of
 from pytest_pafot.model.sight import Sight
@@ -340,6 +341,7 @@ def _expect(field: Field, npcs: int) -> Expect:
         npc=_given(fields, "npc", lambda inner: inner.whole(0, npcs - 1)),
         cell=_given(fields, "cell", lambda inner: Cell(inner.whole(1, 8))),
         side=_given(fields, "side", lambda inner: inner.choice(get_args(Side))),
+        situation=_given(fields, "situation", lambda inner: _situation(inner, npcs)),
         responsibility=fields["responsibility"].choice(get_args(Responsibility)),
         fault=_given(fields, "fault", lambda inner: inner.choice(get_args(Fault))),
         npc_manoeuvre=_given(fields, "npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
@@ -369,6 +371,18 @@ def _check(field: Field) -> Bounded:
         _given(fields, name, lambda inner: inner.number(-MAX_NUMBER)) for name in ("value", "at_most", "at_least")
     )
     return Bounded(value=value, at_most=at_most, at_least=at_least, unit=_given(fields, "unit", Field.text, ""))
+
+
+def _situation(field: Field, npcs: int) -> Situation:
+    fields = field.mapping(file_format.SITUATION)
+    return Situation(
+        npc=fields["npc"].whole(0, npcs - 1),
+        time=fields["time"].number(),
+        ahead=fields["ahead"].number(-MAX_NUMBER),
+        lane=fields["lane"].whole(-int(MAX_NUMBER), int(MAX_NUMBER)),
+        ego_speed=fields["ego_speed"].number(-MAX_NUMBER),
+        npc_speed=fields["npc_speed"].number(-MAX_NUMBER),
+    )
 
 
 def _last_chance(field: Field) -> LastChance:

@@ -18,6 +18,7 @@ from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before, mista
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import CHECK_FAILED, PROCESS_CRASH, SLOW_DECISION, Failure, Signature, normalised
+from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
@@ -92,6 +93,8 @@ class Expect:
         npc, cell: at the collision, else at the least time to contact; None where there is no such moment. Of a failed
             check without a collision the NPC that it names, and no cell.
         side: of the ego that was hit; None without a collision.
+        situation: from which the failure arose, by which a replay that passes is told to be a fix; None where no NPC
+            took part, and in files of before.
         responsibility: who caused the collision.
         fault: what the ego answers for; None where it does not.
         npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
@@ -111,6 +114,7 @@ class Expect:
     npc: int | None = None
     cell: Cell | None = None
     side: Side | None = None
+    situation: Situation | None = None
     responsibility: Responsibility = "none"
     fault: Fault | None = None
     npc_manoeuvre: Manoeuvre | None = None
@@ -171,6 +175,7 @@ class Expect:
             npc=event.npc,
             cell=event.cell,
             side=None if hit is None else hit.side,
+            situation=Situation.of(run, failure, event.time),
             responsibility=run.attribution.responsibility,
             fault=run.attribution.fault,
             npc_manoeuvre=None if hit is None else manoeuvre_before(trace, hit.npc + 1, hit.tick),

@@ -197,6 +197,22 @@ def test_a_last_chance_has_a_time_a_driver_and_two_actions(path, chance, field):
     assert (error.line, error.field) == (14, f"expect.last_chance{field}")
 
 
+@table(
+    ("situation", "field"),
+    [
+        ("none", ""),
+        ("{npc: 0, time: 6.6, ahead: 15.0, lane: 0, ego_speed: 6.7}", ""),
+        ("{npc: 1, time: 6.6, ahead: 15.0, lane: 0, ego_speed: 6.7, npc_speed: 0.8}", ".npc"),
+        ("{npc: 0, time: -1.0, ahead: 15.0, lane: 0, ego_speed: 6.7, npc_speed: 0.8}", ".time"),
+        ("{npc: 0, time: 6.6, ahead: .nan, lane: 0, ego_speed: 6.7, npc_speed: 0.8}", ".ahead"),
+        ("{npc: 0, time: 6.6, ahead: 15.0, lane: left, ego_speed: 6.7, npc_speed: 0.8}", ".lane"),
+    ],
+)
+def test_a_situation_has_an_npc_its_place_and_two_speeds(path, situation, field):
+    error = fault(path, swapped(DRIVERS, f"{DRIVERS}, situation: {situation}"))
+    assert (error.line, error.field) == (14, f"expect.situation{field}")
+
+
 @table("number", ["07", "+7", "0x7", "0o7", "0b111", "7_", "1:30", "7.", ".7e+1", "7e0", "7E+0", "\uff17"])
 def test_a_number_that_can_be_read_in_two_ways_is_refused(path, number):
     error = fault(path, swapped("seed: 7", f"seed: {number}"))

@@ -10,6 +10,7 @@ from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Expect
+from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
@@ -100,6 +101,12 @@ def test_the_traceback_of_an_ads_is_a_literal_block():
 
 
 CHANCE = LastChance(time=11.6, driver="careful-human", action=(-4.0, 0.0), ego_action=(0.8, -0.001))
+
+
+def test_the_situation_is_written_in_one_line():
+    situation = Situation(npc=0, time=6.6, ahead=-15.0, lane=-1, ego_speed=6.7, npc_speed=0.8)
+    text = text_of(plain_finding(expect=replace(plain_finding().expect, situation=situation)))
+    assert "situation: {npc: 0, time: 6.6, ahead: -15.0, lane: -1, ego_speed: 6.7, npc_speed: 0.8}}\n" in text
 
 
 def test_the_last_chance_says_what_the_driver_and_the_ego_did():

@@ -10,6 +10,7 @@ from pytest_pafot.attribution.mistakes import Manoeuvre
 from pytest_pafot.corpus.file_format import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import MAX_SEED, PositionInstruction, Scenario
 from pytest_pafot.model.sight import NOISES, Sight
@@ -129,6 +130,7 @@ def expectations(draw, npcs):
         npc=draw(some(draw(st.integers(0, npcs - 1)))),
         cell=draw(some(draw(st.sampled_from(Cell)))),
         side=draw(some(draw(st.sampled_from(["front", "rear", "left", "right"])))),
+        situation=draw(st.none() | situations(npcs)),
         responsibility=draw(st.sampled_from(["ego", "npc", "both", "none"])),
         npc_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
@@ -137,6 +139,12 @@ def expectations(draw, npcs):
         against=draw(texts()),
         traceback=draw(texts()),
     )
+
+
+def situations(npcs):
+    numbers = st.floats(-MAX_NUMBER, MAX_NUMBER)
+    whole = {"npc": st.integers(0, npcs - 1), "lane": st.integers(-5, 5)}
+    return st.builds(Situation, **whole, time=st.floats(0, 1e6), ahead=numbers, ego_speed=numbers, npc_speed=numbers)
 
 
 def bounded():

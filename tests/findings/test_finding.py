@@ -8,6 +8,7 @@ import pytest
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, portable, raised_failure
 from pytest_pafot.findings.signature import Failure, normalised
+from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.run import Run
@@ -50,6 +51,7 @@ def test_it_expects_what_the_run_showed():
         npc=0,
         cell=Cell.FRONT,
         side="front",
+        situation=Situation(npc=0, time=0.0, ahead=26.0, lane=0, ego_speed=20.0, npc_speed=10.0),
         responsibility="ego",
         fault="leader-unanswered",
         npc_manoeuvre="lane-keeping",

@@ -1,0 +1,163 @@
+"""The situation from which a failure arose, and whether it comes up in another run.
+
+A saved failure passes for two reasons: the policy now handles the situation, or the situation does not come up any
+more. NPCs drive to places relative to the ego, so a situation is where an NPC was relative to the ego, shortly before
+the ego's mistake. What the ego does about it, such as braking earlier, must not change whether it came up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from pytest_pafot.attribution.lane_changes import DRIFTING
+from pytest_pafot.attribution.needless_braking import braking
+from pytest_pafot.attribution.responsibility import BRAKES, dangers_of
+from pytest_pafot.criticality import RoadFrame
+from pytest_pafot.findings.signature import SLOW_DECISION, Failure
+from pytest_pafot.model.trace import LANE, FloatArray, Outcome, Trace
+from pytest_pafot.oracle.run import Run
+
+# The tolerances were chosen by replaying failures of policies with seeded defects, with the policies repaired and with
+# policies that avoid the situation; docs/explanation/findings.md says what they mean.
+
+BEFORE = 2.0
+"""The situation of a failure without a collision is that of so long before its time [s]."""
+HALF_LANE = 0.5
+"""An NPC is in a lane whose centre is no further away than this, in widths of the ego's lane."""
+PLACE = 5.0
+PLACE_SHARE = 0.25
+"""Places along the road are near each other within the first [m], or within this share of the distance to the ego."""
+SPEED = 3.0
+"""Speeds of an NPC are near each other within this, relative to the ego's, or by themselves [m/s] ..."""
+EGO_SPEED = 9.0
+"""... where the ego's are within this [m/s]."""
+REACH = 20.0
+REACH_FACTOR = 2.0
+"""A leader may be up to so far ahead [m], or so many times as far as then: an ego that answers earlier keeps away."""
+SLOWER_SHARE = 0.6
+"""A leader must be slower than the ego by this share of the difference then, or by 3 m/s less than it, ..."""
+ANSWER = 10.0
+"""... compared with the highest speed of the ego in so long before: an ego that answers slows down, too [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Situation:
+    """Where an NPC was relative to the ego at one moment, and how fast the two were.
+
+    Attributes:
+        npc: index in the scenario.
+        time: of the moment [s].
+        ahead: of the NPC's centre from the ego's, along the road [m]; negative behind.
+        lane: of the NPC, counted from the ego's to the right; negative to the left.
+        ego_speed: along the road [m/s].
+        npc_speed: likewise. Of a leader, which is ahead in the ego's lane, the lowest from then on up to the failure.
+    """
+
+    npc: int
+    time: float
+    ahead: float
+    lane: int
+    ego_speed: float
+    npc_speed: float
+
+    @classmethod
+    def of(cls, run: Run, failure: Failure, time: float) -> Self | None:
+        """Return the situation from which a failure arose that is about a time [s]; None where it is about no NPC.
+
+        The moment is when the ego made its mistake: the one at which the reason of the verdict begins, or else 2 s
+        before the time. Where the ego was changing lanes then, or braking for nothing, it is the moment before that;
+        otherwise, where the NPC was still to come into the ego's lane, the moment when it had.
+        """
+        trace, check, hit, npc = run.trace, failure.check, run.collision, run.event_npc
+        if check is not None:
+            npc = check.npc
+        elif run.ads_error is not None or run.outcome is Outcome.OFF_ROAD or failure.kind == SLOW_DECISION:
+            npc = None
+        if npc is None or not np.isfinite(trace.states).all():
+            return None
+        frame, hz, end = dangers_of(trace).frame, trace.physics_hz, min(round(time * trace.physics_hz), trace.ticks)
+        mistake = None if hit is None or check is not None else run.attribution.tick
+        tick = end if mistake is None else mistake
+        lanes = _lanes_between(trace, frame, npc)
+        # How fast an ego is that brakes for nothing, it has decided itself; so it counts how fast it was before.
+        is_needless = mistake is not None and run.attribution.fault in ("braked-for-nothing", "stopped-for-nothing")
+        is_steady = braking(trace) < BRAKES if is_needless else np.abs(frame.drift[0]) < DRIFTING
+        steady = np.flatnonzero(is_steady[: tick + 1])
+        if steady.size and (is_needless or steady[-1] < tick):
+            tick = int(steady[-1])
+        else:
+            tick = max(tick - round(BEFORE * hz), 0) if mistake is None else tick
+            inside = np.flatnonzero(np.abs(lanes[tick : end + 1]) <= HALF_LANE)
+            tick += int(inside[0]) if inside.size else 0
+        speeds, is_leader = frame.speed[npc + 1], round(lanes[tick]) == 0 and frame.ahead[npc, tick] > 0
+        speed = speeds[tick : end + 1].min() if is_leader else speeds[tick]
+        return cls._at(tick, trace, frame, npc, ego_speed=frame.speed[0, tick], npc_speed=speed)
+
+    @classmethod
+    def _at(cls, tick: int, trace: Trace, frame: RoadFrame, npc: int, *, ego_speed: float, npc_speed: float) -> Self:
+        return cls(
+            npc=npc,
+            time=round(tick / trace.physics_hz, 3),
+            ahead=round(float(frame.ahead[npc, tick]), 1) + 0.0,  # no -0.0
+            lane=round(float(_lanes_between(trace, frame, npc)[tick])),
+            ego_speed=round(float(ego_speed), 1) + 0.0,
+            npc_speed=round(float(npc_speed), 1) + 0.0,
+        )
+
+    def missed_in(self, trace: Trace) -> Self | None:
+        """Return the moment at which a run came nearest to the situation; None where the situation came up.
+
+        It came up where at one tick the place along the road, the lane and the speeds all were as near as is tolerated.
+        """
+        frame, npc = dangers_of(trace).frame, self.npc
+        ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
+        slower = self.ego_speed - self.npc_speed
+        if self.lane == 0 and self.ahead > 0:
+            ticks = round(ANSWER * trace.physics_hz)
+            ego = sliding_window_view(np.pad(ego, (ticks, 0), mode="edge"), ticks + 1).max(axis=1)
+            along = np.where(ahead > 0, ahead / max(REACH, REACH_FACTOR * self.ahead), np.inf)
+            lacking = min(SLOWER_SHARE * slower, slower - SPEED) - (ego - speed)
+            speeds = np.maximum(1 + lacking / SPEED, 0)
+        else:
+            along = np.abs(ahead - self.ahead) / max(PLACE, PLACE_SHARE * abs(self.ahead))
+            # An NPC with a speed of its own, such as one that overtakes, is the same beside an ego with another one.
+            own = np.maximum(np.abs(speed - self.npc_speed) / SPEED, np.abs(ego - self.ego_speed) / EGO_SPEED)
+            speeds = np.minimum(np.abs(ego - speed - slower) / SPEED, own)
+        aside = np.abs(_lanes_between(trace, frame, npc) - self.lane) / HALF_LANE
+        far = np.stack((along, aside, speeds))  # in multiples of what is tolerated
+        if (far.max(axis=0) <= 1).any():
+            return None
+        tick = int((far**2).sum(axis=0).argmin())
+        return self._at(tick, trace, frame, npc, ego_speed=ego[tick], npc_speed=speed[tick])
+
+    def __str__(self) -> str:
+        place = f"{abs(self.ahead):.0f} m {'ahead' if self.ahead > 0 else 'behind'}"
+        lanes, side = abs(self.lane), "left" if self.lane < 0 else "right"
+        lane = f"{'one lane' if lanes == 1 else f'{lanes} lanes'} to the {side}" if lanes else "in the ego's lane"
+        return f"{place} {lane} at {self.npc_speed:.0f} m/s, with the ego at {self.ego_speed:.0f} m/s"
+
+
+def missed(situation: Situation | None, run: Run) -> str:
+    """Return a sentence that a situation did not come up in a run, and how near it came; empty where it came up.
+
+    Empty as well where nobody knows the situation.
+    """
+    if situation is None or not np.isfinite(run.trace.states).all():
+        return ""
+    now = situation.missed_in(run.trace)
+    if now is None:
+        return ""
+    return (
+        f"the situation did not come up: NPC {situation.npc} was {situation}, before the run failed; now it came no "
+        f"nearer to that than {now}, after {now.time:.1f} s"
+    )
+
+
+def _lanes_between(trace: Trace, frame: RoadFrame, npc: int) -> FloatArray:
+    """Return how far an NPC is to the right of the ego at each tick, in widths of the ego's lane."""
+    widths = np.array([lane.width for lane in trace.lanes])
+    return np.asarray(frame.right[npc] / widths[np.maximum(trace.states[:, 0, LANE].astype(np.intp), 0)])
