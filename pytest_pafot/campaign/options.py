@@ -255,7 +255,8 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "strict_drift",
         "switch",
-        "Fail saved scenarios that pass under other versions than those that found them.",
+        "Fail saved scenarios that pass under other versions than those that found them, or without that the situation "
+        "of their failure came up.",
         default=False,
     ),
     Option(

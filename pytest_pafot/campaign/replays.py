@@ -20,6 +20,7 @@ from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.replay import HAS_EVENT, ending, replay_label
 from pytest_pafot.findings.signature import Failure, Signature
+from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
@@ -149,7 +150,8 @@ class Replays:
         """A replay with its label. One that passes is tried twice, since chance must not be called a fix.
 
         Beside a reference it is ``introduced`` or ``common`` where it fails, by whether that passes. Where it passes,
-        it is ``fixed`` where the reference fails, whatever the file says, and else ``fixed before`` at most.
+        it is ``fixed`` where the reference fails and the situation came up, whatever else the file says, and else
+        ``fixed before`` at most.
 
         Raises:
             ProcessLostError: where the process that ran it did not come back.
@@ -176,8 +178,10 @@ class Replays:
         if finding.flaky is not None or not is_same_run(run, again):
             return FLAKY, run, verdict
         passes = self.passes_reference(saved, world, owner)
-        if passes is False or (passes and label == "fixed"):
-            label = "fixed before" if passes else "fixed"
+        if passes and label == "fixed":
+            label = "fixed before"
+        elif passes is False and not missed(finding.expect.situation, run):
+            label = "fixed"
         return label, run, verdict
 
     def world_changes(self, finding: Finding) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from pytest_pafot.findings.finding import Expect, Finding, event_of
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.trace import Outcome, Y
 from pytest_pafot.oracle.run import Run
 
@@ -28,8 +29,9 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     """What to call a replay, beside its passing or failing.
 
     ``still failing``: it fails with the saved event. ``drifted``: what happens is another event than the saved
-    one, or it passes under other versions, so that the file may no longer test what it was saved for. ``fixed``:
-    it passes under the same versions, and nothing else happened instead. A check is told by its name and, where it says
+    one, or it passes under other versions, or without that the situation came up from which the failure arose, so that
+    the file may no longer test what it was saved for. ``fixed``: it passes under the same versions, nothing else
+    happened instead, and the situation came up, where the file knows it. A check is told by its name and, where it says
     one, its time, whatever else happened; it is fixed where the run went on past that time. The run is the one of now,
     with its failure, if any, and the versions of today's packages; these are compared where the file names them.
     """
@@ -41,7 +43,7 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     # One that was cut short did not drive the rest of the scenario.
     is_whole = run.collision is None and run.ads_error is None and run.outcome != "invalid"
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
-    return "fixed" if is_same or is_whole else "drifted"
+    return "fixed" if is_same or (is_whole and not missed(expect.situation, run)) else "drifted"
 
 
 def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> bool:

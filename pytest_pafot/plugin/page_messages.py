@@ -99,15 +99,17 @@ class PageMessages:
         *,
         headline: str,
         label: str,
+        detail: str,
         path: str,
         check: Check | None = None,
         severity: Severity | None = None,
     ) -> None:
         """Count a replay of a saved scenario, and show it where it fails, which its headline says.
 
-        Without a trace where its process did not come back; with the check that failed, if any, and how bad it is.
+        The detail says what has drifted. Without a trace where its process did not come back; with the check that
+        failed, if any, and how bad it is.
         """
-        self._tell(replayed=label)
+        self._tell(replayed=label, drifted={self.item.nodeid: detail} if label == "drifted" else {})
         if headline:
             view = finding_view(trace, finding, node_id=self.item.nodeid, headline=headline, check=check)
             accepted = f", accepted: {finding.accepted}" if finding.accepted else ""

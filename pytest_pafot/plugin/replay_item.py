@@ -20,6 +20,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.severity import worsening
+from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
@@ -61,12 +62,23 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     detail = "; ".join(filter(None, told))
     if label in ("drifted", FLAKY):
         detail = replays.changes(finding, happened(finding, run, verdict.failure))
+    if label == "drifted" and not verdict.failed:
+        detail = "; ".join(filter(None, [missed(finding.expect.situation, run), detail]))
     line = headline(run, verdict) if verdict.failed else ""
     _tell(item, replays, saved, label, headline=line, detail=detail, verdict=verdict, worse=worse)
     page = page_messages_of(item, request.settings)
     if page is not None:
         check = None if verdict.failure is None else verdict.failure.check
-        page.replayed(finding, run.trace, headline=line, label=label, path=path, check=check, severity=verdict.severity)
+        page.replayed(
+            finding,
+            run.trace,
+            headline=line,
+            label=label,
+            detail=detail,
+            path=path,
+            check=check,
+            severity=verdict.severity,
+        )
     if finding.xfail is not None and not verdict.failed:
         _add_section(item, [f"{label}: remove the line `xfail:` from {path}"])
     _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
@@ -87,7 +99,7 @@ def _conclude_lost(
     _tell(item, replays, saved, label, headline=line, detail=detail)
     page = page_messages_of(item, replays.harness.request.settings)
     if page is not None:
-        page.replayed(finding, None, headline=line, label=label, path=path)
+        page.replayed(finding, None, headline=line, label=label, detail=detail, path=path)
     _add_section(item, [f"replay: {label}{f', {detail}' if detail else ''}"])
     pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
 
@@ -146,6 +158,7 @@ def _tell(
         )
     messages.send(item, "replay", {"summary": plain(summary)})
     item.user_properties.append(("pafot", label))
+    set_properties(item.user_properties, detail=detail)
 
 
 def _add_section(item: pytest.Item, lines: Iterable[str]) -> None:

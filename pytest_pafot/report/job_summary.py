@@ -29,7 +29,7 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
         "introduced": "Introduced by the change",
         ERROR: "Could not be read or run",
         "still failing": "Known, still failing",
-        "drifted": "Drifted: something else than in the file",
+        "drifted": "Drifted: not what is in the file, so no fix",
         "flaky": "Flaky",
         "common": "Known, and failing in the reference as well",
         ACCEPTED: "Accepted for now",

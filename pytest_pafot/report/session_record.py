@@ -41,7 +41,7 @@ class FindingRecord:
         file: relative to the rootdir; null where it was not saved.
         replay: the command that shows it again.
         headline: how the run ended, in a few words; empty where it passes.
-        detail: what differs from the file, or why there is none.
+        detail: what differs from the file, such as a situation that did not come up, or why there is none.
         signature: all that makes two failures the same, in one line; of what the file was saved for.
         kind: its short name, of which ids are made.
         failure: name of the exception class.

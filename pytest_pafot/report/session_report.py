@@ -29,13 +29,15 @@ PAGE = "index.html"
 class Draft:
     """What is known so far of what a report will show at the option's target.
 
-    Findings and searches are kept by node id, the number of replays by label, and base seeds as they came.
+    Findings, searches and what has drifted are kept by node id, the number of replays by label, and base seeds as they
+    came.
     """
 
     target: str
     findings: dict[str, FindingView] = field(default_factory=dict)
     campaigns: dict[str, CampaignView] = field(default_factory=dict)
     replayed: Counter[str] = field(default_factory=Counter)
+    drifted: dict[str, str] = field(default_factory=dict)
     seeds: dict[int, None] = field(default_factory=dict)
 
     def take(self, data: Mapping[str, Any], finding: FindingView | None, campaign: CampaignView | None) -> None:
@@ -47,6 +49,7 @@ class Draft:
             self.seeds[data["base_seed"]] = None
         if "replayed" in data:
             self.replayed[data["replayed"]] += 1
+        self.drifted.update(data.get("drifted", {}))
 
     def report(
         self, *, project: str, command: str, findings: Iterable[FindingView], errors: Errors, is_interrupted: bool
@@ -76,6 +79,8 @@ class Draft:
         if self.replayed:
             labels = ", ".join(f"{count} {label}" for label, count in sorted(self.replayed.items()))
             yield "replayed", f"{plural(self.replayed.total(), 'saved scenario')}: {labels}"
+        for node_id, detail in sorted(self.drifted.items()):
+            yield "drifted", f"{node_id}: {detail}"
         yield from installed_versions().items()
         yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 

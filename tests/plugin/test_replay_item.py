@@ -175,7 +175,25 @@ def test_a_replay_in_which_nothing_happens_any_more_tells_how_long_that_was(proj
     project.pytester.makeconftest(f"import pytest\n\n@pytest.fixture\ndef ads():\n    return lambda: {braking}\n")
     edited(project, "highway-env: ", "highway-env: 0.")
     result = project.run(generations=0)
-    result.stdout.fnmatch_lines(["    collision at * s in the file, safe for 10.0 s now; highway-env 0.*"])
+    result.stdout.fnmatch_lines(["    *collision at * s in the file, safe for 10.0 s now; highway-env 0.*"])
+
+
+def test_a_pass_without_its_situation_is_told_and_is_no_fix(project):
+    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_drive(run):\n    assert not run.collision\n")
+    project.pytester.makepyfile(before="def make():\n    return lambda seen: (0.0, 0.0)\n")
+    project.run_once("--pafot-shrink-rollouts=0", generations=5)
+    braking = "lambda seen: (-8.0 if seen.ego.speed > 1 else 0.0, 0.0)"
+    project.pytester.makeconftest(f"import pytest\n\n@pytest.fixture\ndef ads():\n    return lambda: {braking}\n")
+    told = ["--junitxml=junit.xml", "--pafot-report=page.html", "--pafot-json=session.json"]
+    result = project.run(*told, "--pafot-against=before:make", generations=0)
+    result.assert_outcomes(passed=1, skipped=1)
+    missed = "the situation did not come up: NPC 0 was"
+    result.stdout.fnmatch_lines(
+        ["*1 drifted", f"    {missed} 8 m ahead in the ego's lane *", "*, fixes 0, 0 as before"]
+    )
+    for name in ("junit.xml", "page.html", "session.json"):
+        assert missed in (project.path / name).read_text(), name
+    project.run("--pafot-strict-drift", generations=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_two_runs_in_which_nothing_happened_are_told_apart_by_their_most_critical_moment(project):

@@ -1,0 +1,168 @@
+"""A situation, and runs in which it comes up again or does not; positions are drawn by hand."""
+
+from dataclasses import replace
+
+import pytest
+
+from pytest_pafot.findings.finding import Expect, Finding, Found
+from pytest_pafot.findings.replay import replay_label
+from pytest_pafot.findings.signature import SLOW_DECISION, Failure
+from pytest_pafot.findings.situation import Situation, missed
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.oracle.checks import Check
+from pytest_pafot.oracle.run import Run
+from tests.helpers.drives import crash, driven
+from tests.helpers.situations import FAR, LEFT, OWN, RIGHT
+from tests.helpers.traces import trace_of
+
+FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")
+FOUND = Found(seed=1, generation=0, algorithm="distinct")
+BRAKES = {"brakes": [(3.0, 6.0, 8.0)]}
+"""From 20 to 8 m/s, between 3 and 5 s."""
+MOVES = {"shifts": [(4.0, RIGHT, 3.0)]}
+"""Into the lane to the right, between 4 and 7 s."""
+
+
+def situation(run, failure=FAILS):
+    return Expect.of(run, failure).situation
+
+
+def rear_end():
+    """The leader, 35 m ahead, slows from 20 to 8 m/s, which the ego does not answer."""
+    return Run(crash(driven(0.0), driven(35.0, **BRAKES)))
+
+
+def into_the_side():
+    """The ego changes lanes into another that drives beside it, 2 m behind, as fast as it."""
+    return Run(crash(driven(0.0, **MOVES), driven(-2.0, RIGHT), side="right"))
+
+
+def comes_up(failed, ego, npc):
+    """Whether the situation of a failed run comes up where the two drive so."""
+    return not missed(situation(failed), Run(trace_of(ego, npc)))
+
+
+def test_a_leader_is_told_from_when_it_came_too_close_to_its_lowest_speed():
+    then = situation(rear_end())
+    assert (then.npc, then.lane, then.ego_speed, then.npc_speed) == (0, 0, 20.0, 8.0)
+    assert 3.0 <= then.time <= 5.0
+    assert then.ahead == pytest.approx(35.0 - 3.0 * (then.time - 3.0) ** 2, abs=0.5)
+
+
+def test_a_lane_change_is_told_from_before_it_began():
+    assert situation(into_the_side()) == Situation(npc=0, time=4.0, ahead=-2.0, lane=1, ego_speed=20.0, npc_speed=20.0)
+
+
+def test_a_cut_in_is_told_from_when_the_other_is_in_the_lane():
+    cutting = driven(15.0, RIGHT, speed=14.0, shifts=[(0.0, OWN, 4.0)])
+    then = situation(Run(crash(driven(0.0), cutting)))
+    assert (then.lane, then.npc_speed) == (0, pytest.approx(14.0))
+    assert then.time == pytest.approx(2.0, abs=0.2)  # halfway
+
+
+def test_needless_braking_is_told_from_before_it_began():
+    run = Run(crash(driven(0.0, brakes=[(3.0, 7.0, 4.0)]), driven(-30.0), side="rear", cell=Cell.REAR))
+    assert run.attribution.fault == "braked-for-nothing"
+    assert situation(run) == Situation(npc=0, time=3.0, ahead=-30.0, lane=0, ego_speed=20.0, npc_speed=20.0)
+
+
+def check(time, npc):
+    made = Check(name="headway", value=0.3, margin=-0.7, at_least=1.0, time=time, npc=npc)
+    return Failure(kind="CheckFailed", message=str(made), assertion="headway", check=made)
+
+
+def test_a_check_is_told_from_two_seconds_before_with_its_own_npc():
+    run = Run(trace_of(driven(0.0), driven(30.0, LEFT, speed=18.0), driven(60.0, speed=18.0)))
+    assert situation(run, check(8.0, npc=1)) == Situation(
+        npc=1, time=6.0, ahead=48.0, lane=0, ego_speed=20.0, npc_speed=18.0
+    )
+
+
+def test_failures_without_an_npc_have_no_situation():
+    safe = trace_of(driven(0.0), driven(30.0, speed=18.0))
+    error = AdsError(kind="ValueError", message="", traceback="", tick=6)
+    assert situation(Run(safe), check(8.0, npc=None)) is None
+    assert situation(Run(safe), Failure(kind=SLOW_DECISION, message="took 3.0 s")) is None
+    assert situation(Run(replace(safe, outcome=Outcome.ADS_ERROR, error=error))) is None
+    assert situation(Run(replace(safe, outcome=Outcome.OFF_ROAD, off_road_tick=30))) is None
+
+
+def test_a_failed_run_comes_near_its_own_situation():
+    for run in (rear_end(), into_the_side()):
+        assert not missed(situation(run), run)
+
+
+EARLIER = driven(0.0, brakes=[(1.0, 2.0, 8.0)])
+AWAY = driven(0.0, shifts=[(4.5, LEFT, 3.0)])
+
+
+@pytest.mark.parametrize("ego", [EARLIER, AWAY], ids=["brakes-earlier", "changes-lanes"])
+def test_an_ego_that_answers_its_leader_otherwise_has_met_it(ego):
+    assert comes_up(rear_end(), ego, driven(35.0, **BRAKES))
+
+
+@pytest.mark.parametrize(
+    ("ego", "npc"),
+    [
+        (driven(0.0), driven(35.0)),  # the leader does not slow down
+        (driven(0.0, speed=9.0), driven(35.0, **BRAKES)),  # the ego is no faster than the leader becomes
+        (driven(0.0), driven(35.0, LEFT, **BRAKES)),  # the other is in the next lane
+        (driven(0.0, speed=10.0), driven(80.0, **BRAKES)),  # the ego never comes close
+        (driven(0.0), driven(-35.0, speed=8.0)),  # the other is behind
+    ],
+)
+def test_a_leader_that_is_never_met_is_no_fix(ego, npc):
+    assert not comes_up(rear_end(), ego, npc)
+
+
+@pytest.mark.parametrize(
+    ("ego", "npc"),
+    [
+        (driven(0.0), driven(-2.0, RIGHT)),  # no lane change
+        (driven(0.0, OWN, shifts=[(9.0, RIGHT, 3.0)]), driven(-2.0, RIGHT, brakes=[(6.0, 3.0, 14.0)])),  # later
+        (driven(0.0, shifts=[(4.0, LEFT, 3.0)]), driven(-2.0, RIGHT)),  # to the other side
+        (driven(0.0, speed=12.0), driven(-2.0, RIGHT, speed=12.0)),  # all drive slower
+        (driven(0.0, RIGHT), driven(-4.0, FAR)),  # one lane further to the right
+    ],
+)
+def test_whatever_the_ego_does_about_one_beside_it_has_met_it(ego, npc):
+    assert comes_up(into_the_side(), ego, npc)
+
+
+@pytest.mark.parametrize(
+    ("ego", "npc"),
+    [
+        (driven(0.0), driven(-2.0, LEFT)),  # on the other side
+        (driven(0.0), driven(-2.0, FAR)),  # two lanes away
+        (driven(0.0), driven(-12.0, RIGHT)),  # never comes up to the ego
+        (driven(0.0, speed=10.0), driven(-20.0, RIGHT, speed=25.0)),  # passes at once
+    ],
+)
+def test_a_lane_where_nobody_is_beside_the_ego_is_no_fix(ego, npc):
+    assert not comes_up(into_the_side(), ego, npc)
+
+
+def test_a_miss_says_where_the_other_was_and_how_near_it_came():
+    passing = Run(trace_of(driven(0.0), driven(-20.0, LEFT)))
+    assert missed(situation(into_the_side()), passing) == (
+        "the situation did not come up: NPC 0 was 2 m behind one lane to the right at 20 m/s, with the ego at 20 m/s, "
+        "before the run failed; now it came no nearer to that than 20 m behind one lane to the left at 20 m/s, with "
+        "the ego at 20 m/s, after 0.0 s"
+    )
+
+
+def test_a_pass_is_fixed_only_where_the_situation_came_up():
+    saved = Finding.of(
+        into_the_side(), FAILS, test="t.py::t", world={}, found=Found(seed=1, generation=0, algorithm="")
+    )
+    fixed, drifted = (Run(trace_of(driven(0.0), driven(x, RIGHT))) for x in (-2.0, -20.0))
+    assert [replay_label(saved, run, None, {}) for run in (fixed, drifted)] == ["fixed", "drifted"]
+
+
+def test_a_file_that_knows_no_situation_is_fixed_by_a_pass():
+    saved = Finding.of(
+        into_the_side(), FAILS, test="t.py::t", world={}, found=Found(seed=1, generation=0, algorithm="")
+    )
+    saved = replace(saved, expect=replace(saved.expect, situation=None))
+    assert replay_label(saved, Run(trace_of(driven(0.0), driven(-20.0, RIGHT))), None, {}) == "fixed"
