@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_pafot.findings.finding import Expect, Finding, event_of
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.findings.situation import missed
+from pytest_pafot.findings.situation import missed, seconds_after
 from pytest_pafot.model.trace import Outcome, Y
 from pytest_pafot.oracle.run import Run
 
@@ -30,10 +30,12 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
 
     ``still failing``: it fails with the saved event. ``drifted``: what happens is another event than the saved
     one, or it passes under other versions, or without that the situation came up from which the failure arose, so that
-    the file may no longer test what it was saved for. ``fixed``: it passes under the same versions, nothing else
-    happened instead, and the situation came up, where the file knows it. A check is told by its name and, where it says
-    one, its time, whatever else happened; it is fixed where the run went on past that time. The run is the one of now,
-    with its failure, if any, and the versions of today's packages; these are compared where the file names them.
+    the file may no longer test what it was saved for. ``fixed``: it passes under the same versions, and the situation
+    came up. Where a collision that is no failure ends the run, that must be later after the situation than the failure
+    was then; of a file that knows no situation, nothing else may have happened instead. A check is told by its name
+    and, where it says one, its time, whatever else happened; it is fixed where the run went on past that time. The run
+    is the one of now, with its failure, if any, and the versions of today's packages; these are compared where the file
+    names them.
     """
     expect, is_same = finding.expect, is_same_event(finding.expect, run, failure)
     if failure is not None:
@@ -43,6 +45,9 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     # One that was cut short did not drive the rest of the scenario.
     is_whole = run.collision is None and run.ads_error is None and run.outcome != "invalid"
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
+    if expect.situation is not None and run.collision is not None:
+        after = seconds_after(expect.situation, run)
+        is_whole = is_whole or (after is not None and after > expect.time - expect.situation.time)
     return "fixed" if is_same or (is_whole and not missed(expect.situation, run)) else "drifted"
 
 

@@ -108,10 +108,10 @@ class Situation:
             npc_speed=round(float(npc_speed), 1) + 0.0,
         )
 
-    def missed_in(self, trace: Trace) -> Self | None:
-        """Return the moment at which a run came nearest to the situation; None where the situation came up.
+    def distances(self, trace: Trace) -> FloatArray:
+        """Return how far a run is from the situation at each tick: along the road, in lanes, and in speeds.
 
-        It came up where at one tick the place along the road, the lane and the speeds all were as near as is tolerated.
+        Shape [3, ticks + 1], in multiples of what is tolerated: where none is above 1 the situation came up.
         """
         frame, npc = dangers_of(trace).frame, self.npc
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
@@ -128,11 +128,13 @@ class Situation:
             own = np.maximum(np.abs(speed - self.npc_speed) / SPEED, np.abs(ego - self.ego_speed) / EGO_SPEED)
             speeds = np.minimum(np.abs(ego - speed - slower) / SPEED, own)
         aside = np.abs(_lanes_between(trace, frame, npc) - self.lane) / HALF_LANE
-        far = np.stack((along, aside, speeds))  # in multiples of what is tolerated
-        if (far.max(axis=0) <= 1).any():
-            return None
-        tick = int((far**2).sum(axis=0).argmin())
-        return self._at(tick, trace, frame, npc, ego_speed=ego[tick], npc_speed=speed[tick])
+        return np.stack((along, aside, speeds))
+
+    def nearest_in(self, trace: Trace) -> Self:
+        """Return the moment at which a run came nearest to the situation."""
+        frame, tick = dangers_of(trace).frame, int((self.distances(trace) ** 2).sum(axis=0).argmin())
+        ego_speed, npc_speed = frame.speed[0, tick], frame.speed[self.npc + 1, tick]
+        return self._at(tick, trace, frame, self.npc, ego_speed=ego_speed, npc_speed=npc_speed)
 
     def __str__(self) -> str:
         place = f"{abs(self.ahead):.0f} m {'ahead' if self.ahead > 0 else 'behind'}"
@@ -141,16 +143,23 @@ class Situation:
         return f"{place} {lane} at {self.npc_speed:.0f} m/s, with the ego at {self.ego_speed:.0f} m/s"
 
 
+def seconds_after(situation: Situation | None, run: Run) -> float | None:
+    """Return how long a run went on after a situation first came up [s]; None where it did not, or is not known."""
+    if situation is None or not np.isfinite(run.trace.states).all():
+        return None
+    came_up = np.flatnonzero(situation.distances(run.trace).max(axis=0) <= 1)
+    return run.duration - float(came_up[0]) / run.trace.physics_hz if came_up.size else None
+
+
 def missed(situation: Situation | None, run: Run) -> str:
     """Return a sentence that a situation did not come up in a run, and how near it came; empty where it came up.
 
     Empty as well where nobody knows the situation.
     """
-    if situation is None or not np.isfinite(run.trace.states).all():
+    is_known = situation is not None and np.isfinite(run.trace.states).all()
+    if situation is None or not is_known or seconds_after(situation, run) is not None:
         return ""
-    now = situation.missed_in(run.trace)
-    if now is None:
-        return ""
+    now = situation.nearest_in(run.trace)
     return (
         f"the situation did not come up: NPC {situation.npc} was {situation}, before the run failed; now it came no "
         f"nearer to that than {now}, after {now.time:.1f} s"

@@ -7,14 +7,14 @@ import pytest
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.replay import replay_label
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure
-from pytest_pafot.findings.situation import Situation, missed
+from pytest_pafot.findings.situation import Situation, missed, seconds_after
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.model.trace import AdsError, Outcome, X
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
-from tests.helpers.drives import crash, driven
+from tests.helpers.drives import HZ, crash, driven
 from tests.helpers.situations import FAR, LEFT, OWN, RIGHT
-from tests.helpers.traces import trace_of
+from tests.helpers.traces import LENGTH, trace_of
 
 FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")
 FOUND = Found(seed=1, generation=0, algorithm="distinct")
@@ -158,6 +158,20 @@ def test_a_pass_is_fixed_only_where_the_situation_came_up():
     )
     fixed, drifted = (Run(trace_of(driven(0.0), driven(x, RIGHT))) for x in (-2.0, -20.0))
     assert [replay_label(saved, run, None, {}) for run in (fixed, drifted)] == ["fixed", "drifted"]
+
+
+def test_an_impact_that_is_no_failure_counts_if_it_is_later_after_the_situation():
+    """The ego slows down as its leader does, which it did not; then one that does not slow down hits it from behind."""
+    saved = Finding.of(rear_end(), FAILS, test="t.py::t", world={}, found=FOUND)
+    ego, leader = driven(0.0, **BRAKES), driven(35.0, **BRAKES)
+    safe = Run(trace_of(ego, leader))
+    met = safe.duration - seconds_after(saved.expect.situation, safe)
+    failed = met + saved.expect.time - saved.expect.situation.time
+    for later, label in ((-0.3, "drifted"), (0.3, "fixed")):
+        impact = round((failed + later) * HZ)
+        behind = driven(ego[impact, X] - LENGTH - 20.0 * impact / HZ)
+        run = Run(crash(ego, leader, behind, npc=1, side="rear", cell=Cell.REAR))
+        assert replay_label(saved, run, None, {}) == label
 
 
 def test_a_file_that_knows_no_situation_is_fixed_by_a_pass():
