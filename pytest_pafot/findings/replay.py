@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_pafot.findings.finding import Expect, Finding, event_of
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.findings.situation import missed, seconds_after
+from pytest_pafot.findings.situation import BEFORE, missed, seconds_after
 from pytest_pafot.model.trace import Outcome, Y
 from pytest_pafot.oracle.run import Run
 
@@ -32,10 +32,10 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     one, or it passes under other versions, or without that the situation came up from which the failure arose, so that
     the file may no longer test what it was saved for. ``fixed``: it passes under the same versions, and the situation
     came up. Where a collision that is no failure ends the run, that must be later after the situation than the failure
-    was then; of a file that knows no situation, nothing else may have happened instead. A check is told by its name
-    and, where it says one, its time, whatever else happened; it is fixed where the run went on past that time. The run
-    is the one of now, with its failure, if any, and the versions of today's packages; these are compared where the file
-    names them.
+    was then, and than 2 s; of a file that knows no situation, nothing else may have happened instead. A check is told
+    by its name and, where it says one, its time, whatever else happened; it is fixed where the run went on past that
+    time. The run is the one of now, with its failure, if any, and the versions of today's packages; these are compared
+    where the file names them.
     """
     expect, is_same = finding.expect, is_same_event(finding.expect, run, failure)
     if failure is not None:
@@ -47,7 +47,7 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
     if expect.situation is not None and run.collision is not None:
         after = seconds_after(expect.situation, run)
-        is_whole = is_whole or (after is not None and after > expect.time - expect.situation.time)
+        is_whole = is_whole or (after is not None and after > max(expect.time - expect.situation.time, BEFORE))
     return "fixed" if is_same or (is_whole and not missed(expect.situation, run)) else "drifted"
 
 
