@@ -41,7 +41,7 @@ class Severity:
     @property
     def delta_v(self) -> float | None:
         """By how much a collision changes the velocity of each, where both are as heavy and stay together [m/s]."""
-        return None if self.kind == "check" or self.value is None else round(self.value / 2, 3)
+        return None if self.kind == "check" or self.value is None else round(self.value / 2, 6)
 
     @property
     def figure(self) -> str:
@@ -100,7 +100,7 @@ def severity_of(run: Run, failure: Failure) -> Severity | None:
     signature = Signature(failure=failure.kind, assertion=text, outcome=run.outcome, responsibility="none")
     if run.collision is None or failure.kind == SLOW_DECISION or signature.is_property:
         return None
-    return Severity(kind="collision", value=round(run.collision.closing_speed, 3), unit="m/s")
+    return Severity(kind="collision", value=round(run.collision.closing_speed, 6), unit="m/s")
 
 
 def _of_check(check: Check) -> Severity:
