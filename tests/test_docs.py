@@ -48,7 +48,7 @@ import pytest_pafot.world.engines.object_engine
 from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict
-from tests.helpers.sessions import in_process, program_in_a_copy, quick_sessions
+from tests.helpers.sessions import in_process, quick_sessions
 from tests.helpers.tables import table
 
 ROOT = Path(__file__).parents[1]
@@ -220,11 +220,7 @@ class Folder:
         assert block.first.startswith("$ "), f"a console block that does not begin with a command: {block.first}"
         program, *arguments = shlex.split(self.with_own_ids(block.first.removeprefix("$ ")))
         if program == "python":
-            # A script that forgets an import must fail, so it has an interpreter of its own.
-            if arguments[0] == "-m":
-                done = program_in_a_copy(self.pytester, *arguments)
-            else:
-                done = self.pytester.run(sys.executable, *arguments)
+            done = self.pytester.run(sys.executable, *arguments)
             self.compare(block, done.stdout.str())
             assert done.ret == 0
             return

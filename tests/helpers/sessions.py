@@ -6,7 +6,6 @@ import inspect
 import json
 import os
 import re
-import runpy
 import signal
 import sys
 import tempfile
@@ -20,7 +19,6 @@ import _pytest._code.code
 import _pytest.assertion.rewrite
 import _pytest.fixtures
 import pytest
-from _pytest.assertion.rewrite import AssertionRewritingHook
 
 from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRecord, SessionRecord
 
@@ -57,25 +55,14 @@ def in_a_copy(pytester, *args):
     """
     if not hasattr(os, "fork"):
         return pytester.runpytest_subprocess(*args)
-    base = tempfile.mkdtemp(prefix="runpytest-", dir=pytester.path)
-    return _in_a_copy(pytester, lambda: _with_room(pytest.main, [f"--basetemp={base}", *map(str, args)]))
-
-
-def program_in_a_copy(pytester, *args):
-    """``pytester.run(sys.executable, ...)`` in such a copy, of a script or of ``-m`` and a module."""
-    if not hasattr(os, "fork"):
-        return pytester.run(sys.executable, *args)
-    return _in_a_copy(pytester, lambda: _be_a_program(args))
-
-
-def _in_a_copy(pytester, call):
     begun = time.monotonic()
+    base = tempfile.mkdtemp(prefix="runpytest-", dir=pytester.path)
     streams = [pytester.path / name for name in ("stdout", "stderr")]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of threads: that of a worker of pytest-xdist only waits
         pid = os.fork()
     if not pid:
-        _be_a_copy(streams, call)
+        _be_a_session(streams, [f"--basetemp={base}", *map(str, args)])
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     out, err = (stream.read_text(encoding="utf-8") for stream in streams)
     print(out, err, sep="\n")
@@ -163,24 +150,8 @@ def _is_shared(source):
     )
 
 
-def _be_a_program(args):
-    """As Python's command line does it."""
-    is_module = args[0] == "-m"
-    sys.argv = list(args[is_module:])
-    sys.path.insert(0, "")
-    sys.meta_path[:] = [each for each in sys.meta_path if not isinstance(each, AssertionRewritingHook)]
-    try:
-        if is_module:
-            runpy.run_module(args[1], run_name="__main__", alter_sys=True)
-        else:
-            runpy.run_path(args[0], run_name="__main__")
-    except SystemExit as end:
-        return end.code or 0
-    return 0
-
-
-def _be_a_copy(streams, call):
-    """Call to the end of this process, with standard output and errors in files; it returns the exit status."""
+def _be_a_session(streams, args):
+    """Run pytest to the end of this process, with standard output and errors in files."""
     status = 1
     try:
         for number, path in enumerate((os.devnull, *streams)):
@@ -190,7 +161,7 @@ def _be_a_copy(streams, call):
         warnings.resetwarnings()
         faulthandler.disable()
         signal.signal(signal.SIGSEGV, signal.SIG_DFL)  # pygame has a handler that aborts
-        status = int(call())
+        status = int(_with_room(pytest.main, args))
     except BaseException:  # noqa: BLE001
         traceback.print_exc()
     finally:
