@@ -3,7 +3,7 @@ from libc cimport math
 
 cdef double SPEED_GAIN, GAP_GAIN, GAP_BRAKING, LATERAL_GAIN, HEADING_GAIN, LATERAL_SHARE
 cdef double TURNED_SHARE, MARGIN, FOLLOWING_GAP, FOLLOWING_TIME, FOLLOWING_BRAKING, MAX_SLIP, LEAST_SPARE
-cdef double LANE_ANGLE, TRACKING_SHARE, TRACKING_GAIN, CLOSEST_GAIN, SPEEDING_UP, HALF_TURN
+cdef double LANE_ANGLE, TRACKING_SHARE, TRACKING_GAIN, CLOSEST_GAIN, SPEEDING_UP, USEFUL_WIDTH, HALF_TURN
 
 cpdef double gap_speed(double distance) except? -1
 cpdef double following_speed(double gap, double leader_speed, double own_speed) except? -1

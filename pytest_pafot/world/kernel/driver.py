@@ -49,6 +49,9 @@ CLOSEST_GAIN = 3.0
 """Highest planned lateral speed per distance to the lane's centre [1/s]."""
 SPEEDING_UP = 6.0
 """Acceleration along the road that a lane change leaves room for: all that an ego has [m/s^2]."""
+USEFUL_WIDTH = 2.5
+"""A lane change plans with at most the cube root of this times the jerk squared [m]. More acceleration would take so
+long to build up that the change became slower; found by trying on lanes of 4 m."""
 HALF_TURN = math.pi
 """A number of C's where compiled, which ``math.pi`` is not [rad]."""
 
@@ -248,7 +251,7 @@ class LaneTracker:
         # The heading goes after the course within half the car's length. Speeding up there makes its turn sharper.
         share = speed * speed / (speed * speed + 2.0 * SPEEDING_UP * self._half_length)
         limit, step = MARGIN * min(share * most, turning), MARGIN * jerk
-        planned = LATERAL_SHARE * limit
+        planned = LATERAL_SHARE * min(limit, math.cbrt(step * step * USEFUL_WIDTH))
         # The way to stop from a lateral speed v is v^2 / 2a, and what building up the braking a takes, v a / 2j.
         ramp = max(planned * planned / (2.0 * LATERAL_SHARE * step), planned / CLOSEST_GAIN)
         lateral_speed = math.sqrt(ramp * ramp + 2.0 * planned * abs(offset)) - ramp

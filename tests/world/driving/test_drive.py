@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 import re
@@ -184,13 +185,26 @@ def test_a_drive_takes_over_from_any_steering_and_finds_its_lane(angle, speed):
     assert (abs(last[Y] - 4.0), abs(math.remainder(last[HEADING], math.tau))) < (0.05, 0.01)
 
 
-def test_a_gentle_drive_takes_longer_and_a_sporty_one_is_there_sooner():
-    def seconds(**limits):
-        y = alone(always(Drive(lane=2, speed=25.0, **limits))(), speed=25.0, seconds=12.0).ego[:, Y]
-        return np.flatnonzero(abs(y - 8.0) > 0.2).max() / 15
+def seconds_to_next_lane(*, speed=25.0, **limits):
+    y = alone(always(Drive(lane=2, speed=speed, **limits))(), speed=speed, seconds=15.0).ego[:, Y]
+    return np.flatnonzero(abs(y - 8.0) > 0.2).max() / 15
 
-    assert seconds(lateral_acceleration=1.0) > 1.2 * seconds()
-    assert seconds(lateral_acceleration=5.0, lateral_jerk=20.0) < 0.8 * seconds()
+
+def test_a_gentle_drive_takes_longer_and_a_sporty_one_is_there_sooner():
+    assert seconds_to_next_lane(lateral_acceleration=1.0) > 1.2 * seconds_to_next_lane()
+    assert seconds_to_next_lane(lateral_acceleration=5.0, lateral_jerk=20.0) < 0.8 * seconds_to_next_lane()
+
+
+@table("speed", [10.0, 25.0])
+@table("jerk", [0.1, 0.5, 3.0, 20.0])
+def test_a_larger_limit_of_acceleration_makes_no_lane_change_slower(speed, jerk):
+    """The limit of jerk decides then: a change of 4 m under a jerk j takes at least (32 * 4 / j)^(1/3) seconds."""
+    times = [
+        seconds_to_next_lane(speed=speed, lateral_jerk=jerk, lateral_acceleration=most)
+        for most in (0.5, 1.0, 2.5, 5.0, 10.0, 100.0)
+    ]
+    assert all(later < 1.05 * sooner for sooner, later in itertools.pairwise(times))
+    assert times[-1] < 1.25 * max((128.0 / jerk) ** (1 / 3), 1.9)
 
 
 @table("lane", [2.0, np.float32(2), np.int64(2), Fraction(2)])
