@@ -193,9 +193,11 @@ class Search:
                 clock=self.sessions.clock,
                 until=self.limit.until,
             )
-            work.run_all(f"; {BY_NAME['resume'].flag} goes on" if self.sessions.go_on else "")
-            self._shrink_runs = work.runs
-            self.sessions.store(simplified=work.done)
+            try:
+                work.run_all(f"; {BY_NAME['resume'].flag} goes on" if self.sessions.go_on else "")
+            finally:  # Also what was simplified until Ctrl-C is not to be simplified again.
+                self._shrink_runs = work.runs
+                self.sessions.store(simplified=work.done)
         except SetupFaultError as error:
             reason, fault = "error", error
             recorder.withdraw()

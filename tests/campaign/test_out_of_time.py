@@ -205,6 +205,24 @@ def test_without_a_limit_no_clock_decides_anything(clock, tmp_path, monkeypatch)
     assert files(tmp_path / "usual") == files(tmp_path / "strange") != {}
 
 
+def test_what_was_shrunk_until_the_user_breaks_off_is_not_shrunk_again(clock, tmp_path):
+    whole = searched(clock, fails_in_three_ways, "whole", runs=12)
+    left = [12 + whole.summary.shrink_runs - 8]
+
+    def breaks_off(run):
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+        fails_in_three_ways(run)
+
+    with pytest.raises(KeyboardInterrupt):
+        searched(clock, breaks_off, runs=12, resume="states")
+    again = searched(clock, fails_in_three_ways, runs=1, resume="states")
+    assert again.summary.shrink_runs < 30 < whole.summary.shrink_runs
+    saved, expected = files(tmp_path / "corpus"), files(tmp_path / "whole")
+    assert {name: saved[name] for name in expected} == expected
+
+
 def test_the_last_telling_of_a_find_says_whether_it_was_cut(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=60, shrink_rollouts=300)
     last = {event.find.id: event.find for event in result.events if isinstance(event, FindTold)}
