@@ -12,7 +12,7 @@ from pytest_pafot.campaign import explore, search, state_file
 from pytest_pafot.campaign.events import FindTold, Progress
 
 NODE_ID = "test_it.py::test_it"
-SHORT = {"population": 4, "genes": 2, "gene_seconds": 5, "npcs": 2, "node_id": NODE_ID, "shrink_rollouts": 25}
+SHORT = {"population": 4, "genes": 2, "gene_seconds": 2, "npcs": 2, "node_id": NODE_ID, "shrink_rollouts": 15}
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def test_a_find_in_the_last_third_ends_the_search_at_once(clock):
     assert result.summary.runs in (25, 26)
 
 
-@pytest.mark.parametrize("limit", [5, 10, 30, 60, 90])
+@pytest.mark.parametrize("limit", [5, 30, 90])
 def test_several_finds_share_what_is_left_and_none_exceeds_it(clock, limit):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=limit, shrink_rollouts=300)
     assert limit - 7 <= clock.now <= limit + 1
@@ -94,10 +94,11 @@ def test_several_finds_share_what_is_left_and_none_exceeds_it(clock, limit):
 
 
 def test_what_one_find_leaves_of_its_share_goes_to_the_others(clock):
-    given = {"runs": 1000, "max_time": 300, "shrink_rollouts": 40}
+    given = {"runs": 20, "max_time": 120, "shrink_rollouts": 40}
     result = searched(clock, fails_in_three_ways, **given)
     assert unshrunk(result) == ["", "", ""]
-    assert clock.now < 300
+    assert max(attempts(result).values()) > 100 / 3
+    assert clock.now < 120
 
 
 def test_a_find_that_is_cut_is_told_so_with_the_way_on(clock):
@@ -114,18 +115,21 @@ def test_a_find_that_is_cut_while_it_becomes_simpler_is_saved_as_simple_as_it_is
     assert set(unshrunk(result)) == {"shrunk in part: out of time"}
     assert all(finding.original is not None for finding in result.findings)
     assert len(files(tmp_path / "corpus")) == 3
+    last_told = {event.find.id: event.find for event in result.events if isinstance(event, FindTold)}
+    assert all(find.unshrunk and "out of time" in find.summary for find in last_told.values())
 
 
-@pytest.mark.parametrize(("holds", "limit"), [(never_collides, 30), (fails_in_three_ways, 20)])
+@pytest.mark.parametrize(("holds", "limit"), [(never_collides, 30), (fails_in_three_ways, 30)])
 def test_sessions_that_go_on_leave_the_files_of_one_without_a_limit(clock, tmp_path, holds, limit):
-    whole = searched(clock, holds, "whole", runs=12)
+    given = {"gene_seconds": 5 if holds is never_collides else 2}
+    whole = searched(clock, holds, "whole", runs=12, **given)
     assert whole.findings
     done = sessions = 0
     while done < 12:
-        part = searched(clock, holds, runs=12 - done, max_time=limit, resume="states")
+        part = searched(clock, holds, runs=12 - done, max_time=limit, resume="states", **given)
         done, sessions = part.summary.runs, sessions + 1
     while any(unshrunk(part)) and sessions < 20:
-        part = searched(clock, holds, runs=1, max_time=limit, resume="states")
+        part = searched(clock, holds, runs=1, max_time=limit, resume="states", **given)
         sessions += 1
     assert 1 < sessions < 20
     saved, expected = files(tmp_path / "corpus"), files(tmp_path / "whole")
@@ -133,7 +137,7 @@ def test_sessions_that_go_on_leave_the_files_of_one_without_a_limit(clock, tmp_p
 
 
 def test_a_find_that_is_shrunk_by_now_is_not_told_again(clock):
-    first = searched(clock, fails_in_three_ways, runs=20, max_time=40, resume="states")
+    first = searched(clock, fails_in_three_ways, runs=12, max_time=24, resume="states")
     assert any(unshrunk(first))
     second = searched(clock, fails_in_three_ways, runs=1, resume="states")
     assert [find.id for find in second.summary.finds] == [find.id for find in first.summary.finds if find.unshrunk]
@@ -142,14 +146,14 @@ def test_a_find_that_is_shrunk_by_now_is_not_told_again(clock):
 
 
 def test_a_session_takes_up_as_many_open_finds_as_it_has_time_for(clock, tmp_path):
-    first = searched(clock, fails_in_three_ways, runs=30, max_time=45, shrink_rollouts=60, resume="states")
+    first = searched(clock, fails_in_three_ways, runs=18, max_time=33, shrink_rollouts=30, resume="states")
     assert len(first.findings) == sum(map(bool, unshrunk(first))) == 3
     began = clock.now
-    second = searched(clock, fails_in_three_ways, runs=1, max_time=2, shrink_rollouts=60, resume="states")
+    second = searched(clock, fails_in_three_ways, runs=1, max_time=2, shrink_rollouts=30, resume="states")
     assert clock.now - began <= 4
     assert len(second.findings) == 2
     assert "no time was left to shrink 1 finding of earlier sessions" in second.summary.notes
-    third = searched(clock, fails_in_three_ways, runs=1, shrink_rollouts=60, resume="states")
+    third = searched(clock, fails_in_three_ways, runs=1, shrink_rollouts=30, resume="states")
     assert len(third.findings) == 3
     assert not any(unshrunk(third))
 
@@ -165,7 +169,7 @@ def test_a_full_corpus_keeps_no_find_from_being_shrunk_later(clock, tmp_path):
 
 def test_answers_to_other_questions_are_not_used(clock, tmp_path):
     given = {"runs": 1, "resume": "states"}
-    first = searched(clock, fails_in_three_ways, runs=20, max_time=40, resume="states", shrink_rollouts=300)
+    first = searched(clock, fails_in_three_ways, runs=12, max_time=24, resume="states", shrink_rollouts=300)
     assert any(unshrunk(first))
     searched(clock, fails_in_three_ways, **given)
     searched(clock, fails_in_three_ways, "whole", runs=first.summary.runs)
@@ -178,11 +182,12 @@ def test_answers_of_another_ads_are_not_believed(clock):
         assert run.scenario.npcs[0][0].speed < fails_sometimes.limit, "too fast"
 
     fails_sometimes.limit = 1
-    first = searched(clock, fails_sometimes, runs=4, max_time=30, resume="states")
+    given = {"shrink_rollouts": 25, "resume": "states"}
+    first = searched(clock, fails_sometimes, runs=4, max_time=30, **given)
     assert set(unshrunk(first)) == {"shrunk in part: out of time; --pafot-resume goes on"}
     assert first.findings[0].scenario.npcs[0][0].speed < 10
     fails_sometimes.limit = 10
-    second = searched(clock, fails_sometimes, runs=1, resume="states")
+    second = searched(clock, fails_sometimes, runs=1, **given)
     again = next(each for each in second.findings if each.id == first.findings[0].id)
     assert again.shrunk.is_minimal
     assert again.scenario.npcs[0][0].speed == 10
@@ -199,9 +204,9 @@ def test_a_session_that_only_replays_shrinks_nothing(clock, tmp_path):
 
 def test_without_a_limit_no_clock_decides_anything(clock, tmp_path, monkeypatch):
     monkeypatch.setattr(state_file, "SHARE", 0)
-    searched(clock, never_collides, "usual", runs=20)
+    searched(clock, never_collides, "usual", runs=12, gene_seconds=5)
     clock.step = lambda: 1e9 * math.cos(clock.now)  # which also runs backwards
-    searched(clock, never_collides, "strange", runs=20)
+    searched(clock, never_collides, "strange", runs=12, gene_seconds=5)
     assert files(tmp_path / "usual") == files(tmp_path / "strange") != {}
 
 
@@ -218,13 +223,6 @@ def test_what_was_shrunk_until_the_user_breaks_off_is_not_shrunk_again(clock, tm
     with pytest.raises(KeyboardInterrupt):
         searched(clock, breaks_off, runs=12, resume="states")
     again = searched(clock, fails_in_three_ways, runs=1, resume="states")
-    assert again.summary.shrink_runs < 30 < whole.summary.shrink_runs
+    assert again.summary.shrink_runs < whole.summary.shrink_runs - 10
     saved, expected = files(tmp_path / "corpus"), files(tmp_path / "whole")
     assert {name: saved[name] for name in expected} == expected
-
-
-def test_the_last_telling_of_a_find_says_whether_it_was_cut(clock):
-    result = searched(clock, fails_in_three_ways, runs=1000, max_time=60, shrink_rollouts=300)
-    last = {event.find.id: event.find for event in result.events if isinstance(event, FindTold)}
-    assert all(find.unshrunk for find in last.values())
-    assert all("out of time" in find.summary for find in last.values())

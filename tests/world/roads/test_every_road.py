@@ -473,7 +473,7 @@ UNUSED |= {name: {"joins"} for name in ("merge", "merge-generic", "roundabout", 
 
 def test_a_world_knows_the_roads_that_nobody_uses():
     """On others nothing meets the ego's way: the exit leaves it, circuits and bends have no other road."""
-    assert {env_id: set(world_of(env_id).unused_roads) for env_id in ROADS} == {
+    assert {env_id: set(world_of(env_id, duration=10.0).unused_roads) for env_id in ROADS} == {
         env_id: UNUSED.get(env_id.rpartition("-")[0], set()) for env_id in ROADS
     }
     assert World("highway-v0").unused_roads == frozenset()
