@@ -124,7 +124,8 @@ class TestAPullRequest:
             "1 search, 150 runs; again with `--pafot-runs=150 --pafot-seed=5`.\n"
             "Only what `planner_before:Planner` passes is a failure.\n\n"
             "**New**\n\n"
-            f"- `test_safety.py::test_never_at_fault`: {find.headline}; delta-v {find.severity['delta_v']:.1f} m/s\n  <br>`python -m pytest {file}`\n"
+            f"- `test_safety.py::test_never_at_fault`: {find.headline}; delta-v {find.severity['delta_v']:.1f} m/s\n"
+            f"  <br>`python -m pytest {file}`\n"
         )
         assert find.headline.startswith("collision after ")
 

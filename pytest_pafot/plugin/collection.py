@@ -174,15 +174,10 @@ class Collection:
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
             roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
-            merged = [
-                self._config.invocation_params.dir / each for each in self._config.getoption(BY_NAME["merge"].key)
-            ]
-            # Corpora that are merged are those of other machines, wherever they lie.
-            met = [
-                each
-                for each in sorted(self._corpora)
-                if any(map(each.is_relative_to, self._folders_given)) and not any(map(each.is_relative_to, merged))
-            ]
+            met = [each for each in sorted(self._corpora) if any(map(each.is_relative_to, self._folders_given))]
+            for given in self._config.getoption(BY_NAME["merge"].key) or ():  # Corpora of other machines, wherever they lie.
+                merged = self._config.invocation_params.dir / given
+                met = [each for each in met if not each.is_relative_to(merged)]
             roots = dict(_roots_in(met, Path(corpus), self._rootpath)) | roots
         links = {root: layout.link_out(directory, root, self._rootpath) for root, directory in roots.items()}
         for link in sorted(set(filter(None, links.values()))):  # Not even the names of what lies behind it are listed.
