@@ -18,9 +18,8 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import Job, expectation
 from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding, of_failure
-from pytest_pafot.findings.replay import HAS_EVENT, ending, replay_label
+from pytest_pafot.findings.replay import HAS_EVENT, ending, replay_label, unhandled
 from pytest_pafot.findings.signature import Failure, Signature
-from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
@@ -180,7 +179,7 @@ class Replays:
         passes = self.passes_reference(saved, world, owner)
         if passes and label == "fixed":
             label = "fixed before"
-        elif passes is False and not missed(finding.expect.situation, run):
+        elif passes is False and not unhandled(finding, run):
             label = "fixed"
         return label, run, verdict
 

@@ -32,10 +32,10 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     one, or it passes under other versions, or without that the situation came up from which the failure arose, so that
     the file may no longer test what it was saved for. ``fixed``: it passes under the same versions, and the situation
     came up. Where a collision that is no failure ends the run, that must be later after the situation than the failure
-    was then, and than 2 s; of a file that knows no situation, nothing else may have happened instead. A check is told
-    by its name and, where it says one, its time, whatever else happened; it is fixed where the run went on past that
-    time. The run is the one of now, with its failure, if any, and the versions of today's packages; these are compared
-    where the file names them.
+    was then, and than 2 s, and, of a file of a collision, not with the same NPC; of a file that knows no situation,
+    nothing else may have happened instead. A check is told by its name and, where it says one, its time, whatever else
+    happened; it is fixed where the run went on past that time. The run is the one of now, with its failure, if any, and
+    the versions of today's packages; these are compared where the file names them.
     """
     expect, is_same = finding.expect, is_same_event(finding.expect, run, failure)
     if failure is not None:
@@ -48,7 +48,22 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     if expect.situation is not None and run.collision is not None:
         after = seconds_after(expect.situation, run)
         is_whole = is_whole or (after is not None and after > max(expect.time - expect.situation.time, BEFORE))
-    return "fixed" if is_same or (is_whole and not missed(expect.situation, run)) else "drifted"
+    # Where the same event has another party responsible, the policy has changed and not the test.
+    is_same = is_same and (expect.situation is None or run.responsibility == expect.responsibility)
+    return "fixed" if is_same or (is_whole and not unhandled(finding, run)) else "drifted"
+
+
+def unhandled(finding: Finding, run: Run) -> str:
+    """Return why a run that passes did not handle the situation of a file; empty where it did, or nobody knows.
+
+    The situation did not come up, or the ego and the NPC of the file collide all the same, which the test lets pass.
+    """
+    expect, hit = finding.expect, run.collision
+    why = missed(expect.situation, run)
+    is_about_it = expect.outcome is Outcome.COLLISION and expect.check is None and not finding.signature.is_property
+    if why or expect.situation is None or not is_about_it or hit is None or hit.npc != expect.situation.npc:
+        return why
+    return f"the ego and NPC {hit.npc} collide all the same, after {hit.time:.1f} s, which is no failure of the test"
 
 
 def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> bool:

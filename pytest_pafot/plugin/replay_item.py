@@ -19,8 +19,8 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.replay import unhandled
 from pytest_pafot.findings.severity import worsening
-from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
@@ -63,7 +63,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if label in ("drifted", FLAKY):
         detail = replays.changes(finding, happened(finding, run, verdict.failure))
     if label == "drifted" and not verdict.failed:
-        detail = "; ".join(filter(None, [missed(finding.expect.situation, run), detail]))
+        detail = "; ".join(filter(None, [unhandled(finding, run), detail]))
     line = headline(run, verdict) if verdict.failed else ""
     _tell(item, replays, saved, label, headline=line, detail=detail, verdict=verdict, worse=worse)
     page = page_messages_of(item, request.settings)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot.findings.finding import Expect, Finding, Found
-from pytest_pafot.findings.replay import replay_label
+from pytest_pafot.findings.replay import replay_label, unhandled
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure
 from pytest_pafot.findings.situation import Situation, missed, seconds_after
 from pytest_pafot.model.grid import Cell
@@ -172,6 +172,24 @@ def test_an_impact_that_is_no_failure_counts_if_it_is_later_after_the_situation(
         behind = driven(ego[impact, X] - LENGTH - 20.0 * impact / HZ)
         run = Run(crash(ego, leader, behind, npc=1, side="rear", cell=Cell.REAR))
         assert replay_label(saved, run, None, {}) == label
+
+
+def test_a_collision_with_the_same_npc_is_no_fix_though_it_passes():
+    saved = Finding.of(rear_end(), FAILS, test="t.py::t", world={}, found=FOUND)
+    later = Run(crash(driven(0.0), driven(35.0, brakes=[(6.0, 6.0, 8.0)])))
+    assert replay_label(saved, later, None, {}) == "drifted"
+    assert unhandled(saved, later) == (
+        f"the ego and NPC 0 collide all the same, after {later.collision.time:.1f} s, which is no failure of the test"
+    )
+
+
+def test_the_same_collision_is_no_fix_where_another_answers_for_it():
+    """The ego drives as before, and the verdict alone has changed, as where the other has cut in just before."""
+    run = rear_end()
+    assert run.responsibility == "ego"
+    saved = Finding.of(run, FAILS, test="t.py::t", world={}, found=FOUND)
+    other = replace(saved, expect=replace(saved.expect, responsibility="npc"))
+    assert [replay_label(each, run, None, {}) for each in (saved, other)] == ["fixed", "drifted"]
 
 
 def test_a_file_that_knows_no_situation_is_fixed_by_a_pass():
