@@ -73,11 +73,15 @@ def kinds_in(files: Iterable[Saved]) -> set[Signature]:
 
 
 def of_one_kind(files: Iterable[Saved]) -> list[list[Saved]]:
-    """Return the groups of two files or more that name the same test, for the same kind of failure."""
+    """Return the groups of two files or more that name the same test, for the same kind of failure.
+
+    A file of a lane change does not tell where the other was, so that nobody knows whether two of them are of one kind.
+    """
     groups: dict[tuple[str, Signature], list[Saved]] = {}
     for saved in files:
-        if saved.finding is not None:
-            groups.setdefault((saved.finding.test, saved.finding.signature), []).append(saved)
+        signature = None if saved.finding is None else saved.finding.signature
+        if saved.finding is not None and signature is not None and (signature.fault is None or signature.mistake):
+            groups.setdefault((saved.finding.test, signature), []).append(saved)
     return [group for group in groups.values() if len(group) > 1]
 
 

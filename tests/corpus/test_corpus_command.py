@@ -103,6 +103,15 @@ def test_join_keeps_the_simplest_of_each_kind_of_a_folder_once_it_may_write(tmp_
     assert join(tmp_path, capsys, "--write") == (0, ["nothing to join"])
 
 
+def test_join_leaves_lane_changes_alone_of_which_a_file_tells_no_mistake(tmp_path, capsys):
+    """Into the side of one and in front of another are two failures, and the fault in a file is one name of both."""
+    entered = {"expect": replace(plain_finding().expect, fault="entered-lane")}
+    unanswered = {"expect": replace(plain_finding().expect, fault="leader-unanswered")}
+    save(tmp_path, a=(1, entered), b=(2, entered), c=(1, unanswered), d=(2, unanswered))
+    assert join(tmp_path, capsys, "--write")[0] == 0
+    assert names(tmp_path) == ["a", "b", "c"]
+
+
 def test_join_loses_no_acceptance_and_keeps_firm_ones(tmp_path, capsys):
     accepted = {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}
     for name, files in {
