@@ -263,7 +263,8 @@ def _orphan(
 def _way_out(folder: Path, root: Path, alike: list[Path], collected: Collected) -> str:
     """Say where the files of a folder belong now, as far as names and kinds of failures tell, or how to remove them.
 
-    A test without saved scenarios may have got a new name; one with scenarios of the same kinds shows the same.
+    A test without saved scenarios may have got a new name; one with scenarios of the same kinds shows the same. The
+    former comes first, as tests of many policies fail in the same few ways.
     """
     new = [each for each, saved in collected.saved.items() if not saved]
     beside = [each for each in new if each.parent == folder.parent]
@@ -272,8 +273,8 @@ def _way_out(folder: Path, root: Path, alike: list[Path], collected: Collected) 
         ("has the same name", counterparts(folder.relative_to(root), collected.folders)),
         ("has the same name", [each for each in new if each.name == folder.name]),
         ("has a similar name", [each for each in beside if each.name in near]),
-        ("has saved scenarios of the same kinds", alike),
         ("has no saved scenarios", beside),
+        ("has saved scenarios of the same kinds", alike),
     )
     prune = f"remove the files with {BY_NAME['prune'].flag}"
     for why, found in guesses:

@@ -135,7 +135,8 @@ def test_the_way_out_names_where_the_test_is_now(saved, ci):
     assert way_out(saved).startswith("test_it.py::test_never_so_short has no saved scenarios. ")
     saved.write(FAILING.replace("test_fails", "test_never_so_short"), name="test_else")
     file = saved.only_file
-    for name in ("test_it/test_never_so_short", "test_else/test_never_so_short"):
+    for name in ("test_else/test_never_so_short", "test_it/test_never_so_short"):
+        assert way_out(saved).startswith("test_it.py::test_never_so_short has no saved scenarios. "), name
         (saved.path / "pafot_corpus" / name).mkdir(parents=True)
         shutil.copy(file, saved.path / "pafot_corpus" / name)
     assert way_out(saved) == "rename the folder to the test's new name, or remove the files with --pafot-prune"
