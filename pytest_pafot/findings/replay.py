@@ -43,7 +43,7 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):
         return "drifted"
     # One that was cut short did not drive the rest of the scenario.
-    is_whole = run.collision is None and run.ads_error is None and run.outcome != "invalid"
+    is_whole = run.collision is None and run.ads_error is None and run.outcome not in ("invalid", "off_road")
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
     if expect.situation is not None and run.collision is not None:
         after = seconds_after(expect.situation, run)

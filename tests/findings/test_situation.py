@@ -183,6 +183,13 @@ def test_a_collision_with_the_same_npc_is_no_fix_though_it_passes():
     )
 
 
+def test_an_ego_that_leaves_the_road_has_fixed_nothing():
+    saved = Finding.of(rear_end(), FAILS, test="t.py::t", world={}, found=FOUND)
+    met = trace_of(driven(0.0, **BRAKES), driven(35.0, **BRAKES))
+    off = replace(met, outcome=Outcome.OFF_ROAD, off_road_tick=met.ticks)
+    assert [replay_label(saved, Run(trace), None, {}) for trace in (met, off)] == ["fixed", "drifted"]
+
+
 def test_the_same_collision_is_no_fix_where_another_answers_for_it():
     """The ego drives as before, and the verdict alone has changed, as where the other has cut in just before."""
     run = rear_end()
