@@ -26,6 +26,8 @@ from pytest_pafot.oracle.run import Run
 
 BEFORE = 2.0
 """The situation of a failure without a collision is that of so long before its time [s]."""
+START = 4.0
+"""All start at one speed and in cells, whatever the ego does, so the first [s] count only for a situation in them."""
 HALF_LANE = 0.5
 """An NPC is in a lane whose centre is no further away than this, in widths of the ego's lane."""
 PLACE = 5.0
@@ -113,12 +115,13 @@ class Situation:
 
         Shape [3, ticks + 1], in multiples of what is tolerated: where none is above 1 the situation came up.
         """
-        frame, npc = dangers_of(trace).frame, self.npc
+        frame, npc, start = dangers_of(trace).frame, self.npc, round(min(self.time, START) * trace.physics_hz)
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
         slower = self.ego_speed - self.npc_speed
         if self.lane == 0 and self.ahead > 0:
             ticks = round(ANSWER * trace.physics_hz)
-            ego = sliding_window_view(np.pad(ego, (ticks, 0), mode="edge"), ticks + 1).max(axis=1)
+            driven = np.where(np.arange(len(ego)) < start, 0.0, ego)
+            ego = sliding_window_view(np.pad(driven, (ticks, 0)), ticks + 1).max(axis=1)
             along = np.where(ahead > 0, ahead / max(REACH, REACH_FACTOR * self.ahead), np.inf)
             lacking = min(SLOWER_SHARE * slower, slower - SPEED) - (ego - speed)
             speeds = np.maximum(1 + lacking / SPEED, 0)
@@ -127,6 +130,7 @@ class Situation:
             # An NPC with a speed of its own, such as one that overtakes, is the same beside an ego with another one.
             own = np.maximum(np.abs(speed - self.npc_speed) / SPEED, np.abs(ego - self.ego_speed) / EGO_SPEED)
             speeds = np.minimum(np.abs(ego - speed - slower) / SPEED, own)
+            along = np.where(np.arange(len(along)) < start, np.inf, along)
         aside = np.abs(_lanes_between(trace, frame, npc) - self.lane) / HALF_LANE
         return np.stack((along, aside, speeds))
 

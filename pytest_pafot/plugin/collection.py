@@ -175,7 +175,7 @@ class Collection:
             files = {item.path.parent: item.path for item in items}
             roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
             met = [each for each in sorted(self._corpora) if any(map(each.is_relative_to, self._folders_given))]
-            for given in self._config.getoption(BY_NAME["merge"].key) or ():  # Corpora of other machines, wherever they lie.
+            for given in self._config.getoption(BY_NAME["merge"].key) or ():  # corpora of other machines
                 merged = self._config.invocation_params.dir / given
                 met = [each for each in met if not each.is_relative_to(merged)]
             roots = dict(_roots_in(met, Path(corpus), self._rootpath)) | roots

@@ -143,12 +143,18 @@ def test_a_lane_where_nobody_is_beside_the_ego_is_no_fix(ego, npc):
     assert not comes_up(into_the_side(), ego, npc)
 
 
+def test_the_places_at_the_start_are_no_situation_of_later():
+    """The ego stops for no reason, and the other, which was beside it, goes on."""
+    stopping = driven(0.0, brakes=[(0.0, 6.0, 0.0)])
+    assert not comes_up(into_the_side(), stopping, driven(-2.0, RIGHT))
+
+
 def test_a_miss_says_where_the_other_was_and_how_near_it_came():
     passing = Run(trace_of(driven(0.0), driven(-20.0, LEFT)))
     assert missed(situation(into_the_side()), passing) == (
         "the situation did not come up: NPC 0 was 2 m behind one lane to the right at 20 m/s, with the ego at 20 m/s, "
         "before the run failed; now it came no nearer to that than 20 m behind one lane to the left at 20 m/s, with "
-        "the ego at 20 m/s, after 0.0 s"
+        "the ego at 20 m/s, after 4.0 s"
     )
 
 
