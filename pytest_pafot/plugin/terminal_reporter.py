@@ -153,7 +153,7 @@ class Reporter:
         failing = {replay.node_id for replay in self._replays if replay.label in FAILING}
         unrun = self._config.stash[UNRUN]
         self._lines.warnings.extend(told for told, ids in unrun.doubles.items() if failing.issuperset(ids))
-        if self._config.getoption(BY_NAME["prune"].key):
+        if self._config.getoption(BY_NAME["prune"].key) and not self._config.getoption("collectonly"):
             with self._lines.faults("--pafot-prune"):
                 files = [Path(file) for orphan in unrun.orphans.values() for file in orphan.removable]
                 if files:

@@ -33,6 +33,11 @@ def prune(project, *args):
     return project.run("--pafot-prune", *args, generations=0)
 
 
+def test_a_session_that_only_collects_removes_nothing(orphaned):
+    prune(orphaned, "--collect-only")
+    assert gone(orphaned).exists()
+
+
 def left_alone(result):
     result.stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in *", "  left alone: *"])
     result.stdout.no_fnmatch_line("removed: *")
