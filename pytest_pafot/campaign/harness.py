@@ -131,8 +131,13 @@ class Harness:
             return {}
         return dict(reference_outcomes(run, self.test, blame=self.request.blame, test_file=self.test_file))
 
+    @property
+    def against_name(self) -> str:
+        """Return what the reference that failures are held against is called; empty without one."""
+        return "" if self.against is None else self.against.shown
+
     def last_chance(self, run: Run, verdict: Verdict) -> LastChance | None:
-        """When a reference driver could last have prevented what failed; simulated.
+        """Simulate when a reference driver could last have prevented what failed.
 
         For a collision it is that of the run. For a failed check it is the last decision before the check was worst
         from which the driver keeps it to the end of the run. None for all else, and where a check does not say when.

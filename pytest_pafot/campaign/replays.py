@@ -129,13 +129,13 @@ class Replays:
         return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
 
     def passes_reference(self, saved: Saved, world: Any, owner: str) -> bool | None:
-        """Whether the reference passes a saved scenario; None without one."""
+        """Return whether the reference passes a saved scenario; None without one."""
         __tracebackhide__ = True
         verdict = self.of_reference(saved, world, owner)
         return None if verdict is None else verdict.passes
 
     def of_reference(self, saved: Saved, world: Any, owner: str) -> Verdict | None:
-        """The verdict on the reference, in another process where the ADS runs so; None without a reference."""
+        """Return the verdict on the reference, in another process where the ADS runs so; None without a reference."""
         __tracebackhide__ = True
         harness, scenario = self.harness, _finding(saved).scenario
         job, isolate = harness.job(world, owner), self._is_apart(saved, owner)

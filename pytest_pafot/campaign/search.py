@@ -362,9 +362,9 @@ class Search:
         is_cut = reason == self.limit.flag and not self.sessions.go_on
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         finds = [kept.find for kept in loop.recorder.kept.values()]
-        # An error says nothing of the ego, and random scenarios that end with the first failure say too much.
         notes = (loop.doubt, loop.known_alone, self._unused, loading_hint(self.harness.ads) if loop.runs else "")
         beginning = self.sessions.beginning
+        # An error says nothing of the ego, and random scenarios that end with the first failure say too much.
         is_cut_short = reason == "error" or (reason == "enough findings" and not beginning.is_whole)
         return SearchSummary(
             node_id=self.node_id,
@@ -392,7 +392,7 @@ class Search:
             known=dict(loop.known + self.sessions.found_before),
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
             notes=(*self.notes, *filter(None, notes), *cut, *self._left_undone(reason)),
-            against="" if self.harness.against is None else self.harness.against.shown,
+            against=self.harness.against_name,
             random=(0, 0) if is_cut_short else (beginning.at_fault, beginning.runs),
             random_otherwise=0 if is_cut_short else beginning.otherwise,
             drawn="" if self.loop.space is None else self.loop.space.described,

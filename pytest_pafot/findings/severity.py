@@ -45,40 +45,40 @@ class Severity:
 
     @property
     def figure(self) -> str:
-        """The value in short, without its unit."""
+        """Return the value in short, without its unit."""
         if self.value is None:
             return "no finite number"
         return f"{self.value:.1f}" if self.kind == "collision" else f"{self.value:.3g}"
 
     def __str__(self) -> str:
-        """What happens, such as ``hits at 9.8 m/s``."""
+        """Say what happens, such as ``hits at 9.8 m/s``."""
         figure = f"{self.figure} {self.unit}".rstrip()
         return f"hits at {figure}" if self.kind == "collision" else f"breaks {self.name} by {figure}"
 
     @property
     def further(self) -> str:
-        """What a headline does not say: the delta-v of a collision; by how much a check is broken, and its margin."""
+        """Return what a headline does not say: of a collision the delta-v, of a check by how much, and its margin."""
         if self.delta_v is not None:
             return f"delta-v {self.delta_v:.1f} m/s"
         by = f"by {self.figure} {self.unit}".rstrip()
         return "no finite number" if self.margin is None else f"{by}, margin {self.margin:.3g}"
 
     def is_fault(self, responsible: str) -> bool:
-        """Whether it is a collision that the ego answers for, alone or with the NPC."""
+        """Return whether it is a collision that the ego answers for, alone or with the NPC."""
         return self.kind == "collision" and responsible in ("ego", "both")
 
     def data(self) -> dict[str, Any]:
-        """The fields and the delta-v, for programs."""
+        """Return the fields and the delta-v, for programs."""
         return {**asdict(self), "delta_v": self.delta_v}
 
     @classmethod
     def of_data(cls, data: Mapping[str, Any]) -> Self:
-        """The value that :meth:`data` has made data of."""
+        """Return the value that :meth:`data` has made data of."""
         return cls(**{name: value for name, value in data.items() if name != "delta_v"})
 
     @property
     def figures(self) -> tuple[int, float, float]:
-        """What is compared first; larger figures are worse."""
+        """Return what is compared first; larger figures are worse."""
         value = math.inf if self.value is None else self.value
         if self.kind == "collision":
             return 2, value, 0.0

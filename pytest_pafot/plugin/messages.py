@@ -85,7 +85,7 @@ def set_of_saved(item: pytest.Item, saved: Saved) -> None:
 
 
 def severity_text(severity: Severity | None) -> str:
-    """How bad a failure is, as a property."""
+    """Return how bad a failure is, as a property."""
     return "none" if severity is None else str(severity)
 
 

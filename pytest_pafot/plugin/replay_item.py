@@ -105,12 +105,12 @@ def _conclude_lost(
 
 
 def _against(replays: Replays) -> str:
-    against = replays.harness.against
-    return "" if against is None else f"against {against.shown}"
+    name = replays.harness.against_name
+    return f"against {name}" if name else ""
 
 
 def _worsening(verdict: Verdict) -> str:
-    """How much worse a failure is than that of the reference in the same scenario; empty where it is not."""
+    """Say how much worse a failure is than that of the reference in the same scenario; empty where it is not."""
     return "" if verdict.reference is None else worsening(verdict.severity, verdict.reference.severity)
 
 
@@ -127,8 +127,7 @@ def _tell(
 ) -> None:
     """Tell the controller of a replay, whose verdict is None where its process did not come back."""
     path, finding = relative(saved.path, replays.harness.root), saved.finding
-    against = "" if replays.harness.against is None else replays.harness.against.shown
-    worse = f"{saved.id} {worse}" if worse else ""
+    against, worse = replays.harness.against_name, f"{saved.id} {worse}" if worse else ""
     summary = ReplaySummary(node_id=item.nodeid, label=label, detail=detail, against=against, worse=worse)
     if finding is not None:
         today = date.fromisoformat(item.config.stash[SHARED].today)
