@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pytest_pafot.criticality.temporal import eventually as eventually
     from pytest_pafot.criticality.temporal import until as until
     from pytest_pafot.episodes.rate import Rate as Rate
+    from pytest_pafot.model.driving_style import Traffic as Traffic
     from pytest_pafot.model.grid import Cell as Cell
     from pytest_pafot.model.scenario import Chromosome as Chromosome
     from pytest_pafot.model.scenario import LaneInstruction as LaneInstruction
@@ -76,6 +77,7 @@ _HOMES = {
     "SavedScenario": "campaign.saved_scenario",
     "Scenario": "model.scenario",
     "ScenarioError": "model.scenario",
+    "Traffic": "model.driving_style",
     "Signal": "criticality.signals",
     "Trace": "model.trace",
     "Weights": "searching.fitness",

@@ -10,6 +10,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
+from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
@@ -22,7 +23,7 @@ from pytest_pafot.world import Highway, WorldError, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
-SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed")
+SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic")
 NPCS = 4
 """In a scenario, where neither the algorithm nor the mark says otherwise: beside the ego in any lane of a Highway."""
 SLOWEST_START = 12.0
@@ -46,6 +47,7 @@ class SearchArguments(TypedDict, total=False):
     gene_seconds: float
     ego_lane: int
     ego_speed: float
+    traffic: str | Traffic
     ads: Any
     arg: str
     fitness: str | Weights | Callable[[Trace], float]
@@ -218,14 +220,16 @@ def build_space(request: Request, world: Any) -> SearchSpace:
 def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments of the space of an algorithm that need not have the paper's, where they are not given.
 
-    On a straight road. The start is drawn on a Highway alone: an environment says how its ego starts.
+    NPCs are attentive. All else is for a straight road, and the start is drawn on a Highway alone: an environment says
+    how its ego starts.
     """
     road = protocol.straight_road(world)
+    traffic = {"traffic": Traffic()}
     if road is None:
-        return {}
+        return traffic
     npcs = given.get("npcs", NPCS)
     lanes = tuple(lane for lane in range(road.lane_count) if len(road.cells(lane)) > npcs)
-    drawn: dict[str, Any] = {"patterns": True}
+    drawn: dict[str, Any] = {"patterns": True, **traffic}
     if given.get("ego_lane", EGO_LANE) in lanes:
         drawn["npcs"] = npcs
     if isinstance(world, Highway) and "ego_lane" not in given:

@@ -16,6 +16,7 @@ from typing import Any
 import yaml
 
 from pytest_pafot.findings.finding import Expect, Finding, Perceived
+from pytest_pafot.model.driving_style import BOUNDS, PAPERS
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 
 # Which keys there are.
@@ -49,12 +50,14 @@ WORLDS: Mapping[str, Keys] = MappingProxyType(
 LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"))
 """Of the key ``limits`` of a world."""
 
-SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds",))
+SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic"))
 """Of ``scenario`` and ``original``; ``npcs`` is a list of lists of genes, in one of the next two forms."""
 
 EGO = Keys(("lane", "speed"))
 POSITION_INSTRUCTION = Keys(("cell", "speed"))
 LANE_INSTRUCTION = Keys(("lane", "speed"))
+TRAFFIC = Keys(("style",), tuple(BOUNDS))
+"""Of ``traffic`` where it is no style alone."""
 
 XFAIL = Keys(("reason",), ("until",))
 """Of ``xfail`` where it is no plain text."""
@@ -126,6 +129,8 @@ def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
     yield f"  ego: {{lane: {scenario.ego_lane}, speed: {_number(scenario.ego_speed)}}}"
     if scenario.gene_seconds != DEFAULT_GENE_SECONDS:
         yield f"  gene_seconds: {_number(scenario.gene_seconds)}"
+    if scenario.traffic != PAPERS:
+        yield f"  traffic: {_flow(scenario.traffic.plain())}"
     yield "  npcs:"
     for chain in scenario.npcs:
         for gene, instruction in enumerate(chain):

@@ -25,6 +25,7 @@ from pytest_pafot.corpus.yaml_document import MAX_BYTES, NOT_SHOWN, Lines, Place
 from pytest_pafot.findings.finding import MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived, check_plain, is_id
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.situation import Situation
+from pytest_pafot.model.driving_style import PAPERS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import REPAIR, SHIFTS, Gene, Scenario, ScenarioError, gene_of
 from pytest_pafot.model.sight import Sight
@@ -284,8 +285,20 @@ def _scenario(field: Field) -> Scenario:
             ego_lane=ego["lane"].whole(),
             ego_speed=ego["speed"].number(),
             gene_seconds=_given(fields, "gene_seconds", Field.number, DEFAULT_GENE_SECONDS),
+            traffic=_given(fields, "traffic", _traffic, PAPERS),
         )
     except ScenarioError as error:
+        raise _rule_broken(field, error) from None
+
+
+def _traffic(field: Field) -> Traffic:
+    if isinstance(field.value, str):
+        return Traffic(field.choice(STYLES))
+    fields = field.mapping(file_format.TRAFFIC)
+    style = fields.pop("style").choice(STYLES)
+    try:
+        return Traffic(style, **{name: inner.number() for name, inner in fields.items()})
+    except FieldError as error:
         raise _rule_broken(field, error) from None
 
 

@@ -91,7 +91,7 @@ class DecisionCache:
 
 def _key(scenario: Scenario, chains: Chains, genes: int, seed: int | None) -> _Key:
     shared = tuple([chain[:genes] for chain in chains])
-    return scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, seed, shared
+    return scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic, seed, shared
 
 
 def runner_for(

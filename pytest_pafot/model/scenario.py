@@ -16,6 +16,7 @@ from functools import lru_cache
 from itertools import pairwise, zip_longest
 from typing import Any, Literal, cast, get_args
 
+from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell, is_adjacent, repair_chains
 from pytest_pafot.support.errors import FieldError, checked_whole, plain_whole
 
@@ -161,6 +162,7 @@ class Scenario:
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: everybody's first speed [m/s].
         gene_seconds: duration of one gene [s].
+        traffic: how the NPCs drive beside what their instructions ask for; the paper's unless it is said.
 
     Raises:
         ScenarioError: on any broken rule, among them a cell that is no ring neighbour of the one before and
@@ -172,6 +174,7 @@ class Scenario:
     ego_lane: int = EGO_LANE
     ego_speed: float = EGO_SPEED
     gene_seconds: float = GENE_SECONDS
+    traffic: Traffic = PAPERS
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "npcs", _checked_chains(self.npcs))
@@ -183,6 +186,9 @@ class Scenario:
             raise ScenarioError(field="ego_speed", expected="m/s, at least 0", received=repr(self.ego_speed))
         if self.gene_seconds <= 0:
             raise ScenarioError(field="gene_seconds", expected="seconds, more than 0", received=repr(self.gene_seconds))
+        if not isinstance(self.traffic, Traffic):
+            fix = 'write pafot.Traffic(style="everyday")'
+            raise ScenarioError(field="traffic", expected="a Traffic", received=repr(self.traffic), fix=fix)
         _check_adjacency(self.positions)
         _check_distinct(self.positions)
 
@@ -195,6 +201,7 @@ class Scenario:
         ego_lane: int = EGO_LANE,
         ego_speed: float = EGO_SPEED,
         gene_seconds: float = GENE_SECONDS,
+        traffic: Traffic = PAPERS,
     ) -> Scenario:
         """A scenario from chains that may break the ring; the speeds stay, the cells are repaired.
 
@@ -205,11 +212,25 @@ class Scenario:
         wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
         cells = repair_chains(wanted, seed)
         npcs = chains if [list(row) for row in cells] == wanted else with_cells(chains, cells)
-        return cls(npcs=npcs, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+        return cls(
+            npcs=npcs,
+            seed=seed,
+            ego_lane=ego_lane,
+            ego_speed=ego_speed,
+            gene_seconds=gene_seconds,
+            traffic=traffic,
+        )
 
     @classmethod
     def trusted(
-        cls, *, npcs: tuple[Chromosome, ...], seed: int, ego_lane: int, ego_speed: float, gene_seconds: float
+        cls,
+        *,
+        npcs: tuple[Chromosome, ...],
+        seed: int,
+        ego_lane: int,
+        ego_speed: float,
+        gene_seconds: float,
+        traffic: Traffic,
     ) -> Scenario:
         """A scenario without the constructor's checks, for a search, whose children have genes that were checked."""
         scenario = object.__new__(cls)
@@ -218,6 +239,7 @@ class Scenario:
         object.__setattr__(scenario, "ego_lane", ego_lane)
         object.__setattr__(scenario, "ego_speed", ego_speed)
         object.__setattr__(scenario, "gene_seconds", gene_seconds)
+        object.__setattr__(scenario, "traffic", traffic)
         return scenario
 
     def __hash__(self) -> int:
@@ -246,7 +268,8 @@ class Scenario:
     def plain(self) -> list[Any]:
         """All fields as lists and numbers, of which :meth:`canonical` is the text."""
         npcs = [[[gene.target, gene.speed] for gene in chain] for chain in self.npcs]
-        return [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds]
+        traffic = [] if self.traffic == PAPERS else [self.traffic.plain()]
+        return [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic]
 
     @classmethod
     def from_canonical(cls, fields: Any) -> Scenario:
@@ -255,9 +278,16 @@ class Scenario:
         Raises:
             ScenarioError, TypeError, ValueError: for anything else.
         """
-        npcs, seed, ego_lane, ego_speed, gene_seconds = fields
+        npcs, seed, ego_lane, ego_speed, gene_seconds, *traffic = fields
         chains = tuple(tuple(_known_gene(target, speed) for target, speed in chain) for chain in npcs)
-        return cls(npcs=chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+        return cls(
+            npcs=chains,
+            seed=seed,
+            ego_lane=ego_lane,
+            ego_speed=ego_speed,
+            gene_seconds=gene_seconds,
+            traffic=Traffic.of(*traffic) if traffic else PAPERS,
+        )
 
     def truncated(self, genes: int) -> Scenario:
         """The same scenario with at most so many genes per NPC."""

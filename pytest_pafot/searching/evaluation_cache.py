@@ -129,5 +129,5 @@ def _code(gene: Gene) -> int:
 
 
 def _key(scenario: Scenario, chains: Chains, depth: int) -> _Key:
-    start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds)
+    start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic)
     return (*start, depth, *[chain[:depth] for chain in chains])

@@ -80,7 +80,7 @@ def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
     npc = int(rng.integers(len(chains)))
     chain = chains[npc]
     before = chain[: int(rng.integers(len(chain)))]
-    new = followed_by_pattern(before, scenario.ego_speed, space.top_step, rng)
+    new = followed_by_pattern(before, scenario.ego_speed, (space.low_step, space.top_step), rng)
     return _child(scenario, with_chain(chains, npc, (*new, *chain[len(new) :])[: len(chain)]), rng)
 
 

@@ -89,31 +89,34 @@ WALKING = ((1.0, -2.0), (1.0, 3.0))
 """Bounds of speeds on the way from one pattern to the next."""
 
 
-def chain_of_patterns(genes: int, ego_speed: float, top_step: int, rng: Generator) -> list[PositionInstruction]:
+def chain_of_patterns(
+    genes: int, ego_speed: float, bounds: tuple[int, int], rng: Generator
+) -> list[PositionInstruction]:
     """A chain of so many genes: patterns one after the other, and the way between them on the ring.
 
-    Speeds depend on the ego's first one [m/s], and are at most ``top_step``, in steps of 0.1 m/s.
+    Speeds depend on the ego's first one [m/s], and are within ``bounds``, in steps of 0.1 m/s.
     """
     chain: list[PositionInstruction] = []
     while len(chain) < genes:
-        chain = followed_by_pattern(chain, ego_speed, top_step, rng)
+        chain = followed_by_pattern(chain, ego_speed, bounds, rng)
     return chain[:genes]
 
 
 def followed_by_pattern(
-    chain: Sequence[PositionInstruction], ego_speed: float, top_step: int, rng: Generator
+    chain: Sequence[PositionInstruction], ego_speed: float, bounds: tuple[int, int], rng: Generator
 ) -> list[PositionInstruction]:
     """A chain that may be empty, the way on the ring from its last cell to the first one of a pattern, and that."""
     steps = PATTERNS[int(rng.integers(len(PATTERNS)))].steps
     if rng.integers(2):
         steps = tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in steps)
     way = [Step(cell, *WALKING) for cell in _between(chain[-1].cell, steps[0].cell, rng)] if chain else []
-    return [*chain, *(_drawn(step, ego_speed, top_step, rng) for step in (*way, *steps))]
+    return [*chain, *(_drawn(step, ego_speed, bounds, rng) for step in (*way, *steps))]
 
 
-def _drawn(step: Step, ego_speed: float, top_step: int, rng: Generator) -> PositionInstruction:
+def _drawn(step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator) -> PositionInstruction:
+    least, most = bounds
     low, high = (
-        min(max((share * ego_speed + more) * SPEED_STEPS_PER_MPS, 0), top_step) for share, more in (step.low, step.high)
+        min(max((share * ego_speed + more) * SPEED_STEPS_PER_MPS, least), most) for share, more in (step.low, step.high)
     )
     return PositionInstruction(step.cell, int(rng.integers(int(low), int(high) + 1)) / SPEED_STEPS_PER_MPS)
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell, is_adjacent, repair_chains
 from pytest_pafot.model.scenario import (
     EGO_LANE,
@@ -49,6 +50,7 @@ class SearchSpace:
             ``ego_speed``, which is then the plain one.
         patterns: whether half of the scenarios that are drawn, and a third of the mutations, are made of
             :data:`~pytest_pafot.searching.patterns.PATTERNS`.
+        traffic: of all scenarios.
     """
 
     npcs: int = 2
@@ -60,6 +62,7 @@ class SearchSpace:
     ego_lanes: tuple[int, ...] = ()
     ego_speeds: tuple[float, float] | None = None
     patterns: bool = False
+    traffic: Traffic = PAPERS
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -69,6 +72,7 @@ class SearchSpace:
         checked_number(self.gene_seconds, "gene_seconds", "seconds, more than 0", least=POSITIVE)
         checked_number(self.speed_limit, "speed_limit", "a finite speed in m/s, at least 0", least=0.0)
 
+        object.__setattr__(self, "traffic", Traffic.of(self.traffic))
         if self.ego_speeds is not None and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf:
             raise ValueError(f"ego_speeds: expected the lowest and the highest in m/s, received {self.ego_speeds!r}")
 
@@ -80,6 +84,11 @@ class SearchSpace:
     def top_step(self) -> int:
         """The highest target speed in steps of 0.1 m/s."""
         return math.floor(self.speed_limit * SPEED_STEPS_PER_MPS + 1e-6)
+
+    @property
+    def low_step(self) -> int:
+        """The lowest target speed in steps of 0.1 m/s, at most the highest."""
+        return min(math.ceil(self.traffic.least_speed * SPEED_STEPS_PER_MPS - 1e-6), self.top_step)
 
     @property
     def described(self) -> str:
@@ -149,12 +158,13 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     if space.draws_start:
         space = replace(space, ego_lane=space.drawn_lane(rng), ego_speed=space.drawn_speed(rng))
     if space.patterns and rng.integers(2):
-        chains = [chain_of_patterns(space.genes, space.ego_speed, space.top_step, rng) for _ in range(space.npcs)]
+        bounds = space.low_step, space.top_step
+        chains = [chain_of_patterns(space.genes, space.ego_speed, bounds, rng) for _ in range(space.npcs)]
         return repaired(chains, fresh_seed(rng), space)
     first = rng.permutation(8)[: space.npcs, None]
     steps = rng.integers(-1, 2, size=(space.npcs, space.genes - 1))
     walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
-    speeds = rng.integers(space.top_step + 1, size=(space.npcs, space.genes)).tolist()
+    speeds = rng.integers(space.low_step, space.top_step + 1, size=(space.npcs, space.genes)).tolist()
     return repaired(chains_of(walks, speeds), fresh_seed(rng), space)
 
 
@@ -172,7 +182,7 @@ def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
     Nothing in it is left to repair, so that its seed is 0.
     """
     shifts = rng.integers(len(SHIFTS), size=(space.npcs, space.genes)).tolist()
-    speeds = rng.integers(space.top_step + 1, size=(space.npcs, space.genes)).tolist()
+    speeds = rng.integers(space.low_step, space.top_step + 1, size=(space.npcs, space.genes)).tolist()
     chains = [
         [LaneInstruction(SHIFTS[shift], speed / SPEED_STEPS_PER_MPS) for shift, speed in zip(*chain, strict=True)]
         for chain in zip(shifts, speeds, strict=True)
@@ -198,7 +208,12 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
         )
     make = Scenario.trusted if isinstance(start, Scenario) else Scenario  # a space is what somebody asked for
     return make(
-        npcs=npcs, seed=seed, ego_lane=start.ego_lane, ego_speed=start.ego_speed, gene_seconds=start.gene_seconds
+        npcs=npcs,
+        seed=seed,
+        ego_lane=start.ego_lane,
+        ego_speed=start.ego_speed,
+        gene_seconds=start.gene_seconds,
+        traffic=start.traffic,
     )
 
 
@@ -214,7 +229,7 @@ def _is_valid(cells: Sequence[Sequence[Cell]]) -> bool:
 def random_instruction(space: SearchSpace, rng: Generator) -> PositionInstruction:
     """A Position-Instruction, uniform over the eight cells and the speeds up to the limit."""
     cell = Cell(int(rng.integers(1, 9)))
-    return PositionInstruction(cell, int(rng.integers(space.top_step + 1)) / SPEED_STEPS_PER_MPS)
+    return PositionInstruction(cell, int(rng.integers(space.low_step, space.top_step + 1)) / SPEED_STEPS_PER_MPS)
 
 
 def fresh_seed(rng: Generator) -> int:

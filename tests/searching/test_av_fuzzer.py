@@ -82,7 +82,7 @@ class TestOperators:
         (given,), generator = scenarios(1), rng(1)
         kinds, places = Counter(), Counter()
         for _ in range(DRAWS):
-            child = mutated(given, SPACE.top_step, generator)
+            child = mutated(given, SPACE, generator)
             changed = [
                 (npc, gene, before, after)
                 for npc, (old, new) in enumerate(zip(given.npcs, child.npcs, strict=True))

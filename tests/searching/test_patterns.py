@@ -18,17 +18,18 @@ def test_a_pattern_is_a_short_way_on_the_ring_and_names_its_source(pattern):
     assert "NHTSA" in pattern.source or "R157" in pattern.source
 
 
-@given(st.integers(1, 9), st.floats(0, 40), st.integers(0, 400), st.integers(0, 2**32))
-def test_a_chain_of_patterns_steps_along_the_ring_and_keeps_the_limit(genes, ego_speed, top_step, seed):
-    chain = chain_of_patterns(genes, ego_speed, top_step, np.random.default_rng(seed))
+@given(st.integers(1, 9), st.floats(0, 40), st.integers(0, 400), st.integers(0, 400), st.integers(0, 2**32))
+def test_a_chain_of_patterns_steps_along_the_ring_and_keeps_the_bounds(genes, ego_speed, one_step, other_step, seed):
+    bounds = min(one_step, other_step), max(one_step, other_step)
+    chain = chain_of_patterns(genes, ego_speed, bounds, np.random.default_rng(seed))
     assert len(chain) == genes
     assert all(is_adjacent(before.cell, after.cell) for before, after in pairwise(chain))
-    assert all(0 <= gene.speed <= top_step / 10 for gene in chain)
+    assert all(bounds[0] / 10 <= gene.speed <= bounds[1] / 10 for gene in chain)
 
 
 def test_patterns_take_place_on_both_sides_of_the_ego_and_some_at_its_speed():
     rng = np.random.default_rng(1)
-    chains = [chain_of_patterns(6, 20.0, 268, rng) for _ in range(300)]
+    chains = [chain_of_patterns(6, 20.0, (0, 268), rng) for _ in range(300)]
     assert {chain[0].cell for chain in chains} == set(Cell)
     beside = [chain[0].speed for chain in chains if chain[0].cell in (Cell.LEFT, Cell.RIGHT)]
     assert 18.0 <= min(beside) < 19.0
@@ -37,5 +38,5 @@ def test_patterns_take_place_on_both_sides_of_the_ego_and_some_at_its_speed():
 
 def test_a_leader_of_a_pattern_may_stand():
     rng = np.random.default_rng(1)
-    first = [chain_of_patterns(1, 20.0, 268, rng)[0] for _ in range(1000)]
+    first = [chain_of_patterns(1, 20.0, (0, 268), rng)[0] for _ in range(1000)]
     assert min(gene.speed for gene in first if gene.cell is Cell.FRONT) == 0.0

@@ -135,7 +135,7 @@ class AvFuzzerSearch:
         members = state.local_population if is_local else state.population
         scenarios = [member.scenario for member in members]
         if state.local_generation == 1:
-            return tuple(enumerate([mutated(scenario, self.space.top_step, rng) for scenario in scenarios]))
+            return tuple(enumerate([mutated(scenario, self.space, rng) for scenario in scenarios]))
         rate = min(1.0, self.mutation_rate * self.local_mutation_factor) if is_local else self.mutation_rate
         touched: set[int] = set()
         for _ in range(len(scenarios) // 2):
@@ -145,7 +145,7 @@ class AvFuzzerSearch:
                 touched |= {first, second}
         for index, scenario in enumerate(scenarios):
             if rng.random() < rate:
-                scenarios[index] = mutated(scenario, self.space.top_step, rng)
+                scenarios[index] = mutated(scenario, self.space, rng)
                 touched.add(index)
         return tuple((index, scenarios[index]) for index in sorted(touched))
 
@@ -208,10 +208,10 @@ def swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenari
     return replace(a, npcs=first), replace(b, npcs=second)
 
 
-def mutated(scenario: Scenario, top_step: int, rng: Generator) -> Scenario:
+def mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """A random manoeuvre of a random NPC with another speed, another action or, each in one of three cases, as it was.
 
-    Speeds are drawn up to the top step, which counts in 0.1 m/s.
+    Speeds are drawn as for the first scenarios of the space.
     """
     npc = int(rng.integers(len(scenario.npcs)))
     chain = scenario.npcs[npc]
@@ -220,7 +220,7 @@ def mutated(scenario: Scenario, top_step: int, rng: Generator) -> Scenario:
     assert isinstance(gene, LaneInstruction), "AV-Fuzzer's scenarios have Lane-Instructions"  # noqa: S101
     kind = int(rng.integers(3))
     if kind == 0:
-        gene = replace(gene, speed=int(rng.integers(top_step + 1)) / SPEED_STEPS_PER_MPS)
+        gene = replace(gene, speed=int(rng.integers(space.low_step, space.top_step + 1)) / SPEED_STEPS_PER_MPS)
     elif kind == 1:
         gene = replace(gene, lane=SHIFTS[int(rng.integers(len(SHIFTS)))])
     return replace(scenario, npcs=with_chain(scenario.npcs, npc, (*chain[:index], gene, *chain[index + 1 :])))

@@ -59,7 +59,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
 
         space = self.space
         optimiser = CatCMAwM(
-            z_space=[list(range(space.top_step + 1))] * (space.npcs * space.genes),
+            z_space=[list(range(space.low_step, space.top_step + 1))] * (space.npcs * space.genes),
             c_space=[8, *[3] * (space.genes - 1)] * space.npcs,
             population_size=self.population,
             seed=fresh_seed(rng),

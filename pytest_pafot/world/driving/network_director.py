@@ -80,6 +80,9 @@ class NetworkDirector(Director):
     def _control(self, npc: Npc, ego: Body) -> None:
         goal, wanted = self._aim(npc, ego)
         npc.heading_for = goal
+        if self._attentive:
+            gap = (ego.x - npc.x) * self._stretch(npc) - self._row
+            wanted = self._attending(npc, ego, wanted, gap)
         wanted = self._following(npc, wanted)
         gained = max(npc.asked, 0.0) ** 2 / (2 * self._jerk)  # while the accelerator is released
         for lane in (npc.lane, goal):
@@ -99,7 +102,7 @@ class NetworkDirector(Director):
         """The lane to steer to, and the speed that the instruction asks for."""
         target_lane = ego.lane + npc.column
         stretch, ego_stretch = self._stretch(npc), self._stretch(ego)
-        target = ego.x + npc.target / ego_stretch
+        target = ego.x + self._target(npc, ego) / ego_stretch
         distance = (target - npc.x) * stretch
         if npc.kept_lane < 0:
             exists = self._network.exists(target_lane, target)

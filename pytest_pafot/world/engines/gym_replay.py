@@ -22,7 +22,7 @@ from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import PolicySight, planner_sight, policy_sight
-from pytest_pafot.world.engines.object_engine import Traffic, decide, step_ego
+from pytest_pafot.world.engines.object_engine import VehiclesOfRun, decide, step_ego
 from pytest_pafot.world.engines.policy_engine import put_ego, put_new_ego
 from pytest_pafot.world.guard.failure import UNFIT, closing, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -244,7 +244,7 @@ class _Loop:
             return vehicle
 
         self._env, self._driver, self._guard = env, driver, HangGuard(rules.hang_limit)
-        self._traffic = Traffic(rules, scenario, driver, npc)
+        self._traffic = VehiclesOfRun(rules, scenario, driver, npc)
         env.road.vehicles = self._traffic.vehicles
         self._last = rules.ticks(scenario)
         self._ended: Trace | None = None

@@ -110,7 +110,7 @@ class ObjectRun:
     ) -> None:
         self.trace: Trace | None = None
         driver = make_ego(rules.ego_position(scenario))
-        self.traffic = Traffic(rules, scenario, driver, lambda *start: Car(road, start[:2], *start[2:]))
+        self.traffic = VehiclesOfRun(rules, scenario, driver, lambda *start: Car(road, start[:2], *start[2:]))
         road.vehicles = self.traffic.vehicles
         self._guard = guard
         self._dt, self._last = 1 / rules.physics_hz, rules.ticks(scenario)
@@ -174,7 +174,7 @@ def step_ego(tick: int, guard: HangGuard, step: Callable[[], Any]) -> AdsError |
     return None
 
 
-class Traffic:
+class VehiclesOfRun:
     """The vehicles of a run, as highway-env has them, between the director and the record.
 
     The ego is at its start. ``make_npc`` goes from x [m], y [m], heading [rad] and speed [m/s] to a vehicle.

@@ -1,16 +1,19 @@
 cimport cython
 from pytest_pafot.world.kernel.bodies cimport Body
-from pytest_pafot.world.kernel.driver cimport NpcDriver, clear_to_enter, following_speed, gap_speed, stopping_room
+from pytest_pafot.world.kernel.driver cimport (
+    NpcDriver, clear_to_enter, closing_room, following_gap, following_speed, gap_speed, speed_asking_for, stopping_room,
+)
 
 cdef double ARRIVED_LATERAL, CREEP_SPEED, BESIDE
-cdef int NO_LANE
+cdef double TRACK, REACTION, ANSWER, ENTRY_TIME, ENTRY_BRAKING, ENTRY_GAP, AMPLE
+cdef int NO_LANE, NOT_BEHIND
 
 @cython.final
 cdef class Npc(Body):
     cdef public object chain
     cdef public list executed, arrivals
     cdef readonly int index
-    cdef public int row, column, kept_lane, shift_lane, heading_for
+    cdef public int row, column, kept_lane, shift_lane, heading_for, behind
     cdef public double target, target_speed, kept_speed, asked, course
 
 cdef class Director:
@@ -23,6 +26,11 @@ cdef class Director:
     cdef readonly int _tick
     cdef int _last_lane, _genes, _gene_ticks, _gene, _left
     cdef readonly NpcDriver _driver
+    cdef readonly bint _attentive
+    cdef bint _ego_has_leader
+    cdef double _least_speed, _least_gap, _time_gap, _braking, _delay
+    cdef int _reaction
+    cdef list _seen_x, _seen_speed
 
     @cython.locals(npc=Npc)
     cpdef void command(self, Body ego) except *
@@ -38,6 +46,26 @@ cdef class Director:
     @cython.final
     @cython.locals(npc=Npc, wanted=int)
     cdef _begin_shifts(self)
+
+    @cython.final
+    @cython.locals(npc=Npc)
+    cdef bint _is_led(self, Body ego) except -1
+
+    @cython.final
+    @cython.locals(ticks=int, place=int)
+    cdef _remember(self, Body ego)
+
+    cpdef double _target(self, Npc npc, Body ego) except? -1
+
+    @cython.final
+    cdef double _ahead(self, Body ego) except? -1
+
+    @cython.locals(has_moved_in=bint, place=int, believed=double, late=double)
+    cpdef double _attending(self, Npc npc, Body ego, double speed, double gap) except? -1
+
+    @cython.final
+    @cython.locals(gap=double, closing=double)
+    cdef bint _may_enter(self, Npc npc, Body ego) except -1
 
     @cython.locals(driver=NpcDriver, distance=double, wanted_speed=double, goal=int)
     cpdef void _control(self, Npc npc, Body ego) except *

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
 from pytest_pafot.model.scenario import LANE_STARTS, Chromosome, LaneInstruction, Scenario, with_cells
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed, stopping_room
+from pytest_pafot.world.kernel.driver import (
+    NpcDriver,
+    clear_to_enter,
+    closing_room,
+    following_gap,
+    following_speed,
+    gap_speed,
+    speed_asking_for,
+    stopping_room,
+)
 from pytest_pafot.world.limits import NpcLimits
 
 if TYPE_CHECKING:
@@ -25,6 +34,21 @@ CREEP_SPEED = 3.0
 BESIDE = 0.6
 """Room that NPCs side by side keep, without which one has the other in its way [m]."""
 NO_LANE = -1
+
+# Of attentive traffic: the verdicts ask no more where the ego moves in ahead of it, or brakes there for nothing.
+TRACK = 0.3
+"""How far beside the ego's side an NPC still counts as behind it, or ahead of it [m]."""
+REACTION = 1.0
+"""How late an NPC answers what it could not expect of the ego [s]."""
+ANSWER = 6.0
+"""Hardest braking by which it answers that [m/s^2]."""
+ENTRY_TIME, ENTRY_BRAKING = 0.35, 6.0
+"""In what time, and then with what braking, the ego can adapt to an NPC that moves in ahead of it [s, m/s^2]."""
+ENTRY_GAP = 1.5
+"""Gap to the ego, at the same speed, at which an NPC moves in behind it [m]."""
+AMPLE = 1.0
+"""How much more than its style asks for an NPC leaves that goes to its place ahead of the ego [m]."""
+NOT_BEHIND = -1
 
 
 class Npc(Body):
@@ -44,6 +68,8 @@ class Npc(Body):
         heading_for: the lane steered to in the previous tick.
         asked: the acceleration asked for in the previous tick [m/s^2].
         course: direction of motion that the previous tick's steering gave [rad].
+        behind: for how many ticks it has been behind the ego in its track; as many as its reaction takes where it moved
+            in itself.
     """
 
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
@@ -62,6 +88,7 @@ class Npc(Body):
         self.heading_for = 0
         self.asked = 0.0
         self.course = 0.0
+        self.behind = NOT_BEHIND
 
 
 class Director:
@@ -108,7 +135,18 @@ class Director:
         self._genes = scenario.genes
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
         self._far = length + stopping_room(top_speed)
-        self._driver = NpcDriver(limits, top_speed, length, 1 / physics_hz)
+        traffic = scenario.traffic
+        self._driver = NpcDriver(limits, top_speed, length, 1 / physics_hz, traffic.lateral_speed)
+        self._attentive = traffic.is_attentive
+        self._least_speed = traffic.least_speed
+        self._least_gap = traffic.least_gap
+        self._time_gap = traffic.time_gap
+        self._braking = traffic.braking
+        self._reaction = max(round(REACTION * physics_hz), 1)
+        self._delay = self._reaction / physics_hz
+        self._seen_x = [0.0] * self._reaction  # of the ego in the ticks before, in a circle
+        self._seen_speed = [0.0] * self._reaction
+        self._ego_has_leader = False
         self._tick = 0
         self._gene = 0
         self._left = 0
@@ -128,6 +166,7 @@ class Director:
             ego_lane=self._scenario.ego_lane,
             ego_speed=self._scenario.ego_speed,
             gene_seconds=self._scenario.gene_seconds,
+            traffic=self._scenario.traffic,
         )
 
     @property
@@ -159,9 +198,30 @@ class Director:
                         npc.kept_speed = npc.speed
             self._gene += 1
         self._left -= 1
+        if self._attentive:
+            self._ego_has_leader = self._is_led(ego)
         for npc in self.npcs:
             self._control(npc, ego)
+        if self._attentive:
+            self._remember(ego)
         self._tick += 1
+
+    def _is_led(self, ego: Body) -> bool:
+        """Return whether anybody is ahead of the ego in its track, however far away."""
+        for npc in self.npcs:  # noqa: SIM110  (any() makes a closure, which cannot be compiled)
+            if npc.x > ego.x and abs(npc.y - ego.y) < (npc.width + ego.width) / 2.0 + TRACK:
+                return True
+        return False
+
+    def _remember(self, ego: Body) -> None:
+        """Keep where the ego was, for NPCs that see it late; before the first tick it was driving on as it starts."""
+        if self._tick == 0:
+            for ticks in range(self._reaction):
+                self._seen_x[ticks] = ego.x - (self._reaction - ticks) * self._delay / self._reaction * ego.speed
+                self._seen_speed[ticks] = ego.speed
+        place = self._tick % self._reaction
+        self._seen_x[place] = ego.x
+        self._seen_speed[place] = ego.speed
 
     def _begin_gene(self, ego: Body) -> None:
         active = [index for index, npc in enumerate(self.npcs) if self._gene < len(npc.chain)]
@@ -214,7 +274,7 @@ class Director:
 
     def _control(self, npc: Npc, ego: Body) -> None:
         """Set acceleration and steering of one NPC for the coming tick."""
-        distance = ego.x + npc.target - npc.x
+        distance = ego.x + self._target(npc, ego) - npc.x
         if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
             self._keep_lane_if_due(npc, ego.lane + npc.column, distance)
         elif npc.kept_lane == NO_LANE and abs(npc.y - npc.shift_lane * self._lane_width) <= ARRIVED_LATERAL:
@@ -230,12 +290,65 @@ class Director:
             goal = self._next_lane(npc, ego.lane + npc.column, ego)
             wanted_speed = self._creeping(npc, goal, ego.speed + gap_speed(distance))
         npc.heading_for = goal
+        if self._attentive:
+            wanted_speed = self._attending(npc, ego, wanted_speed, ego.x - npc.x - self._row)
         wanted_speed = self._following(npc, wanted_speed)
         driver = self._driver
         npc.asked = driver.acceleration(wanted_speed, npc.asked, npc.speed)
         npc.acceleration = npc.asked
         npc.steering = driver.steering(npc.y - goal * self._lane_width, npc.heading, npc.course, npc.speed)
         npc.course = driver.course
+
+    def _target(self, npc: Npc, ego: Body) -> float:
+        """Return where the NPC's cell is along the road, from the ego [m].
+
+        In the ego's lane the place of an attentive NPC is where it follows at the ego's speed, or where it may move in
+        ahead of the ego.
+        """
+        if not self._attentive or npc.row == 0 or npc.column != 0:
+            return npc.target
+        if npc.row < 0:
+            return -(self._row + max(self._clearance, following_gap(ego.speed)))
+        return self._row + max(self._clearance, self._ahead(ego) + AMPLE)
+
+    def _ahead(self, ego: Body) -> float:
+        """Return the gap to an ego of the same speed that the traffic asks for of whoever moves in ahead of it [m]."""
+        return max(self._least_gap, self._time_gap * ego.speed)
+
+    def _attending(self, npc: Npc, ego: Body, speed: float, gap: float) -> float:
+        """Bring a wanted speed within the traffic's style, and cut it to what leaves room behind the ego [m/s].
+
+        Args:
+            npc: whose speed it is.
+            ego: maybe ahead of it, by a gap [m].
+            speed: that its instruction asks for [m/s].
+            gap: bumper to bumper [m].
+        """
+        speed = max(speed, self._least_speed, speed_asking_for(self._braking, npc.speed))
+        if npc.x >= ego.x or abs(ego.y - npc.y) >= (npc.width + ego.width) / 2.0 + TRACK:
+            npc.behind = NOT_BEHIND
+            return speed
+        if npc.behind == NOT_BEHIND:
+            has_moved_in = abs(npc.speed * npc.heading) >= abs(ego.speed * ego.heading)
+            npc.behind = self._reaction if has_moved_in else 0
+        elif npc.behind < self._reaction:
+            npc.behind += 1
+        if npc.behind < self._reaction:
+            return speed
+        if self._ego_has_leader or self._tick == 0:
+            return min(speed, following_speed(gap, ego.speed, npc.speed))
+        place = self._tick % self._reaction  # of what is oldest
+        believed = self._seen_x[place] + self._seen_speed[place] * self._delay
+        late = following_speed(gap + believed - ego.x, self._seen_speed[place], npc.speed)
+        return min(speed, max(late, speed_asking_for(ANSWER, npc.speed)))
+
+    def _may_enter(self, npc: Npc, ego: Body) -> bool:
+        """Return whether there is room for an NPC in the ego's lane, ahead of it or behind."""
+        gap = abs(npc.x - ego.x) - self._row
+        if npc.x > ego.x:
+            closing = max(ego.speed - npc.speed, 0.0)
+            return gap > self._ahead(ego) + closing * (ENTRY_TIME + closing / (2.0 * ENTRY_BRAKING))
+        return gap > closing_room(ENTRY_GAP, npc.speed - ego.speed)
 
     def _creeping(self, npc: Npc, goal: int, speed: float) -> float:
         """A wanted speed, no less than what it takes to change lanes ahead of an ego that stands [m/s]."""
@@ -262,7 +375,7 @@ class Director:
             return lane
         step = lane + 1 if target_lane > lane else lane - 1
         beside_ego = abs(npc.x - ego.x) < self._row + self._clearance / 2.0
-        if step == ego.lane and beside_ego:
+        if step == ego.lane and (beside_ego or (self._attentive and not self._may_enter(npc, ego))):
             return lane  # an NPC cuts in ahead or behind; it does not steer into the ego's side
         for other in self.npcs:
             if other is not npc and not self._clear_of(npc, other, step):

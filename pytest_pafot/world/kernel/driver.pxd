@@ -7,14 +7,18 @@ cdef double LANE_ANGLE, TRACKING_SHARE, TRACKING_GAIN, CLOSEST_GAIN, SPEEDING_UP
 
 cpdef double gap_speed(double distance) except? -1
 cpdef double following_speed(double gap, double leader_speed, double own_speed) except? -1
+cpdef double following_gap(double speed) except? -1
+cpdef double speed_asking_for(double braking, double speed) except? -1
 cpdef double stopping_room(double top_speed) except? -1
 cpdef bint clear_to_enter(double gap, double closing_speed) except -1
+@cython.locals(closing=double)
+cpdef double closing_room(double gap, double closing_speed) except? -1
 cpdef double clamped(double value, double bound) except? -1
 
 @cython.final
 cdef class NpcDriver:
     cdef public double course
-    cdef double _dt, _top_speed, _acceleration, _braking, _jerk_step, _jerk_twice, _half_length, _lateral_limit
+    cdef double _dt, _lateral_speed, _top_speed, _acceleration, _braking, _jerk_step, _jerk_twice, _half_length, _lateral_limit
     cdef double _slow, _tightest, _most, _heading_gain
 
     @cython.locals(before=double, acceleration=double, lowest=double, highest=double)

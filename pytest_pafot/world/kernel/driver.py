@@ -73,6 +73,16 @@ def following_speed(gap: float, leader_speed: float, own_speed: float) -> float:
     return math.sqrt(max(leader_speed * leader_speed + 2.0 * FOLLOWING_BRAKING * room, 0.0))
 
 
+def following_gap(speed: float) -> float:
+    """Return the gap that an NPC keeps behind a leader of the same speed [m]."""
+    return FOLLOWING_GAP + FOLLOWING_TIME * speed
+
+
+def speed_asking_for(braking: float, speed: float) -> float:
+    """Return the wanted speed at which an NPC of a speed brakes so hard [m/s]."""
+    return speed - braking / SPEED_GAIN
+
+
 def stopping_room(top_speed: float) -> float:
     """The gap behind a standing leader from which on :func:`following_speed` allows the top speed [m]."""
     return FOLLOWING_GAP + FOLLOWING_TIME * top_speed + top_speed * top_speed / (2.0 * FOLLOWING_BRAKING)
@@ -85,8 +95,13 @@ def clear_to_enter(gap: float, closing_speed: float) -> bool:
         gap: bumper to bumper [m]; negative when they overlap.
         closing_speed: of the rear one on the front one [m/s]; negative when they part.
     """
+    return gap > closing_room(3.0, closing_speed)
+
+
+def closing_room(gap: float, closing_speed: float) -> float:
+    """Return the gap in which a closing speed is given up without hard braking [m], given the gap at the same speed."""
     closing = max(closing_speed, 0.0)
-    return gap > 3.0 + 0.5 * closing + closing * closing / (2.0 * 3.0)
+    return gap + 0.5 * closing + closing * closing / (2.0 * 3.0)
 
 
 def clamped(value: float, bound: float) -> float:
@@ -102,14 +117,18 @@ class NpcDriver:
         top_speed: [m/s].
         length: of an NPC [m].
         dt: physics tick [s].
+        lateral_speed: highest speed across the road [m/s].
 
     Attributes:
         course: direction of motion that the last steering gives, to the lane [rad].
     """
 
-    def __init__(self, limits: NpcLimits, top_speed: float, length: float, dt: float) -> None:
+    def __init__(
+        self, limits: NpcLimits, top_speed: float, length: float, dt: float, lateral_speed: float = math.inf
+    ) -> None:
         lateral = limits.lateral_acceleration
         self._dt = dt
+        self._lateral_speed = lateral_speed
         self._top_speed = top_speed
         self._acceleration = limits.acceleration
         self._braking = limits.braking
@@ -194,7 +213,7 @@ class NpcDriver:
         spare = self._lateral_limit - sharpest * speed * speed
         planned = spare - self._acceleration * abs(aside)  # speeding up turns it into lateral speed
         planned = LATERAL_SHARE * max(planned, LEAST_SPARE * self._lateral_limit)
-        lateral_speed = min(LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance))
+        lateral_speed = min(LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance), self._lateral_speed)
         bound = min(MARGIN * self._most - abs(lean), math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest))
         bound = max(bound, 0.0)
         wanted = math.asin(lateral_speed / speed) if lateral_speed < speed else bound

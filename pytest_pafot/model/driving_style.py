@@ -1,0 +1,125 @@
+"""How the NPCs of a scenario drive beside what their instructions ask for: whom they keep their distance to.
+
+An instruction says where an NPC goes and how fast; its traffic says what it does not do on the way there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+from pytest_pafot.support.errors import FieldError, plain_number
+
+Style = Literal["paper", "hostile", "assertive", "everyday"]
+STYLES: tuple[Style, ...] = get_args(Style)
+
+OF_STYLE = -1.0
+"""Stands for the value of the style where a part is not given."""
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Traffic:
+    """How the NPCs of a scenario drive among others, whatever their instructions ask for.
+
+    In every style but the paper's, NPCs are *attentive*: behind the ego in its lane, an NPC keeps the distance that it
+    keeps behind other NPCs. It answers at once where it moved in itself or where the ego has somebody ahead of it. It
+    answers a second late where the ego moved in before it, or where the ego brakes with nobody ahead, and that with at
+    most 6 m/s^2. It enters the ego's lane only where the ego, or it itself, has the room to adapt its speed.
+
+    Attributes:
+        style: ``"paper"``, where NPCs run into the rear of an ego that is slower than their instruction;
+            ``"hostile"``, which does all that the ego can still answer; ``"assertive"`` or ``"everyday"``.
+        least_speed: at which NPCs drive, but where somebody slower is ahead of them [m/s].
+        least_gap: to the ego, bumper to bumper, at which an NPC moves in ahead of it [m].
+        time_gap: the same, as a share of the ego's speed [s].
+        braking: hardest braking of an NPC that nobody ahead asks for [m/s^2].
+        lateral_speed: highest speed across the road [m/s].
+
+    Parts that are not given are those of the style.
+
+    Raises:
+        FieldError: where there is no such style, or a part is out of its bounds.
+    """
+
+    style: Style = "hostile"
+    least_speed: float = OF_STYLE
+    least_gap: float = OF_STYLE
+    time_gap: float = OF_STYLE
+    braking: float = OF_STYLE
+    lateral_speed: float = OF_STYLE
+
+    def __post_init__(self) -> None:
+        if self.style not in STYLES:
+            expected = f"one of {', '.join(STYLES)}"
+            raise FieldError(field="traffic.style", expected=expected, received=repr(self.style))
+        object.__setattr__(self, "style", str(self.style))
+        for name, (low, high) in BOUNDS.items():
+            given = plain_number(getattr(self, name))
+            number = PARTS[self.style][name] if given == OF_STYLE else given
+            if number is None or not low <= number <= high:
+                expected = f"a number from {low:g} to {high:g}"
+                raise FieldError(field=f"traffic.{name}", expected=expected, received=repr(getattr(self, name)))
+            object.__setattr__(self, name, number + 0.0)
+
+    @property
+    def is_attentive(self) -> bool:
+        """Whether NPCs answer what the ego does."""
+        return self.style != "paper"
+
+    @property
+    def own(self) -> dict[str, float]:
+        """The parts that are not those of the style."""
+        parts = {name: getattr(self, name) for name in BOUNDS}
+        return {name: part for name, part in parts.items() if part != PARTS[self.style][name]}
+
+    def plain(self) -> str | dict[str, Any]:
+        """Return the name of the style; where there are parts of its own, a mapping with these."""
+        return {"style": self.style, **self.own} if self.own else self.style
+
+    def __repr__(self) -> str:
+        return f"Traffic({', '.join([repr(self.style), *(f'{name}={part:g}' for name, part in self.own.items())])})"
+
+    @classmethod
+    def of(cls, given: Any) -> Traffic:
+        """The inverse of :meth:`plain`; a traffic is taken as it is.
+
+        Raises:
+            FieldError: for anything else.
+        """
+        if isinstance(given, Traffic):
+            return given
+        if isinstance(given, str):
+            return cls(given)  # type: ignore[arg-type]
+        if isinstance(given, Mapping) and set(given) <= {each.name for each in fields(cls)}:
+            return cls(**given)
+        expected = f"one of {', '.join(STYLES)}, or pafot.Traffic(style=..., least_gap=...)"
+        raise FieldError(field="traffic", expected=expected, received=repr(given))
+
+
+BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "least_speed": (0.0, 40.0),
+        "least_gap": (0.0, 100.0),
+        "time_gap": (0.0, 10.0),
+        "braking": (0.5, 100.0),
+        "lateral_speed": (0.2, 100.0),
+    }
+)
+"""Smallest and largest value of each part; no NPC can exceed the largest braking and lateral speed."""
+
+UNBOUND = {"least_speed": 0.0, "least_gap": 0.0, "time_gap": 0.0, "braking": 100.0, "lateral_speed": 100.0}
+
+PARTS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "paper": UNBOUND,
+        "hostile": UNBOUND,
+        "assertive": {"least_speed": 10.0, "least_gap": 6.0, "time_gap": 0.3, "braking": 3.5, "lateral_speed": 1.8},
+        "everyday": {"least_speed": 20.0, "least_gap": 11.0, "time_gap": 0.5, "braking": 2.0, "lateral_speed": 1.5},
+    }
+)
+"""The parts of each style; docs/explanation/traffic.md has the sources of those of everyday driving."""
+
+PAPERS = Traffic("paper")
+"""Of a scenario that does not say otherwise."""
