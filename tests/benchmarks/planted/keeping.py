@@ -26,8 +26,8 @@ class Keeper(Driver):
 
 
 class TrackAgeWraps(Keeper):
-    """The age of a track, in radar cycles of 0.4 s, is stored in eight bits, so that who has been followed for 51 s
-    becomes unconfirmed, and nobody brakes for it.
+    """The age of a track, in radar cycles of 0.4 s, is stored in eight bits, so that who has moved on ahead for
+    51 s becomes unconfirmed, and nobody brakes for it.
     """
 
     CYCLE = 0.4
@@ -37,7 +37,7 @@ class TrackAgeWraps(Keeper):
 
     def leaders(self, o, cars):
         leaders = super().leaders(o, cars)
-        self.since = {c.i: self.since.get(c.i, o.time) for c in leaders}
+        self.since = {c.i: self.since.get(c.i, o.time) if c.v > 1.0 else o.time for c in leaders}
         return [c for c in leaders if self.age(o.time - self.since[c.i]) >= 0]
 
     def age(self, seconds):
@@ -102,7 +102,7 @@ class AccelerationsByRank(Keeper):
         return leaders
 
     def behind(self, v, c):
-        c.v = max(c.v + c.a, 0.0)  # how fast it will soon be
+        c.v = max(c.v + 1.5 * c.a, 0.0)  # how fast it will soon be
         return super().behind(v, c)
 
 

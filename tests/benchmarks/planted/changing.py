@@ -1,0 +1,144 @@
+"""Policies that change lanes: they react to who is slow ahead, and to the gaps in the next lanes."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+from tests.benchmarks.planted.policy import WIDE, Driver, Planted, about_of, braking_needed, listed
+from tests.benchmarks.policies_with_defects import FirstLaneOnly, GippsBased
+
+
+class Changer(Driver):
+    """Follows by the Intelligent Driver Model, overtakes on either side, and goes back to the right after a while."""
+
+    SLOWEST = 10.0  # at which it begins a lane change
+
+    def along(self, o, cars):
+        v, a = o.ego.speed, self.cruise(o)
+        for c in self.ahead(o, cars):
+            wanted = 3.5 + max(0.0, 1.7 * v + v * (v - c.v) / (2 * math.sqrt(1.5 * 3.0)))
+            a = min(a, max(1.5 * (1 - (wanted / max(c.gap, 0.5)) ** 2), -4.0))
+            needed = braking_needed(v, c)
+            if needed > 2.0:
+                a = min(a, -1.3 * needed)
+        return a
+
+    def options(self, o, cars):
+        k = super().options(o, cars)
+        return k or ([self.lane + 1] if self.lane + 1 < o.lanes and o.time > self.rest + 5 else [])
+
+    def clear(self, o, cars, k):
+        return all(self.room(o.ego.speed, c) for c in cars if self.concerns(o, c, k))
+
+    def concerns(self, o, c, k):
+        """Return whether the other is in lane k, or may come into it."""
+        beyond = abs(c.y - k * WIDE) < 7.0 and abs(c.y - o.ego.y) > 5.0 and c.gap < 15.0
+        return self.inside(c, k) or beyond
+
+    def room(self, v, c):
+        """Return whether the gap to somebody in the other lane is enough."""
+        if c.dx > 0:
+            return c.gap > 8 + 1.4 * v + 4 * max(v - c.v, 0.0)
+        closing = max(c.v + 1 - v, 0.0)
+        return c.gap > 14 + 1.3 * max(c.v, v) + 4 * closing + closing * closing / 6
+
+
+class RearRange(Changer):
+    """The radar to the rear ends at 45 m, so that the ego moves in ahead of whoever comes from farther behind and much
+    faster.
+    """
+
+    RANGE = 45.0
+
+    def concerns(self, o, c, k):
+        return (self.repaired or c.dx > -self.RANGE) and super().concerns(o, c, k)
+
+
+class PermissionKept(Changer):
+    """The permission for a lane change is not withdrawn when the change is given up, so that the next one into that lane
+    begins unchecked.
+    """
+
+    VALID = 15.0
+
+    def begin(self):
+        self.permitted, self.until = None, -1.0
+
+    def lanes(self, o, cars):
+        before = self.old
+        super().lanes(o, cars)
+        if before is None and self.old is not None:
+            self.permitted, self.until = self.lane, o.time + self.VALID
+        elif before is not None and self.old is None and (self.repaired or self.lane != before):
+            self.permitted = None  # there, or back
+
+    def clear(self, o, cars, k):
+        if self.old is None and k == self.permitted and o.time < self.until:
+            return True
+        return super().clear(o, cars, k)
+
+
+class SecondLane(FirstLaneOnly, GippsBased):
+    """Where the lane after the next promises no less, the ego crosses both at once and has only checked the first."""
+
+    DEFECTS = ("second-lane-unchecked",)
+
+
+class LeavingIsGone(Changer):
+    """Who moves out of the wanted lane counts as gone from it, also when it is beside the ego and comes into the ego's
+    lane.
+    """
+
+    SIDEWAYS = 0.5
+
+    def concerns(self, o, c, k):
+        leaves = (c.y - k * WIDE) * c.w > 0 and abs(c.w) > self.SIDEWAYS and c.gap < 12.0
+        if leaves and not self.repaired:
+            return False
+        return super().concerns(o, c, k)
+
+
+class OutOfQueue(Changer):
+    """After a stop it may leave a queue at low speed, for which the gap behind is measured by its own speed, however
+    fast the one behind in the other lane is.
+    """
+
+    AGAIN, LOW = 12.0, 2.0
+
+    def begin(self):
+        self.stopped = False
+
+    def lanes(self, o, cars):
+        v = o.ego.speed
+        self.stopped = v < 0.3 or (self.stopped and v < self.AGAIN)
+        if self.stopped and self.old is None and self.LOW < v < 10.0 and o.time > self.rest:
+            for k in self.options(o, cars):
+                if self.clear(o, cars, k):
+                    self.old, self.lane = self.lane, k
+                    return
+        super().lanes(o, cars)
+
+    def room(self, v, c):
+        if self.stopped and c.dx < 0 and not self.repaired:
+            return c.gap > 6 + 1.4 * v
+        return super().room(v, c)
+
+
+PLANTED = listed(
+    "changing",
+    {
+        "rear-range": (RearRange, 1),
+        "permission-kept": (PermissionKept, 2),
+        "leaving-is-gone": (LeavingIsGone, 3),
+        "out-of-queue": (OutOfQueue, 3),
+    },
+) | {
+    "second-lane-unchecked": Planted(
+        "changing",
+        2,
+        partial(partial, SecondLane),
+        partial(partial, SecondLane, SecondLane.DEFECTS),
+        about_of(SecondLane),
+    )
+}
