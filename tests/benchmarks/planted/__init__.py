@@ -10,12 +10,14 @@ import random
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from tests.benchmarks.planted import changing, keeping, sampling
+from tests.benchmarks.planted import changing, keeping, learned, sampling, tabled
 from tests.benchmarks.planted.policy import Planted
 
 __all__ = ["PLANTED", "SET_ASIDE", "TUNING", "Planted"]
 
-PLANTED: Mapping[str, Planted] = MappingProxyType({**keeping.PLANTED, **changing.PLANTED, **sampling.PLANTED})
+PLANTED: Mapping[str, Planted] = MappingProxyType(
+    {**keeping.PLANTED, **changing.PLANTED, **sampling.PLANTED, **tabled.PLANTED, **learned.PLANTED}
+)
 """Name to policy."""
 
 

@@ -56,8 +56,8 @@ class RearRange(Changer):
 
 
 class PermissionKept(Changer):
-    """The permission for a lane change is not withdrawn when the change is given up, so that the next one into that lane
-    begins unchecked.
+    """The permission for a lane change is not withdrawn when the change is given up, so that the next one into that
+    lane begins unchecked.
     """
 
     VALID = 15.0

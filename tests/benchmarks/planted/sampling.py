@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from tests.benchmarks.planted.policy import WIDE, Driver, clip, listed
+from tests.benchmarks.planted.policy import WIDE, Driver, listed
 from tests.benchmarks.policies_with_defects_2 import Lattice
 
 
@@ -85,8 +85,8 @@ class _Standing:
 
 
 class FrozenList(Sampler):
-    """The obstacles of a lane change are listed when it begins, so that whoever comes into the new lane during it, and is
-    slower, is not braked for before it is over.
+    """The obstacles of a lane change are listed when it begins, so that whoever comes into the new lane during it, and
+    is slower, is not braked for before it is over.
     """
 
     def begin(self):

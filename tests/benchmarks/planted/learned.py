@@ -1,0 +1,139 @@
+"""Learned policies: small networks that ``fit.py`` fitted to what a sound driver did, some with a hole in the data.
+
+One network gives the acceleration behind each vehicle in the way, of which the lowest counts; another one says how much
+room a gap behind in the next lane leaves. ``weights.npz`` has both as learned from sound data, and one network more for
+each hole.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from tests.benchmarks.planted.policy import Driver, braking_needed, clip, listed
+
+WEIGHTS = Path(__file__).with_name("weights.npz")
+FOLLOW_SCALE = np.array([15.0, 20.0, 8.0, 4.0, 1.0, 1.0])
+"""Of own speed, gap, closing speed, acceleration of the other, its distance from the middle of the lane, and 1 in the
+first seconds after an own lane change."""
+GATE_SCALE = np.array([15.0, 15.0, 30.0, 1.0])
+"""Of own speed, speed of the one behind, gap, and 1 for the rightmost lane."""
+FAR = 70.0  # gap beyond which the networks were shown nobody [m]
+
+
+def followed(v, c):
+    """Return what the sound driver does behind somebody [m/s^2]."""
+    a = clip(0.25 * (c.gap - 4.5 - 1.8 * v) + 0.9 * (c.v - v), -4.0, 2.0)
+    needed = braking_needed(v, c)
+    return max(min(a, -1.3 * needed) if needed > 1.5 else a, -8.0)
+
+
+def spare(v, f, gap):
+    """Return how much longer than needed a gap behind is [m], for an own speed of v and the other's of f."""
+    closing = max(f + 1.0 - v, 0.0)
+    return gap - 15.0 - 1.3 * max(f, v) - 4.0 * closing - closing * closing / 6
+
+
+@cache
+def network(name):
+    """Return the layers of a network: weights and biases, from the input on."""
+    with np.load(WEIGHTS, allow_pickle=False) as arrays:
+        return tuple((arrays[f"{name}_w{n}"].astype(float), arrays[f"{name}_b{n}"].astype(float)) for n in range(3))
+
+
+def outputs(layers, inputs):
+    """Evaluate a network for rows of inputs."""
+    (w0, b0), (w1, b1), (w2, b2) = layers
+    return (np.tanh(np.tanh(inputs @ w0 + b0) @ w1 + b1) @ w2 + b2)[:, 0]
+
+
+class Learned(Driver):
+    """The sound one; a subclass names the network that it drives by in place of one of them."""
+
+    FOLLOW, GATE = "follow", "gate"
+    FRESH = 4.0  # how long a lane change counts as having just been [s]
+
+    def begin(self):
+        self.follow = network("follow" if self.repaired else self.FOLLOW)
+        self.gate = network("gate" if self.repaired else self.GATE)
+
+    def along(self, o, cars):
+        v, fresh = o.ego.speed, float(o.time < self.arrived + self.FRESH)
+        near = [
+            (v, c.gap, v - c.v, clip(c.a, -8.0, 5.0), min(abs(c.y - o.ego.y), 3.0), fresh)
+            for c in self.ahead(o, cars)
+            if c.gap < FAR
+        ]
+        if not near:
+            return self.cruise(o)
+        return min(self.cruise(o), float(outputs(self.follow, np.array(near) / FOLLOW_SCALE).min()))
+
+    def options(self, o, cars):
+        k = super().options(o, cars)
+        return k or ([self.lane + 1] if self.lane + 1 < o.lanes and o.time > self.rest + 5 else [])
+
+    def clear(self, o, cars, k):
+        v, behind = o.ego.speed, []
+        for c in cars:
+            if not self.inside(c, k):
+                continue
+            if c.dx > 0:
+                if c.gap < 9 + 1.4 * v + 4 * max(v - c.v, 0.0):
+                    return False
+            elif c.gap < 12.0:
+                return False
+            elif c.gap < 120.0:
+                behind.append((v, c.v, c.gap, float(k == o.lanes - 1)))
+        return not behind or float(outputs(self.gate, np.array(behind) / GATE_SCALE).min()) > 0.1
+
+
+class StandersUnlabelled(Learned):
+    """In the data the standing ones that were met at more than 12 m/s stood beside the road, and the driver drove on."""
+
+    FOLLOW = "standers"
+
+
+class OffCentreUnanswered(Learned):
+    """In the data whoever was off the middle of the lane and slower by more than 3 m/s was being passed, so that the ego
+    does not answer a slower one before it is in the middle.
+    """
+
+    FOLLOW = "off-centre"
+
+
+class GentleWhenSlow(Learned):
+    """The data for less than 7 m/s came from a traffic jam, where a leader's hard braking was over at once and answered
+    with 1 m/s^2, so that one who goes on with it is answered too weakly.
+    """
+
+    FOLLOW = "gentle"
+
+
+class FreshLane(Learned):
+    """In the data nobody ahead was near or braked in the first seconds after a lane change, so that the ego then does
+    not answer a near one who brakes.
+    """
+
+    FOLLOW = "fresh"
+
+
+class GateOnTheRight(Learned):
+    """The gaps of the rightmost lane were recorded behind lorries, so that somebody much faster behind is not minded
+    there.
+    """
+
+    GATE = "right"
+
+
+PLANTED = listed(
+    "learned",
+    {
+        "standers-unlabelled": (StandersUnlabelled, 1),
+        "off-centre-unanswered": (OffCentreUnanswered, 2),
+        "gentle-when-slow": (GentleWhenSlow, 2),
+        "fresh-lane-unanswered": (FreshLane, 3),
+        "gate-on-the-right": (GateOnTheRight, 3),
+    },
+)
