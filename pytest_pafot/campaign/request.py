@@ -26,6 +26,10 @@ ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic")
 NPCS = 4
 """In a scenario, where neither the algorithm nor the mark says otherwise: beside the ego in any lane of a Highway."""
+MOST_NPCS = 6
+"""Where their number is drawn; fewer in the outer lanes, so that a cell is left to go to."""
+GENE_DURATIONS = (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
+"""Of which that of a scenario's genes is drawn [s]."""
 SLOWEST_START = 12.0
 """Of the ego [m/s]; half the limit where that is less."""
 BLAMES = ("any", "ego", "preventable")
@@ -232,6 +236,11 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     drawn: dict[str, Any] = {"patterns": True, **traffic}
     if given.get("ego_lane", EGO_LANE) in lanes:
         drawn["npcs"] = npcs
+        if "npcs" not in given:
+            starts = lanes if isinstance(world, Highway) and "ego_lane" not in given else [given.get("ego_lane", EGO_LANE)]
+            drawn["most_npcs"] = tuple(min(MOST_NPCS, len(road.cells(lane)) - 1) for lane in starts)
+    if "genes" not in given and "gene_seconds" not in given:
+        drawn["gene_durations"] = GENE_DURATIONS
     if isinstance(world, Highway) and "ego_lane" not in given:
         drawn["ego_lanes"] = lanes
     if isinstance(world, Highway) and "ego_speed" not in given:

@@ -365,6 +365,15 @@ def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> t
     )
 
 
+def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
+    """Return genes of another duration that ask for the same at the same times, as nearly as they can [s, s].
+
+    Each is the one that was due in its middle. Longer ones may skip a cell, so that the chain needs repair.
+    """
+    count = max(1, math.ceil(len(chain) * seconds / wanted - 1e-9))
+    return tuple(chain[min(int((gene + 0.5) * wanted / seconds), len(chain) - 1)] for gene in range(count))
+
+
 def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
     for npc, chain in enumerate(npcs):
         for gene, (before, cell) in enumerate(pairwise(each.cell for each in chain), 1):

@@ -13,32 +13,42 @@ from dataclasses import replace
 from numpy.random import Generator
 
 from pytest_pafot.model.grid import is_adjacent
-from pytest_pafot.model.scenario import Chromosome, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import Chromosome, PositionInstruction, Scenario, retimed
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.patterns import followed_by_pattern
-from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction, repaired
+from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction, repaired, sample
 
 STARTS, PATTERNS = 0.1, 0.35
 """Shares of the mutations that draw the start anew, and that put in a pattern, where a space says so."""
 SPEEDS = 0.7
 """Share of the new starts that have another speed; the others have another lane."""
+SIZES = 0.1
+"""Share of the mutations that add or remove an NPC, or give genes another duration, where a space draws these."""
 
 
 def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
     """Swap two whole NPCs, one chosen at random from each scenario, then repair (section 3.4.1)."""
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
     return (
-        _child(a, with_chain(a.npcs, in_a, b.npcs[in_b]), rng),
-        _child(b, with_chain(b.npcs, in_b, a.npcs[in_a]), rng),
+        _child(a, with_chain(a.npcs, in_a, _taken(b, in_b, a)), rng),
+        _child(b, with_chain(b.npcs, in_b, _taken(a, in_a, b)), rng),
     )
 
 
 def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
     """The first child of a :func:`crossover` alone, after as many draws: to repair the other takes as long."""
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
-    child = _child(a, with_chain(a.npcs, in_a, b.npcs[in_b]), rng)
+    child = _child(a, with_chain(a.npcs, in_a, _taken(b, in_b, a)), rng)
     fresh_seed(rng)
     return child
+
+
+def _taken(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
+    """Return an NPC's chain as another scenario can take it, in genes of its duration and no longer than its own."""
+    chain = scenario.npcs[npc]
+    if scenario.gene_seconds == other.gene_seconds:
+        return chain
+    return retimed(chain, scenario.gene_seconds, other.gene_seconds)[: other.genes]
 
 
 def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
@@ -51,10 +61,13 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     into a chain.
     """
     starts = STARTS if len(space.ego_lanes) > 1 or space.has_speeds else 0.0
-    draw = rng.random() if starts or space.patterns else 1.0
+    sizes = SIZES if space.most_npcs or space.gene_durations else 0.0
+    draw = rng.random() if starts or sizes or space.patterns else 1.0
     if draw < starts:
         return _started_anew(scenario, space, rng)
-    if space.patterns and draw < starts + PATTERNS:
+    if draw < starts + sizes:
+        return _of_another_size(scenario, space, rng)
+    if space.patterns and draw < starts + sizes + PATTERNS:
         return _with_pattern(scenario, space, rng)
     chains = scenario.positions
     places = [(npc, gene) for npc, chain in enumerate(chains) for gene in range(len(chain))]
@@ -68,10 +81,29 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
 
 def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """The scenario with another first speed or, less often, another first lane of the ego."""
-    others = [lane for lane in space.ego_lanes if lane != scenario.ego_lane]
+    npcs = len(scenario.npcs)
+    others = [lane for lane in space.ego_lanes if lane != scenario.ego_lane and space.most_on(lane) >= npcs]
     if space.has_speeds and (not others or rng.random() < SPEEDS):
         return replace(scenario, ego_speed=space.drawn_speed(rng))
     return replace(scenario, ego_lane=others[int(rng.integers(len(others)))])
+
+
+def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
+    """The scenario with genes of another duration, or with an NPC more or less."""
+    npcs, most = scenario.npcs, space.most_on(scenario.ego_lane)
+    durations = [seconds for seconds in space.gene_durations if seconds != scenario.gene_seconds]
+    like = space.fixed(scenario)
+    if durations and (not space.most_npcs or rng.integers(2)):
+        seconds = durations[int(rng.integers(len(durations)))]
+        genes = space.genes_of(seconds)
+        chains = [retimed(chain, scenario.gene_seconds, seconds)[:genes] for chain in npcs]
+        return repaired(chains, fresh_seed(rng), replace(like, gene_seconds=seconds))
+    if len(npcs) > 1 and (len(npcs) >= most or rng.integers(2)):
+        gone = int(rng.integers(len(npcs)))
+        return replace(scenario, npcs=npcs[:gone] + npcs[gone + 1 :])
+    if len(npcs) >= most:
+        return scenario
+    return _child(scenario, (*npcs, *sample(replace(like, npcs=1), rng).npcs), rng)
 
 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:

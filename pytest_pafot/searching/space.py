@@ -39,9 +39,9 @@ class SearchSpace:
     """What all scenarios of a search have in common. The defaults are the paper's setup (section 4.1).
 
     Attributes:
-        npcs: NPCs in a scenario, 1 to 8.
+        npcs: NPCs in a scenario, 1 to 8; where ``most_npcs`` says so, the plain number of them.
         genes: Position-Instructions of each NPC.
-        gene_seconds: duration of one gene [s].
+        gene_seconds: duration of one gene [s]. Genes together last as long where their duration is drawn.
         speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: everybody's first speed [m/s].
@@ -51,6 +51,9 @@ class SearchSpace:
         patterns: whether half of the scenarios that are drawn, and a third of the mutations, are made of
             :data:`~pytest_pafot.searching.patterns.PATTERNS`.
         traffic: of all scenarios.
+        most_npcs: for each of the ``ego_lanes``, the largest number of NPCs, which is drawn from 1 on; none where there
+            are ``npcs``.
+        gene_durations: from which that of a scenario's genes is drawn [s]; none where it is ``gene_seconds``.
     """
 
     npcs: int = 2
@@ -63,6 +66,8 @@ class SearchSpace:
     ego_speeds: tuple[float, float] | None = None
     patterns: bool = False
     traffic: Traffic = PAPERS
+    most_npcs: tuple[int, ...] = ()
+    gene_durations: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -96,12 +101,42 @@ class SearchSpace:
         speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
         speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
         lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
-        return f"{plural(self.npcs, 'NPC')}; the ego starts at {speed} m/s in {lane}"
+        npcs = f"1 to {max(self.most_npcs)} NPCs" if self.most_npcs else plural(self.npcs, "NPC")
+        return f"{npcs}; the ego starts at {speed} m/s in {lane}"
 
     @property
     def draws_start(self) -> bool:
-        """Whether scenarios start differently."""
-        return bool(self.ego_lanes) or self.ego_speeds is not None
+        """Whether scenarios start differently, or differ in the number of NPCs or the duration of genes."""
+        return bool(self.ego_lanes or self.most_npcs or self.gene_durations) or self.ego_speeds is not None
+
+    def drawn(self, rng: Generator) -> SearchSpace:
+        """Return the space of one scenario: everything is drawn that need not be the same in all of them."""
+        if not self.draws_start:
+            return self
+        lane, speed = self.drawn_lane(rng), self.drawn_speed(rng)
+        npcs = int(rng.integers(1, self.most_on(lane) + 1)) if self.most_npcs else self.npcs
+        durations = self.gene_durations
+        seconds = durations[int(rng.integers(len(durations)))] if durations else self.gene_seconds
+        return self._fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
+
+    def fixed(self, like: Scenario) -> SearchSpace:
+        """Return the space of scenarios that start as one does, with as many NPCs and genes."""
+        return self._fixed(like.ego_lane, like.ego_speed, len(like.npcs), like.genes, like.gene_seconds)
+
+    def _fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
+        plain: dict[str, Any] = {"ego_lanes": (), "ego_speeds": None, "most_npcs": (), "gene_durations": ()}
+        return replace(self, ego_lane=lane, ego_speed=speed, npcs=npcs, genes=genes, gene_seconds=seconds, **plain)
+
+    def most_on(self, lane: int) -> int:
+        """Return the largest number of NPCs of a scenario whose ego starts in a lane."""
+        lanes = self.ego_lanes or (self.ego_lane,)
+        return self.most_npcs[lanes.index(lane)] if self.most_npcs and lane in lanes else self.npcs
+
+    def genes_of(self, seconds: float) -> int:
+        """Return how many genes of a duration [s] last as long as those of the space."""
+        if seconds == self.gene_seconds:
+            return self.genes
+        return max(1, math.ceil(self.genes * self.gene_seconds / seconds - 1e-9))
 
     @property
     def has_speeds(self) -> bool:
@@ -150,13 +185,12 @@ def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int]
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
     """A random valid scenario.
 
-    Its start is drawn first, where the space says so. The first cells are any distinct ones; then each NPC walks on the
+    Its start, its number of NPCs and the duration of its genes are drawn first, where the space says so. The first cells are any distinct ones; then each NPC walks on the
     ring, with equal chances of holding its cell and of a step to either side. A step into a cell that another NPC holds
     is repaired. Speeds are uniform over the steps of 0.1 m/s up to the limit. Where the space has patterns, half of the
     scenarios are made of these instead, repaired likewise.
     """
-    if space.draws_start:
-        space = replace(space, ego_lane=space.drawn_lane(rng), ego_speed=space.drawn_speed(rng))
+    space = space.drawn(rng)
     if space.patterns and rng.integers(2):
         bounds = space.low_step, space.top_step
         chains = [chain_of_patterns(space.genes, space.ego_speed, bounds, rng) for _ in range(space.npcs)]
