@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any, TypeVar
 
 KeyT = TypeVar("KeyT")
@@ -45,6 +45,16 @@ def in_processes(
         jobs = {key: [pool.submit(function, key, seed, *more) for seed in seeds] for key in keys}
         for key, futures in jobs.items():
             yield key, [future.result() for future in futures]
+
+
+def as_they_end(workers: int, function: Callable[..., ResultT], tasks: Iterable[tuple[Any, ...]]) -> Iterator[ResultT]:
+    """Yield what ``function(*task)`` returns for each of the tasks, which begin in their order, as soon as it ends."""
+    pool = ProcessPoolExecutor(workers)
+    try:
+        for done in as_completed([pool.submit(function, *task) for task in tasks]):
+            yield done.result()
+    finally:  # An error or Ctrl-C does not wait for hours of tasks that have not begun.
+        pool.shutdown(cancel_futures=True)
 
 
 def print_head(*columns: str) -> None:

@@ -1,0 +1,279 @@
+"""How soon does a search find a planted rare defect? Survival curves of 30 policies that have one each.
+
+    python -m tests.benchmarks.planted_defects [--half tuning] [--policies NAME ...] [--arms NAME ...]
+        [--seeds 20] [--first-seed 0] [--runs 2000] [--seconds 600] [--workers 2]
+        [--save FILE] [--load FILE ...] [--picture FILE]
+
+Each policy of ``tests.benchmarks.planted`` has a twin, which is the same without the defect. A search with
+``blame="ego"`` ends at the first failure in whose scenario the twin does not fail by its own fault. Failures that the
+twin shares are counted, and the search goes on. It is censored after so many runs, or seconds of wall clock. What the
+twin drives is no run of the search, and its time is not counted.
+
+``--save`` appends each search to a file of JSON lines as soon as it ends. Searches that are in the file already are not
+made again, so that the same command goes on with what was interrupted. ``--load`` evaluates such files, and searches
+nothing. ``--picture`` draws the survival curves of all defects together into a file, and those of each defect into
+another one, whose name ends in ``-of-each``.
+
+Prints a table of all defects together, and one with a line for each defect. Medians have 95 % intervals (Brookmeyer and
+Crowley), ratios to the default search 95 % bootstrap intervals over seeds, drawn separately for each defect.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import pytest_pafot as pafot
+from pytest_pafot import Run, Scenario
+from pytest_pafot.campaign.events import Judged, SearchStarted
+from pytest_pafot.campaign.verdict import judge
+from pytest_pafot.comparison.figures import SETTINGS, STYLES
+from pytest_pafot.searching import PafotSearch, RandomSearch
+from tests.benchmarks.command import as_they_end, options, print_head, seeds_of
+from tests.benchmarks.planted import PLANTED, SET_ASIDE, TUNING
+from tests.benchmarks.positive_controls import holds
+from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_interval
+
+HALVES: Mapping[str, Sequence[str]] = {"tuning": TUNING, "set-aside": SET_ASIDE}
+DEFAULT = "default"
+ARMS: Mapping[str, Mapping[str, Any]] = {
+    DEFAULT: {},
+    "random": {"algorithm": RandomSearch},
+    "pafot": {"algorithm": PafotSearch},
+}
+"""Further arguments of ``pafot.explore`` by the name of a search; another search is another line."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """How one search went until it found the defect, or was censored."""
+
+    policy: str
+    arm: str
+    seed: int
+    found: bool
+    runs: int
+    simulated: float  # [s]
+    seconds: float  # of wall clock, without those of the twin
+    shared: int  # failures that the twin shares
+
+
+MEASURES: Mapping[str, Callable[[Searched], float]] = {
+    "runs": lambda each: each.runs,
+    "simulated time [s]": lambda each: each.simulated,
+    "wall clock [s]": lambda each: each.seconds,
+}
+FIGURES = ("median", "mean", "median to default's", "mean to default's")
+Group = Sequence[Searched]
+
+
+class EndedError(Exception):
+    """The search has found the defect, or has no budget left."""
+
+
+def searched(policy: str, arm: str, seed: int, runs: int, seconds: float) -> Searched:
+    """Search until the defect of a policy is found, or so many runs or seconds are over."""
+    planted, world = PLANTED[policy], pafot.Highway()
+    twin = planted.twin()
+    began = spent = simulated = 0.0
+    count = shared = 0
+    found = False
+
+    def twin_fails(scenario: Scenario) -> bool:
+        run = Run(world.rollout(scenario, twin))
+        return judge(run, holds, blame="ego", test_file=__file__).failed
+
+    def listen(event: object) -> None:
+        nonlocal began, spent, simulated, count, shared, found
+        if isinstance(event, SearchStarted):
+            began = time.perf_counter()
+        if not isinstance(event, Judged):
+            return
+        now = time.perf_counter()
+        spent = now - began
+        count += 1
+        simulated += event.run.duration
+        if event.verdict.failed:
+            found = not twin_fails(event.run.scenario)
+            shared += not found
+            began += time.perf_counter() - now
+        if found or count >= runs or spent >= seconds:
+            raise EndedError  # before the search confirms and simplifies what it has found
+
+    with suppress(EndedError):
+        pafot.explore(
+            planted.make(), holds=holds, world=world, runs=runs, seed=seed, blame="ego", shrink_rollouts=0,
+            on_event=listen, **ARMS[arm],
+        )  # fmt: skip
+    return Searched(policy, arm, seed, found, count, simulated, spent, shared)
+
+
+def loaded(paths: Iterable[str]) -> list[Searched]:
+    """Return the searches in files of JSON lines; of one that is there several times, the last."""
+    lines = [json.loads(line) for path in paths for line in Path(path).read_text(encoding="utf-8").splitlines()]
+    return list({(line["policy"], line["arm"], line["seed"]): Searched(**line) for line in lines}.values())
+
+
+def saved(searches: Iterable[Searched], path: str) -> Iterator[Searched]:
+    """Yield searches, each of which is appended to a file before."""
+    with Path(path).open("a", encoding="utf-8") as file:
+        for each in searches:
+            print(json.dumps(asdict(each)), file=file, flush=True)
+            yield each
+
+
+def sample(group: Group, measure: str) -> Sample:
+    """Return the times of searches by one of the measures."""
+    return Sample.of([MEASURES[measure](each) for each in group], [each.found for each in group])
+
+
+def overall_rows(half: str, by_arm: Mapping[str, Group]) -> Iterator[str]:
+    """Yield the lines on all defects of a half together, of which each search is one observation."""
+    for measure in MEASURES:
+        curves = {arm: sample(group, measure).curve for arm, group in by_arm.items()}
+        limit = common_limit(list(curves.values()))
+        for arm, group in by_arm.items():
+            found = f"{sum(each.found for each in group)} of {len(group)}"
+            shared = f"{sum(each.shared for each in group) / len(group):.2f}"
+            cells = [half, arm, found, shared, measure, with_interval(curves[arm].median, *curves[arm].median_interval)]
+            cells += [f"{number(curves[arm].mean(limit))} (to {number(limit)})"]
+            for figure in (lambda each: each.median, lambda each, limit=limit: each.mean(limit)):
+                cells += [ratio_to_default(figure, by_arm, arm, measure)]
+            yield f"| {' | '.join(cells)} |"
+
+
+def ratio_to_default(figure: Callable[[Curve], float], by_arm: Mapping[str, Group], arm: str, measure: str) -> str:
+    """Say how many times that of the default search a figure is, of the seeds that both were searched with."""
+    first, second = ({(each.policy, each.seed): each for each in by_arm.get(name, ())} for name in (arm, DEFAULT))
+    both = [pair for pair in first if pair in second]
+    if arm == DEFAULT or not both:
+        return ""
+    one, other = (sample([searches[pair] for pair in both], measure) for searches in (first, second))
+    low, high = ratio_interval(figure, one, other, [policy for policy, _ in both])
+    return with_interval(ratio(figure(one.curve), figure(other.curve)), low, high)
+
+
+def row_of(policy: str, by_arm: Mapping[str, Group], arms: Sequence[str]) -> str:
+    """Return the line of a defect: runs of each search until it is found; one that was not made has an empty cell."""
+    planted = PLANTED[policy]
+    curves = {arm: sample(group, "runs").curve for arm, group in by_arm.items()}
+    limit = common_limit(list(curves.values()))
+    cells = [policy, planted.kind, str(planted.conditions)]
+    for arm in arms:
+        if arm not in by_arm:
+            cells += [""]
+            continue
+        text = with_interval(curves[arm].median, *curves[arm].median_interval)
+        if math.isinf(curves[arm].median):
+            text += f", mean {number(curves[arm].mean(limit))} (to {number(limit)})"
+        cells += [f"{text}; {sum(each.found for each in by_arm[arm])} of {len(by_arm[arm])}"]
+    return f"| {' | '.join(cells)} |"
+
+
+def with_interval(value: float, low: float, high: float) -> str:
+    """Say a value and its interval, or a dash where nothing is known of it."""
+    if not math.isfinite(value) and low in (0, math.inf):
+        return "-"
+    return f"{number(value)} ({number(low)} to {number(high)})"
+
+
+def number(value: float) -> str:
+    """Say a number with three digits; one that is not reached as a dash."""
+    return f"{value:.0f}" if 100 <= value < math.inf else f"{value:.3g}" if math.isfinite(value) else "-"
+
+
+def draw(path: str, halves: Mapping[str, Mapping[str, Group]], policies: Mapping[str, Mapping[str, Group]]) -> None:
+    """Draw all defects of a half together, by runs and by wall clock, and into another file each defect by runs."""
+    with mpl.rc_context(SETTINGS):
+        figure = Figure(figsize=(8.4, 3.4 * len(halves)), layout="constrained")
+        panels = figure.subplots(len(halves), 2, squeeze=False)
+        for row, (half, by_arm) in zip(panels, halves.items(), strict=True):
+            for axes, measure in zip(row, ("runs", "wall clock [s]"), strict=True):
+                draw_curves(axes, by_arm, measure)
+                axes.set(xlabel=measure, ylabel="not found yet [%]")
+                axes.set_title(f"{half} defects; band: 95 %", fontsize=9, loc="left")
+            row[0].legend(loc="lower left")
+        figure.savefig(path, dpi=160)
+
+        columns = min(5, len(policies))
+        rows = math.ceil(len(policies) / columns)
+        figure = Figure(figsize=(2.2 * columns, 1.8 * rows + 0.4), layout="constrained")
+        places = list(figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).flat)
+        for axes, (policy, by_arm) in zip(places, policies.items(), strict=False):
+            draw_curves(axes, by_arm, "runs")
+            axes.set_title(policy, fontsize=8, loc="left")
+        for axes in places[len(policies) :]:
+            axes.set_axis_off()
+        figure.supxlabel("runs", fontsize=9.5)
+        figure.supylabel("not found yet [%]", fontsize=9.5)
+        figure.legend(*places[0].get_legend_handles_labels(), loc="outside upper right", ncols=len(ARMS))
+        figure.savefig(of_each(path), dpi=160)
+
+
+def of_each(path: str) -> Path:
+    """Return where the picture of each defect belongs."""
+    return Path(path).with_stem(f"{Path(path).stem}-of-each")
+
+
+def draw_curves(axes: Axes, by_arm: Mapping[str, Group], measure: str) -> None:
+    """Draw the share that has not found a defect yet, by search."""
+    begin = 0.8 * min(MEASURES[measure](each) for group in by_arm.values() for each in group)
+    for arm, group in by_arm.items():
+        style, curve = STYLES[list(ARMS).index(arm) % len(STYLES)], sample(group, measure).curve
+        times = [begin, *curve.times]
+        low, high = ([100, *(100 * limit)] for limit in curve.band)
+        axes.fill_between(times, low, high, step="post", color=style.colour, alpha=0.12, linewidth=0)
+        axes.step(times, [100, *(100 * curve.shares)], where="post", label=arm, markersize=4, markevery=0.2,
+                  **style.curve)  # fmt: skip
+    axes.set(xscale="log", ylim=(0, 103))
+
+
+def grouped(searches: Iterable[Searched], policies: Sequence[str], arms: Sequence[str]) -> dict[str, list[Searched]]:
+    """Group the searches of some policies by arm, in the order of the policies and the seeds."""
+    ordered = sorted((each for each in searches if each.policy in policies), key=lambda each: (each.policy, each.seed))
+    groups = {arm: [each for each in ordered if each.arm == arm] for arm in arms}
+    return {arm: group for arm, group in groups.items() if group}
+
+
+def main() -> None:
+    given = options(
+        __doc__, half=HALVES, policies=PLANTED, arms=ARMS, seeds=20, first_seed=0, runs=2000, seconds=600.0, workers=2,
+        save="", load=[], picture="",
+    )  # fmt: skip
+    halves = {half: [name for name in HALVES[half] if name in given.policies] for half in given.half}
+    names = [name for policies in halves.values() for name in policies]
+    done = loaded(given.load or ([given.save] if given.save and Path(given.save).exists() else []))
+    if not given.load:
+        # Seeds come first, so that what is interrupted has as many searches of each defect by each arm.
+        tasks = [(policy, arm, seed) for seed, policy, arm in product(seeds_of(given), names, given.arms)]
+        known = {(each.policy, each.arm, each.seed) for each in done}
+        missing = [(*task, given.runs, given.seconds) for task in tasks if task not in known]
+        new = as_they_end(given.workers, searched, missing)
+        done += saved(new, given.save) if given.save else new
+    arms = [arm for arm in given.arms if any(each.arm == arm for each in done)]
+    of_halves = {half: group for half, policies in halves.items() if (group := grouped(done, policies, arms))}
+    of_policies = {name: group for name in names if (group := grouped(done, [name], arms))}
+    print_head("defects", "search", "found", "failures of the twin, too", "until found", *FIGURES)
+    for half, group in of_halves.items():
+        print("\n".join(overall_rows(half, group)), flush=True)
+    print()
+    print_head("defect", "kind", "conditions", *(f"{arm}, median of runs; found" for arm in arms))
+    for name, group in of_policies.items():
+        print(row_of(name, group, arms))
+    if given.picture:
+        draw(given.picture, of_halves, of_policies)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,70 @@
+"""The benchmark of planted defects: when a search of it ends, and what it says of searches that were made up."""
+
+from functools import partial
+from types import SimpleNamespace
+
+import pytest
+
+from tests.benchmarks import planted_defects, policies_with_defects
+from tests.benchmarks.planted_defects import Searched, draw, grouped, loaded, overall_rows, saved, searched
+
+BROKEN = partial(policies_with_defects.make, "OneNudge")
+SOUND = partial(policies_with_defects.make, "OneNudge", repaired=("nudge-unchecked",))
+
+
+def made_up(arm, seed, runs, *, found=True):
+    return Searched("nudges", arm, seed, found, runs, 30.0 * runs, 0.01 * runs, 0)
+
+
+@pytest.fixture
+def plant(monkeypatch):
+    def planted(twin):
+        monkeypatch.setattr(planted_defects, "PLANTED", {"nudges": SimpleNamespace(make=BROKEN, twin=twin)})
+
+    return planted
+
+
+def test_a_search_ends_where_only_the_policy_with_the_defect_fails(plant):
+    plant(SOUND)
+    first = searched("nudges", "default", 0, 100, 100.0)
+    assert (first.found, first.shared) == (True, 0)
+    assert first.runs < 100
+    assert 0 < first.seconds < first.simulated
+    again = searched("nudges", "default", 0, first.runs, 100.0)
+    assert (again.found, again.runs, again.simulated) == (True, first.runs, first.simulated)
+    less = searched("nudges", "default", 0, first.runs - 1, 100.0)
+    assert (less.found, less.runs) == (False, first.runs - 1)
+
+
+def test_failures_that_the_twin_shares_are_counted_and_do_not_end_the_search(plant):
+    plant(BROKEN)
+    search = searched("nudges", "default", 0, 60, 100.0)
+    assert (search.found, search.runs) == (False, 60)
+    assert search.shared >= 1
+
+
+def test_a_search_ends_after_its_seconds(plant):
+    plant(BROKEN)
+    assert searched("nudges", "random", 0, 10_000, 0.05).runs < 10_000
+
+
+def test_what_is_saved_is_loaded_once(tmp_path):
+    path = str(tmp_path / "searches.jsonl")
+    searches = [made_up("default", seed, 10 + seed) for seed in range(2)]
+    assert list(saved(searches, path)) == searches
+    assert loaded([path, path]) == searches
+
+
+def test_ratios_are_of_the_seeds_that_both_were_searched_with():
+    searches = [made_up("default", seed, runs) for seed, runs in enumerate([10, 20, 30])]
+    searches += [made_up("random", seed, 2 * runs) for seed, runs in enumerate([10, 20, 30, 500])]
+    first, second, *_ = overall_rows("tuning", grouped(searches, ["nudges"], ["default", "random"]))
+    assert first.startswith("| tuning | default | 3 of 3 | 0.00 | runs | 20 (10 to -) | 20 (to 1000) |")
+    assert second.endswith("| 2 (2 to 2) | 2 (2 to 2) |")
+
+
+def test_pictures_are_drawn_also_where_nothing_is_found(tmp_path):
+    searches = [made_up("default", 0, 10), made_up("pafot", 0, 20, found=False)]
+    group = grouped(searches, ["nudges"], ["default", "random", "pafot"])
+    draw(str(tmp_path / "curves.png"), {"tuning": group}, {"nudges": group})
+    assert {each.name for each in tmp_path.iterdir()} == {"curves.png", "curves-of-each.png"}
