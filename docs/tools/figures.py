@@ -52,7 +52,10 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
         "docs/comparisons/README.md",
     ),
     "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", "docs/explanation/paper.md"),
-    "kinds": ("kinds --first-seed 100 --seeds {20|1} --seconds {20|1} --workers WORKERS", "docs/comparisons/kinds.md"),
+    "planted-defects": (
+        "planted_defects --seeds {20|1} --runs {2000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
+        "docs/comparisons/planted-defects.md",
+    ),
     "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", DEFAULT_SEARCH),
     "margins-of-others": (
         "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} --workers WORKERS",
@@ -232,6 +235,8 @@ def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
         if document is not None:
             tables = re.findall(r"(?:^\|.*\n)+", f"{printed}\n", re.MULTILINE)
             write_between(root / document, name, "\n".join(tables))
+            for picture in folder.glob(f"{name}*.png"):
+                shutil.copy(picture, (root / document).parent)
     if set(asked) & set(REPORTS):
         reports = {name: (root / f"docs/comparisons/{name}/report.md").read_text(encoding="utf-8") for name in REPORTS}
         overview = root / "docs" / "comparisons" / "README.md"
