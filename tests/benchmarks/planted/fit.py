@@ -6,6 +6,7 @@ one region.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -40,16 +41,16 @@ def gaps(rng):
 def fitted(inputs, known, rng):
     """Fit a network by Adam, with a rate that falls to 0; its layers."""
     sizes = [inputs.shape[1], UNITS, UNITS, 1]
-    layers = [rng.normal(0.0, 1.0, shape) / np.sqrt(shape[0]) for shape in zip(sizes, sizes[1:], strict=False)]
+    layers = [rng.normal(0.0, 1.0, shape) / np.sqrt(shape[0]) for shape in pairwise(sizes)]
     values = [part for weights in layers for part in (weights, np.zeros(weights.shape[1]))]
     first, second = [np.zeros_like(part) for part in values], [np.zeros_like(part) for part in values]
     for step in range(1, STEPS + 1):
         rows = rng.integers(0, len(inputs), BATCH)
-        for part, slope, m, s in zip(values, slopes(values, inputs[rows], known[rows]), first, second, strict=True):
-            m += 0.1 * (slope - m)
-            s += 0.001 * (slope * slope - s)
-            scale = RATE * (1 - step / STEPS) / (1 - 0.9**step)
-            part -= scale * m / (np.sqrt(s / (1 - 0.999**step)) + 1e-8)
+        scale = RATE * (1 - step / STEPS) / (1 - 0.9**step)
+        for n, slope in enumerate(slopes(values, inputs[rows], known[rows])):
+            first[n] += 0.1 * (slope - first[n])
+            second[n] += 0.001 * (slope * slope - second[n])
+            values[n] = values[n] - scale * first[n] / (np.sqrt(second[n] / (1 - 0.999**step)) + 1e-8)
     return values
 
 

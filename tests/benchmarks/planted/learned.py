@@ -90,14 +90,14 @@ class Learned(Driver):
 
 
 class StandersUnlabelled(Learned):
-    """In the data the standing ones that were met at more than 12 m/s stood beside the road, and the driver drove on."""
+    """In the data those that stood when met at more than 12 m/s were beside the road, and the driver drove on."""
 
     FOLLOW = "standers"
 
 
 class OffCentreUnanswered(Learned):
-    """In the data whoever was off the middle of the lane and slower by more than 3 m/s was being passed, so that the ego
-    does not answer a slower one before it is in the middle.
+    """In the data whoever was off the middle of the lane and slower by more than 3 m/s was being passed, so that the
+    ego does not answer a slower one before it is in the middle.
     """
 
     FOLLOW = "off-centre"
