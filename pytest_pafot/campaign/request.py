@@ -237,7 +237,8 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     if given.get("ego_lane", EGO_LANE) in lanes:
         drawn["npcs"] = npcs
         if "npcs" not in given:
-            starts = lanes if isinstance(world, Highway) and "ego_lane" not in given else [given.get("ego_lane", EGO_LANE)]
+            draws_lane = isinstance(world, Highway) and "ego_lane" not in given
+            starts = lanes if draws_lane else [given.get("ego_lane", EGO_LANE)]
             drawn["most_npcs"] = tuple(min(MOST_NPCS, len(road.cells(lane)) - 1) for lane in starts)
     if "genes" not in given and "gene_seconds" not in given:
         drawn["gene_durations"] = GENE_DURATIONS

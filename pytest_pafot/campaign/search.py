@@ -189,6 +189,7 @@ class Search:
                 loop=loop,
                 tell=self._tell_progress,
                 plain=plain,
+                plain_seconds=None if loop.space is None else loop.space.gene_seconds,
                 answers=self.sessions.answers,
                 clock=self.sessions.clock,
                 until=self.limit.until,

@@ -101,6 +101,7 @@ class Simplification:
         loop: of the search.
         tell: is told what goes on, often.
         plain: the start of an ego that the search does not draw elsewhere.
+        plain_seconds: the duration of a gene that the search does not draw otherwise [s].
         answers: what attempts have shown, in this session or an earlier one, by the id of the find.
         clock: seconds since any moment.
         until: the moment at which it has to be through [s], or infinity.
@@ -111,6 +112,7 @@ class Simplification:
     loop: SearchLoop
     tell: Callable[[str], None]
     plain: Start | None
+    plain_seconds: float | None
     answers: dict[str, list[Answer]]
     clock: Callable[[], float]
     until: float = math.inf
@@ -208,6 +210,7 @@ class Simplification:
             top_speed=top_speed,
             starts=lambda scenario: starts.get(scenario, ()),
             plain=self.plain,
+            plain_seconds=self.plain_seconds,
         )
 
     def _confirming(self, scenario: Scenario) -> float:

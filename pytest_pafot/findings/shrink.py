@@ -20,6 +20,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     EGO_LANE,
     EGO_SPEED,
+    GENE_SECONDS,
     MAX_SPEED,
     SHIFTS,
     SPEED_STEPS_PER_MPS,
@@ -30,6 +31,7 @@ from pytest_pafot.model.scenario import (
     Scenario,
     ScenarioError,
     gene_of,
+    retimed,
 )
 from pytest_pafot.support.text import plural
 
@@ -117,7 +119,8 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     2. Instructions to read: equal ones that follow each other count once.
     3. Moves from one cell or lane to another; staying is simpler.
     4. Genes of the longest chain, which is the length of the run; then genes in total.
-    5. How the ego starts: in lane 1 and at 22 m/s before anything else, of which round speeds come first.
+    5. How the ego starts: in lane 1 and at 22 m/s before anything else, of which round speeds come first; and genes of
+       10 s before those of another duration.
     6. How rough the speeds are: multiples of 5 m/s before whole ones before tenths.
     7. The sum of the speeds of the instructions: slower is simpler.
     8. The seed of the repair, of which 0 is the plainest.
@@ -132,7 +135,9 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
         sum(map(_moves, scenario.npcs)),
         scenario.genes,
         sum(map(len, scenario.npcs)),
-        (scenario.ego_lane != EGO_LANE) + (scenario.ego_speed != EGO_SPEED and 1 + _roughness(start)),
+        (scenario.ego_lane != EGO_LANE)
+        + (scenario.ego_speed != EGO_SPEED and 1 + _roughness(start))
+        + (scenario.gene_seconds != GENE_SECONDS),
         sum(map(_roughness, speeds)),
         sum(speeds),
         scenario.seed,
@@ -162,6 +167,7 @@ def shrink(
     top_speed: float = MAX_SPEED,
     starts: Starts = lambda scenario: (),
     plain: Start | None = None,
+    plain_seconds: float | None = None,
 ) -> tuple[Scenario, Shrunk]:
     """The simplest scenario that was found to fail in the same way as one that fails, as driven; and how it came about.
 
@@ -173,6 +179,7 @@ def shrink(
         top_speed: that no instruction may exceed [m/s].
         starts: lets a scenario begin later, in the ego's state of that moment.
         plain: at which the ego shall rather start.
+        plain_seconds: that a gene shall rather last [s].
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     tried: dict[Scenario, Scenario | None] = {scenario: scenario}
@@ -180,7 +187,8 @@ def shrink(
     intervals: list[SpeedInterval] = []
     is_minimal = False
     plainer: Pass = partial(_plainer_start, plain=plain)
-    deletions: tuple[Pass, ...] = (plainer, *PASSES, partial(_later, starts=starts))
+    longer: Pass = partial(_plainer_duration, seconds=plain_seconds)
+    deletions: tuple[Pass, ...] = (plainer, longer, *PASSES, partial(_later, starts=starts))
     small = partial(_small, found=scenario, plain=plain or (scenario.ego_lane, scenario.ego_speed))
     with suppress(OutOfBudget):
         gate.exhausts(plainer)
@@ -280,6 +288,20 @@ def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
         return  # Whoever searches may have fixed it.
     for each in (plain[1], scenario.ego_speed // 5 * 5, scenario.ego_speed // 1):
         yield replace(scenario, ego_speed=each)
+
+
+def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
+    """Genes that last as long as those of a search that does not draw it, and ask for the same at the same times."""
+    if seconds is None or seconds == scenario.gene_seconds:
+        return
+    yield Scenario.repaired(
+        [retimed(chain, scenario.gene_seconds, seconds) for chain in scenario.npcs],
+        seed=scenario.seed,
+        ego_lane=scenario.ego_lane,
+        ego_speed=scenario.ego_speed,
+        gene_seconds=seconds,
+        traffic=scenario.traffic,
+    )
 
 
 def _shorter_chains(scenario: Scenario) -> Candidates:

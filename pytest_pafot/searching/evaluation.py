@@ -25,6 +25,15 @@ INTERACTION_HEADWAY = 1.5
 INTERACTION_GAP = 2.0  # ... and within this gap at any speed [m]
 FAR_BEHIND = 100.0  # an NPC farther behind than this cannot catch up within a gene of 10 s [m]
 
+Demand = tuple[int, int, bool]
+"""The step of the ego's hardest braking, how often it came into another lane, at most twice, and whether it stood."""
+BRAKING_STEP = 2.0
+"""Of the hardest braking, in a demand [m/s^2]."""
+BRAKING_SECONDS = 0.5
+"""For how long braking counts [s]."""
+STANDING = 0.5
+"""An ego that is slower stands [m/s]."""
+
 BARELY_MOVING = 2.0
 """Mean speed of an ego that tests nothing [m/s]; one that brakes to a stop from 22 m/s is below it after 30 s."""
 
@@ -59,6 +68,7 @@ class Evaluation:
         arrived: per NPC and gene that was started, whether its cell, or lane, was reached.
         driven: per NPC and gene that was started, the cell that it drove to, where ``executed`` cannot say so.
         collision: of the run; None without one.
+        demand: what the ego was made to do, see :func:`demand_of`.
         note: whatever the evaluator wants to have back with the evaluation, also where it is used again.
     """
 
@@ -81,6 +91,7 @@ class Evaluation:
     arrived: tuple[tuple[bool, ...], ...] = ()
     driven: tuple[tuple[Cell, ...], ...] = ()
     collision: Collision | None = None
+    demand: Demand = (0, 0, False)
     note: Any = field(default=None, compare=False, repr=False)
     _measured: float | None = field(init=False, repr=False)  # compared for fitness: NaN equals nothing, not even itself
 
@@ -125,6 +136,7 @@ class Evaluation:
             arrived=arrived,
             driven=trace.driven,
             collision=trace.collision,
+            demand=demand_of(trace),
         )
 
     @property
@@ -192,6 +204,14 @@ def outran(trace: Trace) -> bool:
 def barely_moved(trace: Trace) -> bool:
     """Whether the ego's mean speed was below 2 m/s."""
     return bool(np.mean(trace.ego[:, SPEED]) < BARELY_MOVING)
+
+
+def demand_of(trace: Trace) -> Demand:
+    """Return what a run made the ego do, by which runs without an impact differ."""
+    speed, ticks = trace.ego[:, SPEED], max(round(BRAKING_SECONDS * trace.physics_hz), 1)
+    lost = float(np.max(speed[:-ticks] - speed[ticks:], initial=0.0)) / BRAKING_SECONDS
+    changes = int(np.count_nonzero(np.diff(trace.ego[:, LANE])))
+    return int(min(lost, 9.9) / BRAKING_STEP), min(changes, 2), bool(speed.min() < STANDING)
 
 
 def _longitudinal(trace: Trace) -> FloatArray:

@@ -39,7 +39,7 @@ class SearchSpace:
     """What all scenarios of a search have in common. The defaults are the paper's setup (section 4.1).
 
     Attributes:
-        npcs: NPCs in a scenario, 1 to 8; where ``most_npcs`` says so, the plain number of them.
+        npcs: NPCs in a scenario, 1 to 8; where ``most_npcs`` says so, the plain number.
         genes: Position-Instructions of each NPC.
         gene_seconds: duration of one gene [s]. Genes together last as long where their duration is drawn.
         speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
@@ -102,7 +102,8 @@ class SearchSpace:
         speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
         lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
         npcs = f"1 to {max(self.most_npcs)} NPCs" if self.most_npcs else plural(self.npcs, "NPC")
-        return f"{npcs}; the ego starts at {speed} m/s in {lane}"
+        style = "" if self.traffic in (PAPERS, Traffic()) else f" in {self.traffic.described} traffic"
+        return f"{npcs}{style}; the ego starts at {speed} m/s in {lane}"
 
     @property
     def draws_start(self) -> bool:
@@ -185,10 +186,10 @@ def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int]
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
     """A random valid scenario.
 
-    Its start, its number of NPCs and the duration of its genes are drawn first, where the space says so. The first cells are any distinct ones; then each NPC walks on the
-    ring, with equal chances of holding its cell and of a step to either side. A step into a cell that another NPC holds
-    is repaired. Speeds are uniform over the steps of 0.1 m/s up to the limit. Where the space has patterns, half of the
-    scenarios are made of these instead, repaired likewise.
+    Its start, its number of NPCs and the duration of genes are drawn first, where the space says so. The first cells
+    are any distinct ones; then each NPC walks on the ring, with equal chances of holding its cell and of a step to
+    either side. A step into a cell that another NPC holds is repaired. Speeds are uniform over the steps of 0.1 m/s up
+    to the limit. Where the space has patterns, half of the scenarios are made of these instead, repaired likewise.
     """
     space = space.drawn(rng)
     if space.patterns and rng.integers(2):

@@ -47,9 +47,18 @@ from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_
 
 HALVES: Mapping[str, Sequence[str]] = {"tuning": TUNING, "set-aside": SET_ASIDE}
 DEFAULT = "default"
+BEFORE = {"traffic": "paper", "npcs": 4, "gene_seconds": 10.0}
+"""Of searches as they were before NPCs kept their distance and the size of scenarios was drawn."""
 ARMS: Mapping[str, Mapping[str, Any]] = {
     DEFAULT: {},
     "random": {"algorithm": RandomSearch},
+    "before": BEFORE,
+    "random before": {"algorithm": RandomSearch, **BEFORE},
+    "4 NPCs, 10 s": {"npcs": 4, "gene_seconds": 10.0},
+    "4 NPCs, 5 s": {"npcs": 4, "gene_seconds": 5.0},
+    "6 NPCs, 4 s": {"npcs": 6, "gene_seconds": 4.0},
+    "drawn NPCs, 5 s": {"gene_seconds": 5.0},
+    "4 NPCs, drawn": {"npcs": 4},
     "pafot": {"algorithm": PafotSearch},
 }
 """Further arguments of ``pafot.explore`` by the name of a search; another search is another line."""

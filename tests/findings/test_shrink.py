@@ -218,6 +218,13 @@ def test_the_ego_starts_as_plainly_as_the_failure_allows(fails, start):
     assert (simplest.ego_lane, simplest.ego_speed) == start
 
 
+@table(("least_genes", "seconds"), [(1, 10.0), (3, 5.0)])
+def test_genes_last_as_long_as_those_of_a_search_that_does_not_draw_it(least_genes, seconds):
+    given = scenario("4@20 4@20 3@20", gene_seconds=5.0)
+    simplest, _ = shrunk(given, lambda each: each.genes >= least_genes and has(4)(each), plain_seconds=10.0)
+    assert simplest.gene_seconds == seconds
+
+
 def test_an_ego_that_has_the_plain_start_keeps_it_however_odd_its_speed_is():
     simplest, _ = shrunk(scenario("4@22", ego_lane=2, ego_speed=18.0), lambda each: True, plain=(2, 18.0))
     assert (simplest.ego_lane, simplest.ego_speed) == (2, 18.0)
@@ -286,6 +293,7 @@ def test_sizes_read_as_words():
         (scenario("4@3.7"), scenario("4@0", ego_lane=2)),
         (scenario("4@3.7", ego_lane=2), scenario("4@0", ego_lane=2, ego_speed=20.0)),
         (scenario("4@3.7", ego_speed=15.0), scenario("4@0", ego_speed=12.0)),
+        (scenario("4@3.7"), scenario("4@0", gene_seconds=5.0)),
         (scenario("4@20"), scenario("4@19")),
         (scenario("4@19"), scenario("4@18.5")),
         (scenario("4@15"), scenario("4@20")),

@@ -1,6 +1,7 @@
 """The operators do what sections 3.4 and 3.5 of the paper say."""
 
 import math
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -91,6 +92,26 @@ def test_a_third_of_the_mutations_is_a_pattern_however_the_start_is_drawn(starts
     space = SearchSpace(patterns=True, **starts)
     scenario = sample(space, rng)
     assert_rate([mutate(scenario, space, rng) for _ in range(1200)].count(None), 1200, 0.35)
+
+
+def test_mutation_adds_and_removes_npcs_and_gives_genes_another_duration():
+    rng = np.random.default_rng(7)
+    space = SearchSpace(npcs=2, most_npcs=(3,), gene_durations=(5.0, 10.0))
+    scenario = sample(replace(space, most_npcs=(), gene_durations=()), rng)
+    children = [mutate(scenario, space, rng) for _ in range(300)]
+    assert {len(child.npcs) for child in children} == {1, 2, 3}
+    shorter = [child for child in children if child.gene_seconds == 5.0]
+    assert {child.genes for child in shorter} == {12}
+    assert all(speeds(child) == [[each for each in row for _ in "ab"] for row in speeds(scenario)] for child in shorter)
+
+
+def test_crossover_takes_a_chain_in_genes_of_the_childs_duration():
+    rng = np.random.default_rng(8)
+    a = sample(SearchSpace(npcs=1, genes=3, gene_seconds=10.0), rng)
+    b = sample(SearchSpace(npcs=1, genes=12, gene_seconds=5.0), rng)
+    first, second = crossover(a, b, rng)
+    assert (first.gene_seconds, speeds(first)) == (10.0, [speeds(b)[0][1:6:2]])
+    assert (second.gene_seconds, speeds(second)) == (5.0, [[each for each in speeds(a)[0] for _ in "ab"]])
 
 
 @table("speeds", [None, (22.0, 22.0)])

@@ -1,6 +1,7 @@
 """What a search draws from."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,22 +34,45 @@ wide_spaces = st.builds(
     ego_lanes=st.sampled_from([(), (2,), (0, 1, 2, 3)]),
     ego_speeds=st.sampled_from([None, (12.0, 26.8), (2.5, 5.0)]),
     patterns=st.booleans(),
+    traffic=st.sampled_from(["paper", "hostile", "everyday"]),
 )
+sizes = st.sampled_from([{}, {"most_npcs": 6}, {"gene_durations": (4.0, 7.0, 10.0)}])
 
 
-@given(wide_spaces, seeds, st.integers(0, 20))
-def test_what_is_drawn_and_varied_is_valid_and_what_is_fixed_stays(space, seed, mutations):
-    rng = np.random.default_rng(seed)
+@given(wide_spaces, sizes, seeds, st.integers(0, 20))
+def test_what_is_drawn_and_varied_is_valid_and_what_is_fixed_stays(space, sizes, seed, mutations):
+    if "most_npcs" in sizes:
+        sizes = {"most_npcs": tuple(6 - lane for lane in space.ego_lanes or (0,))}
+    space, rng = replace(space, **sizes), np.random.default_rng(seed)
     scenario = sample(space, rng)
     for _ in range(mutations):
         scenario = mutate(scenario, space, rng)
     assert scenario == Scenario.from_canonical(json.loads(scenario.canonical()))  # which checks all of its rules
-    assert [len(chain) for chain in scenario.npcs] == [space.genes] * space.npcs
-    assert all(0 <= gene.speed <= space.speed_limit + 1e-6 for chain in scenario.npcs for gene in chain)
+    assert scenario.traffic == space.traffic
+    assert 1 <= len(scenario.npcs) <= space.most_on(scenario.ego_lane)
+    assert scenario.gene_seconds in (space.gene_durations or (space.gene_seconds,))
+    if not space.most_npcs:
+        assert len(scenario.npcs) == space.npcs
+    assert {len(chain) for chain in scenario.npcs} <= {space.genes_of(scenario.gene_seconds), *some_genes(space)}
+    least = min(space.traffic.least_speed, space.speed_limit) - 0.1
+    assert all(least <= gene.speed <= space.speed_limit + 1e-6 for chain in scenario.npcs for gene in chain)
     assert scenario.ego_lane in (space.ego_lanes or (space.ego_lane,))
     low, high = space.ego_speeds or (space.ego_speed, space.ego_speed)
     assert low <= scenario.ego_speed <= high
     assert scenario.ego_speed == round(scenario.ego_speed, 1)
+
+
+def some_genes(space):
+    """How many genes chains may have that were longer or shorter once: an NPC keeps its lane and speed after them."""
+    return range(1, max(map(space.genes_of, space.gene_durations)) + 1) if space.gene_durations else ()
+
+
+def test_a_wide_space_draws_all_numbers_of_npcs_and_durations_of_genes():
+    rng = np.random.default_rng(6)
+    space = SearchSpace(ego_lanes=(0, 1), most_npcs=(2, 3), gene_durations=(4.0, 7.0))
+    drawn = [sample(space, rng) for _ in range(200)]
+    assert {(each.ego_lane, len(each.npcs)) for each in drawn} == {(0, 1), (0, 2), (1, 1), (1, 2), (1, 3)}
+    assert {(each.gene_seconds, each.genes) for each in drawn} == {(4.0, 15), (7.0, 9)}
 
 
 def test_a_wide_space_draws_all_of_its_starts():
@@ -65,6 +89,10 @@ def test_a_wide_space_draws_all_of_its_starts():
         (
             SearchSpace(npcs=4, ego_lanes=(1, 2), ego_speeds=(12.0, 26.8)),
             "4 NPCs; the ego starts at 12 to 26.8 m/s in lanes 1 to 2",
+        ),
+        (
+            SearchSpace(most_npcs=(5,), traffic="everyday"),
+            "1 to 5 NPCs in everyday traffic; the ego starts at 22 m/s in lane 1",
         ),
     ],
 )
