@@ -73,7 +73,7 @@ class NetworkDirector(Director):
         return self._network.cells(ego.x, ego.lane, (self._row + self._clearance) / self._stretch(ego))
 
     def _stretch(self, body: Body) -> float:
-        """Metres driven per metre of the way, in the lane of a vehicle."""
+        """Return how many metres a vehicle drives in its lane per metre of the way."""
         across, _, _ = self._network.lane_at(body.lane, body.x)
         return self._network.stretch(body.x, across)
 
@@ -81,8 +81,7 @@ class NetworkDirector(Director):
         goal, wanted = self._aim(npc, ego)
         npc.heading_for = goal
         if self._attentive:
-            gap = (ego.x - npc.x) * self._stretch(npc) - self._row
-            wanted = self._attending(npc, ego, wanted, gap)
+            wanted = self._attending(npc, ego, wanted)
         wanted = self._following(npc, wanted)
         gained = max(npc.asked, 0.0) ** 2 / (2 * self._jerk)  # while the accelerator is released
         for lane in (npc.lane, goal):

@@ -60,8 +60,10 @@ cdef class Director:
     @cython.final
     cdef double _ahead(self, Body ego) except? -1
 
-    @cython.locals(has_moved_in=bint, place=int, believed=double, late=double)
-    cpdef double _attending(self, Npc npc, Body ego, double speed, double gap) except? -1
+    cpdef double _stretch(self, Body body) except? -1
+
+    @cython.locals(has_moved_in=bint, place=int, x=double, ego_speed=double, ahead=double, gap=double, safe=double)
+    cpdef double _attending(self, Npc npc, Body ego, double speed) except? -1
 
     @cython.final
     @cython.locals(gap=double, closing=double)

@@ -291,7 +291,7 @@ class Director:
             wanted_speed = self._creeping(npc, goal, ego.speed + gap_speed(distance))
         npc.heading_for = goal
         if self._attentive:
-            wanted_speed = self._attending(npc, ego, wanted_speed, ego.x - npc.x - self._row)
+            wanted_speed = self._attending(npc, ego, wanted_speed)
         wanted_speed = self._following(npc, wanted_speed)
         driver = self._driver
         npc.asked = driver.acceleration(wanted_speed, npc.asked, npc.speed)
@@ -315,36 +315,38 @@ class Director:
         """Return the gap to an ego of the same speed that the traffic asks for of whoever moves in ahead of it [m]."""
         return max(self._least_gap, self._time_gap * ego.speed)
 
-    def _attending(self, npc: Npc, ego: Body, speed: float, gap: float) -> float:
-        """Bring a wanted speed within the traffic's style, and cut it to what leaves room behind the ego [m/s].
+    def _stretch(self, body: Body) -> float:
+        """Return how many metres a vehicle drives per metre along the road, which is 1 where the road is straight."""
+        return 1.0
 
-        Args:
-            npc: whose speed it is.
-            ego: maybe ahead of it, by a gap [m].
-            speed: that its instruction asks for [m/s].
-            gap: bumper to bumper [m].
-        """
+    def _attending(self, npc: Npc, ego: Body, speed: float) -> float:
+        """Bring a wanted speed within the traffic's style, and cut it to what leaves room behind the ego [m/s]."""
         speed = max(speed, self._least_speed, speed_asking_for(self._braking, npc.speed))
         if npc.x >= ego.x or abs(ego.y - npc.y) >= (npc.width + ego.width) / 2.0 + TRACK:
             npc.behind = NOT_BEHIND
             return speed
         if npc.behind == NOT_BEHIND:
-            has_moved_in = abs(npc.speed * npc.heading) >= abs(ego.speed * ego.heading)
+            has_moved_in = self._tick == 0 or abs(npc.speed * npc.heading) >= abs(ego.speed * ego.heading)
             npc.behind = self._reaction if has_moved_in else 0
         elif npc.behind < self._reaction:
             npc.behind += 1
         if npc.behind < self._reaction:
             return speed
-        if self._ego_has_leader or self._tick == 0:
-            return min(speed, following_speed(gap, ego.speed, npc.speed))
-        place = self._tick % self._reaction  # of what is oldest
-        believed = self._seen_x[place] + self._seen_speed[place] * self._delay
-        late = following_speed(gap + believed - ego.x, self._seen_speed[place], npc.speed)
-        return min(speed, max(late, speed_asking_for(ANSWER, npc.speed)))
+        x, ego_speed = ego.x, ego.speed
+        ahead = 0.0  # of what it saw, where it believes the ego to be [m]
+        if not self._ego_has_leader and self._tick > 0:
+            place = self._tick % self._reaction  # of what is oldest
+            x, ego_speed = self._seen_x[place], self._seen_speed[place]
+            ahead = ego_speed * self._delay
+        gap = (x - npc.x) * self._stretch(npc) + ahead - self._row
+        safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)  # who reverses leaves no more room than who stands
+        if not self._ego_has_leader:
+            safe = max(safe, speed_asking_for(ANSWER, npc.speed))
+        return min(speed, safe)
 
     def _may_enter(self, npc: Npc, ego: Body) -> bool:
         """Return whether there is room for an NPC in the ego's lane, ahead of it or behind."""
-        gap = abs(npc.x - ego.x) - self._row
+        gap = abs(npc.x - ego.x) * self._stretch(ego) - self._row
         if npc.x > ego.x:
             closing = max(ego.speed - npc.speed, 0.0)
             return gap > self._ahead(ego) + closing * (ENTRY_TIME + closing / (2.0 * ENTRY_BRAKING))
