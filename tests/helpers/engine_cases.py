@@ -65,7 +65,7 @@ class Case:
 
     @classmethod
     def random(cls, seed: int) -> Case:
-        """One to eight NPCs on three to six lanes, at any frequencies; every fourth with Lane-Instructions."""
+        """One to eight NPCs on three to six lanes, in any traffic and rhythm; every fourth with Lane-Instructions."""
         rng = random.Random(seed)
         lanes, (physics_hz, ads_hz) = rng.randint(3, 6), rng.choice(FREQUENCIES)
         world = Highway(

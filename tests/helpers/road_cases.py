@@ -42,9 +42,9 @@ def world_of(env_id, duration=None):
     return World(env_id, duration=duration)
 
 
-def space_of(world, npcs=2):
+def space_of(world, npcs=2, traffic="paper"):
     """What the plugin searches in a world of its own start."""
-    return space_on(world, {"npcs": npcs}, road_start(world))
+    return space_on(world, {"npcs": npcs, "traffic": traffic}, road_start(world))
 
 
 def wrapped(angle):

@@ -8,6 +8,7 @@ import random
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
+from pytest_pafot.model.driving_style import STYLES, Traffic
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, X, Y
 
@@ -45,6 +46,10 @@ def changing_lanes():
 EGOS = (constant_speed, weaving, stopping, changing_lanes, IDMVehicle)
 
 
+TRAFFICS = (*map(Traffic, STYLES), Traffic("hostile", least_speed=7.0, least_gap=20.0, braking=0.5, lateral_speed=0.8))
+"""Of each style, and one with parts of its own."""
+
+
 def chains(rng: random.Random, npcs: int, genes: int, speed_limit: float) -> list[list[PositionInstruction]]:
     """Random chains that need not be valid; speeds over the whole range."""
     top = int(speed_limit * 10 + 1e-6)
@@ -54,7 +59,7 @@ def chains(rng: random.Random, npcs: int, genes: int, speed_limit: float) -> lis
 
 
 def random_scenario(rng: random.Random, *, lanes: int, speed_limit: float, npcs: int | None = None) -> Scenario:
-    """A short scenario that fits a highway of so many lanes; chains of different lengths."""
+    """A short scenario that fits a highway of so many lanes, in any traffic; chains of different lengths."""
     lane = rng.randrange(lanes)
     free = 8 if 0 < lane < lanes - 1 else 5
     count = min(npcs or rng.randint(1, 8), free)
@@ -64,6 +69,7 @@ def random_scenario(rng: random.Random, *, lanes: int, speed_limit: float, npcs:
         ego_lane=lane,
         ego_speed=rng.choice([0.0, 5.0, speed_limit, rng.uniform(0, speed_limit), 0.8 * speed_limit]),
         gene_seconds=rng.choice([1.0, 2.0, 4.0]),
+        traffic=rng.choice(TRAFFICS),
     )
 
 

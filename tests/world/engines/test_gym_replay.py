@@ -38,7 +38,7 @@ def ending(world, ads, outcome, seed=0):
     """The first of many scenarios that ends in a way."""
     return next(
         each
-        for each in scenarios(seed, 400, npcs=3 if outcome is Outcome.INVALID else 2)
+        for each in scenarios(seed, 400, npcs=5 if outcome is Outcome.INVALID else 2)
         if world.rollout(each, ads).outcome is outcome
     )
 

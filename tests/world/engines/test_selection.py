@@ -9,6 +9,7 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 from highway_env.vehicle.behavior import AggressiveVehicle, IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import MDPVehicle
@@ -18,6 +19,8 @@ from hypothesis import strategies as st
 
 from example_ads import defects
 from pytest_pafot import Highway, Outcome, PositionInstruction, Scenario, World, WorldError
+from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.searching import sample
 from pytest_pafot.world import from_dict, kernel
 from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
 from pytest_pafot.world.engines import selection as engines
@@ -25,8 +28,10 @@ from pytest_pafot.world.kernel import bodies
 from tests.helpers.c_library import c_library
 from tests.helpers.engine_cases import ALL_EGOS, Case, Hurried, differences, digest
 from tests.helpers.interpreted import InterpretedWorld
+from tests.helpers.road_cases import space_of, world_of
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
+from tests.helpers.world_cases import TRAFFICS
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(2, 15.0)], [PositionInstruction(4, 20.0)]], gene_seconds=4.0)
 
@@ -76,6 +81,7 @@ def test_the_random_runs_that_are_compared_have_all_egos_and_ends():
     assert {case.ego for case in cases} == set(ALL_EGOS)
     assert {Outcome.SAFE, Outcome.COLLISION, Outcome.OFF_ROAD, Outcome.ADS_ERROR} <= outcomes
     assert {len(case.scenario.npcs) for case in cases} == set(range(1, 9))
+    assert {case.scenario.traffic for case in cases} == set(TRAFFICS)
 
 
 def test_a_kernel_that_drives_otherwise_is_noticed(monkeypatch):
@@ -99,6 +105,16 @@ def test_interpreted_and_compiled_the_kernel_gives_the_same_traces(interpreted, 
         with interpreted.in_place():
             world = interpreted.room.from_dict(case.world.to_dict())
             assert digest(replace(case, world=world).run("kernel")) == compiled
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_interpreted_and_compiled_npcs_drive_the_same_on_a_road_that_bends(interpreted, style):
+    world = world_of("roundabout-v1", duration=10.0)
+    scenario = sample(space_of(world, traffic=style), np.random.default_rng(2))
+    compiled = digest(world.rollout(scenario, IDMVehicle))
+    with interpreted.in_place():
+        again = interpreted.room.from_dict(world.to_dict())
+        assert digest(again.rollout(scenario, IDMVehicle)) == compiled
 
 
 def test_the_kernel_knows_highway_envs_vehicles():

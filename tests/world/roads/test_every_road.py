@@ -17,6 +17,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import criticality
 from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
 from pytest_pafot.oracle.run import Run
@@ -46,8 +47,8 @@ def constant():
 @pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "roundabout-v1"))
 def test_limits_hold_and_the_executed_chain_is_a_fixed_point(env_id):
     world, rng = world_of(env_id, duration=10.0), np.random.default_rng(3)
-    for ego in (idm, constant):
-        trace = world.rollout(sample(space_of(world), rng), ego)
+    for ego, style in itertools.product((idm, constant), STYLES):
+        trace = world.rollout(sample(space_of(world, traffic=style), rng), ego)
         assert violations(trace, world) == [], trace.scenario.canonical()
         again = world.rollout(trace.executed, ego)
         assert again.executed == trace.executed
@@ -107,10 +108,11 @@ def test_an_npc_that_starts_where_a_bend_ends_starts_no_faster_than_it_turns():
 )
 def test_the_plain_environment_agrees(env_id, ego):
     world, rng = world_of(env_id, duration=10.0), np.random.default_rng(5)
-    first = world.rollout(sample(space_of(world), rng), ego)
-    again = world.rollout_in_gym(first.executed, ego)
-    assert disagreement(Run(first), Run(again)) == ""
-    assert first.states == pytest.approx(again.states, abs=1e-9)
+    for style in STYLES:
+        first = world.rollout(sample(space_of(world, traffic=style), rng), ego)
+        again = world.rollout_in_gym(first.executed, ego)
+        assert disagreement(Run(first), Run(again)) == ""
+        assert first.states == pytest.approx(again.states, abs=1e-9)
 
 
 @pytest.mark.parametrize(
