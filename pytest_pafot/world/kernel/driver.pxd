@@ -30,7 +30,7 @@ cdef class NpcDriver:
     cpdef double steering(self, double offset, double heading, double course, double speed) except? -1
 
     @cython.locals(distance=double, aside=double, spare=double, planned=double, lateral_speed=double, bound=double,
-                   wanted=double, fastest=double, rate=double, slip=double, new_course=double)
+                   wanted=double, fastest=double, rate=double, slip=double, new_course=double, most=double)
     cpdef double steering_in_bend(self, double offset, double heading, double course, double speed, double lean,
                                   double turn, double sharpest) except? -1
 

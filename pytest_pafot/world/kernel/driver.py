@@ -221,7 +221,10 @@ class NpcDriver:
         fastest = self._lateral_limit / speed
         rate = clamped(turn / self._dt + self._heading_gain * (wanted - aside), fastest)
         slip = math.asin(clamped(rate * self._half_length / speed, MAX_SLIP))
-        new_course = clamped(heading + slip, max(self._most - abs(lean), 0.0))
+        most = max(self._most - abs(lean), 0.0)
+        if self._lateral_speed < speed:  # who speeds up must straighten, or the same angle is more speed across
+            most = min(most, math.asin(self._lateral_speed / speed))
+        new_course = clamped(heading + slip, most)
         new_course = course + clamped(new_course - course, fastest * self._dt)
         slip = clamped(new_course - heading, MAX_SLIP)
         self.course = heading + slip
