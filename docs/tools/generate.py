@@ -88,6 +88,9 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.seed": "Seed of the repair inside the run.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], with which everybody starts.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` where it is not given.",
+    "scenario.traffic": "How the NPCs drive beside what their instructions ask for, `hostile`, `assertive` or "
+    "`everyday` ([what they mean](../explanation/traffic.md)); with parts of its own, `{style: everyday, least_gap: "
+    "4.0}`. Where it is not given, as in files of before, they drive as in the paper.",
     "scenario.npcs": "One list per NPC of Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]; or, in "
     "finds of algorithms that know no grid, of Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number.",

@@ -296,8 +296,9 @@ def _traffic(field: Field) -> Traffic:
         return Traffic(field.choice(STYLES))
     fields = field.mapping(file_format.TRAFFIC)
     style = fields.pop("style").choice(STYLES)
+    parts = {name: inner.number() for name, inner in fields.items()}
     try:
-        return Traffic(style, **{name: inner.number() for name, inner in fields.items()})
+        return Traffic(style, **parts)
     except FieldError as error:
         raise _rule_broken(field, error) from None
 
@@ -320,7 +321,7 @@ def _rule_broken(field: Field, error: Exception) -> CorpusError:
     """The error of a scenario or world itself, at the place in the file that it is about."""
     if not isinstance(error, FieldError) or not error.expected:
         return field.error(f"a {field.name} that can run", "correct it, or delete the file", str(error)[:MAX_RECEIVED])
-    key, *others = re.findall(r"\w+", error.field.removeprefix(f"{field.name}.")) or [""]
+    key, *others = re.findall(r"\w+", error.field.removeprefix(f"{field.place[-1]}.")) or [""]
     inner = [*_SCENARIO_FIELDS.get(key, (key,)), *(int(part) if part.isdigit() else part for part in others)]
     place = field
     for part in inner:

@@ -15,8 +15,8 @@ from pytest_pafot.support.errors import FieldError, plain_number
 Style = Literal["paper", "hostile", "assertive", "everyday"]
 STYLES: tuple[Style, ...] = get_args(Style)
 
-OF_STYLE = -1.0
-"""Stands for the value of the style where a part is not given."""
+OF_STYLE: Any = None
+"""Stands for the value of the style where a part is not given; no number does, so that none is taken for it."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -40,7 +40,7 @@ class Traffic:
     Parts that are not given are those of the style.
 
     Raises:
-        FieldError: where there is no such style, or a part is out of its bounds.
+        FieldError: where there is no such style, a part is out of its bounds, or the paper's traffic is given parts.
     """
 
     style: Style = "hostile"
@@ -51,17 +51,21 @@ class Traffic:
     lateral_speed: float = OF_STYLE
 
     def __post_init__(self) -> None:
-        if self.style not in STYLES:
+        if not isinstance(self.style, str) or self.style not in STYLES:
             expected = f"one of {', '.join(STYLES)}"
-            raise FieldError(field="traffic.style", expected=expected, received=repr(self.style))
+            raise FieldError(field="traffic.style", expected=expected, received=f"{self.style!r:.100}")
         object.__setattr__(self, "style", str(self.style))
         for name, (low, high) in BOUNDS.items():
-            given = plain_number(getattr(self, name))
-            number = PARTS[self.style][name] if given == OF_STYLE else given
+            given = getattr(self, name)
+            number = PARTS[self.style][name] if given is OF_STYLE else plain_number(given)
             if number is None or not low <= number <= high:
                 expected = f"a number from {low:g} to {high:g}"
-                raise FieldError(field=f"traffic.{name}", expected=expected, received=repr(getattr(self, name)))
+                raise FieldError(field=f"traffic.{name}", expected=expected, received=f"{given!r:.100}")
             object.__setattr__(self, name, number + 0.0)
+        if self.own and not self.is_attentive:
+            name, part = next(iter(self.own.items()))
+            expected, fix = "no parts beside the style 'paper'", "remove it, or take the style 'hostile'"
+            raise FieldError(field=f"traffic.{name}", expected=expected, received=f"{part:g}", fix=fix)
 
     @property
     def is_attentive(self) -> bool:
@@ -101,7 +105,7 @@ class Traffic:
         if isinstance(given, Mapping) and set(given) <= {each.name for each in fields(cls)}:
             return cls(**given)
         expected = f"one of {', '.join(STYLES)}, or pafot.Traffic(style=..., least_gap=...)"
-        raise FieldError(field="traffic", expected=expected, received=repr(given))
+        raise FieldError(field="traffic", expected=expected, received=f"{given!r:.100}")
 
 
 BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(

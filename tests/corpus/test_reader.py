@@ -140,6 +140,43 @@ def test_an_error_says_where_what_and_the_way_out(path):
         ("seed: 7", "seed: 9223372036854775808", 8, "scenario.seed"),
         ("seed: 7", "seed: seven", 8, "scenario.seed"),
         ("seed: 7", "gene_seconds: 0\n  seed: 7", 8, "scenario.gene_seconds"),
+        *(
+            ("seed: 7", f"seed: 7\n  traffic: {value}", 9, f"scenario.traffic{field}")
+            for value, field in [
+                ("fast", ""),
+                ("", ""),
+                ("3", ""),
+                ("[hostile]", ""),
+                ("true", ""),
+                ("{}", ""),
+                ("''", ""),
+                ("{least_gap: 4.0}", ""),
+                ("{style: [paper]}", ".style"),
+                ("{style: fast}", ".style"),
+                ("{style: {style: paper}}", ".style"),
+                ("{style: everyday, gap: 4.0}", ".gap"),
+                ("{style: paper, least_gap: 4.0}", ".least_gap"),
+                *(
+                    (f"{{style: everyday, least_gap: {number}}}", ".least_gap")
+                    for number in (
+                        "-1",
+                        "-1.0",
+                        "100.1",
+                        ".nan",
+                        ".inf",
+                        "1.0e+300",
+                        "9" * 400,
+                        "true",
+                        "null",
+                        "'4'",
+                        "[4]",
+                        "{style: paper}",
+                    )
+                ),
+                ("{style: everyday, braking: 0.0}", ".braking"),
+                ("{style: hostile, lateral_speed: 0}", ".lateral_speed"),
+            ]
+        ),
         ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 2000, speed: 22.0}", 9, "scenario.ego.lane"),
         ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1, speed: -2}", 9, "scenario.ego.speed"),
         ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1}", 9, "scenario.ego"),

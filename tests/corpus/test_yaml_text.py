@@ -11,6 +11,7 @@ from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.situation import Situation
+from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
@@ -73,6 +74,20 @@ def test_the_last_day_of_xfail_stands_beside_its_reason():
 def test_the_duration_of_a_gene_is_written_where_it_is_not_the_default():
     scenario = replace(plain_finding().scenario, gene_seconds=2.5)
     assert "  ego: {lane: 1, speed: 22.0}\n  gene_seconds: 2.5\n" in text_of(plain_finding(scenario=scenario))
+
+
+@table(
+    ("traffic", "line"),
+    [
+        (Traffic("hostile"), "  traffic: hostile\n"),
+        (Traffic("everyday", least_gap=4), "  traffic: {style: everyday, least_gap: 4.0}\n"),
+        (Traffic("everyday", least_gap=11), "  traffic: everyday\n"),
+        (Traffic("paper"), ""),
+    ],
+)
+def test_the_traffic_is_written_where_it_is_not_the_papers(traffic, line):
+    text = text_of(plain_finding(scenario=replace(plain_finding().scenario, traffic=traffic)))
+    assert f"  ego: {{lane: 1, speed: 22.0}}\n{line}  npcs:\n" in text
 
 
 def test_each_npc_begins_with_a_bullet_of_its_own_and_each_cell_has_its_name():

@@ -11,6 +11,7 @@ from pytest_pafot.corpus.file_format import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.situation import Situation
+from pytest_pafot.model.driving_style import BOUNDS, PAPERS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import MAX_SEED, PositionInstruction, Scenario
 from pytest_pafot.model.sight import NOISES, Sight
@@ -93,6 +94,16 @@ def any_worlds():
     return st.one_of(st.dictionaries(keys(), plain_data(), max_size=5), plain_worlds())
 
 
+def traffics():
+    """Of each style, most with parts of their own, but for the paper's, which has none."""
+    parts = {name: st.floats(low, high) for name, (low, high) in BOUNDS.items()}
+    return st.just(PAPERS) | st.builds(
+        lambda style, own: Traffic(style, **own),
+        st.sampled_from([style for style in STYLES if style != "paper"]),
+        st.fixed_dictionaries({}, optional=parts),
+    )
+
+
 @st.composite
 def scenarios(draw):
     steps = st.lists(st.tuples(st.integers(-12, 12), st.integers(0, 268)), min_size=1, max_size=8)
@@ -106,6 +117,7 @@ def scenarios(draw):
         ego_lane=draw(st.integers(0, 9)),
         ego_speed=draw(st.floats(0, 1e3)),
         gene_seconds=draw(st.one_of(st.just(10.0), st.floats(1e-7, 1e3))),
+        traffic=draw(traffics()),
     )
 
 

@@ -241,12 +241,14 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         "seed": scenario.seed,
         "ego": {"lane": scenario.ego_lane, "speed": scenario.ego_speed},
         "gene_seconds": scenario.gene_seconds,
+        "traffic": scenario.traffic.plain(),
         "npcs": [[gene(each) for each in chain] for chain in scenario.npcs],
     }
 
 
 DEFAULTS: Mapping[str, Any] = {
     "gene_seconds": 10.0,
+    "traffic": "paper",
     "reference_drivers": {},
     "assertion": "",
     "message": "",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import pickle
 import re
@@ -13,8 +14,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import MAX_SEED, LaneInstruction, PositionInstruction, Scenario, ScenarioError
+from tests.findings.builders import traffics
 from tests.helpers.tables import table
 
 instructions = st.builds(PositionInstruction, st.integers(1, 8), st.integers(0, 268).map(lambda tenths: tenths / 10))
@@ -26,6 +29,7 @@ scenarios = st.builds(
     ego_lane=st.integers(0, 5),
     ego_speed=st.floats(0, 30),
     gene_seconds=st.floats(0.1, 20),
+    traffic=traffics(),
 )
 
 
@@ -115,9 +119,11 @@ def test_the_canonical_text_is_equal_exactly_for_equal_scenarios(a, b):
         ego_lane=np.int32(a.ego_lane),
         ego_speed=np.float64(a.ego_speed),
         gene_seconds=a.gene_seconds,
+        traffic=a.traffic,
     )
     assert same.canonical() == a.canonical()
     assert same.id == a.id
+    assert Scenario.from_canonical(json.loads(a.canonical())) == a
 
 
 def test_every_field_is_part_of_the_id():
@@ -127,6 +133,9 @@ def test_every_field_is_part_of_the_id():
         replace(scenario, ego_lane=2),
         replace(scenario, ego_speed=20.1),
         replace(scenario, gene_seconds=9.0),
+        replace(scenario, traffic=Traffic()),
+        replace(scenario, traffic=Traffic("everyday")),
+        replace(scenario, traffic=Traffic("everyday", least_gap=10.9)),
         scenario.truncated(1),
         Scenario(npcs=[[one(1), one(2, 19.9)]], ego_speed=20.0),
         Scenario(npcs=[[one(1), one(1)]], ego_speed=20.0),
