@@ -62,7 +62,7 @@ cdef class Director:
 
     cpdef double _stretch(self, Body body) except? -1
 
-    @cython.locals(has_moved_in=bint, place=int, x=double, ego_speed=double, ahead=double, gap=double, safe=double)
+    @cython.locals(is_in_track=bint, has_moved_in=bint, place=int, x=double, ego_speed=double, ahead=double, gap=double, safe=double)
     cpdef double _attending(self, Npc npc, Body ego, double speed) except? -1
 
     @cython.final

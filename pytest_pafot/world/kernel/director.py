@@ -322,7 +322,8 @@ class Director:
     def _attending(self, npc: Npc, ego: Body, speed: float) -> float:
         """Bring a wanted speed within the traffic's style, and cut it to what leaves room behind the ego [m/s]."""
         speed = max(speed, self._least_speed, speed_asking_for(self._braking, npc.speed))
-        if npc.x >= ego.x or abs(ego.y - npc.y) >= (npc.width + ego.width) / 2.0 + TRACK:
+        is_in_track = abs(ego.y - npc.y) < (npc.width + ego.width) / 2.0 + TRACK
+        if npc.x >= ego.x or not (is_in_track or (npc.heading_for == ego.lane and npc.lane != ego.lane)):
             npc.behind = NOT_BEHIND
             return speed
         if npc.behind == NOT_BEHIND:
