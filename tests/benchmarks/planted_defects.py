@@ -54,11 +54,6 @@ ARMS: Mapping[str, Mapping[str, Any]] = {
     "random": {"algorithm": RandomSearch},
     "before": BEFORE,
     "random before": {"algorithm": RandomSearch, **BEFORE},
-    "4 NPCs, 10 s": {"npcs": 4, "gene_seconds": 10.0},
-    "4 NPCs, 5 s": {"npcs": 4, "gene_seconds": 5.0},
-    "6 NPCs, 4 s": {"npcs": 6, "gene_seconds": 4.0},
-    "drawn NPCs, 5 s": {"gene_seconds": 5.0},
-    "4 NPCs, drawn": {"npcs": 4},
     "pafot": {"algorithm": PafotSearch},
 }
 """Further arguments of ``pafot.explore`` by the name of a search; another search is another line."""
