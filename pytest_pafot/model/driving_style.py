@@ -31,7 +31,7 @@ class Traffic:
     Attributes:
         style: ``"paper"``, where NPCs run into the rear of an ego that is slower than their instruction;
             ``"hostile"``, which does all that the ego can still answer; ``"assertive"`` or ``"everyday"``.
-        least_speed: at which NPCs drive, but where somebody slower is ahead of them [m/s].
+        least_speed_share: of the speed limit, at which NPCs drive but where somebody slower is ahead of them.
         least_gap: to the ego, bumper to bumper, at which an NPC moves in ahead of it [m].
         time_gap: the same, as a share of the ego's speed [s].
         braking: hardest braking of an NPC that nobody ahead asks for [m/s^2].
@@ -44,7 +44,7 @@ class Traffic:
     """
 
     style: Style = "hostile"
-    least_speed: float = OF_STYLE
+    least_speed_share: float = OF_STYLE
     least_gap: float = OF_STYLE
     time_gap: float = OF_STYLE
     braking: float = OF_STYLE
@@ -110,7 +110,7 @@ class Traffic:
 
 BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
-        "least_speed": (0.0, 40.0),
+        "least_speed_share": (0.0, 0.95),
         "least_gap": (0.0, 100.0),
         "time_gap": (0.0, 10.0),
         "braking": (0.5, 100.0),
@@ -119,14 +119,26 @@ BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
 )
 """Smallest and largest value of each part; no NPC can exceed the largest braking and lateral speed."""
 
-UNBOUND = {"least_speed": 0.0, "least_gap": 0.0, "time_gap": 0.0, "braking": 100.0, "lateral_speed": 100.0}
+UNBOUND = {"least_speed_share": 0.0, "least_gap": 0.0, "time_gap": 0.0, "braking": 100.0, "lateral_speed": 100.0}
 
 PARTS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
         "paper": UNBOUND,
         "hostile": UNBOUND,
-        "assertive": {"least_speed": 10.0, "least_gap": 6.0, "time_gap": 0.3, "braking": 3.5, "lateral_speed": 1.8},
-        "everyday": {"least_speed": 20.0, "least_gap": 11.0, "time_gap": 0.5, "braking": 2.0, "lateral_speed": 1.5},
+        "assertive": {
+            "least_speed_share": 0.5,
+            "least_gap": 6.0,
+            "time_gap": 0.3,
+            "braking": 3.5,
+            "lateral_speed": 1.8,
+        },
+        "everyday": {
+            "least_speed_share": 0.75,
+            "least_gap": 11.0,
+            "time_gap": 0.5,
+            "braking": 2.0,
+            "lateral_speed": 1.5,
+        },
     }
 )
 """The parts of each style; docs/explanation/traffic.md has the sources of those of everyday driving."""

@@ -46,7 +46,10 @@ def changing_lanes():
 EGOS = (constant_speed, weaving, stopping, changing_lanes, IDMVehicle)
 
 
-TRAFFICS = (*map(Traffic, STYLES), Traffic("hostile", least_speed=7.0, least_gap=20.0, braking=0.5, lateral_speed=0.8))
+TRAFFICS = (
+    *map(Traffic, STYLES),
+    Traffic("hostile", least_speed_share=0.3, least_gap=20.0, braking=0.5, lateral_speed=0.8),
+)
 """Of each style, and one with parts of its own."""
 
 

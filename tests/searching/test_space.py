@@ -54,7 +54,7 @@ def test_what_is_drawn_and_varied_is_valid_and_what_is_fixed_stays(space, sizes,
     if not space.most_npcs:
         assert len(scenario.npcs) == space.npcs
     assert {len(chain) for chain in scenario.npcs} <= {space.genes_of(scenario.gene_seconds), *some_genes(space)}
-    least = min(space.traffic.least_speed, space.speed_limit) - 0.1
+    least = space.traffic.least_speed_share * space.speed_limit - 1e-6
     assert all(least <= gene.speed <= space.speed_limit + 1e-6 for chain in scenario.npcs for gene in chain)
     assert scenario.ego_lane in (space.ego_lanes or (space.ego_lane,))
     low, high = space.ego_speeds or (space.ego_speed, space.ego_speed)

@@ -138,7 +138,7 @@ class Director:
         traffic = scenario.traffic
         self._driver = NpcDriver(limits, top_speed, length, 1 / physics_hz, traffic.lateral_speed)
         self._attentive = traffic.is_attentive
-        self._least_speed = traffic.least_speed
+        self._least_speed = traffic.least_speed_share * road.speed_limit
         self._least_gap = traffic.least_gap
         self._time_gap = traffic.time_gap
         self._braking = traffic.braking
