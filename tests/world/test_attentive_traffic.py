@@ -1,0 +1,234 @@
+"""What attentive NPCs do around the ego in situations by hand, and what no NPC of a style does at any tick."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from pytest_pafot.model.driving_style import PARTS, Traffic
+from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, Outcome, X, Y
+from pytest_pafot.world import Highway, NpcLimits
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import Director
+from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, constant_speed, random_scenario
+
+HZ = 20
+SPEED_OF_ALL = 20.0
+KEPT = 2.0 + 0.4 * SPEED_OF_ALL
+"""The gap at which NPCs follow each other at that speed [m]."""
+
+
+class Scene:
+    """An ego at 500 m in lane 1, and NPCs with one Lane-Instruction each, ``(lane, gap, speed, instruction)``.
+
+    The gap is bumper to bumper, negative behind the ego [m].
+    """
+
+    def __init__(self, *npcs, traffic="hostile", ego_speed=SPEED_OF_ALL):
+        world = Highway(physics_hz=HZ, ads_hz=HZ)
+        genes = [instruction.split("@") for *_, instruction in npcs]
+        chains = [[LaneInstruction(lane, float(speed))] for lane, speed in genes]
+        scenario = Scenario(npcs=chains, gene_seconds=60.0, traffic=Traffic(traffic))
+        sizes = {"ego_length": LENGTH, "length": LENGTH, "width": WIDTH}
+        self.director = Director(scenario, world.rules.road, NpcLimits(), clearance=3.0, physics_hz=HZ, **sizes)
+        self.ego = Body(LENGTH, WIDTH)
+        self.put(self.ego, 500.0, 1, ego_speed)
+        for npc, (lane, gap, speed, _) in zip(self.director.npcs, npcs, strict=True):
+            self.put(npc, 500.0 + math.copysign(abs(gap) + LENGTH, gap), lane, speed)
+
+    @staticmethod
+    def put(body, x, lane, speed):
+        body.place(x, 4.0 * lane, 0.0, speed)
+        body.lane = lane
+
+    @property
+    def npc(self):
+        return self.director.npcs[0]
+
+    @property
+    def gap(self):
+        return abs(self.npc.x - self.ego.x) - LENGTH
+
+    def drive(self, seconds, acceleration=0.0, sideways=0.0):
+        """Go on for so long, and give the NPC's acceleration and how far it was across from the ego, by the tick."""
+        rows = []
+        for _ in range(round(seconds * HZ)):
+            self.director.command(self.ego)
+            rows.append((self.npc.acceleration, abs(self.npc.y - self.ego.y)))
+            self.ego.acceleration = max(acceleration, -self.ego.speed * HZ)
+            self.ego.heading = math.asin(sideways / self.ego.speed) if sideways else 0.0
+            for body in (self.ego, *self.director.npcs):
+                body.step(1 / HZ)
+                body.lane = round(body.y / 4.0)
+        return np.array(rows).T
+
+
+def first(condition):
+    """The first tick at which something holds."""
+    assert condition.any()
+    return int(np.argmax(condition))
+
+
+LEADER = (1, 60.0, SPEED_OF_ALL, "keep@20")
+
+
+def test_behind_the_ego_an_npc_keeps_the_distance_that_it_keeps_behind_npcs():
+    behind_ego, behind_npc = (
+        Scene((1, -50.0, 26.0, "keep@26")),
+        Scene((3, -50.0, 26.0, "keep@26"), (3, 1.0, 20.0, "keep@20")),
+    )
+    behind_ego.drive(30.0)
+    behind_npc.drive(30.0)
+    assert behind_ego.gap == pytest.approx(KEPT, abs=0.1)
+    leader = behind_npc.director.npcs[1]
+    assert leader.x - behind_npc.npc.x - LENGTH == pytest.approx(KEPT, abs=0.1)
+
+
+def test_in_the_papers_traffic_it_drives_through_the_ego():
+    scene = Scene((1, -50.0, 26.0, "keep@26"), traffic="paper")
+    scene.drive(30.0)
+    assert scene.npc.x > scene.ego.x
+
+
+def test_braking_with_somebody_ahead_is_answered_at_once():
+    scene = Scene((1, -KEPT, SPEED_OF_ALL, "keep@20"), LEADER)
+    scene.drive(2.0)
+    accelerations, _ = scene.drive(0.3, acceleration=-4.0)
+    assert first(accelerations < -0.1) <= 2
+
+
+@pytest.mark.parametrize("ahead", [None, (2, 20.0, SPEED_OF_ALL, "keep@20")], ids=["nobody", "in the next lane"])
+def test_braking_with_nobody_ahead_is_answered_a_second_later_with_at_most_six(ahead):
+    scene = Scene((1, -40.0, SPEED_OF_ALL, "keep@20"), *([ahead] if ahead else []))
+    scene.drive(2.0)
+    accelerations, _ = scene.drive(5.0, acceleration=-8.0)
+    assert 1.0 < first(accelerations < -0.01) / HZ < 2.5
+    assert accelerations.min() == pytest.approx(-6.0)
+
+
+def test_close_behind_it_answers_exactly_after_its_reaction_time():
+    scene = Scene((1, -KEPT, SPEED_OF_ALL, "keep@20"))
+    scene.drive(3.0)
+    accelerations, _ = scene.drive(2.0, acceleration=-2.0)
+    assert first(accelerations < -0.1) / HZ == pytest.approx(1.0, abs=2.1 / HZ)
+
+
+def test_an_ego_that_goes_on_as_it_did_is_where_an_npc_believes_it_to_be():
+    """Late sight of an ego that does not brake makes no gap smaller or larger."""
+    led, alone = Scene((1, -30.0, 26.0, "keep@26"), LEADER), Scene((1, -30.0, 26.0, "keep@26"))
+    assert led.drive(4.0)[0] == pytest.approx(alone.drive(4.0)[0], abs=1e-6)
+
+
+@pytest.mark.parametrize("leader", [(), (LEADER,)], ids=["nobody ahead", "somebody ahead"])
+def test_an_ego_that_moves_in_is_answered_a_second_later(leader):
+    scene = Scene((2, -4.0, SPEED_OF_ALL, "keep@20"), *((2, *each[1:]) for each in leader))
+    scene.drive(2.0)
+    accelerations, across = scene.drive(4.0, sideways=1.0)
+    reached = first(across < WIDTH + 0.3)
+    assert not accelerations[: reached + HZ].any()
+    assert (accelerations[reached + HZ : reached + HZ + 3] < 0.0).any()
+
+
+def test_an_npc_that_moves_in_behind_keeps_its_distance_at_once():
+    scene = Scene((2, -20.0, 26.0, "left@26"))
+    accelerations, across = scene.drive(3.0)
+    assert accelerations[0] < 0.0
+    assert across[-1] < 0.5
+    assert scene.gap > 0.8 * KEPT
+
+
+@given(st.floats(2.0, 26.0), st.floats(2.0, 26.0), st.floats(0.1, 60.0), st.booleans())
+def test_the_ego_s_lane_is_entered_exactly_where_there_is_room(npc_speed, ego_speed, gap, is_ahead):
+    if is_ahead:
+        closing = max(ego_speed - npc_speed, 0.0)
+        needed = closing * 0.35 + closing**2 / 12.0
+    else:
+        closing = max(npc_speed - ego_speed, 0.0)
+        needed = 1.5 + 0.5 * closing + closing**2 / 6.0
+    needed = max(needed, 1.5)  # within half the clearance the ego is beside it
+    assume(abs(gap - needed) > 1e-6)
+    scene = Scene((2, gap if is_ahead else -gap, npc_speed, "left@20"), ego_speed=ego_speed)
+    scene.director.command(scene.ego)
+    assert (scene.npc.heading_for == 1) == (gap > needed)
+
+
+@pytest.mark.parametrize(("style", "gap", "share"), [("assertive", 6.0, 0.3), ("everyday", 11.0, 0.5)])
+def test_styles_leave_more_room_ahead_of_the_ego(style, gap, share):
+    for speed in (10.0, 18.0, 26.0):
+        needed = max(gap, share * speed)
+        for room, enters in ((needed - 0.01, False), (needed + 0.01, True)):
+            scene = Scene((2, room, speed, "left@20"), traffic=style, ego_speed=speed)
+            scene.director.command(scene.ego)
+            assert (scene.npc.heading_for == 1) == enters
+
+
+@pytest.mark.parametrize(("speed", "clearance", "expected"), [(20.0, 3.0, 10.0), (20.0, 15.0, 15.0), (0.0, 1.0, 2.0)])
+def test_the_cell_behind_is_where_an_npc_may_follow(speed, clearance, expected):
+    scenario = Scenario(npcs=[[PositionInstruction(6, speed)]], ego_speed=speed, gene_seconds=30.0, traffic=Traffic())
+    trace = Highway(clearance=clearance, headway=3.0).rollout(scenario, constant_speed)
+    assert trace.arrivals != ((None,),)
+    arrived = trace.arrivals[0][0]
+    gap = trace.ego[arrived, X] - trace.npcs[arrived, 0, X] - LENGTH
+    assert gap == pytest.approx(expected, abs=LENGTH / 2)
+    assert Highway(clearance=clearance).rollout(replace(scenario), constant_speed).outcome is Outcome.SAFE
+
+
+def test_who_reverses_is_given_no_room_for_its_speed():
+    scene = Scene((1, -3.5, 3.0, "keep@10"), LEADER, ego_speed=-3.0)
+    scene.director.command(scene.ego)
+    assert scene.npc.acceleration < 0.0
+
+
+class TestLimitsOfAStyle:
+    """At every tick of random runs of egos that do anything."""
+
+    @given(seed=st.integers(0, 2**32), style=st.sampled_from(["assertive", "everyday"]), own=st.booleans())
+    def test_hold_at_every_tick(self, seed, style, own):
+        rng = random.Random(seed)
+        traffic = Traffic(style, braking=1.0, lateral_speed=0.7, least_speed=5.0) if own else Traffic(style)
+        scenario = replace(random_scenario(rng, lanes=4, speed_limit=26.8, npcs=rng.randint(1, 4)), traffic=traffic)
+        trace = Highway(duration=15.0).rollout(scenario, rng.choice(EGOS))
+        across = abs(np.diff(trace.npcs[..., Y], axis=0)) / trace.dt
+        assert across.max(initial=0.0) <= traffic.lateral_speed + 1e-9
+        free = unhindered(trace)
+        assert trace.npcs[free, ACCELERATION].min(initial=0.0) >= -traffic.braking - 1e-9
+        slow = free & (trace.npcs[..., SPEED] < traffic.least_speed - 0.5)
+        assert (trace.npcs[slow, ACCELERATION] > 0.0).all(), "who is slower speeds up"
+
+    @given(seed=st.integers(0, 2**32), style=st.sampled_from(["hostile", "assertive", "everyday"]))
+    def test_the_lane_of_an_ego_that_keeps_it_is_entered_with_room(self, seed, style):
+        rng = random.Random(seed)
+        scenario = random_scenario(rng, lanes=4, speed_limit=26.8, npcs=4)
+        scenario = replace(scenario, traffic=Traffic(style), ego_speed=rng.uniform(5, 26))
+        trace = Highway(duration=15.0).rollout(scenario, constant_speed)
+        for tick, npc in zip(
+            *np.nonzero(np.diff(trace.npcs[..., LANE] == trace.ego[:, None, LANE], axis=0)), strict=True
+        ):
+            if trace.npcs[tick + 1, npc, LANE] != trace.ego[tick + 1, LANE]:
+                continue  # it leaves
+            gap = trace.npcs[tick, npc, X] - trace.ego[tick, X]
+            closing = max(math.copysign(1.0, gap) * (trace.ego[tick, SPEED] - trace.npcs[tick, npc, SPEED]), 0.0)
+            gap = abs(gap) - LENGTH
+            needed = closing * 0.35 + closing**2 / 12.0
+            if trace.npcs[tick, npc, X] > trace.ego[tick, X]:
+                needed += max(PARTS[style]["least_gap"], PARTS[style]["time_gap"] * trace.ego[tick, SPEED])
+            else:
+                needed = 1.5 + closing * 0.5 + closing**2 / 6.0
+            assert gap > needed - 0.5, "what the last tick before it changes"
+
+
+def unhindered(trace):
+    """By tick and NPC, whether nobody was ahead within two lanes for two seconds, so that it brakes on its own."""
+    x, y = trace.states[..., X], trace.states[..., Y]
+    hindering = (x[:, None, :] >= x[:, 1:, None]) & (abs(y[:, None, :] - y[:, 1:, None]) < 10.0)
+    hindering[:, range(trace.npcs.shape[1]), range(1, trace.npcs.shape[1] + 1)] = False  # nobody hinders itself
+    hindered = hindering.any(axis=2)
+    lately = [hindered[max(tick - 30, 0) : tick + 1].any(axis=0) | (tick < 30) for tick in range(len(hindered))]
+    return ~np.array(lately)
