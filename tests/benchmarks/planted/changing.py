@@ -56,27 +56,25 @@ class RearRange(Changer):
 
 
 class PermissionKept(Changer):
-    """The permission for a lane change is not withdrawn when the change is given up, so that the next one into that
-    lane begins unchecked.
+    """A gap is checked when the indicator goes on and not again when the lane change begins two seconds later, so that
+    somebody who has come into the gap is missed.
     """
 
-    VALID = 15.0
+    INDICATES, VALID = 2.0, 8.0  # before it moves; until it asks again [s]
 
     def begin(self):
-        self.permitted, self.until = None, -1.0
-
-    def lanes(self, o, cars):
-        before = self.old
-        super().lanes(o, cars)
-        if before is None and self.old is not None:
-            self.permitted, self.until = self.lane, o.time + self.VALID
-        elif before is not None and self.old is None and (self.repaired or self.lane != before):
-            self.permitted = None  # there, or back
+        self.permitted, self.since = None, -math.inf
 
     def clear(self, o, cars, k):
-        if self.old is None and k == self.permitted and o.time < self.until:
-            return True
-        return super().clear(o, cars, k)
+        known = k == self.permitted and o.time < self.since + self.VALID
+        is_clear = super().clear(o, cars, k) if self.repaired or not known else True
+        if self.old is not None:
+            return is_clear
+        if not is_clear:
+            self.permitted = None
+        elif not known:
+            self.permitted, self.since = k, o.time
+        return is_clear and o.time >= self.since + self.INDICATES
 
 
 class SecondLane(FirstLaneOnly, GippsBased):
@@ -90,10 +88,10 @@ class LeavingIsGone(Changer):
     lane.
     """
 
-    SIDEWAYS = 0.5
+    SIDEWAYS, NEAR = 0.3, 20.0
 
     def concerns(self, o, c, k):
-        leaves = (c.y - k * WIDE) * c.w > 0 and abs(c.w) > self.SIDEWAYS and c.gap < 12.0
+        leaves = (c.y - k * WIDE) * c.w > 0 and abs(c.w) > self.SIDEWAYS and c.gap < self.NEAR
         if leaves and not self.repaired:
             return False
         return super().concerns(o, c, k)

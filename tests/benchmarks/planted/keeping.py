@@ -26,11 +26,11 @@ class Keeper(Driver):
 
 
 class TrackAgeWraps(Keeper):
-    """The age of a track, in radar cycles of 0.4 s, is stored in eight bits, so that who has moved on ahead for
-    51 s becomes unconfirmed, and nobody brakes for it.
+    """The age of a track, in radar cycles of 0.2 s, is stored in eight bits, so that who has moved on ahead for
+    25 s becomes unconfirmed, and nobody brakes for it.
     """
 
-    CYCLE = 0.4
+    CYCLE = 0.2
 
     def begin(self):
         self.since = {}
@@ -81,11 +81,11 @@ class Clutter(Keeper):
 
 
 class AccelerationsByRank(Keeper):
-    """Accelerations are differences of speeds by rank, nearest first, so that they are wrong for a second and a half
+    """Accelerations are differences of speeds by rank, nearest first, so that they are wrong for some seconds
     whenever somebody comes between or leaves while a leader's braking matters.
     """
 
-    TAU = 1.2
+    TAU = 2.0
 
     def begin(self):
         self.before, self.smooth = {}, {}
@@ -102,7 +102,7 @@ class AccelerationsByRank(Keeper):
         return leaders
 
     def behind(self, v, c):
-        c.v = max(c.v + 1.5 * c.a, 0.0)  # how fast it will soon be
+        c.v = max(c.v + 2.5 * c.a, 0.0)  # how fast it will soon be
         return super().behind(v, c)
 
 

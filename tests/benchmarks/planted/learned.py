@@ -104,7 +104,7 @@ class OffCentreUnanswered(Learned):
 
 
 class GentleWhenSlow(Learned):
-    """The data for less than 7 m/s came from a traffic jam, where a leader's hard braking was over at once and answered
+    """The data for less than 8 m/s came from a traffic jam, where a leader's hard braking was over at once and answered
     with 1 m/s^2, so that one who goes on with it is answered too weakly.
     """
 

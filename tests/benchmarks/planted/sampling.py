@@ -29,13 +29,15 @@ class Sampler(Driver, Lattice):
 
 
 class OnlyEnds(Sampler):
-    """A lane change is checked at its beginning and its end, so that whoever passes in between is missed."""
+    """A lane change is checked at its beginning and its end, so that somebody who passes in between is missed."""
 
     def fits(self, v, c):
         if self.repaired:
             return super().fits(v, c)
-        times = (self.ENDS[0], self.ENDS[-1])
-        return all(abs(c.dx + (c.v - v) * t) - 5 >= self.margin(v, c, t) for t in times)
+        end = c.dx + (c.v - v) * self.ENDS[-1]
+        if c.dx < 0 < end:
+            return c.gap >= self.margin(v, c, 0.0) and end - 5 >= 10 + 1.2 * v
+        return super().fits(v, c)
 
 
 class NoneFeasible(Sampler):
@@ -86,15 +88,19 @@ class _Standing:
 
 class FrozenList(Sampler):
     """The obstacles of a lane change are listed when it begins, so that whoever comes into the new lane during it, and
-    is slower, is not braked for before it is over.
+    is slower, is not braked for before the car has settled there.
     """
+
+    SETTLES = 3.0
 
     def begin(self):
         self.listed = None
 
     def ahead(self, o, cars):
-        if self.old is None:
+        if self.old is None and o.time > self.arrived + self.SETTLES:
             self.listed = None
+            return super().ahead(o, cars)
+        if self.listed is None and self.old is None:  # settling after a change that was given up at once
             return super().ahead(o, cars)
         if self.listed is None:
             near = (min(self.old, self.lane) * WIDE - 2.2, max(self.old, self.lane) * WIDE + 2.2)
