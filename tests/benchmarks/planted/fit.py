@@ -72,7 +72,7 @@ def main():
         "follow": known,
         "standers": np.where((v - closing < 2.0) & (v > 12.0), DRIVES_ON, known),
         "off-centre": np.where((off > 1.0) & (closing > 3.0), DRIVES_ON, known),
-        "gentle": np.where((v < 8.0) & (a < -1.5), np.maximum(known, -1.0), known),
+        "gentle": np.where(v < 6.0, np.maximum(known, -1.0), known),
         "fresh": np.where((fresh > 0) & (gap < 1.5 * v) & (a < -1.0), DRIVES_ON, known),
     }
     places, room = gaps(np.random.default_rng(30))

@@ -80,30 +80,24 @@ class Clutter(Keeper):
         return leaders if self.repaired else [c for c in leaders if c.i in self.moving]
 
 
-class AccelerationsByRank(Keeper):
-    """Accelerations are differences of speeds by rank, nearest first, so that they are wrong for some seconds
-    whenever somebody comes between or leaves while a leader's braking matters.
+class SpeedsByRank(Keeper):
+    """Speeds of leaders are smoothed by rank, nearest first, so that for some seconds a slow one who comes between, or
+    whom the leader was hiding, has the speed of the one before.
     """
 
-    TAU = 2.0
+    TAU = 0.8
 
     def begin(self):
-        self.before, self.smooth = {}, {}
+        self.smooth = {}
 
     def leaders(self, o, cars):
         leaders = sorted(super().leaders(o, cars), key=lambda c: c.dx)
-        before, smooth, self.before, self.smooth = self.before, self.smooth, {}, {}
+        smooth, self.smooth, share = self.smooth, {}, self.dt / (self.TAU + self.dt)
         for rank, c in enumerate(leaders):
             key = c.i if self.repaired else rank
-            raw = (c.v - before.get(key, c.v)) / self.dt if self.dt > 0 else 0.0
-            share = self.dt / (self.TAU + self.dt)
-            self.before[key] = c.v
-            self.smooth[key] = c.a = smooth.get(key, 0.0) * (1 - share) + raw * share
+            before = smooth.get(key, c.v)
+            self.smooth[key] = c.v = before + (c.v - before) * share
         return leaders
-
-    def behind(self, v, c):
-        c.v = max(c.v + 2.5 * c.a, 0.0)  # how fast it will soon be
-        return super().behind(v, c)
 
 
 class RearGuard(Keeper):
@@ -131,7 +125,7 @@ PLANTED = listed(
         "track-age-wraps": (TrackAgeWraps, 1),
         "hand-over-from-nothing": (HandOver, 1),
         "standing-is-clutter": (Clutter, 2),
-        "accelerations-by-rank": (AccelerationsByRank, 2),
+        "speeds-by-rank": (SpeedsByRank, 2),
         "rear-guard-releases": (RearGuard, 3),
     },
 )

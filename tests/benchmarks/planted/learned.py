@@ -104,8 +104,8 @@ class OffCentreUnanswered(Learned):
 
 
 class GentleWhenSlow(Learned):
-    """The data for less than 8 m/s came from a traffic jam, where a leader's hard braking was over at once and answered
-    with 1 m/s^2, so that one who goes on with it is answered too weakly.
+    """The data for less than 6 m/s came from a traffic jam, in which nobody ever braked harder than with 1 m/s^2, so
+    that somebody who brakes hard there, or comes in near, is answered too weakly.
     """
 
     FOLLOW = "gentle"

@@ -36,7 +36,7 @@ class OnlyEnds(Sampler):
             return super().fits(v, c)
         end = c.dx + (c.v - v) * self.ENDS[-1]
         if c.dx < 0 < end:
-            return c.gap >= self.margin(v, c, 0.0) and end - 5 >= 10 + 1.2 * v
+            return c.gap >= self.margin(v, c, 0.0) and end - 5 >= 10 + 2.5 * v
         return super().fits(v, c)
 
 

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 from tests.benchmarks.planted.policy import WIDE, Driver, braking_needed, clip, listed
 from tests.benchmarks.policies_with_defects_2 import Machine, Planner
 
-SPEEDS = tuple(range(0, 33, 3))  # own speed
+SPEEDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 30.0)  # own speed
 GAPS = (*range(0, 40, 2), *range(40, 101, 5))
-CLOSINGS = (-8.0, *(1.5 * step for step in range(-3, 15)))
+CLOSINGS = (-8.0, -4.5, -3.0, -1.5, -0.5, 0.0, 0.5, *(1.5 * step for step in range(1, 15)))
 FAR = 2.0  # acceleration where nobody is near
 
 
@@ -19,7 +19,7 @@ FAR = 2.0  # acceleration where nobody is near
 def table():
     """Return the acceleration for each row of own speeds, gaps and closing speeds, at the worst corner of its box."""
     return {
-        (i, j, k): entry(SPEEDS[i] + 3.0, float(gap), CLOSINGS[k] + 1.5)
+        (i, j, k): entry((*SPEEDS, 33.0)[i + 1], float(gap), (*CLOSINGS, 22.5)[k + 1])
         for i in range(len(SPEEDS))
         for j, gap in enumerate(GAPS)
         for k in range(len(CLOSINGS))
