@@ -85,7 +85,7 @@ class SpeedsByRank(Keeper):
     whom the leader was hiding, has the speed of the one before.
     """
 
-    TAU = 0.8
+    TAU = 1.0
 
     def begin(self):
         self.smooth = {}

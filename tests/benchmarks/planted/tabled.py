@@ -102,11 +102,11 @@ class PullsAway(Tabled):
 
 
 class OscillationGuard(Tabled):
-    """Four turns between braking and speeding up within twelve seconds are taken for an oscillation of the controller,
-    and for four seconds it brakes with 1 m/s^2 at most, also if the one ahead brakes hard then.
+    """Three turns between braking and speeding up within twelve seconds are taken for an oscillation of the controller,
+    and for five seconds it brakes with 1 m/s^2 at most, also if the one ahead brakes hard then.
     """
 
-    TURNS, WITHIN, SECONDS, LIMIT = 4, 12.0, 4.0, 1.0
+    TURNS, WITHIN, SECONDS, LIMIT = 3, 12.0, 5.0, 1.0
 
     def begin(self):
         super().begin()

@@ -93,7 +93,7 @@ class Pilot(ControlledVehicle):
         return clip(0.6 * (self.SHARE * self.lane.speed_limit - self.speed), -1.5, 1.8)
 
     def behind(self, c):
-        return max(1.5 * (1 - (self.desired(c) / max(c.gap, 0.5)) ** 2), -4.0)
+        return max(1.5 * (1 - (self.desired(c) / max(c.gap, 0.5)) ** 2), -6.0)
 
     def desired(self, c):
         v = self.speed
