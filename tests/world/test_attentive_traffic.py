@@ -120,6 +120,15 @@ def test_close_behind_it_answers_exactly_after_its_reaction_time():
     assert first(accelerations < -0.1) / HZ == pytest.approx(1.0, abs=2.1 / HZ)
 
 
+@pytest.mark.parametrize("braking", [1.0, 2.0, 3.0])
+def test_an_ego_that_stops_gently_for_nothing_is_not_run_into(braking):
+    scene = Scene((1, -KEPT, SPEED_OF_ALL, "keep@20"))
+    scene.drive(3.0)
+    scene.drive(30.0, acceleration=-braking)
+    assert scene.ego.speed == 0.0
+    assert 0.5 < scene.gap < 4.0
+
+
 def test_an_ego_that_goes_on_as_it_did_is_where_an_npc_believes_it_to_be():
     """Late sight of an ego that does not brake makes no gap smaller or larger."""
     led, alone = Scene((1, -30.0, 26.0, "keep@26"), LEADER), Scene((1, -30.0, 26.0, "keep@26"))

@@ -30,7 +30,7 @@ cdef class Director:
     cdef bint _ego_has_leader
     cdef double _least_speed, _least_gap, _time_gap, _braking, _delay
     cdef int _reaction
-    cdef list _seen_x, _seen_speed
+    cdef list _seen_x, _seen_speed, _seen_braking
 
     @cython.locals(npc=Npc)
     cpdef void command(self, Body ego) except *
@@ -52,7 +52,7 @@ cdef class Director:
     cdef bint _is_led(self, Body ego) except -1
 
     @cython.final
-    @cython.locals(ticks=int, place=int)
+    @cython.locals(ticks=int, place=int, driven=double, gained=double)
     cdef _remember(self, Body ego)
 
     cpdef double _target(self, Npc npc, Body ego) except? -1
@@ -62,7 +62,8 @@ cdef class Director:
 
     cpdef double _stretch(self, Body body) except? -1
 
-    @cython.locals(is_in_track=bint, has_moved_in=bint, place=int, x=double, ego_speed=double, ahead=double, gap=double, safe=double)
+    @cython.locals(is_in_track=bint, has_moved_in=bint, place=int, x=double, ego_speed=double, ahead=double,
+                   braking=double, seconds=double, gap=double, safe=double)
     cpdef double _attending(self, Npc npc, Body ego, double speed) except? -1
 
     @cython.final

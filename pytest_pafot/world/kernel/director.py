@@ -146,6 +146,7 @@ class Director:
         self._delay = self._reaction / physics_hz
         self._seen_x = [0.0] * self._reaction  # of the ego in the ticks before, in a circle
         self._seen_speed = [0.0] * self._reaction
+        self._seen_braking = [0.0] * self._reaction
         self._ego_has_leader = False
         self._tick = 0
         self._gene = 0
@@ -217,9 +218,12 @@ class Director:
         """Keep where the ego was, for NPCs that see it late; before the first tick it was driving on as it starts."""
         if self._tick == 0:
             for ticks in range(self._reaction):
-                self._seen_x[ticks] = ego.x - (self._reaction - ticks) * self._delay / self._reaction * ego.speed
+                driven = (self._reaction - ticks) * self._delay / self._reaction * ego.speed
+                self._seen_x[ticks] = ego.x - driven / self._stretch(ego)
                 self._seen_speed[ticks] = ego.speed
         place = self._tick % self._reaction
+        gained = ego.speed - self._seen_speed[place - 1 if place else self._reaction - 1]
+        self._seen_braking[place] = max(-gained * self._reaction / self._delay, 0.0)
         self._seen_x[place] = ego.x
         self._seen_speed[place] = ego.speed
 
@@ -334,11 +338,14 @@ class Director:
         if npc.behind < self._reaction:
             return speed
         x, ego_speed = ego.x, ego.speed
-        ahead = 0.0  # of what it saw, where it believes the ego to be [m]
+        ahead = 0.0  # of what it saw, where it believes the ego to be, which brakes as it did [m]
         if not self._ego_has_leader and self._tick > 0:
             place = self._tick % self._reaction  # of what is oldest
             x, ego_speed = self._seen_x[place], self._seen_speed[place]
-            ahead = ego_speed * self._delay
+            braking = self._seen_braking[place]
+            seconds = ego_speed / braking if 0.0 < ego_speed < braking * self._delay else self._delay
+            ahead = (ego_speed - braking * seconds / 2.0) * seconds
+            ego_speed -= braking * seconds
         gap = (x - npc.x) * self._stretch(npc) + ahead - self._row
         safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)  # who reverses leaves no more room than who stands
         if not self._ego_has_leader:

@@ -17,9 +17,9 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import criticality
 from pytest_pafot.findings.replay import disagreement
-from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.model.driving_style import STYLES, Traffic
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
-from pytest_pafot.model.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
+from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
 from pytest_pafot.world import NpcLimits, World, WorldError
@@ -431,6 +431,36 @@ def test_an_environment_of_ones_own_works_the_same():
         assert violations(trace, world) == []
         again = world.rollout_in_gym(trace.executed, ego)
         assert disagreement(Run(trace), Run(again)) == ""
+
+
+@pytest.mark.usefixtures("registered")
+@pytest.mark.parametrize("lane", [0, 1])
+def test_in_a_bend_an_attentive_npc_keeps_its_distance_in_metres_driven(lane):
+    """At 10 m/s 6 m and a vehicle's length, on either lane; only one of them is as long as the way."""
+    world = World("OwnCircuit-v0", duration=24.0)
+    trace = world.rollout(hold(world, 6, speed=12.0, ego_lane=lane, ego_speed=10.0, traffic=Traffic()), constant)
+    assert np.hypot(*(trace.ego[-1, :2] - trace.npcs[-1, 0, :2])) == pytest.approx(11.0, abs=0.2)
+
+
+@pytest.mark.usefixtures("registered")
+@pytest.mark.parametrize("style", ["hostile", "paper"])
+def test_an_ego_that_brakes_in_a_bend_is_run_into_by_the_papers_npcs_alone(style):
+    world = World("OwnCircuit-v0", duration=24.0)
+
+    class Brakes(ControlledVehicle):
+        ticks = 0
+
+        def act(self, action=None):
+            super().act(action)
+            self.ticks += 1
+            self.action["acceleration"] = max(-2.5, -self.speed) if self.ticks > 120 else 0.0
+
+    scenario = hold(world, 6, speed=10.0, ego_speed=10.0, traffic=Traffic(style))
+    trace = world.rollout(scenario, lambda: Brakes)
+    assert trace.outcome is (Outcome.COLLISION if style == "paper" else Outcome.SAFE)
+    assert trace.collision is None or trace.collision.side == "rear"
+    brakes = trace.npcs[:, 0, ACCELERATION] < -0.5
+    assert style == "paper" or 1.0 <= np.argmax(brakes[121:]) / trace.physics_hz < 1.3
 
 
 @pytest.mark.usefixtures("registered")
