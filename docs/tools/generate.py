@@ -29,6 +29,7 @@ from pytest_pafot.episodes.rate_command import add_arguments as add_rate_argumen
 from pytest_pafot.export.export_command import add_arguments as add_export_arguments
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import AdsError, Collision, Outcome, Trace
@@ -59,6 +60,7 @@ MARKER_TEXTS: Mapping[str, str] = {
     "blame": '`"any"`; or `"ego"`: the function is called only where the ego is responsible for the collision, '
     'alone or together with an NPC, or where there is none; or `"preventable"`: likewise, and what it asserts then is '
     "a failure only where a reference driver would have prevented it.",
+    "traffic": '[How the others drive](../explanation/traffic.md): a style, such as `"everyday"`, or `pafot.Traffic(...)`.',
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Arguments whose meaning no other docstring has."""
@@ -67,7 +69,9 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "ads": '`"ads"`',
     "world": "-",
     "genes": "as a run lasts",
-    "npcs": "`4`, or `2`",
+    "npcs": "drawn, or `2`",
+    "gene_seconds": "drawn, or `10.0`",
+    "traffic": '`"hostile"`, or `"paper"`',
     "ego_lane": "drawn, or `1`",
     "ego_speed": "drawn, or `22.0`",
 }
@@ -152,6 +156,7 @@ def sections() -> dict[str, str]:
         "outcomes": _outcomes_table(),
         "trace": _fields_table(Trace),
         "scenario": _fields_table(Scenario),
+        "traffic": _traffic_table(),
         "instruction": _fields_table(PositionInstruction),
         "lane-instruction": _fields_table(LaneInstruction),
         "cells": _cells_table(),
@@ -206,6 +211,15 @@ def _fields_table(cls: type[Any]) -> str:
         for names, text in _attributes(cls)
     ]
     return _table(header, rows)
+
+
+def _traffic_table() -> str:
+    styles = [style for style in STYLES if PARTS[style] != PARTS["paper"]]
+    rows = [
+        [_code(name), *(f"{PARTS[style].get(name, '')}" for style in styles), text]
+        for name, text in _attributes(Traffic)
+    ]
+    return _table(["Name", *map(_code, styles), "Meaning"], rows)
 
 
 def _code(names: str) -> str:

@@ -50,7 +50,7 @@ class SearchSpace:
             ``ego_speed``, which is then the plain one.
         patterns: whether half of the scenarios that are drawn, and a third of the mutations, are made of
             :data:`~pytest_pafot.searching.patterns.PATTERNS`.
-        traffic: of all scenarios.
+        traffic: how the NPCs drive in all scenarios.
         most_npcs: for each of the ``ego_lanes``, the largest number of NPCs, which is drawn from 1 on; none where there
             are ``npcs``.
         gene_durations: from which that of a scenario's genes is drawn [s]; none where it is ``gene_seconds``.
