@@ -9,6 +9,7 @@ Nothing is simulated here: whether a scenario still fails is asked of a function
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ from functools import lru_cache, partial
 from itertools import combinations, pairwise, permutations, product
 from typing import Any
 
+from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     EGO_LANE,
@@ -123,7 +125,8 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
        10 s before those of another duration.
     6. How rough the speeds are: multiples of 5 m/s before whole ones before tenths.
     7. The sum of the speeds of the instructions: slower is simpler.
-    8. The seed of the repair, of which 0 is the plainest.
+    8. The traffic: the paper's has no rules of its own.
+    9. The seed of the repair, of which 0 is the plainest.
 
     Every part is a whole number, at least 0, so that every chain of simplifications ends.
     """
@@ -140,6 +143,7 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
         + (scenario.gene_seconds != GENE_SECONDS),
         sum(map(_roughness, speeds)),
         sum(speeds),
+        int(scenario.traffic != PAPERS),
         scenario.seed,
     )
 
@@ -183,7 +187,9 @@ def shrink(
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     tried: dict[Scenario, Scenario | None] = {scenario: scenario}
-    gate = _Gate(best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, top=top, tried=tried)
+    slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
+    low = min(math.ceil(scenario.traffic.least_speed * SPEED_STEPS_PER_MPS - 1e-6), slowest)
+    gate = _Gate(best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, low=low, top=top, tried=tried)
     intervals: list[SpeedInterval] = []
     is_minimal = False
     plainer: Pass = partial(_plainer_start, plain=plain)
@@ -200,6 +206,7 @@ def shrink(
         is_minimal = True
     gate.rollouts = rollouts
     with suppress(OutOfBudget):
+        gate.exhausts(_papers_traffic)  # once, also where the passes spent their budget: they are not begun again
         intervals.extend(_intervals(gate))
     return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal, speeds=tuple(intervals))
 
@@ -214,6 +221,7 @@ class _Gate:
     best: Scenario
     attempt: Attempt
     rollouts: int
+    low: int
     top: int
     tried: dict[Scenario, Scenario | None]
     spent: int = 0
@@ -241,7 +249,7 @@ class _Gate:
         Raises:
             OutOfBudget: when that is not known and no runs, or no time, are left.
         """
-        if any(_tenths(gene) > self.top for chain in candidate.npcs for gene in chain):
+        if any(not self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain):
             return None
         if candidate not in self.tried:
             if self.spent >= self.rollouts:
@@ -356,6 +364,12 @@ def _slower(scenario: Scenario) -> Candidates:
 def _plain_seed(scenario: Scenario) -> Candidates:
     if scenario.seed:
         yield replace(scenario, seed=0)
+
+
+def _papers_traffic(scenario: Scenario) -> Candidates:
+    """The paper's traffic instead of the default one; a style that somebody chose stays."""
+    if scenario.traffic == Traffic():
+        yield replace(scenario, traffic=PAPERS)
 
 
 STRUCTURE: tuple[Pass, ...] = (_fewer_npcs, _shorter, _merged, _staying, _shorter_chains)

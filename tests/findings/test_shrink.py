@@ -1,10 +1,13 @@
 """Shrinking with predicates in the place of runs: what goes in, what still fails, and the exact minimal answer."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.shrink import SpeedInterval, _furthest, instructions, shrink, size_of, sort_key
+from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.strategies import scenarios
@@ -52,6 +55,9 @@ def minimal(given, fails):
 
 BUSY = scenario("4@22.3 3@24.1 2@7.7 2@7.7 3@19 4@1.2", "8@21 1@3.4 8@26.8 8@26.8 7@5 6@2.5", seed=77)
 """Two NPCs with six genes each."""
+
+
+BUSY_AMONG_ATTENTIVE = replace(BUSY, traffic=Traffic())
 
 
 def has(cell, at_least=0.0, at_most=100.0):
@@ -144,6 +150,33 @@ def test_start_and_length_of_the_genes_are_not_touched():
     given = scenario("2@20 2@20", ego_lane=2, ego_speed=17.5, gene_seconds=4.0)
     result = shrunk(given, lambda each: True)[0]
     assert (result.ego_lane, result.ego_speed, result.gene_seconds) == (2, 17.5, 4.0)
+
+
+def test_the_default_traffic_becomes_the_papers_last_of_all_where_that_still_fails():
+    given = scenario("2@20 2@20", seed=3, traffic=Traffic())
+    asked = []
+    assert shrunk(given, lambda each: asked.append(each) or True)[0] == scenario("1@0")
+    assert next(each for each in asked if each.traffic == PAPERS) == scenario("1@0")
+    assert shrunk(given, lambda each: each.traffic == Traffic())[0] == scenario("1@0", traffic=Traffic())
+
+
+def test_the_papers_traffic_is_tried_where_the_budget_is_spent_before():
+    simplest, how = shrunk(BUSY_AMONG_ATTENTIVE, lambda each: len(each.npcs) == 2, rollouts=20)
+    assert (simplest.traffic, how.is_minimal) == (PAPERS, False)
+
+
+@table("traffic", [Traffic("everyday"), Traffic("assertive"), Traffic("hostile", least_speed=3.14)])
+def test_a_style_that_was_chosen_stays_and_so_does_its_least_speed(traffic):
+    simplest, how = shrunk(scenario("2@22.5 3@25", traffic=traffic), lambda each: True)
+    assert simplest.traffic == traffic
+    least = {"everyday": 20.0, "assertive": 10.0, "hostile": 5.0}[traffic.style]  # 3.2 would be less round
+    assert [gene.speed for gene in simplest.npcs[0]] == [least]
+    assert how.speeds[0].low == max(traffic.least_speed, 3.2)
+
+
+def test_instructions_below_the_least_speed_get_no_slower():
+    given = scenario("2@15 2@15 3@25", traffic=Traffic("everyday"))
+    assert min(gene.speed for chain in shrunk(given, lambda each: True)[0].npcs for gene in chain) == 15.0
 
 
 def test_what_is_minimal_is_tried_and_stays():
