@@ -60,7 +60,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "blame": '`"any"`; or `"ego"`: the function is called only where the ego is responsible for the collision, '
     'alone or together with an NPC, or where there is none; or `"preventable"`: likewise, and what it asserts then is '
     "a failure only where a reference driver would have prevented it.",
-    "traffic": '[How the others drive](../explanation/traffic.md): a style, such as `"everyday"`, or `pafot.Traffic(...)`.',
+    "traffic": '[How the others drive](../explanation/traffic.md): a style, such as `"everyday"`, or '
+    "`pafot.Traffic(...)`.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Arguments whose meaning no other docstring has."""

@@ -3,12 +3,38 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, TypeVar
+
+from numpy.random import Generator
+
+from pytest_pafot.searching import DistinctSearch
+from pytest_pafot.searching.algorithms.distinct import DistinctState
+from pytest_pafot.searching.evaluation import Evaluation
 
 KeyT = TypeVar("KeyT")
 ResultT = TypeVar("ResultT")
+
+
+@dataclass(frozen=True, slots=True)
+class BeforeSearch(DistinctSearch):
+    """The default search before it told runs apart by what the ego had to do, and drew random ones all the time."""
+
+    name: ClassVar[str] = "before"
+
+    fresh: float = field(default=0.0, kw_only=True)
+
+    def learn(self, state: DistinctState, evaluations: Sequence[Evaluation], rng: Generator) -> DistinctState:
+        """As the search does of runs that made the ego do nothing."""
+        return DistinctSearch.learn(self, state, [replace(each, demand=(0, 0, False)) for each in evaluations], rng)
+
+
+SCENARIOS_BEFORE: Mapping[str, Any] = {"traffic": "paper", "npcs": 4, "gene_seconds": 10.0}
+"""Arguments of ``pafot.explore`` for scenarios as they were before NPCs were attentive and sizes were drawn."""
+BEFORE: Mapping[str, Any] = {"algorithm": BeforeSearch, **SCENARIOS_BEFORE}
+"""For the default search as it was then."""
 
 
 def options(about: str | None, **defaults: Any) -> argparse.Namespace:

@@ -40,20 +40,18 @@ from pytest_pafot.campaign.events import Judged, SearchStarted
 from pytest_pafot.campaign.verdict import judge
 from pytest_pafot.comparison.figures import SETTINGS, STYLES
 from pytest_pafot.searching import PafotSearch, RandomSearch
-from tests.benchmarks.command import as_they_end, options, print_head, seeds_of
+from tests.benchmarks.command import BEFORE, SCENARIOS_BEFORE, as_they_end, options, print_head, seeds_of
 from tests.benchmarks.planted import PLANTED, SET_ASIDE, TUNING
 from tests.benchmarks.positive_controls import holds
 from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_interval
 
 HALVES: Mapping[str, Sequence[str]] = {"tuning": TUNING, "set-aside": SET_ASIDE}
 DEFAULT = "default"
-BEFORE = {"traffic": "paper", "npcs": 4, "gene_seconds": 10.0}
-"""Of searches as they were before NPCs kept their distance and the size of scenarios was drawn."""
 ARMS: Mapping[str, Mapping[str, Any]] = {
     DEFAULT: {},
     "random": {"algorithm": RandomSearch},
     "before": BEFORE,
-    "random before": {"algorithm": RandomSearch, **BEFORE},
+    "random before": {"algorithm": RandomSearch, **SCENARIOS_BEFORE},
     "pafot": {"algorithm": PafotSearch},
 }
 """Further arguments of ``pafot.explore`` by the name of a search; another search is another line."""

@@ -1,7 +1,7 @@
 """Is every known defect found? The policies of ``example_ads.defects``, searched with ``blame="ego"``.
 
     python -m tests.benchmarks.positive_controls [--seeds 10] [--first-seed 0] [--runs 400] [--workers 2]
-        [--policies NAME ...] [--algorithm distinct]
+        [--policies NAME ...] [--algorithm distinct] [--before]
 
 The searches are those of ``pafot.explore``, with the defaults and without shrinking. Prints for each policy on how many
 seeds there was a collision that the ego is responsible for, in which run first, how many distinct signatures there are
@@ -27,7 +27,7 @@ from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.searching import ALGORITHMS
-from tests.benchmarks.command import in_processes, options, seeds_of
+from tests.benchmarks.command import BEFORE, in_processes, options, seeds_of
 
 NOT_RUN_COLLISION = Failure(kind="AssertionError", assertion="assert not run.collision")
 
@@ -116,8 +116,8 @@ def searched(policy: str, seed: int, options: argparse.Namespace) -> Searched:
             finds.append(Find(number=runs, scenario=scenario, signature=signature, explanation=explanation))
 
     pafot.explore(
-        factory_of(policy), holds=holds, blame="ego", algorithm=options.algorithm, runs=options.runs, seed=seed,
-        shrink_rollouts=0, on_event=listen,
+        factory_of(policy), holds=holds, world=pafot.Highway(), blame="ego", runs=options.runs, seed=seed,
+        shrink_rollouts=0, on_event=listen, **(BEFORE if options.before else {"algorithm": options.algorithm}),
     )  # fmt: skip
     return Searched(tuple(finds), runs)
 
@@ -125,14 +125,17 @@ def searched(policy: str, seed: int, options: argparse.Namespace) -> Searched:
 def report(policy: str, searches: Sequence[Searched]) -> str:
     """What the searches of one policy found."""
     firsts = [search.finds[0].number if search.finds else None for search in searches]
+    named = [
+        next((find.number for find in search.finds if find.signature.fault in FAULTS.get(policy, ())), None)
+        for search in searches
+    ]
     finds = [find for search in searches for find in search.finds]
     kinds = Counter(find.signature for find in finds)
     per_seed = [len({find.signature for find in search.finds}) for search in searches]
-    telling = [any(find.signature.fault in FAULTS.get(policy, ()) for find in search.finds) for search in searches]
     lines = [
         f"{policy}: found on {sum(first is not None for first in firsts)} of {len(searches)} seeds, first in runs "
-        f"{' '.join('-' if first is None else str(first) for first in firsts)}; as the "
-        f"mechanism shows on {sum(telling)}; {len(finds)} finds in "
+        f"{numbers(firsts)}; as the mechanism shows on {sum(number is not None for number in named)}, first in runs "
+        f"{numbers(named)}; {len(finds)} finds in "
         f"{sum(search.runs for search in searches)} runs; signatures per seed {per_seed}, {len(kinds)} in all",
         *(f"    {count:4} x {signature.mistake or signature.slug}" for signature, count in kinds.most_common()),
     ]
@@ -141,6 +144,11 @@ def report(policy: str, searches: Sequence[Searched]) -> str:
         explanation = next(find.explanation for find in finds if find.signature == usual)
         lines += [f"    expected: {MECHANISM[policy]}", *(f"    said: {line}" for line in _sentence(explanation))]
     return "\n".join(lines)
+
+
+def numbers(firsts: Sequence[int | None]) -> str:
+    """The runs in which something came first, by the seed."""
+    return " ".join("-" if first is None else str(first) for first in firsts)
 
 
 def _sentence(explanation: str) -> list[str]:
@@ -152,8 +160,9 @@ def _sentence(explanation: str) -> list[str]:
 
 def main() -> None:
     given = options(
-        __doc__, seeds=10, first_seed=0, algorithm=ALGORITHMS[0], runs=400, workers=2, policies=defects.POLICIES
-    )
+        __doc__, seeds=10, first_seed=0, algorithm=ALGORITHMS[0], runs=400, workers=2, policies=defects.POLICIES,
+        before=False,
+    )  # fmt: skip
     for name, searches in in_processes(given.workers, searched, given.policies, seeds_of(given), given):
         print(report(name, searches), flush=True)
 

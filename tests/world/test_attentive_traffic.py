@@ -201,14 +201,14 @@ class TestLimitsOfAStyle:
     @given(seed=st.integers(0, 2**32), style=st.sampled_from(["assertive", "everyday"]), own=st.booleans())
     def test_hold_at_every_tick(self, seed, style, own):
         rng = random.Random(seed)
-        traffic = Traffic(style, braking=1.0, lateral_speed=0.7, least_speed=5.0) if own else Traffic(style)
+        traffic = Traffic(style, braking=1.0, lateral_speed=0.7, least_speed_share=0.2) if own else Traffic(style)
         scenario = replace(random_scenario(rng, lanes=4, speed_limit=26.8, npcs=rng.randint(1, 4)), traffic=traffic)
         trace = Highway(duration=15.0).rollout(scenario, rng.choice(EGOS))
         across = abs(np.diff(trace.npcs[..., Y], axis=0)) / trace.dt
         assert across.max(initial=0.0) <= traffic.lateral_speed + 1e-9
         free = unhindered(trace)
         assert trace.npcs[free, ACCELERATION].min(initial=0.0) >= -traffic.braking - 1e-9
-        slow = free & (trace.npcs[..., SPEED] < traffic.least_speed - 0.5)
+        slow = free & (trace.npcs[..., SPEED] < traffic.least_speed_share * 26.8 - 0.5)
         assert (trace.npcs[slow, ACCELERATION] > 0.0).all(), "who is slower speeds up"
 
     @given(seed=st.integers(0, 2**32), style=st.sampled_from(["hostile", "assertive", "everyday"]))

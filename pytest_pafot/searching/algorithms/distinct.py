@@ -68,10 +68,9 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
 
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last one, which has no upper end
-NO_IMPACT = (0, 0)  # the niche of all runs without a collision, in which the nearest miss stays
 NEAREST = 3  # near-misses of each mistake, whose runs may be parents
 
-Niche = tuple[int, int]  # the cell of an impact, 1 to 8, and the index of its closing speed
+Niche = tuple[int, int]  # the cell of an impact and the index of its closing speed; 0 and what the ego was made to do
 Elites = tuple[tuple[Niche, Evaluation], ...]  # the best of each niche, in their order
 Near = tuple[NearMiss, Evaluation]  # a run, and what the ego nearly had to answer for in it
 
@@ -95,8 +94,10 @@ class DistinctSearch(NicheSearch[DistinctState]):
     """Varies the worst runs of all niches, and drops what shows a known failure.
 
     1. The first scenarios are random, as the paper's first generation is.
-    2. After them the worst run of every niche, impact cell by closing speed, may have children, so that no kind of
-       impact displaces the others. So may the runs of the three worst near-misses of each mistake of the ego
+    2. After them a third of the scenarios is random again, and the others are children. The worst run of every niche
+       may have some: of every impact cell and closing speed, and without an impact of everything that the ego was made
+       to do (:func:`~pytest_pafot.searching.evaluation.demand_of`), so that no kind of run displaces the others. So may
+       the runs of the three worst near-misses of each mistake of the ego
        (:attr:`~pytest_pafot.searching.Evaluation.near_misses`). The elites of the niches are one group, those of each
        mistake another; all groups are drawn equally often, and parents of a group by binary tournament on the fitness.
        A child has one to three mutations.
@@ -108,6 +109,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
     Attributes:
         population: scenarios in a generation.
         most_mutations: of a child, whose number is uniform from 1.
+        fresh: share of the scenarios that are random, after the first ones.
     """
 
     name: ClassVar[str] = "distinct"
@@ -116,10 +118,11 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
     population: int = field(default=16, kw_only=True)
     most_mutations: int = field(default=3, kw_only=True)
+    fresh: float = field(default=0.35, kw_only=True)
 
     def __post_init__(self) -> None:
         NicheSearch.__post_init__(self)
-        check_parameters(self, most_mutations=1)
+        check_parameters(self, rates=("fresh",), most_mutations=1)
 
     def start(self, rng: Generator) -> DistinctState:
         """The state before the first generation; it needs no draw."""
@@ -148,7 +151,9 @@ class DistinctSearch(NicheSearch[DistinctState]):
         return dangers + strained * (-(-len(dangers) // len(strained)) if strained else 0)
 
     def child(self, parents: Sequence[Sequence[Evaluation]], rng: Generator) -> Scenario:
-        """One to three mutations of a parent, or of two that have swapped NPCs."""
+        """One to three mutations of a parent, or of two that have swapped NPCs; or a random scenario."""
+        if rng.random() < self.fresh:
+            return sample(self.space, rng)
         child = _parent(parents, rng).executed
         if rng.random() < self.crossover_rate:
             child = first_crossed(child, _parent(parents, rng).executed, rng)
@@ -175,7 +180,8 @@ def niche(evaluation: Evaluation) -> Niche:
     """Where an evaluation competes."""
     hit = evaluation.collision
     if hit is None:
-        return NO_IMPACT
+        braking, changes, has_stood = evaluation.demand
+        return 0, 6 * braking + 2 * changes + has_stood
     return int(hit.cell), min(int(hit.closing_speed / SPEED_NICHE), FASTEST_NICHE)
 
 
