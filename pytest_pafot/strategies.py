@@ -12,8 +12,11 @@ towards few NPCs, short chains, "stay" and low round speeds.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
+from typing import Any
 
+from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     EGO_SPEED,
@@ -39,6 +42,8 @@ def _register() -> None:
 
 from hypothesis import strategies as st  # noqa: E402
 from hypothesis.strategies import SearchStrategy  # noqa: E402
+
+ATTENTIVE = Traffic()
 
 __all__ = ["chromosomes", "position_instructions", "scenarios"]
 
@@ -98,6 +103,7 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     ego_lane: int | None = None,
     ego_speed: float = EGO_SPEED,
     gene_seconds: float = GENE_SECONDS,
+    traffic: Traffic = ATTENTIVE,
 ) -> SearchStrategy[Scenario]:
     """Whole scenarios: chains in which no two NPCs hold the same cell in the same gene.
 
@@ -110,11 +116,13 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
         ego_lane: the ego's first lane, 0 at the left; None draws it.
         ego_speed: everybody's first speed [m/s].
         gene_seconds: duration of one gene [s].
+        traffic: how the NPCs drive beside what their instructions ask for; target speeds are at least its least one.
 
     Raises:
         ValueError: for bounds that leave nothing to draw.
     """
-    allowed, speeds = _cells(cells), _speeds(min_speed, max_speed)
+    low = math.ceil(traffic.least_speed * SPEED_STEPS_PER_MPS - 1e-6) / SPEED_STEPS_PER_MPS
+    allowed, speeds = _cells(cells), _speeds(max(min_speed, low), max_speed)
     lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
     if lanes < 1 or (ego_lane is not None and not 0 <= ego_lane < lanes):
         raise ValueError(f"ego_lane: expected a lane from 0 to {lanes - 1}, received {ego_lane}")
@@ -133,7 +141,8 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
         lane = draw(st.sampled_from(usable))
         npcs = _chains(draw, draw(counts), draw(lengths), starts=starts[lane], allowed=allowed, speeds=speeds)
         seed = draw(st.integers(0, 2**16 - 1))
-        return Scenario(npcs=npcs, seed=seed, ego_lane=lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+        start: dict[str, Any] = {"ego_lane": lane, "ego_speed": ego_speed, "gene_seconds": gene_seconds}
+        return Scenario(npcs=npcs, seed=seed, traffic=traffic, **start)
 
     return build()
 

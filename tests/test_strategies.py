@@ -10,6 +10,7 @@ from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot import strategies
+from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell, is_adjacent
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from tests.helpers.tables import table
@@ -36,7 +37,8 @@ def test_chains_visit_only_the_cells_given(chain):
 
 @given(strategies.scenarios(min_npcs=1, max_npcs=8, lanes=5))
 def test_scenarios_are_valid_whatever_the_number_of_npcs(scenario):
-    assert Scenario.repaired(scenario.npcs, seed=scenario.seed, ego_lane=scenario.ego_lane) == scenario
+    again = Scenario.repaired(scenario.npcs, seed=scenario.seed, ego_lane=scenario.ego_lane, traffic=scenario.traffic)
+    assert again == scenario
 
 
 @given(strategies.scenarios())
@@ -49,6 +51,17 @@ def test_every_npc_starts_in_a_lane_that_exists(scenario):
     assert all(0 <= scenario.ego_lane + chain[0].cell.column < 3 for chain in scenario.npcs)
 
 
+@given(strategies.scenarios())
+def test_scenarios_are_of_attentive_traffic_unless_told_otherwise(scenario):
+    assert scenario.traffic == Traffic()
+
+
+@given(strategies.scenarios(traffic=Traffic("everyday", least_speed=20.04), min_speed=3.0))
+def test_instructions_keep_to_the_least_speed_of_their_traffic(scenario):
+    assert scenario.traffic.style == "everyday"
+    assert all(20.04 <= gene.speed <= 26.8 for chain in scenario.npcs for gene in chain)
+
+
 @given(st.data())
 def test_types_alone_give_strategies(data):
     assert isinstance(data.draw(st.from_type(Scenario)), Scenario)
@@ -57,7 +70,7 @@ def test_types_alone_give_strategies(data):
 
 def test_the_simplest_scenario_is_one_npc_that_stays_at_standstill():
     simplest = find(strategies.scenarios(), lambda _: True, settings=SIMPLEST)
-    assert simplest == Scenario(npcs=((PositionInstruction(1, 0.0),),), ego_lane=1)
+    assert simplest == Scenario(npcs=((PositionInstruction(1, 0.0),),), ego_lane=1, traffic=Traffic())
 
 
 def test_a_failing_chain_shrinks_to_staying_and_to_round_speeds():
@@ -86,6 +99,7 @@ def test_one_npc_may_follow_another_round_the_ring_in_either_direction():
     [
         ({"cells": []}, "at least one cell"),
         ({"min_speed": 5.0, "max_speed": 4.0}, "min_speed <= max_speed"),
+        ({"traffic": Traffic(least_speed=30.0)}, "min_speed <= max_speed"),
         ({"min_genes": 0}, "min_genes"),
         ({"max_npcs": 9}, "<= 8"),
         ({"lanes": 2, "max_npcs": 8}, "one NPC per cell"),
