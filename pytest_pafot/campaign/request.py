@@ -228,7 +228,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     how its ego starts.
     """
     road = protocol.straight_road(world)
-    traffic = {"traffic": Traffic()}
+    traffic = {"traffic": given.get("traffic", Traffic().style)}
     if road is None:
         return traffic
     npcs = given.get("npcs", NPCS)

@@ -16,6 +16,7 @@ from pytest_pafot.commands.policy_reference import BAD_USE, PlanError
 from pytest_pafot.commands.resumable import AGAIN, worker_count, written_into
 from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan, checked
+from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, ScenarioError
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.searching.space import space_on
@@ -76,6 +77,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--genes", type=int, metavar="N", help="of each NPC (default: as a scenario lasts)")
     parser.add_argument(
         "--gene-seconds", type=float, metavar="S", help="[s] (default: 10; where the road is not straight, about 10)"
+    )
+    parser.add_argument(
+        "--traffic", choices=STYLES, help="how the NPCs drive (default: as in a test with the algorithm)"
     )
     parser.add_argument("--ego-lane", type=int, metavar="N", help=f"from 0 at the left (default: 1{START})")
     parser.add_argument("--ego-speed", type=float, metavar="V", help=f"[m/s] (default: 22{START})")
