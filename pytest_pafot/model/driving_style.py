@@ -78,15 +78,15 @@ class Traffic:
         parts = {name: getattr(self, name) for name in BOUNDS}
         return {name: part for name, part in parts.items() if part != PARTS[self.style][name]}
 
-    @property
-    def described(self) -> str:
-        """What a user reads of it: ``everyday (least_gap 4)``."""
-        parts = ", ".join(f"{name} {part:g}" for name, part in self.own.items())
-        return f"{self.style} ({parts})" if parts else self.style
-
     def plain(self) -> str | dict[str, Any]:
         """Return the name of the style; where there are parts of its own, a mapping with these."""
         return {"style": self.style, **self.own} if self.own else self.style
+
+    @property
+    def described(self) -> str:
+        """What a reader is told of it: ``everyday traffic (least_gap 4)``; nothing of the paper's."""
+        own = ", ".join(f"{name} {part:g}" for name, part in self.own.items())
+        return f"{self.style} traffic{f' ({own})' if own else ''}" if self.is_attentive else ""
 
     def __repr__(self) -> str:
         return f"Traffic({', '.join([repr(self.style), *(f'{name}={part:g}' for name, part in self.own.items())])})"

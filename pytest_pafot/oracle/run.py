@@ -375,7 +375,8 @@ class Run(Drawn):
             if self.second_opinion != self.responsibility:
                 sentence += f" (the PAFOT authors' position rule says: {self.second_opinion})"
             lines += wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=4)
-        lines += [*_gene_table(self.trace), f"  scenario {self.scenario.id}, repair seed {self.scenario.seed}"]
+        names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}", self.scenario.traffic.described]
+        lines += [*_gene_table(self.trace), f"  {', '.join(filter(None, names))}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
 

@@ -244,6 +244,7 @@ def finding_view(
         last_chance=None if chance is None else ChanceView(time=chance.time, sentence=chance.sentence),
         prevention=prevention_text(expect),
         perception="" if finding.perception is None else finding.perception.sentence,
+        traffic=finding.scenario.traffic.described,
     )
     if finding.shrunk is not None:
         original, rollouts = finding.original or finding.scenario, finding.shrunk.rollouts
@@ -286,6 +287,7 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
         yaml="",
         command="",
         runs=0,
+        traffic=run.scenario.traffic.described,
     )
     return _with_run(view, trace, clearance, None)
 

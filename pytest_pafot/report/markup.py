@@ -137,7 +137,7 @@ def finding_article(finding: FindingView, index: int) -> str:
     """One finding in words; an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
     who, *tags = _tags(finding)
-    tags += [each for each in (finding.prevention, finding.perception) if each]
+    tags += [each for each in (finding.prevention, finding.perception, finding.traffic) if each]
     mark = f'<span aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
     words = text(dedent(finding.explanation).strip())
     parts = [

@@ -202,6 +202,7 @@ class FindingView:
         check: that failed; None where something else did.
         prevention: which reference drivers would have prevented it, and which not; empty where none was tried.
         perception: which imperfections of its sight it needs; empty where that is perfect.
+        traffic: in which the NPCs drive; empty for the paper's.
         last_chance: None where there is no such moment.
         drive: from which the page writes its run as a table; None where nobody saw one, or it is in no file.
         grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
@@ -229,6 +230,7 @@ class FindingView:
     check: CheckView | None = None
     prevention: str = ""
     perception: str = ""
+    traffic: str = ""
     last_chance: ChanceView | None = None
     shrink: ShrinkView | None = None
     drive: DriveView | None = None

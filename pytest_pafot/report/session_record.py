@@ -51,6 +51,7 @@ class FindingRecord:
         responsible: `ego`, `npc`, `both` or `none`.
         preventable_by: reference drivers that avoid it.
         size: of the scenario, in words.
+        traffic: in which it is driven, in words; empty for the paper's.
         runs: of this session's searches that failed in this way.
         seed: of the search that found it.
         algorithm: that found it.
@@ -83,6 +84,7 @@ class FindingRecord:
     responsible: str = "none"
     preventable_by: list[str] = field(default_factory=list)
     size: str = ""
+    traffic: str = ""
     runs: int = 0
     seed: int | None = None
     algorithm: str = ""
@@ -128,6 +130,7 @@ class FindingRecord:
             responsible=expect.responsibility,
             preventable_by=list(expect.preventable_by),
             size=size_of(finding.scenario),
+            traffic=finding.scenario.traffic.described,
             seed=finding.found.seed,
             algorithm=finding.found.algorithm,
             against=expect.against,

@@ -100,13 +100,13 @@ class SearchSpace:
 
     @property
     def described(self) -> str:
-        """What a user reads of it: ``4 NPCs; the ego starts at 12 to 26.8 m/s in lanes 0 to 3``."""
+        """What a user reads of it: ``4 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3``."""
         speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
         speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
         lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
         npcs = f"{self.least_npcs} to {max(self.most_npcs)} NPCs" if self.most_npcs else plural(self.npcs, "NPC")
-        style = "" if self.traffic in (PAPERS, Traffic()) else f" in {self.traffic.described} traffic"
-        return f"{npcs}{style}; the ego starts at {speed} m/s in {lane}"
+        traffic = f" in {self.traffic.described}" if self.traffic.described else ""
+        return f"{npcs}{traffic}; the ego starts at {speed} m/s in {lane}"
 
     @property
     def draws_start(self) -> bool:

@@ -162,7 +162,16 @@ def test_runs_of_equal_seconds_are_compared_at_these_alone_and_those_of_other_le
     assert lengths["av-fuzzer@5"] <= 5 < lengths["pafot"]
     for name, seconds in (("av-fuzzer@5", 1.0), ("random@15", 5.0), ("pafot", 10.0)):
         with (tmp_path / "runs" / f"{name}-000.csv").open() as file:
-            assert {json.loads(row["executed"])[-1] for row in csv.DictReader(file)} == {seconds}, "of a gene"
+            assert {json.loads(row["executed"])[4] for row in csv.DictReader(file)} == {seconds}, "of a gene"
+
+
+@pytest.mark.processes
+def test_the_traffic_of_a_test_is_that_of_all_algorithms_where_one_is_asked_for(tmp_path):
+    arguments = ["--algorithms", "distinct,pafot", "--runs", "1", "--generations", "1", "--seed", "3"]
+    assert compare(tmp_path, *arguments, "--traffic", "everyday") == 0
+    for name in ("distinct", "pafot"):
+        with (tmp_path / "runs" / f"{name}-000.csv").open() as file:
+            assert {json.loads(row["executed"])[5] for row in csv.DictReader(file)} == {"everyday"}
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -173,13 +182,17 @@ def test_each_algorithm_has_the_scenarios_of_a_test_unless_the_papers_are_asked_
     for name in ("distinct", "distinct@paper", "pafot"):
         with (tmp_path / "runs" / f"{name}-000.csv").open() as file:
             scenarios = [json.loads(row["executed"]) for row in csv.DictReader(file)]
-        drawn[name] = len(scenarios), {len(npcs) for npcs, *_ in scenarios}, len({speed for *_, speed, _ in scenarios})
+        drawn[name] = (
+            len(scenarios),
+            {len(npcs) for npcs, *_ in scenarios},
+            len({speed for _, _, _, speed, *_ in scenarios}),
+        )
     assert drawn == {"distinct": (16, {4}, drawn["distinct"][2]), "distinct@paper": (4, {2}, 1), "pafot": (4, {2}, 1)}
     assert drawn["distinct"][2] > 8, "first speeds of the ego"
     report, told = (tmp_path / "report.md").read_text(), capsys.readouterr().err
     assert "; of distinct with `{" in report
     of_test, papers = (
-        "4 NPCs; the ego starts at 12 to 26.8 m/s in lanes 0 to 3",
+        "4 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3",
         "2 NPCs; the ego starts at 22 m/s in lane 1",
     )
     warning, _, tables = report.partition("## How many collisions")

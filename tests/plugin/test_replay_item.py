@@ -238,7 +238,7 @@ def test_a_world_that_cannot_be_built_or_does_not_fit_is_one_failing_item_with_i
         ("braking: 8.0", "braking: 1.0e-300", "5: world.limits.braking: expected a number from 0.1 to 100, received *"),
         ("overspeed: 1.1", "overspeed: 2.0", "3: world.speed_limit: expected at most 20.0 m/s, because *"),
         ("lane: 1, speed", "lane: 9, speed", "9: scenario.ego.lane: expected a lane from 0 to 3, received 9; *"),
-        ("cell: 6, speed: 0.0", "cell: 6, speed: 99.0", "13: scenario.npcs[[]0][[]0].speed: expected at most the *"),
+        ("cell: 6, speed: 0.0", "cell: 6, speed: 99.0", "12: scenario.npcs[[]0][[]0].speed: expected at most the *"),
         ("gene_seconds: 5.0", "gene_seconds: 5.01", "10: scenario.gene_seconds: expected a whole number of ticks *"),
     ]
     for number, lines in enumerate(copies_that_differ(saved, edits)):

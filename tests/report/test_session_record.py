@@ -2,13 +2,18 @@
 
 import json
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 from datetime import date
 
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.campaign.events import Find, SearchSummary
+from pytest_pafot.model.driving_style import Traffic
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.plugin.failure_reports import SCENARIO
+from pytest_pafot.report.finding_view import finding_view, run_view
+from pytest_pafot.report.markup import finding_article
 from pytest_pafot.report.session_record import (
     RESULTS,
     FindingRecord,
@@ -18,6 +23,7 @@ from pytest_pafot.report.session_record import (
     to_text,
     worst,
 )
+from pytest_pafot.world import Highway
 from tests.findings.builders import findings, plain_finding
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.sessions import read_record
@@ -54,6 +60,20 @@ RECORDS = st.builds(
 @given(RECORDS)
 def test_every_record_is_read_as_it_was_written(record):
     assert read_record(to_text(record)) == record
+
+
+def test_where_a_finding_is_driven_in_traffic_readers_are_told_which():
+    scenario = replace(plain_finding().scenario, traffic=Traffic("everyday", least_gap=4))
+    told, finding = "everyday traffic (least_gap 4)", plain_finding(scenario=scenario)
+    assert FindingRecord.of(finding, node_id="x", status="new", file=None).traffic == told
+    assert FindingRecord.of(plain_finding(), node_id="x", status="new", file=None).traffic == ""
+    view = finding_view(None, finding, node_id="x")
+    assert f"<li>{told}</li>" in finding_article(view, 0)
+    trace = Highway(duration=1.0).rollout(scenario, lambda: lambda observation: (0.0, 0.0))
+    explanation = Run(trace).explain()
+    assert explanation.endswith(f", repair seed 7, {told}")
+    assert SCENARIO.fullmatch(f"E   {explanation.splitlines()[-1]}")
+    assert f"<li>{told}</li>" in finding_article(run_view(trace), 0)
 
 
 def test_keys_are_sorted_and_the_version_is_among_them():

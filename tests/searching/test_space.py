@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, random_instruction, repaired, sample
@@ -91,8 +92,8 @@ def test_a_wide_space_draws_all_of_its_starts():
             "4 NPCs; the ego starts at 12 to 26.8 m/s in lanes 1 to 2",
         ),
         (
-            SearchSpace(most_npcs=(5,), traffic="everyday"),
-            "1 to 5 NPCs in everyday traffic; the ego starts at 22 m/s in lane 1",
+            SearchSpace(most_npcs=(5,), traffic=Traffic("everyday", least_gap=4)),
+            "1 to 5 NPCs in everyday traffic (least_gap 4); the ego starts at 22 m/s in lane 1",
         ),
     ],
 )

@@ -1,0 +1,49 @@
+"""Styles of traffic: their parts, their plain form and back, and what is refused."""
+
+import math
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+from pytest_pafot.model.driving_style import BOUNDS, PAPERS, PARTS, STYLES, Traffic
+from pytest_pafot.support.errors import FieldError
+from tests.findings.builders import traffics
+from tests.helpers.tables import table
+
+
+@given(traffics())
+def test_a_traffic_is_read_from_its_plain_form_and_survives_pickling(traffic):
+    assert Traffic.of(traffic.plain()) == Traffic.of(traffic) == pickle.loads(pickle.dumps(traffic)) == traffic
+    assert replace(traffic, style=traffic.style) == traffic
+
+
+def test_the_default_is_attentive_and_only_the_papers_is_not():
+    assert Traffic() == Traffic("hostile")
+    assert [style for style in STYLES if not Traffic(style).is_attentive] == [PAPERS.style]
+
+
+def test_a_part_that_is_given_as_the_style_has_it_is_no_part_of_its_own():
+    assert Traffic("everyday", **PARTS["everyday"]) == Traffic("everyday")
+    assert Traffic("everyday", least_gap=np.float32(4)).plain() == {"style": "everyday", "least_gap": 4.0}
+
+
+def test_a_reader_is_told_the_style_and_its_own_parts_and_nothing_of_the_papers():
+    told = [each.described for each in (PAPERS, Traffic(), Traffic("everyday", least_gap=4, braking=1.5))]
+    assert told == ["", "hostile traffic", "everyday traffic (least_gap 4, braking 1.5)"]
+
+
+@table("part", list(BOUNDS))
+@table("value", [-1, -1.0, -0.1, 1e9, 10**400, math.nan, math.inf, True, "4", [4.0], {}, np.array([4.0, 5.0])])
+def test_a_part_out_of_its_bounds_is_refused_with_them(part, value):
+    with pytest.raises(FieldError, match=rf"traffic\.{part}: expected a number from .* to .*, received"):
+        Traffic("everyday", **{part: value})
+
+
+@table("given", [None, 3, True, [], ["hostile"], "fast", "", {"gap": 4}, {1: 2}, {"style": None}, {"style": ["paper"]},
+                 {"style": np.array(["paper", "x"])}, {"style": "paper", "least_gap": 4.0}])  # fmt: skip
+def test_what_is_no_traffic_is_refused(given):
+    with pytest.raises(FieldError, match=r"traffic.*: expected .*, received"):
+        Traffic.of(given)
