@@ -12,7 +12,6 @@ towards few NPCs, short chains, "stay" and low round speeds.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -116,13 +115,13 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
         ego_lane: the ego's first lane, 0 at the left; None draws it.
         ego_speed: everybody's first speed [m/s].
         gene_seconds: duration of one gene [s].
-        traffic: how the NPCs drive beside what their instructions ask for; target speeds are at least its least one.
+        traffic: how the NPCs drive beside what their instructions ask for; target speeds are at
+            least its share of the highest one.
 
     Raises:
         ValueError: for bounds that leave nothing to draw.
     """
-    low = math.ceil(traffic.least_speed * SPEED_STEPS_PER_MPS - 1e-6) / SPEED_STEPS_PER_MPS
-    allowed, speeds = _cells(cells), _speeds(max(min_speed, low), max_speed)
+    allowed, speeds = _cells(cells), _speeds(max(min_speed, traffic.least_speed(max_speed)), max_speed)
     lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
     if lanes < 1 or (ego_lane is not None and not 0 <= ego_lane < lanes):
         raise ValueError(f"ego_lane: expected a lane from 0 to {lanes - 1}, received {ego_lane}")

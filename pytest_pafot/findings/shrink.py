@@ -9,7 +9,6 @@ Nothing is simulated here: whether a scenario still fails is asked of a function
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -188,7 +187,8 @@ def shrink(
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     tried: dict[Scenario, Scenario | None] = {scenario: scenario}
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
-    low = min(math.ceil(scenario.traffic.least_speed * SPEED_STEPS_PER_MPS - 1e-6), slowest)
+    least = 0.0 if top_speed == MAX_SPEED else scenario.traffic.least_speed(top_speed)
+    low = min(round(least * SPEED_STEPS_PER_MPS), slowest)
     gate = _Gate(best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, low=low, top=top, tried=tried)
     intervals: list[SpeedInterval] = []
     is_minimal = False

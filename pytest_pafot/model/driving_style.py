@@ -5,6 +5,7 @@ An instruction says where an NPC goes and how fast; its traffic says what it doe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
@@ -71,6 +72,10 @@ class Traffic:
     def is_attentive(self) -> bool:
         """Whether NPCs answer what the ego does."""
         return self.style != "paper"
+
+    def least_speed(self, speed_limit: float) -> float:
+        """Return the lowest target speed on a road with a limit, in the steps of target speeds [m/s]."""
+        return math.ceil(10 * self.least_speed_share * speed_limit - 1e-6) / 10
 
     @property
     def own(self) -> dict[str, float]:

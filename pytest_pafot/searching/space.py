@@ -94,9 +94,7 @@ class SearchSpace:
     @property
     def low_step(self) -> int:
         """The lowest target speed in steps of 0.1 m/s, at most the highest."""
-        return min(
-            math.ceil(self.traffic.least_speed_share * self.speed_limit * SPEED_STEPS_PER_MPS - 1e-6), self.top_step
-        )
+        return min(round(self.traffic.least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS), self.top_step)
 
     @property
     def described(self) -> str:

@@ -165,13 +165,13 @@ def test_the_papers_traffic_is_tried_where_the_budget_is_spent_before():
     assert (simplest.traffic, how.is_minimal) == (PAPERS, False)
 
 
-@table("traffic", [Traffic("everyday"), Traffic("assertive"), Traffic("hostile", least_speed=3.14)])
+@table("traffic", [Traffic("everyday"), Traffic("assertive"), Traffic("hostile", least_speed_share=0.117)])
 def test_a_style_that_was_chosen_stays_and_so_does_its_least_speed(traffic):
     simplest, how = shrunk(scenario("2@22.5 3@25", traffic=traffic), lambda each: True)
     assert simplest.traffic == traffic
-    least = {"everyday": 20.0, "assertive": 10.0, "hostile": 5.0}[traffic.style]  # 3.2 would be less round
+    least = {"everyday": 25.0, "assertive": 15.0, "hostile": 5.0}[traffic.style]  # 20.1, 13.4 and 3.2 are less round
     assert [gene.speed for gene in simplest.npcs[0]] == [least]
-    assert how.speeds[0].low == max(traffic.least_speed, 3.2)
+    assert how.speeds[0].low == traffic.least_speed(26.8)
 
 
 def test_instructions_below_the_least_speed_get_no_slower():
