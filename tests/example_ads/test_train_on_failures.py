@@ -15,7 +15,7 @@ TO_THE_RIGHT = ppo.PpoPolicy(((np.zeros((25, 5), np.float32), np.float32([0, 0, 
 
 @pytest.fixture(scope="module")
 def before():
-    return measured("before", ppo.make(), scenarios(2, COUNT), 5)
+    return measured("before", ppo.make(), scenarios(4, COUNT), 5)
 
 
 def test_the_shipped_policy_fails_in_more_than_a_third_of_random_scenarios_mostly_behind_a_leader(before):
@@ -36,7 +36,7 @@ def test_a_row_has_all_scenarios_both_kinds_of_failures_and_ordinary_traffic(bef
 
 
 def test_failures_after_training_count_among_those_before(before):
-    after = measured("to the right", TO_THE_RIGHT, scenarios(2, COUNT), 5)
+    after = measured("to the right", TO_THE_RIGHT, scenarios(4, COUNT), 5)
     still = sum(then == TRAINED_ON and now is not None for then, now in zip(before.faults, after.faults, strict=True))
     share = 100 * still / before.faults.count(TRAINED_ON)
     assert 0 < share < 100

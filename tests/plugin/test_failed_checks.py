@@ -59,7 +59,7 @@ def test_two_checks_make_one_finding_each_with_its_name_and_shrunk(buggy):
         assert len(re.findall(rf"^E   pytest_pafot\.CheckFailed: {sentence}$", text, re.MULTILINE)) == 1
     assert len(re.findall(r"^run        no collision in \d+\.\d s$", text, re.MULTILINE)) == 2
     assert text.count("checks.py") == 0
-    assert len(re.findall(r"^shrunk     from 4 NPCs, 24 instructions, 60 s to ", text, re.MULTILINE)) == 2
+    assert len(re.findall(r"^shrunk     from \d NPCs?, \d+ instructions, 6\d s to ", text, re.MULTILINE)) == 2
 
 
 def test_a_planner_without_these_bugs_keeps_what_was_found_as_a_guard(buggy):

@@ -264,7 +264,7 @@ MESSAGES = {
         CONFIG,
     ],
     "ads=lambda: lambda seen: model.predict(seen)[0]": [
-        "was given a pafot.Observation (time, ego, *.array of shape (5, 7))",
+        "was given a pafot.Observation (time, ego, *.array of shape (*, 7))",
         "needs world=pafot.World('highway-v0'",
     ],
     "ads=lambda: lambda seen: 1": ["received 1; policies of a highway-env environment need world=pafot.World("],

@@ -73,7 +73,7 @@ def test_an_exploration_lists_its_findings_with_their_runs():
     def keeps_away(run):
         assert not run.collision
 
-    settings = {"runs": 8, "population": 8, "genes": 1, "traffic": "paper", "shrink_rollouts": 2, "seed": 1}
+    settings = {"runs": 8, "population": 8, "genes": 1, "npcs": 4, "traffic": "paper", "shrink_rollouts": 2, "seed": 1}
     found = pafot.explore(lambda: lambda observation: (0.0, 0.0), holds=keeps_away, blame="any", **settings)
     assert len(found.findings) > 1
     assert all(finding.trace.outcome == "collision" for finding in found.findings)
