@@ -30,7 +30,7 @@ cdef class Director:
     cdef bint _ego_has_leader
     cdef double _least_speed, _least_gap, _time_gap, _braking, _delay
     cdef int _reaction
-    cdef list _seen_x, _seen_speed, _seen_braking
+    cdef double[::1] _seen_x, _seen_speed, _seen_braking
 
     @cython.locals(npc=Npc)
     cpdef void command(self, Body ego) except *

@@ -6,6 +6,7 @@ and lets NPCs give way to each other. It sees road coordinates only.
 
 from __future__ import annotations
 
+from array import array
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
@@ -144,9 +145,9 @@ class Director:
         self._braking = traffic.braking
         self._reaction = max(round(REACTION * physics_hz), 1)
         self._delay = self._reaction / physics_hz
-        self._seen_x = [0.0] * self._reaction  # of the ego in the ticks before, in a circle
-        self._seen_speed = [0.0] * self._reaction
-        self._seen_braking = [0.0] * self._reaction
+        self._seen_x = array("d", [0.0]) * self._reaction  # of the ego in the ticks before, in a circle
+        self._seen_speed = array("d", [0.0]) * self._reaction
+        self._seen_braking = array("d", [0.0]) * self._reaction
         self._ego_has_leader = False
         self._tick = 0
         self._gene = 0
