@@ -113,6 +113,9 @@ class Traffic:
         raise FieldError(field="traffic", expected=expected, received=f"{given!r:.100}")
 
 
+AMPLE = 1.0
+"""How much more than its style asks for an NPC leaves that goes to its place ahead of the ego [m]."""
+
 BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "least_speed_share": (0.0, 0.95),

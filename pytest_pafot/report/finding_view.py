@@ -18,6 +18,7 @@ from pytest_pafot.criticality import Encounters
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import blocks, instructions
+from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Chromosome, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, FloatArray, Lane, Trace, X, Y
@@ -32,12 +33,15 @@ from pytest_pafot.report.page_data import (
     InstructionView,
     LaneView,
     Numbers,
+    Place,
     Pose,
     RoadView,
     ShrinkView,
     VehicleView,
+    gap_to,
 )
 from pytest_pafot.report.terminal import prevention_text, speed_sentences
+from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
 from pytest_pafot.world.roads.route import wrapped
 from pytest_pafot.world.roads.survey import SAME_DIRECTION
@@ -55,11 +59,14 @@ def road_view(trace: Trace, clearance: float) -> RoadView:
 
     The clearance is the gap between the ego and the cells ahead and behind [m].
     """
+    ahead, behind = places(trace.scenario.traffic)
     road = RoadView(
         lanes=(),
         lane_width=float(trace.lanes[0].width),
         speed_limit=round(float(trace.speed_limit), 2),
         clearance=clearance,
+        ahead=ahead,
+        behind=behind,
     )
     if trace.track is None:
         starts = np.array([(lane.x, lane.y) for lane in trace.lanes])
@@ -83,6 +90,15 @@ def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatA
     return dx * cos + dy * sin, dy * cos - dx * sin
 
 
+def places(traffic: Traffic) -> tuple[Place, Place]:
+    """Return where the cells ahead and behind lie in the ego's lane, as :meth:`Director._target` has it."""
+    if not traffic.is_attentive:
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    standing = following_gap(0.0)
+    behind = (0.0, standing, round(following_gap(1.0) - standing, 3))
+    return (traffic.least_gap + AMPLE, AMPLE, traffic.time_gap), behind
+
+
 def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
     """Points of a lane's centre line, and the length of the line up to each [m]."""
     end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
@@ -90,10 +106,10 @@ def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
     return points, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
 
 
-def grid_poses(trace: Trace, ticks: Sequence[int], clearance: float) -> tuple[tuple[Pose | None, ...], ...]:
+def grid_poses(trace: Trace, ticks: Sequence[int], road: RoadView) -> tuple[tuple[Pose | None, ...], ...]:
     """Where the eight cells are at each of some ticks: x [m], y [m], direction [rad]; None for one without a lane."""
     other = float(trace.sizes[min(1, len(trace.sizes) - 1), 0])
-    row = (float(trace.sizes[0, 0]) + other) / 2 + clearance
+    row = (float(trace.sizes[0, 0]) + other) / 2
     parts = []
     for number, lane in enumerate(trace.lanes):
         points, length = _measured(lane)
@@ -101,16 +117,21 @@ def grid_poses(trace: Trace, ticks: Sequence[int], clearance: float) -> tuple[tu
         x, y = (np.interp(steps, length, points[:, column]) for column in (0, 1))
         parts.append((x, y, np.arctan2(np.gradient(y), np.gradient(x)), np.full(len(x), number)))
     dense = np.concatenate(parts, axis=1)  # x [m], y [m], direction [rad] and number of the lane, shape [4, points]
-    return tuple(_cells_around(trace.ego[tick], row, trace.lanes, dense) for tick in ticks)
+    rows = [[cell.row * (row + gap_to(road, cell, float(trace.ego[tick, SPEED]))) for cell in Cell] for tick in ticks]
+    return tuple(
+        _cells_around(trace.ego[tick], along, trace.lanes, dense) for tick, along in zip(ticks, rows, strict=True)
+    )
 
 
-def _cells_around(ego: FloatArray, row: float, lanes: Sequence[Lane], dense: FloatArray) -> tuple[Pose | None, ...]:
-    """The poses of the cells; a row ahead or behind is so many metres along the ego's lane."""
+def _cells_around(
+    ego: FloatArray, along: Sequence[float], lanes: Sequence[Lane], dense: FloatArray
+) -> tuple[Pose | None, ...]:
+    """The poses of the cells, each of which is so many metres ahead along the ego's lane."""
     own = np.flatnonzero(dense[3] == ego[LANE])
     if not len(own):
         return (None,) * len(Cell)
     near = own[0] + int(np.hypot(dense[0, own] - ego[X], dense[1, own] - ego[Y]).argmin())
-    bases = [near + round(cell.row * row / DENSE) for cell in Cell]
+    bases = [near + round(each / DENSE) for each in along]
     width = lanes[int(ego[LANE])].width
     return tuple(
         _beside(base, cell.column, width, dense) if own[0] <= base <= own[-1] else None
@@ -304,9 +325,10 @@ def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | 
     """The view with all that only a run shows: the road, who was where when, and the moment that it is about."""
     run, tick = Run(trace), check_tick(trace, check)
     ticks = frame_ticks(trace) if tick is None else sorted({*frame_ticks(trace), tick})
+    road = road_view(trace, clearance)
     return replace(
         view,
-        road=road_view(trace, clearance),
+        road=road,
         vehicles=_vehicles(trace, ticks),
         times=tuple(round(tick / trace.physics_hz, 3) for tick in ticks),
         event=EventView(
@@ -317,7 +339,7 @@ def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | 
             cell=None if run.event_cell is None else int(run.event_cell),
         ),
         check=None if check is None else check_view(check, trace, ticks),
-        grid=() if trace.track is None else grid_poses(trace, ticks, clearance),
+        grid=() if trace.track is None else grid_poses(trace, ticks, road),
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from pytest_pafot.findings.severity import Severity
+from pytest_pafot.model.grid import Cell
 
 Numbers = tuple[float | None, ...]
 Pose = tuple[float, float, float]
@@ -31,6 +32,18 @@ class LaneView:
     width: float
 
 
+Place = tuple[float, float, float]
+"""Of a gap that grows with a speed: at least, at a standstill, and per m/s."""
+
+
+def gap_to(road: RoadView, cell: Cell, speed: float) -> float:
+    """Return the gap between an ego of a speed and a cell ahead or behind [m]."""
+    if cell.column:
+        return road.clearance
+    least, start, seconds = road.ahead if cell.row > 0 else road.behind
+    return max(road.clearance, least, start + seconds * speed)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadView:
     """The world as far as a picture needs it.
@@ -38,6 +51,8 @@ class RoadView:
     Attributes:
         lanes: how far across the road the centre of each lane is, from the left.
         clearance: gap between the ego and the cells ahead and behind.
+        ahead, behind: of the gap to those in the ego's lane, in attentive traffic: at least the first number; the
+            second, and the third for each m/s of the ego's speed.
         shapes: the lanes of a road that is not straight. There *along* is the world's x, *across* its y, headings are
             those of the world, and ``lanes`` is empty.
     """
@@ -46,6 +61,8 @@ class RoadView:
     lane_width: float
     speed_limit: float
     clearance: float
+    ahead: Place = (0.0, 0.0, 0.0)
+    behind: Place = (0.0, 0.0, 0.0)
     shapes: tuple[LaneView, ...] = ()
 
 

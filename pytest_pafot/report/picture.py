@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.report.page_data import FindingView, InstructionView, Numbers
+from pytest_pafot.report.page_data import FindingView, InstructionView, Numbers, gap_to
 
 TRAIL_SECONDS = 4.0
 TRAIL_STEP = 0.125
@@ -123,7 +123,7 @@ def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float)
     road = finding.road
     if not road.shapes:
         other = finding.vehicles[min(1, len(finding.vehicles) - 1)].length
-        along = ego.along + cell.row * ((ego.length + other) / 2 + road.clearance)
+        along = ego.along + cell.row * ((ego.length + other) / 2 + gap_to(road, cell, ego.speed))
         # The nearest lane is the ego's; the left one of two at equal distance.
         lane = min(range(len(road.lanes)), key=lambda lane: (round(abs(road.lanes[lane] - ego.across), 9), lane))
         goal = lane + cell.column

@@ -1,7 +1,7 @@
 """Is every known defect found? The policies of ``example_ads.defects``, searched with ``blame="ego"``.
 
     python -m tests.benchmarks.positive_controls [--seeds 10] [--first-seed 0] [--runs 400] [--workers 2]
-        [--policies NAME ...] [--algorithm distinct] [--before]
+        [--policies NAME ...] [--algorithm distinct] [--traffic hostile] [--before]
 
 The searches are those of ``pafot.explore``, with the defaults and without shrinking. Prints for each policy on how many
 seeds there was a collision that the ego is responsible for, in which run first, how many distinct signatures there are
@@ -12,10 +12,12 @@ IDM+MOBIL without a defect.
 from __future__ import annotations
 
 import argparse
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pkgutil import resolve_name
+from statistics import median
 from types import MappingProxyType
 from typing import Any
 
@@ -117,7 +119,8 @@ def searched(policy: str, seed: int, options: argparse.Namespace) -> Searched:
 
     pafot.explore(
         factory_of(policy), holds=holds, world=pafot.Highway(), blame="ego", runs=options.runs, seed=seed,
-        shrink_rollouts=0, on_event=listen, **(BEFORE if options.before else {"algorithm": options.algorithm}),
+        shrink_rollouts=0, on_event=listen,
+        **(BEFORE if options.before else {"algorithm": options.algorithm, "traffic": options.traffic}),
     )  # fmt: skip
     return Searched(tuple(finds), runs)
 
@@ -161,10 +164,14 @@ def _sentence(explanation: str) -> list[str]:
 def main() -> None:
     given = options(
         __doc__, seeds=10, first_seed=0, algorithm=ALGORITHMS[0], runs=400, workers=2, policies=defects.POLICIES,
-        before=False,
+        before=False, traffic="hostile",
     )  # fmt: skip
+    every: list[Searched] = []
     for name, searches in in_processes(given.workers, searched, given.policies, seeds_of(given), given):
         print(report(name, searches), flush=True)
+        every += searches
+    firsts = [search.finds[0].number if search.finds else math.inf for search in every]
+    print(f"found on {sum(map(math.isfinite, firsts))} of {len(every)} seeds, in the median in run {median(firsts):g}")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import pytest
 
+from pytest_pafot import Highway, PositionInstruction, Scenario, Traffic
+from pytest_pafot.report.finding_view import run_view
 from pytest_pafot.report.picture import instruction_at, picture_at, vehicle_at
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
@@ -34,6 +36,20 @@ def test_cells_lie_around_the_ego_with_the_clearance_between():
         1: (8.0, 0.0), 2: (8.0, 4.0), 3: (8.0, 8.0), 4: (0.0, 8.0),
         5: (-8.0, 8.0), 6: (-8.0, 4.0), 7: (-8.0, 0.0), 8: (0.0, 0.0),
     }  # fmt: skip
+
+
+@table("style", ["paper", "hostile", "everyday"])
+def test_an_npc_arrives_in_the_cell_that_is_drawn_whatever_its_traffic(style):
+    chains = [[(8, 24.0), (1, 24.0), (2, 24.0)], [(4, 24.0), (5, 24.0), (6, 24.0)]]
+    npcs = tuple(tuple(PositionInstruction(*gene) for gene in chain) for chain in chains)
+    asked = Scenario(npcs=npcs, ego_speed=24.0, traffic=Traffic(style))
+    trace = Highway().rollout(asked, lambda: lambda seen: (0.0, 0.0))
+    view = run_view(trace)
+    for npc, cell in enumerate((2, 6)):
+        time = trace.arrivals[npc][2] / trace.physics_hz
+        drawn, place = vehicle_at(view, npc + 1, time), picture_at(view, time).cells[cell - 1]
+        assert abs(drawn.along - place.along) <= 2.6
+        assert abs(drawn.across - place.across) <= 0.6
 
 
 def test_cells_beyond_the_road_do_not_exist():

@@ -72,7 +72,9 @@ function cellCentre(finding, ego, cell, [index, share]) {
     return { along: place[0] + dx, across: place[1] + dy, heading: place[2], exists: true };
   }
   const other = finding.vehicles[1] || finding.vehicles[0];
-  const row = (ego.length + other.length) / 2 + road.clearance;
+  const [least, start, seconds] = COLUMNS[cell] ? [0, 0, 0] : ROWS[cell] > 0 ? road.ahead : road.behind;
+  const gap = Math.max(road.clearance, least, start + seconds * ego.speed);
+  const row = (ego.length + other.length) / 2 + gap;
   const lane = nearestLane(road, ego.across) + COLUMNS[cell];
   const exists = lane >= 0 && lane < road.lanes.length;
   const across = exists ? road.lanes[lane] : road.lanes[nearestLane(road, ego.across)] + COLUMNS[cell] * road.lane_width;

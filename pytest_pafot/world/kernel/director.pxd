@@ -5,7 +5,7 @@ from pytest_pafot.world.kernel.driver cimport (
 )
 
 cdef double ARRIVED_LATERAL, CREEP_SPEED, BESIDE
-cdef double TRACK, REACTION, ANSWER, ENTRY_TIME, ENTRY_BRAKING, ENTRY_GAP, AMPLE
+cdef double TRACK, REACTION, ANSWER, ENTRY_TIME, ENTRY_BRAKING, ENTRY_GAP
 cdef int NO_LANE, NOT_BEHIND
 
 @cython.final
@@ -28,7 +28,7 @@ cdef class Director:
     cdef readonly NpcDriver _driver
     cdef readonly bint _attentive
     cdef bint _ego_has_leader
-    cdef double _least_speed, _least_gap, _time_gap, _braking, _delay
+    cdef double _least_speed, _least_gap, _time_gap, _ample, _braking, _delay
     cdef int _reaction
     cdef double[::1] _seen_x, _seen_speed, _seen_braking
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from array import array
 from typing import TYPE_CHECKING, Any
 
+from pytest_pafot.model.driving_style import AMPLE
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
 from pytest_pafot.model.scenario import LANE_STARTS, Chromosome, LaneInstruction, Scenario, with_cells
 from pytest_pafot.world.kernel.bodies import Body
@@ -47,8 +48,6 @@ ENTRY_TIME, ENTRY_BRAKING = 0.35, 6.0
 """In what time, and then with what braking, the ego can adapt to an NPC that moves in ahead of it [s, m/s^2]."""
 ENTRY_GAP = 1.5
 """Gap to the ego, at the same speed, at which an NPC moves in behind it [m]."""
-AMPLE = 1.0
-"""How much more than its style asks for an NPC leaves that goes to its place ahead of the ego [m]."""
 NOT_BEHIND = -1
 
 
@@ -142,6 +141,7 @@ class Director:
         self._least_speed = traffic.least_speed_share * road.speed_limit
         self._least_gap = traffic.least_gap
         self._time_gap = traffic.time_gap
+        self._ample = AMPLE
         self._braking = traffic.braking
         self._reaction = max(round(REACTION * physics_hz), 1)
         self._delay = self._reaction / physics_hz
@@ -314,7 +314,7 @@ class Director:
             return npc.target
         if npc.row < 0:
             return -(self._row + max(self._clearance, following_gap(ego.speed)))
-        return self._row + max(self._clearance, self._ahead(ego) + AMPLE)
+        return self._row + max(self._clearance, self._ahead(ego) + self._ample)
 
     def _ahead(self, ego: Body) -> float:
         """Return the gap to an ego of the same speed that the traffic asks for of whoever moves in ahead of it [m]."""
