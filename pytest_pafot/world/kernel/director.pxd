@@ -28,7 +28,7 @@ cdef class Director:
     cdef readonly NpcDriver _driver
     cdef readonly bint _attentive
     cdef bint _ego_has_leader
-    cdef double _least_speed, _least_gap, _time_gap, _ample, _braking, _delay
+    cdef double _least_share, _speed_limit, _least_gap, _time_gap, _ample, _braking, _delay
     cdef int _reaction
     cdef double[::1] _seen_x, _seen_speed, _seen_braking
 
@@ -62,8 +62,8 @@ cdef class Director:
 
     cpdef double _stretch(self, Body body) except? -1
 
-    @cython.locals(is_in_track=bint, has_moved_in=bint, place=int, x=double, ego_speed=double, ahead=double,
-                   braking=double, seconds=double, gap=double, safe=double)
+    @cython.locals(least_speed=double, is_in_track=bint, has_moved_in=bint, place=int, x=double, ego_speed=double,
+                   ahead=double, braking=double, seconds=double, gap=double, safe=double)
     cpdef double _attending(self, Npc npc, Body ego, double speed) except? -1
 
     @cython.final

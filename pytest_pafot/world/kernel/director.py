@@ -138,7 +138,8 @@ class Director:
         traffic = scenario.traffic
         self._driver = NpcDriver(limits, top_speed, length, 1 / physics_hz, traffic.lateral_speed)
         self._attentive = traffic.is_attentive
-        self._least_speed = traffic.least_speed_share * road.speed_limit
+        self._least_share = traffic.least_speed_share
+        self._speed_limit = road.speed_limit
         self._least_gap = traffic.least_gap
         self._time_gap = traffic.time_gap
         self._ample = AMPLE
@@ -326,7 +327,8 @@ class Director:
 
     def _attending(self, npc: Npc, ego: Body, speed: float) -> float:
         """Bring a wanted speed within the traffic's style, and cut it to what leaves room behind the ego [m/s]."""
-        speed = max(speed, self._least_speed, speed_asking_for(self._braking, npc.speed))
+        least_speed = self._least_share * min(self._speed_limit, ego.speed)
+        speed = max(speed, least_speed, speed_asking_for(self._braking, npc.speed))
         is_in_track = abs(ego.y - npc.y) < (npc.width + ego.width) / 2.0 + TRACK
         if npc.x >= ego.x or not (is_in_track or (npc.heading_for == ego.lane and npc.lane != ego.lane)):
             npc.behind = NOT_BEHIND
