@@ -32,8 +32,8 @@ class Traffic:
     Attributes:
         style: ``"paper"``, where NPCs run into the rear of an ego that is slower than their instruction;
             ``"hostile"``, which does all that the ego can still answer; ``"assertive"`` or ``"everyday"``.
-        least_speed_share: of the speed limit, or of the ego's speed where that is lower: NPCs drive so fast at least, but
-            where somebody slower is ahead of them. Target speeds are at least that share of the limit.
+        least_speed_share: of the speed limit, or of the ego's speed where that is lower: NPCs drive at least so fast
+            where nobody slower is ahead of them. Target speeds are at least that share of the limit.
         least_gap: to the ego, bumper to bumper, at which an NPC moves in ahead of it [m].
         time_gap: the same, as a share of the ego's speed [s].
         braking: hardest braking of an NPC that nobody ahead asks for [m/s^2].
