@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.model.grid import Cell, is_adjacent
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest
@@ -167,6 +168,17 @@ def test_nsga2_counts_a_scenario_as_novel_by_its_nearest_neighbour(make_evaluati
     assert values[:2, 2].tolist() == [0.0, 0.0]
     differ = np.mean([x.cell != y.cell for p, q in zip(a.npcs, b.npcs, strict=True) for x, y in zip(p, q, strict=True)])
     assert values[2, 2] == pytest.approx(-differ)
+
+
+def test_nsga2_compares_scenarios_of_any_size_at_the_same_seconds_and_counts_missing_npcs(make_evaluation):
+    from pytest_pafot.searching.algorithms.nsga2 import objectives
+
+    ahead, left = PositionInstruction(Cell.FRONT, 20.0), PositionInstruction(Cell.FRONT_LEFT, 20.0)
+    alone = Scenario(npcs=[[ahead] * 2], gene_seconds=10.0)
+    split = Scenario(npcs=[[ahead] * 4], gene_seconds=5.0)
+    both = Scenario(npcs=[[ahead] * 4, [left] * 4], gene_seconds=5.0)
+    values = objectives([make_evaluation(each) for each in (alone, split, both)])
+    assert values[:, 2].tolist() == [0.0, 0.0, -0.5]
 
 
 def test_map_elites_keeps_the_fittest_of_every_kind_of_impact(make_evaluation, make_population):

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.random import Generator
 
-from pytest_pafot.model.scenario import Scenario, positions_of
+from pytest_pafot.model.scenario import Scenario, positions_of, retimed
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
@@ -95,10 +95,11 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
     """To be minimised, shape [evaluations, 3 + checks]: minus fitness, closing speed at the impact [m/s] and novelty.
 
     Then the margin of each check that any of the runs came to, in the order of their names. Novelty is the least share
-    of genes in which a scenario, as driven, has another cell than another one.
+    of genes in which a scenario, as driven, has another cell than another one, or an NPC that the other one lacks.
     """
-    chains = np.array([[gene.cell for chain in positions_of(each.chains) for gene in chain] for each in evaluations])
-    differ = (chains[:, None, :] != chains[None, :, :]).mean(axis=-1)
+    cells = cells_of(evaluations)
+    one, other = cells[:, None, :], cells[None, :, :]
+    differ = (one != other).sum(axis=-1) / ((one > 0) | (other > 0)).sum(axis=-1)
     np.fill_diagonal(differ, 1.0)
     severity = [0.0 if each.collision is None else each.collision.closing_speed for each in evaluations]
     checks = sorted({name for each in evaluations for name, _ in each.margins})
@@ -109,3 +110,15 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
         for each, speed, others in zip(evaluations, severity, differ, strict=True)
     ]
     return np.clip(np.array(rows, dtype=np.float64), -WORST, WORST)
+
+
+def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
+    """The cells as driven, shape [evaluations, npcs * genes], in steps of the shortest gene; 0 where there is none."""
+    shortest = min(each.executed.gene_seconds for each in evaluations)
+    chains = [[retimed(chain, each.executed.gene_seconds, shortest) for chain in each.chains] for each in evaluations]
+    genes = max(len(chain) for npcs in chains for chain in npcs)
+    cells = np.zeros((len(chains), max(map(len, chains)), genes))
+    for index, npcs in enumerate(chains):
+        for npc, chain in enumerate(positions_of(npcs)):
+            cells[index, npc, : len(chain)] = [gene.cell for gene in chain]
+    return cells.reshape(len(chains), -1)
