@@ -61,7 +61,7 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     into a chain.
     """
     starts = STARTS if len(space.ego_lanes) > 1 or space.has_speeds else 0.0
-    sizes = SIZES if space.most_npcs or space.gene_durations else 0.0
+    sizes = SIZES if space.most_npcs or len(space.gene_durations) > 1 else 0.0
     draw = rng.random() if starts or sizes or space.patterns else 1.0
     if draw < starts:
         return _started_anew(scenario, space, rng)
@@ -80,30 +80,36 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
 
 
 def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """The scenario with another first speed or, less often, another first lane of the ego."""
-    npcs = len(scenario.npcs)
-    others = [lane for lane in space.ego_lanes if lane != scenario.ego_lane and space.most_on(lane) >= npcs]
-    if space.has_speeds and (not others or rng.random() < SPEEDS):
+    """The scenario with another first speed or, less often, another first lane of the ego.
+
+    Where no other lane has room for all NPCs, and there are no speeds to draw, the last NPCs are left out.
+    """
+    npcs = scenario.npcs
+    lanes = [lane for lane in space.ego_lanes if lane != scenario.ego_lane]
+    roomy = [lane for lane in lanes if space.most_on(lane) >= len(npcs)]
+    if space.has_speeds and (not roomy or rng.random() < SPEEDS):
         return replace(scenario, ego_speed=space.drawn_speed(rng))
-    return replace(scenario, ego_lane=others[int(rng.integers(len(others)))])
+    among = roomy or lanes
+    lane = among[int(rng.integers(len(among)))]
+    return replace(scenario, ego_lane=lane, npcs=npcs[: space.most_on(lane)])
 
 
 def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """The scenario with genes of another duration, or with an NPC more or less."""
     npcs, most = scenario.npcs, space.most_on(scenario.ego_lane)
     durations = [seconds for seconds in space.gene_durations if seconds != scenario.gene_seconds]
-    like = space.fixed(scenario)
     if durations and (not space.most_npcs or rng.integers(2)):
         seconds = durations[int(rng.integers(len(durations)))]
         genes = space.genes_of(seconds)
         chains = [retimed(chain, scenario.gene_seconds, seconds)[:genes] for chain in npcs]
-        return repaired(chains, fresh_seed(rng), replace(like, gene_seconds=seconds))
+        return repaired(chains, fresh_seed(rng), replace(scenario, gene_seconds=seconds))
     if len(npcs) > space.least_npcs and (len(npcs) >= most or rng.integers(2)):
         gone = int(rng.integers(len(npcs)))
         return replace(scenario, npcs=npcs[:gone] + npcs[gone + 1 :])
     if len(npcs) >= most:
         return scenario
-    return _child(scenario, (*npcs, *sample(replace(like, npcs=1), rng).npcs), rng)
+    alone = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
+    return _child(scenario, (*npcs, *sample(alone, rng).npcs), rng)
 
 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:

@@ -119,13 +119,10 @@ class SearchSpace:
         npcs = int(rng.integers(self.least_npcs, self.most_on(lane) + 1)) if self.most_npcs else self.npcs
         durations = self.gene_durations
         seconds = durations[int(rng.integers(len(durations)))] if durations else self.gene_seconds
-        return self._fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
+        return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
 
-    def fixed(self, like: Scenario) -> SearchSpace:
-        """Return the space of scenarios that start as one does, with as many NPCs and genes."""
-        return self._fixed(like.ego_lane, like.ego_speed, len(like.npcs), like.genes, like.gene_seconds)
-
-    def _fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
+    def fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
+        """Return the space of scenarios that start alike [m/s], with so many NPCs and genes of a duration [s]."""
         plain: dict[str, Any] = {"ego_lanes": (), "ego_speeds": None, "most_npcs": (), "gene_durations": ()}
         return replace(self, ego_lane=lane, ego_speed=speed, npcs=npcs, genes=genes, gene_seconds=seconds, **plain)
 

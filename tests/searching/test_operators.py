@@ -123,6 +123,14 @@ def test_a_mutation_changes_something_where_there_is_one_lane_or_speed_to_start_
     assert scenario not in [mutate(scenario, space, rng) for _ in range(100)]
 
 
+def test_a_mutation_leaves_npcs_out_where_no_other_lane_has_room_for_them():
+    rng = np.random.default_rng(6)
+    space = SearchSpace(ego_lanes=(0, 1, 2), most_npcs=(4, 6, 4))
+    crowd = sample(SearchSpace(npcs=6, ego_lane=1), rng)
+    started = [mutate(crowd, space, rng) for _ in range(200)]
+    assert {(each.ego_lane, len(each.npcs)) for each in started} == {(0, 4), (1, 5), (1, 6), (2, 4)}
+
+
 def test_mutation_reaches_every_cell_that_fits_between_its_neighbours():
     rng = np.random.default_rng(3)
     scenario = Scenario(npcs=(tuple(PositionInstruction(cell, 9.0) for cell in (1, 1, 2)),))
