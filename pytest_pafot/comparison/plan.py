@@ -116,7 +116,8 @@ class Plan:
     def setting(self, name: str) -> tuple[WorldLike, SearchSpace]:
         """The world of one of the names and the space of its scenarios.
 
-        Genes of runs of another length share it evenly, in whole ticks, and last no longer than the plan's.
+        Genes of runs of another length share it evenly, in whole ticks, and last no longer than the plan's. Where their
+        duration is drawn, it stays so.
         """
         entrant = self.entrant(name)
         space = SearchSpace(**(self.space if entrant.has_papers_scenarios else {**self.space, **self.drawn}))
@@ -135,7 +136,10 @@ class Plan:
         for name in self.names:
             _, space = self.setting(name)
             patterns = "; half of them are made of dangerous patterns" if space.patterns else ""
+            drawn = space.gene_durations
             genes = f"{plural(space.genes, 'gene')} of {space.gene_seconds:g} s"
+            if drawn:
+                genes = f"genes of {min(drawn):g} to {max(drawn):g} s, together {space.genes * space.gene_seconds:g} s"
             found.setdefault(f"{space.described}; {genes}{patterns}", []).append(name)
         return found
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.__main__ import main
+from pytest_pafot.campaign.request import GENE_DURATIONS
 from pytest_pafot.comparison import command
 from pytest_pafot.comparison.markdown import PAPER
 
@@ -160,9 +161,9 @@ def test_runs_of_equal_seconds_are_compared_at_these_alone_and_those_of_other_le
     assert {row[1] for row in found["Statistics"][2:]} == {"seconds"}
     lengths = {row[0]: float(row[1].removesuffix(" s")) for row in found["How fast"][2:]}
     assert lengths["av-fuzzer@5"] <= 5 < lengths["pafot"]
-    for name, seconds in (("av-fuzzer@5", 1.0), ("random@15", 5.0), ("pafot", 10.0)):
+    for name, seconds in (("av-fuzzer@5", [1.0]), ("random@15", GENE_DURATIONS), ("pafot", [10.0])):
         with (tmp_path / "runs" / f"{name}-000.csv").open() as file:
-            assert {json.loads(row["executed"])[4] for row in csv.DictReader(file)} == {seconds}, "of a gene"
+            assert {json.loads(row["executed"])[4] for row in csv.DictReader(file)} <= set(seconds), "of a gene"
 
 
 @pytest.mark.processes
@@ -187,17 +188,19 @@ def test_each_algorithm_has_the_scenarios_of_a_test_unless_the_papers_are_asked_
             {len(npcs) for npcs, *_ in scenarios},
             len({speed for _, _, _, speed, *_ in scenarios}),
         )
-    assert drawn == {"distinct": (16, {4}, drawn["distinct"][2]), "distinct@paper": (4, {2}, 1), "pafot": (4, {2}, 1)}
-    assert drawn["distinct"][2] > 8, "first speeds of the ego"
+    runs, npcs, speeds = drawn.pop("distinct")
+    assert drawn == {"distinct@paper": (4, {2}, 1), "pafot": (4, {2}, 1)}
+    assert (runs, npcs) == (16, {1, 2, 3, 4, 5, 6})
+    assert speeds > 8, "of the ego at first"
     report, told = (tmp_path / "report.md").read_text(), capsys.readouterr().err
     assert "; of distinct with `{" in report
     of_test, papers = (
-        "4 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3",
+        "1 to 6 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3",
         "2 NPCs; the ego starts at 22 m/s in lane 1",
     )
     warning, _, tables = report.partition("## How many collisions")
     assert "**Warning:** the algorithms have different scenarios, so that" in warning
-    assert f"- distinct: {of_test}; 2 genes of 10 s; half of them are made of dangerous patterns\n" in warning
+    assert f"- distinct: {of_test}; genes of 4 to 10 s, together 20 s; half of them are made of" in warning
     assert f"- distinct@paper, pafot: {papers}; 2 genes of 10 s\n" in warning
     assert "| pafot |" in tables
     assert "compare: warning: the algorithms have different scenarios" in told
