@@ -50,7 +50,11 @@ def referred_to(reference: str) -> Any:
         ) from error
     if not hasattr(module, name):
         near = difflib.get_close_matches(name, vars(module), n=1)
-        hint = f"; did you mean {f'{module_name}:{near[0]}'!r}?" if near else f"; {module.__file__} has no such name"
+        hint = (
+            f"; did you mean {f'{module_name}:{near[0]}'!r}?"
+            if near
+            else f"; {getattr(module, '__file__', 'it')} has no such name"
+        )
         raise ValueError(f"expected a name in the module {module_name}, received {reference!r}{hint}")
     return getattr(module, name)
 

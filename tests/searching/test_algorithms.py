@@ -129,6 +129,10 @@ def test_an_algorithm_of_ones_own_is_searched_with_like_any_other(cheap_world, a
             r"'tests.searching.test_algorithms:Onw'; did you mean 'tests.searching.test_algorithms:Own'\?",
         ),
         (
+            "builtins:<lambda>",
+            "expected a name in the module builtins, received 'builtins:<lambda>'; it has no such name",
+        ),
+        (
             RandomSearch(),
             r"expected one of distinct, .*, a class, or module:Class, received RandomSearch\(.* the class",
         ),
