@@ -31,7 +31,7 @@ import pytest_pafot as pafot
 from planner import Planner
 
 
-@pafot.search(ads=Planner, blame="ego")
+@pafot.search(ads=Planner, blame="ego", npcs=2)
 def test_never_at_fault(run):
     assert not run.collision, run.explain()
 """
@@ -141,7 +141,7 @@ class TestAPullRequest:
         commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #"), "test_safety.py": TEST}, "A planner")
         code, printed = self.run(repository, summary, runs="20")
         assert "planner.py is new: each failure counts" in printed
-        assert "against" not in printed
+        assert "against planner_before" not in printed
         assert code == record_of(repository).exit
 
     def test_another_reference_can_be_named(self, repository, summary):

@@ -189,8 +189,8 @@ def never_collides(run):
     ("name", "seed", "fault", "npcs"),
     [
         ("brakes-for-ghosts", 7, "braked-for-nothing", 1),
-        ("stops-in-its-lane", 35, "stopped-for-nothing", 1),
-        ("trusts-any-gap-behind", 2, "entered-lane", 2),
+        ("stops-in-its-lane", 8, "stopped-for-nothing", 1),
+        ("trusts-any-gap-behind", 7, "entered-lane", 2),
     ],
 )
 def test_a_search_finds_the_fault_names_it_and_leaves_whom_it_takes(name, seed, fault, npcs):
