@@ -227,22 +227,22 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     NPCs are attentive. All else is for a straight road, and the start is drawn on a Highway alone: an environment says
     how its ego starts.
     """
+    drawn: dict[str, Any] = {"traffic": given.get("traffic", Traffic().style)}
     road = protocol.straight_road(world)
-    traffic = {"traffic": given.get("traffic", Traffic().style)}
     if road is None:
-        return traffic
-    npcs = given.get("npcs", NPCS)
-    lanes = tuple(lane for lane in range(road.lane_count) if len(road.cells(lane)) > npcs)
-    drawn: dict[str, Any] = {"patterns": True, **traffic}
-    if given.get("ego_lane", EGO_LANE) in lanes:
+        return drawn
+    drawn["patterns"] = True
+    npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
+    draws_lane = isinstance(world, Highway) and "ego_lane" not in given
+    lanes = tuple(each for each in range(road.lane_count) if len(road.cells(each)) > npcs)
+    if lane in lanes:
         drawn["npcs"] = npcs
         if "npcs" not in given:
-            draws_lane = isinstance(world, Highway) and "ego_lane" not in given
-            starts = lanes if draws_lane else [given.get("ego_lane", EGO_LANE)]
-            drawn["most_npcs"] = tuple(min(MOST_NPCS, len(road.cells(lane)) - 1) for lane in starts)
+            starts = lanes if draws_lane else [each for each in lanes if each == lane]
+            drawn["most_npcs"] = tuple(min(MOST_NPCS, len(road.cells(each)) - 1) for each in starts)
     if "genes" not in given and "gene_seconds" not in given:
         drawn["gene_durations"] = GENE_DURATIONS
-    if isinstance(world, Highway) and "ego_lane" not in given:
+    if draws_lane:
         drawn["ego_lanes"] = lanes
     if isinstance(world, Highway) and "ego_speed" not in given:
         limit = world.speed_limit

@@ -6,7 +6,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, World
 from pytest_pafot.campaign.explore import _request
-from pytest_pafot.campaign.request import build_space
+from pytest_pafot.campaign.request import RequestError, build_space
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.space import sample
 from tests.helpers.tables import table
@@ -51,3 +51,22 @@ def test_scenarios_fit_their_world_and_hardly_any_is_invalid(world):
 
 def test_the_plain_start_is_one_that_the_road_allows():
     assert space_of(Highway(speed_limit=10.0)).ego_speed == 10.0
+
+
+@table(
+    ("world", "given", "most"),
+    [
+        (Highway(), {}, (4, 6, 6, 4)),
+        (Highway(), {"ego_lane": 0}, (4,)),
+        (World("highway-v0"), {}, (6,)),
+        (Highway(), {"npcs": 3}, ()),
+        (World("highway-v0", config={"lanes_count": 1}), {"ego_lane": 0}, ()),
+    ],
+)
+def test_the_number_of_npcs_is_drawn_up_to_one_cell_less_than_their_lane_has(world, given, most):
+    assert space_of(world, **given).most_npcs == most
+
+
+def test_a_lane_that_equals_a_whole_number_is_refused_in_words():
+    with pytest.raises(RequestError, match=r"ego_lane=1\.0\): ego_lane: expected a whole number from 0 to 1000"):
+        space_of(Highway(), ego_lane=1.0)
