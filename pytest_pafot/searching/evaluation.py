@@ -209,7 +209,8 @@ def barely_moved(trace: Trace) -> bool:
 def demand_of(trace: Trace) -> Demand:
     """Return what a run made the ego do, by which runs without an impact differ."""
     speed, ticks = trace.ego[:, SPEED], max(round(BRAKING_SECONDS * trace.physics_hz), 1)
-    lost = float(np.max(speed[:-ticks] - speed[ticks:], initial=0.0)) / BRAKING_SECONDS
+    # fmax passes over NaN, which a world of the user's own may record.
+    lost = float(np.fmax.reduce(speed[:-ticks] - speed[ticks:], initial=0.0)) / BRAKING_SECONDS
     changes = int(np.count_nonzero(np.diff(trace.ego[:, LANE])))
     return int(min(lost, 9.9) / BRAKING_STEP), min(changes, 2), bool(speed.min() < STANDING)
 

@@ -103,7 +103,7 @@ def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
         genes = space.genes_of(seconds)
         chains = [retimed(chain, scenario.gene_seconds, seconds)[:genes] for chain in npcs]
         return repaired(chains, fresh_seed(rng), replace(scenario, gene_seconds=seconds))
-    if len(npcs) > space.least_npcs and (len(npcs) >= most or rng.integers(2)):
+    if len(npcs) > 1 and (len(npcs) >= most or rng.integers(2)):
         gone = int(rng.integers(len(npcs)))
         return replace(scenario, npcs=npcs[:gone] + npcs[gone + 1 :])
     if len(npcs) >= most:

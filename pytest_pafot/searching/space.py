@@ -51,8 +51,8 @@ class SearchSpace:
         patterns: whether half of the scenarios that are drawn, and a third of the mutations, are made of
             :data:`~pytest_pafot.searching.patterns.PATTERNS`.
         traffic: how the NPCs drive in all scenarios.
-        least_npcs: the smallest number of NPCs, where it is drawn.
-        most_npcs: for each of the ``ego_lanes``, the largest number of NPCs; none where there are ``npcs``.
+        most_npcs: for each of the ``ego_lanes``, the largest number of NPCs, which is drawn from 1 on; none where there
+            are ``npcs``.
         gene_durations: from which that of a scenario's genes is drawn [s]; none where it is ``gene_seconds``.
     """
 
@@ -66,7 +66,6 @@ class SearchSpace:
     ego_speeds: tuple[float, float] | None = None
     patterns: bool = False
     traffic: Traffic = PAPERS
-    least_npcs: int = 1
     most_npcs: tuple[int, ...] = ()
     gene_durations: tuple[float, ...] = ()
 
@@ -102,7 +101,7 @@ class SearchSpace:
         speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
         speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
         lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
-        npcs = f"{self.least_npcs} to {max(self.most_npcs)} NPCs" if self.most_npcs else plural(self.npcs, "NPC")
+        npcs = f"1 to {max(self.most_npcs)} NPCs" if self.most_npcs else plural(self.npcs, "NPC")
         traffic = f" in {self.traffic.described}" if self.traffic.described else ""
         return f"{npcs}{traffic}; the ego starts at {speed} m/s in {lane}"
 
@@ -116,7 +115,7 @@ class SearchSpace:
         if not self.draws_start:
             return self
         lane, speed = self.drawn_lane(rng), self.drawn_speed(rng)
-        npcs = int(rng.integers(self.least_npcs, self.most_on(lane) + 1)) if self.most_npcs else self.npcs
+        npcs = int(rng.integers(1, self.most_on(lane) + 1)) if self.most_npcs else self.npcs
         durations = self.gene_durations
         seconds = durations[int(rng.integers(len(durations)))] if durations else self.gene_seconds
         return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)

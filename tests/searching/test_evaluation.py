@@ -2,6 +2,7 @@
 
 import math
 import pickle
+from dataclasses import replace
 
 import numpy as np
 from hypothesis import given
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Collision, Lane, Outcome, Trace
-from pytest_pafot.searching.evaluation import Evaluation, barely_moved, interacted, outran
+from pytest_pafot.searching.evaluation import Evaluation, barely_moved, demand_of, interacted, outran
 from tests.helpers.tables import table
 
 NAN = math.nan
@@ -128,3 +129,24 @@ def test_an_ego_outruns_when_all_npcs_are_100_m_behind_for_half_of_the_run(npc_s
 @table(("speed", "expected"), [(0.0, True), (1.9, True), (2.1, False)])
 def test_an_ego_barely_moves_below_2_metres_a_second(speed, expected):
     assert barely_moved(trace(speed)) is expected
+
+
+SECONDS = np.arange(151) / 15
+
+
+@table(
+    ("speed", "lane", "expected"),
+    [
+        (20.0, 1, (0, 0, False)),
+        (20 + SECONDS, 1, (0, 0, False)),
+        (np.maximum(20 - 5 * SECONDS, 10), 1, (2, 0, False)),
+        (np.maximum(20 - 50 * SECONDS, 0), 1 + (SECONDS > 3), (4, 1, True)),
+        (20.0, 1 + SECONDS.astype(int) % 2, (0, 2, False)),
+        (np.where(SECONDS == 2, np.nan, np.maximum(20 - 5 * SECONDS, 10)), 1, (2, 0, False)),
+    ],
+)
+def test_a_demand_is_the_hardest_braking_with_the_changes_of_lane_and_whether_the_ego_stood(speed, lane, expected):
+    run = trace(speed)
+    states = run.states.copy()
+    states[:, 0, 6] = lane
+    assert demand_of(replace(run, states=states)) == expected
