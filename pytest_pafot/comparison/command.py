@@ -25,7 +25,7 @@ from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
-START = "; where the road is not straight, the environment's"
+START = " in the paper's scenarios, else drawn; where the road is not straight, the environment's"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,10 +73,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--duration", type=float, metavar="S", help="of a scenario [s] (default: 60, or the environment's)"
     )
     parser.add_argument("--clearance", type=float, metavar="D", help="of the grid [m]; 0 is the paper's (default: 3)")
-    parser.add_argument("--npcs", type=int, metavar="N", help="1 to 8 (default: 2)")
+    parser.add_argument("--npcs", type=int, metavar="N", help="1 to 8 (default: drawn, or 2 in the paper's scenarios)")
     parser.add_argument("--genes", type=int, metavar="N", help="of each NPC (default: as a scenario lasts)")
     parser.add_argument(
-        "--gene-seconds", type=float, metavar="S", help="[s] (default: 10; where the road is not straight, about 10)"
+        "--gene-seconds",
+        type=float,
+        metavar="S",
+        help="[s] (default: drawn, or 10 in the paper's scenarios; where the road is not straight, about 10)",
     )
     parser.add_argument(
         "--traffic", choices=STYLES, help="how the NPCs drive (default: as in a test with the algorithm)"

@@ -39,7 +39,7 @@ class SearchSpace:
     """What all scenarios of a search have in common. The defaults are the paper's setup (section 4.1).
 
     Attributes:
-        npcs: NPCs in a scenario, 1 to 8; where ``most_npcs`` says so, the plain number.
+        npcs: NPCs in a scenario, 1 to 8; the plain number where it is drawn.
         genes: Position-Instructions of each NPC.
         gene_seconds: duration of one gene [s]. Genes together last as long where their duration is drawn.
         speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
