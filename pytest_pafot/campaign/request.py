@@ -246,7 +246,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         drawn["ego_lanes"] = lanes
     if isinstance(world, Highway) and "ego_speed" not in given:
         limit = world.speed_limit
-        slowest = max(min(SLOWEST_START, limit / 2), Traffic.of(traffic["traffic"]).least_speed(limit))
+        slowest = max(min(SLOWEST_START, limit / 2), Traffic.of(drawn["traffic"]).least_speed(limit))
         drawn |= {"ego_speed": min(EGO_SPEED, limit), "ego_speeds": (slowest, limit)}
     return drawn
 
