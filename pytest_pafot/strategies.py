@@ -42,8 +42,6 @@ def _register() -> None:
 from hypothesis import strategies as st  # noqa: E402
 from hypothesis.strategies import SearchStrategy  # noqa: E402
 
-ATTENTIVE = Traffic()
-
 __all__ = ["chromosomes", "position_instructions", "scenarios"]
 
 
@@ -102,7 +100,7 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     ego_lane: int | None = None,
     ego_speed: float = EGO_SPEED,
     gene_seconds: float = GENE_SECONDS,
-    traffic: Traffic = ATTENTIVE,
+    traffic: str | Traffic = "hostile",
 ) -> SearchStrategy[Scenario]:
     """Whole scenarios: chains in which no two NPCs hold the same cell in the same gene.
 
@@ -115,13 +113,14 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
         ego_lane: the ego's first lane, 0 at the left; None draws it.
         ego_speed: everybody's first speed [m/s].
         gene_seconds: duration of one gene [s].
-        traffic: how the NPCs drive beside what their instructions ask for; target speeds are at
-            least its share of the highest one.
+        traffic: how the NPCs drive beside what their instructions ask for, a style or a whole
+            :class:`~pytest_pafot.Traffic`; target speeds are at least its share of the highest one.
 
     Raises:
         ValueError: for bounds that leave nothing to draw.
     """
-    allowed, speeds = _cells(cells), _speeds(max(min_speed, traffic.least_speed(max_speed)), max_speed)
+    style = Traffic.of(traffic)
+    allowed, speeds = _cells(cells), _speeds(max(min_speed, style.least_speed(max_speed)), max_speed)
     lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
     if lanes < 1 or (ego_lane is not None and not 0 <= ego_lane < lanes):
         raise ValueError(f"ego_lane: expected a lane from 0 to {lanes - 1}, received {ego_lane}")
@@ -141,7 +140,7 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
         npcs = _chains(draw, draw(counts), draw(lengths), starts=starts[lane], allowed=allowed, speeds=speeds)
         seed = draw(st.integers(0, 2**16 - 1))
         start: dict[str, Any] = {"ego_lane": lane, "ego_speed": ego_speed, "gene_seconds": gene_seconds}
-        return Scenario(npcs=npcs, seed=seed, traffic=traffic, **start)
+        return Scenario(npcs=npcs, seed=seed, traffic=style, **start)
 
     return build()
 

@@ -56,6 +56,11 @@ def test_scenarios_are_of_attentive_traffic_unless_told_otherwise(scenario):
     assert scenario.traffic == Traffic()
 
 
+@given(strategies.scenarios(traffic="assertive"))
+def test_a_style_alone_is_a_traffic(scenario):
+    assert scenario.traffic == Traffic("assertive")
+
+
 @given(strategies.scenarios(traffic=Traffic("everyday", least_speed_share=0.748), min_speed=3.0))
 def test_instructions_keep_to_the_least_speed_of_their_traffic(scenario):
     assert scenario.traffic.style == "everyday"
@@ -103,6 +108,7 @@ def test_one_npc_may_follow_another_round_the_ring_in_either_direction():
         ({"max_npcs": 9}, "<= 8"),
         ({"lanes": 2, "max_npcs": 8}, "one NPC per cell"),
         ({"ego_lane": 7}, "from 0 to 3"),
+        ({"traffic": "rude"}, "one of paper, hostile, assertive, everyday, received 'rude'"),
     ],
 )
 def test_impossible_bounds_say_what_was_expected(arguments, message):
