@@ -367,7 +367,7 @@ def _plain_seed(scenario: Scenario) -> Candidates:
 
 
 def _papers_traffic(scenario: Scenario) -> Candidates:
-    """The paper's traffic instead of the default one; a style that somebody chose stays."""
+    """The paper's traffic instead of the hostile one, which is the default; the other styles stay."""
     if scenario.traffic == Traffic():
         yield replace(scenario, traffic=PAPERS)
 
