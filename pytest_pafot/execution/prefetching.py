@@ -23,6 +23,7 @@ from pytest_pafot.execution.scenario_pool import (
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.text import plural
+from pytest_pafot.world import Highway
 
 DEAR = 0.010
 """From this mean duration of a run on, processes are worth their cost [s]: a run that is made in another one costs half
@@ -36,7 +37,9 @@ after it where it was dear, and end again where those are not."""
 class LockStep:
     """Makes announced runs at once, in one batch, when the first of them is asked for.
 
-    The world of the job has ``rollout_batch``; ``workers`` is the number of processes that could have been used.
+    On a Highway these have as many NPCs each: a planner is shown all of them, and a network that is given rows of NaN
+    for those that a run lacks decides on NaN without an error. The world of the job has ``rollout_batch``; ``workers``
+    is the number of processes that could have been used.
     """
 
     def __init__(self, job: Job, record: CrashRecord, *, workers: int) -> None:
@@ -61,13 +64,14 @@ class LockStep:
         __tracebackhide__ = True
         if afresh:
             return None
-        if scenario in self._announced and len(self._announced) > 1:
-            together, self._announced = self._announced, []
-            self._record.write(*together)
-            traces = self._job.world.rollout_batch(together, self._job.ads)
-            self._made = dict(zip(together, traces, strict=True))
-        elif scenario in self._announced:
-            self._announced.remove(scenario)
+        if scenario in self._announced:
+            are_alike = not isinstance(self._job.world, Highway)
+            together = [each for each in self._announced if are_alike or len(each.npcs) == len(scenario.npcs)]
+            self._announced = [each for each in self._announced if each not in together]
+            if len(together) > 1:
+                self._record.write(*together)
+                traces = self._job.world.rollout_batch(together, self._job.ads)
+                self._made |= dict(zip(together, traces, strict=True))
         return self._made.pop(scenario, None)
 
 

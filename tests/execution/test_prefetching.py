@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from pytest_pafot import Highway, explore
 from pytest_pafot.execution import prefetching
 from pytest_pafot.execution.captured_output import CapturedOutput
 from pytest_pafot.execution.pool import ProcessLostError
@@ -233,6 +234,21 @@ class TestLockStep:
             assert world.together == []
             assert [runner.run(each).scenario for each in SCENARIOS[:4]] == SCENARIOS[:4]
         assert (world.together, world.ran) == ([[0, 1, 2, 3]], [])
+
+    def test_puts_runs_with_as_many_npcs_into_a_batch_so_that_no_network_is_given_nan(self):
+        batches = []
+
+        class Network:
+            def __call__(self, observation):
+                return 0.0, 0.0
+
+            def batch(self, observations):
+                batches.append(observations.array)
+                return np.zeros((len(observations), 2))
+
+        explore(Network, holds=lambda run: None, world=Highway(duration=2.0), runs=60, population=30, seed=1)
+        assert len({batch.shape[1] for batch in batches}) > 3
+        assert not any(np.isnan(batch).any() for batch in batches)
 
     def test_makes_by_itself_what_was_not_announced_and_what_is_asked_for_again(self, world, runner):
         runner.announce(SCENARIOS[:2])
