@@ -132,8 +132,9 @@ def summary(found: Sequence[Row]) -> str:
 def main() -> None:
     flawed = [name for name in defects.POLICIES if name != "healthy"]
     given = options(
-        __doc__, runs=400, seeds=1, first_seed=0, workers=2, policies=flawed, brute_force=0, algorithm="distinct"
-    )
+        __doc__, runs=400, seeds=1, first_seed=0, workers=2, policies=flawed, brute_force=0, algorithm="distinct",
+        traffic="hostile", before=False,
+    )  # fmt: skip
     found: list[Row] = []
     print_head("policy", "failure", "as found", "shrunk", "runs", "minimal", "scenario")
     for _, by_seed in in_processes(given.workers, rows, given.policies, seeds_of(given), given):
