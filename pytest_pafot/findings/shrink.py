@@ -302,14 +302,8 @@ def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
     """Genes that last as long as those of a search that does not draw it, and ask for the same at the same times."""
     if seconds is None or seconds == scenario.gene_seconds:
         return
-    yield Scenario.repaired(
-        [retimed(chain, scenario.gene_seconds, seconds) for chain in scenario.npcs],
-        seed=scenario.seed,
-        ego_lane=scenario.ego_lane,
-        ego_speed=scenario.ego_speed,
-        gene_seconds=seconds,
-        traffic=scenario.traffic,
-    )
+    chains = [retimed(chain, scenario.gene_seconds, seconds) for chain in scenario.npcs]
+    yield scenario.rechained(chains, seconds)
 
 
 def _shorter_chains(scenario: Scenario) -> Candidates:

@@ -289,6 +289,17 @@ class Scenario:
             traffic=Traffic.of(*traffic) if traffic else PAPERS,
         )
 
+    def rechained(self, npcs: Sequence[Sequence[Gene]], gene_seconds: float | None = None) -> Scenario:
+        """Return the same scenario with other chains, repaired, and where it is given another duration of genes [s]."""
+        return Scenario.repaired(
+            npcs,
+            seed=self.seed,
+            ego_lane=self.ego_lane,
+            ego_speed=self.ego_speed,
+            gene_seconds=self.gene_seconds if gene_seconds is None else gene_seconds,
+            traffic=self.traffic,
+        )
+
     def truncated(self, genes: int) -> Scenario:
         """The same scenario with at most so many genes per NPC."""
         return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))

@@ -163,14 +163,8 @@ class Director:
             for cell, gene in zip(npc.executed, chain, strict=False)
         ):
             return self._scenario
-        return Scenario.repaired(
-            with_cells(self._scenario.npcs, [npc.executed for npc in self.npcs]),
-            seed=self._scenario.seed,
-            ego_lane=self._scenario.ego_lane,
-            ego_speed=self._scenario.ego_speed,
-            gene_seconds=self._scenario.gene_seconds,
-            traffic=self._scenario.traffic,
-        )
+        scenario: Scenario = self._scenario
+        return scenario.rechained(with_cells(scenario.npcs, [npc.executed for npc in self.npcs]))
 
     @property
     def driven(self) -> tuple[tuple[Cell, ...], ...]:
