@@ -26,6 +26,10 @@ HORIZON = 12.0
 
 ALIKE = 0.1
 """Whoever drove at most so much faster than the reference answered as it does [m/s]."""
+SPED_UP = 0.3
+"""Less is no speeding up [m/s]."""
+HARDEST = 6.0
+"""How hard one brakes that has come too near [m/s^2]."""
 MARGIN = 0.2
 """Who is at most so much further ahead at the impact, in seconds of its driving, and no faster, answered [s]."""
 
@@ -115,6 +119,24 @@ class Pursuit:
         is_hit = self._touches(slice(since, end + 1), lost[:recorded])
         is_hit = is_hit or bool((self._gaps[-1] + lost[recorded:] <= 0).any())  # here lost counts what the other gained
         return None if is_hit else since
+
+    def sped_up_into(self, since: int) -> int | None:
+        """The tick from which on the responder sped up into the other; None where it did not.
+
+        It did where it would have stayed off the other, had it never driven faster than before since a tick, and could
+        have slowed down to the other's speed at the impact.
+        """
+        end = len(self.ahead) - 1
+        recorded = self.speeds[0][since:]
+        faster = recorded - np.minimum.accumulate(recorded)
+        if since >= end or faster.max() <= SPED_UP:
+            return None
+        lost = np.concatenate(([0.0], np.cumsum(faster[:-1]) / self.hz))
+        closing = max(float(recorded[-1] - faster[-1] - self.speeds[1][end]), 0.0)
+        is_hit = self._touches(slice(since, end + 1), lost)
+        if is_hit or self._gaps[-1] + lost[-1] <= closing**2 / (2 * HARDEST):
+            return None
+        return since + int((faster > 0).argmax()) - 1
 
     def _driven(self, since: int, response: Braking, emergency: Emergency | None) -> tuple[FloatArray, FloatArray]:
         """Speeds of the reference [m/s], and by how much it is further back than recorded [m], tick by tick.

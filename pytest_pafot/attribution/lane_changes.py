@@ -115,6 +115,15 @@ class LanePlaces:
             return None
         return self._made(vehicle, side, began, moment)
 
+    def is_back(self, change: LaneChange, side: float, tick: int) -> bool:
+        """Whether the vehicle has given a lane change up: its box is within the lane again from which it came."""
+        lanes, over = self._lanes[change.vehicle], self._over[side][change.vehicle]
+        return bool(over[change.tick] and not over[tick] and lanes[tick] == lanes[change.tick] and lanes[tick] >= 0)
+
+    def moved_in_behind(self, npc: int, side: float, first: int, last: int) -> LaneChange | None:
+        """How an NPC came over, behind the ego, into the ego's lane, while their tracks overlapped already."""
+        return self._crossing_after(npc + 1, 0, side, first, last, is_ahead=False)
+
     def moved_over(self, npc: int, first: int, last: int) -> LaneChange | None:
         """How the one of ego and NPC that is ahead came over into the lane that the other was already in.
 
@@ -125,8 +134,10 @@ class LanePlaces:
         crossings = (self._crossing_after(*pair, side, first, last) for pair, side in pairs)
         return max((each for each in crossings if each is not None), key=lambda each: each.tick, default=None)
 
-    def _crossing_after(self, mover: int, other: int, side: float, first: int, last: int) -> LaneChange | None:
-        """The last time that the mover, ahead, came over its lane line on a side where the other already was."""
+    def _crossing_after(
+        self, mover: int, other: int, side: float, first: int, last: int, *, is_ahead: bool = True
+    ) -> LaneChange | None:
+        """The last time that the mover, ahead or behind, came over its lane line on a side where the other was."""
         if (mover, side) not in self._crossings:
             over = self._over[side][mover]
             crosses = over[1:] & ~over[:-1] & (side * self.frame.drift[mover, 1:] >= DRIFTING)
@@ -138,7 +149,7 @@ class LanePlaces:
                 centres = (self._across[each, before] - self._offsets[each, before] for each in (mover, other))
                 lanes_apart = np.round(side * -np.subtract(*centres) / (2 * self._half_widths[mover, before]))
                 are_in_lanes = self._lanes[[mover, other], before].min() >= 0
-                if ego_leads == (mover == 0) and lanes_apart == 1 and are_in_lanes:
+                if ego_leads == ((mover == 0) == is_ahead) and lanes_apart == 1 and are_in_lanes:
                     return self._made(mover, side, first, tick)
         return None
 

@@ -21,6 +21,11 @@ HARD_BRAKING = 5.0
 """[m/s^2]."""
 HARD_SECONDS = 0.4
 """For so long at least [s]."""
+LASTING_BRAKING = 3.0
+"""Braking that takes half of the speed is needless, too, if nothing asks for it, down to this (UN R79, 5.6.4.7: what a
+lane change may ask of the one behind) [m/s^2]."""
+LEAST_LOST = 5.0
+"""It takes so much speed at least [m/s]."""
 STANDING_SPEED = 0.1
 """Up to this speed the ego counts as standing [m/s]."""
 STANDING_SECONDS = 3.0
@@ -60,19 +65,27 @@ def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
 
 
 def hard_braking(trace: Trace, vehicle: int, first: int, last: int) -> Stop | None:
-    """A vehicle's last hard braking that acted at some tick from the first to the last; None if there was none."""
-    for begin, end in reversed(_hard_stretches(trace, vehicle)):
+    """A vehicle's last hard braking that acted at some tick from the first to the last; None if there was none.
+
+    Hard is more than 5 m/s^2 for 0.4 s; for the ego, more than 3 m/s^2 that takes half of its speed is, too, 5 m/s at
+    least: what others do in front of it, it has to expect.
+    """
+    speed = trace.states[:, vehicle, SPEED]
+    stops = []
+    for begin, end in _stretches(trace, vehicle, HARD_BRAKING):
         until = min(end, last + 1)
-        if until - 1 < first:
-            return None
         if until - begin >= HARD_SECONDS * trace.physics_hz:
-            return Stop(begin=begin - 1, end=until - 1)
-    return None
+            stops.append(Stop(begin=begin - 1, end=until - 1))
+    for begin, end in _stretches(trace, vehicle, LASTING_BRAKING) if vehicle == 0 else ():
+        until = min(end, last + 1)
+        if until > begin and speed[begin - 1] - speed[until - 1] >= max(speed[begin - 1] / 2, LEAST_LOST):
+            stops.append(Stop(begin=begin - 1, end=until - 1))
+    return max((stop for stop in stops if stop.end >= first), key=lambda stop: (stop.end, -stop.begin), default=None)
 
 
-@lru_cache(maxsize=8)  # each danger of a run asks again
-def _hard_stretches(trace: Trace, vehicle: int) -> list[tuple[int, int]]:
-    return stretches(braking(trace, vehicle) > HARD_BRAKING)
+@lru_cache(maxsize=16)  # each danger of a run asks again
+def _stretches(trace: Trace, vehicle: int, least: float) -> list[tuple[int, int]]:
+    return stretches(braking(trace, vehicle) > least)
 
 
 def long_stop(trace: Trace, end: int) -> Stop | None:

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.attribution.avoidance import Braking, Emergency, Pursuit
+from pytest_pafot.attribution.avoidance import SPED_UP, Braking, Emergency, Pursuit
 from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces, first_lasting
 from pytest_pafot.attribution.needless_braking import (
     AFTERMATH_SECONDS,
@@ -77,6 +77,9 @@ AT_ONCE = 2.0
 [s]."""
 AMPLE = 1.0
 """Who is further behind, in seconds of its driving, has all that it needs to answer a hard braking [s]."""
+LEAST_ROOM = 2.0
+"""Of two that changed lanes towards each other the one ahead does not answer for the other's throttle, where there was
+so much between them at first [m]."""
 LET_GO = 0.4
 """Braking that pauses so long is over [s]."""
 ROLLED = 0.5
@@ -89,8 +92,6 @@ DROVE_ON = 1.0
 """An NPC that gained more speed towards an ego that had braked for nothing made it dangerous itself [m/s]."""
 BRAKES = 0.5
 """What reasons call braking, at least [m/s^2]."""
-SPED_UP = 0.3
-"""What they call speeding up, or slowing down in a lane change, at least [m/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -230,7 +231,7 @@ class Conflict:
         over = self._over
         if self._is_in_one_track:
             return self._in_one_lane() if over is None else self._changed(over)
-        ego, npc = self._change(0), self._change(self._npc + 1)
+        ego, npc = self._change(0), self._change(self._npc + 1) or self._moved_in_behind
         latest = max((each for each in (ego, npc) if each is not None), key=lambda each: each.tick, default=None)
         if over is not None and (latest is None or over.tick > latest.tick):
             return self._changed(over)
@@ -268,7 +269,14 @@ class Conflict:
     def _change(self, vehicle: int) -> LaneChange | None:
         npc = self._npc + 1
         other, side = (npc, self._side) if vehicle == 0 else (0, -self._side)
-        return self._lanes.change(vehicle, other, side, self._onset)
+        change = self._lanes.change(vehicle, other, side, self._onset)
+        return None if change is None or self._lanes.is_back(change, side, self._end) else change
+
+    @property
+    def _moved_in_behind(self) -> LaneChange | None:
+        """How the NPC came into the ego's lane behind an ego that reached over the line."""
+        change = self._lanes.moved_in_behind(self._npc, -self._side, self._onset, self._end)
+        return None if change is None or self._lanes.is_back(change, -self._side, self._end) else change
 
     def _changed(self, change: LaneChange) -> Attribution:
         return self._npc_changed(change) if change.vehicle else self._ego_changed(change)
@@ -276,8 +284,13 @@ class Conflict:
     def _both_changed(self, ego: LaneChange, npc: LaneChange) -> Attribution:
         if self._leads(ego.tick) and self._gives_way(ego):
             return self._gave_way(ego)
+        both, pursuit = max(ego.tick, npc.tick), self._pursuit(by_ego=False)
+        if self._leads(both) and self._gap(both) > 0:
+            later = self._later_cause(both, LEAST_ROOM, self._crossed(npc), pursuit, moved_in=npc.tick)
+            if later is not None:
+                return later
         first, by_ego = (ego, False) if self._leads(self._onset) else (npc, True)
-        passed = self._duty_passed(first, max(ego.tick, npc.tick), self._pursuit(by_ego=by_ego))
+        passed = self._duty_passed(first, both, self._pursuit(by_ego=by_ego))
         if passed is not None:
             return passed
         return self._attributed("both", ego.tick, (self._crossed(ego), self._crossed(npc)), "entered-lane")
@@ -289,9 +302,12 @@ class Conflict:
         if self._gives_way(change):
             return self._gave_way(change)
         reason, pursuit = (crossed, *self._without_room(change)), self._pursuit(by_ego=False)
-        passed = self._duty_passed(change, tick, pursuit)
-        if passed is not None:
-            return passed
+        speed = self._frame.speed[0, tick : self._end + 1]
+        has_slowed = speed.min() < speed[0] - SPED_UP
+        room = math.inf if has_slowed else self._room(tick, float(speed[0]))
+        later = self._later_cause(tick, room, crossed, pursuit) or self._duty_passed(change, tick, pursuit)
+        if later is not None:
+            return later
         entered = max(self._onset, tick)
         if self._gap(tick) >= self._room(tick, float(self._frame.speed[0, tick])) and self._gap(entered) > 0:
             since = pursuit.avoided_from(max(tick, self._before), FOLLOWING)  # there was room at first
@@ -345,13 +361,13 @@ class Conflict:
         at_once = tick + round(AT_ONCE * self._hz) + math.ceil(HARD_SECONDS * self._hz)
         is_close = self._gap(tick) < BLOCKED * self._frame.speed[0, tick]
         if is_close and self._npc_braked_hard(tick, min(at_once, self._end)):
-            return self._excused_behind(tick, late, pursuit, change)
+            return self._excused_behind(tick, late, pursuit, change, seen)
         since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY)
         if since is not None:
             answered = self._calm_braking_helps(0, since), self._answer(since)
             return self._unanswered(tick, crossed, answered, "cut-in-unanswered", change)
         passed = self._duty_passed(change, tick, pursuit)
-        return self._excused_behind(tick, late, pursuit, change) if passed is None else passed
+        return self._excused_behind(tick, late, pursuit, change, seen) if passed is None else passed
 
     def _pushed_in(self, change: LaneChange | None) -> bool:
         """Whether an NPC changed lanes ahead of a driving ego, not long ago, and did not give way."""
@@ -379,6 +395,30 @@ class Conflict:
             return self._excused(tick, (Fact(What.CAME_SIDEWAYS, self._npc + 1, self._at(tick)),))
         sideways = Fact(What.CAME_SIDEWAYS, 0, self._at(tick), other=self._npc + 1)
         return self._blamed_unless_standing(tick, (sideways,), "entered-lane")
+
+    def _later_cause(
+        self, tick: int, room: float, crossed: Fact, pursuit: Pursuit, moved_in: int = 0
+    ) -> Attribution | None:
+        """What is a nearer cause than a lane change that was over the line at a tick; None where nothing is.
+
+        The ego braked for nothing when it already kept the lane; or the NPC behind, no faster at the tick and with so
+        much room, sped up into it.
+        """
+        kept, stop = self._lanes.kept_since(0, tick, self._end), self._needless_braking(0, moved_in)
+        if kept is not None and stop is not None and stop.begin >= kept[1]:
+            return self._npc_followed(stop.begin, tick, (crossed,), moved_in)
+        ego, npc = self._frame.speed[0, tick], self._frame.speed[self._npc + 1, tick]
+        if npc > ego + SPED_UP or self._gap(tick) < room:
+            return None
+        sped_up = self._sped_up(self._npc + 1, pursuit.sped_up_into(tick + round(CUT_OFF.perception * self._hz)))
+        return self._npc_followed(tick, moved_in or tick, (crossed, *sped_up), moved_in) if sped_up else None
+
+    def _sped_up(self, behind: int, since: int | None) -> Reason:
+        """That the one behind sped up since a tick, without which it would have stayed off the other."""
+        if since is None:
+            return ()
+        speed, ahead = float(self._frame.speed[behind, since : self._end + 1].max()), 0 if behind else self._npc + 1
+        return (Fact(What.SPED_UP_INTO, behind, self._at(since), other=ahead, speed_m_per_s=speed),)
 
     def _gives_way(self, change: LaneChange) -> bool:
         """Whether the ego's lane change leaves the NPC room, and still does when they have come into one track."""
@@ -434,10 +474,17 @@ class Conflict:
         return self._blamed_unless_standing(tick, (danger, *answered), fault)
 
     def _excused_behind(
-        self, tick: int, reason: Reason, pursuit: Pursuit, change: LaneChange | None = None
+        self,
+        tick: int,
+        reason: Reason,
+        pursuit: Pursuit,
+        change: LaneChange | None = None,
+        seen: int | None = None,
     ) -> Attribution:
-        """The NPC's, ahead; but not where the ego had mastered it, and ran into the NPC nevertheless."""
+        """The NPC's, ahead; but not where the ego had mastered it, or sped up, and ran into the NPC nevertheless."""
         chance = self._second_chance(tick, pursuit, by_ego=True)
+        if not chance and seen is not None:
+            chance = self._sped_up(0, pursuit.sped_up_into(seen + round(CUT_OFF.delay * self._hz)))
         if not chance:
             return self._excused(tick, reason)
         if self._pushed_in(change):
@@ -486,7 +533,8 @@ class Conflict:
         stop = self._hard_braking(leader)
         if stop is None:
             return None
-        ticks = slice(stop.begin, stop.begin + 1 + round(HARD_SECONDS * self._hz))
+        is_hard = (braking(self._trace, leader)[stop.begin + 1 : stop.end + 1] > HARD_BRAKING).any()
+        ticks = slice(stop.begin, stop.begin + 1 + (round(HARD_SECONDS * self._hz) if is_hard else 0))
         return stop if self._is_needless(stop, ticks, moved_in, leader) else None
 
     def _hard_braking(self, leader: int) -> Stop | None:

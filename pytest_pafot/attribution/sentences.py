@@ -42,6 +42,7 @@ class What(Enum):
     NOTHING_HELPS = ", and no response could avoid it"
     NOTHING_HELPS_BEHIND = ", and {who} behind could not avoid it"
     NOTHING_HELPS_ANY_MORE = ", and {who} could not avoid it any more when the ego kept the lane"
+    SPED_UP_INTO = "; from {at} on {who} sped up to {it.speed_m_per_s:.1f} m/s towards {whom}"
     BRAKED = "{who} braked from {at} on with up to {it.braking_m_per_s2:.1f} m/s^2"
     SPED_UP = "{who} sped up to {it.speed_m_per_s:.1f} m/s"
     DID_NOT_BRAKE = "{who} did not brake"

@@ -64,7 +64,7 @@ class TestInOneLane:
         assert "NPC 0 was 55.0 m behind the ego, closer than the 57.3 m that RSS demands" in found.reason
 
     def test_an_npc_that_runs_into_a_gently_braking_ego_is_responsible(self):
-        ego = driven(0.0, brakes=[(2.0, 5.0, 5.0)])
+        ego = driven(0.0, brakes=[(2.0, 3.0, 5.0)])
         assert rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR)).responsibility == "npc"
 
     def test_an_ego_that_brakes_hard_for_nothing_is_responsible_where_the_npc_had_no_chance(self):
@@ -91,8 +91,8 @@ class TestInOneLane:
         assert rss_rule(trace).responsibility == "npc"
 
     def test_a_standing_ego_is_not_responsible_for_less_than_three_seconds(self):
-        ego = driven(0.0, brakes=[(1.0, 4.5, 0.0)])
-        found = rss_rule(crash(ego, driven(-80.0), side="rear", cell=Cell.REAR))
+        ego = driven(0.0, brakes=[(1.0, 3.0, 0.0)])
+        found = rss_rule(crash(ego, driven(-118.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "npc"
         assert found.reason == "the ego was standing (0.0 m/s) at the impact"
 

@@ -255,9 +255,15 @@ SITUATIONS = {
         ),
         Situation(
             "braked-moderately",
-            "On a free road the ego brakes with 4.5 m/s^2 to 5 m/s. The one 2 s behind does not brake.",
-            lambda: hit(driven(0.0, brakes=[(4.0, 4.5, 5.0)]), driven(-45.0)),
+            "On a free road the ego brakes with 2.9 m/s^2 to 5 m/s. The one 2 s behind does not brake.",
+            lambda: hit(driven(0.0, brakes=[(4.0, 2.9, 5.0)]), driven(-45.0)),
             "npc", None, "7", "behind the ego, closer than the ",
+        ),
+        Situation(
+            "braked-moderately-to-a-crawl",
+            "On a free road the ego brakes with 4.5 m/s^2 to 2 m/s. The one 2 s behind does not brake.",
+            lambda: hit(driven(0.0, brakes=[(4.0, 4.5, 2.0)]), driven(-45.0)),
+            "both", "braked-for-nothing", "7", "from 4.0 s the ego braked",
         ),
         Situation(
             "braked-for-a-moment",
@@ -480,6 +486,13 @@ SITUATIONS = {
             "both", "leader-unanswered", "4c", "the ego was no faster",
         ),
         Situation(
+            "speeds-up-behind-a-cut-in-that-nobody-can-answer",
+            "An NPC that is 2 m/s slower moves in 2.5 m ahead and speeds up to the ego's speed, nearly. The ego speeds "
+            "up into it.",
+            lambda: cut_in(2.5, slower=2.0, brakes=[(2.3, -3.0, 19.6)], ego_brakes=[(3.9, -3.0, 26.0)]),
+            "both", "leader-unanswered", "4c", "the ego sped up to",
+        ),
+        Situation(
             "let-the-brakes-go-behind-a-cut-in",
             "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes with 8 m/s^2 until it is only 4 m/s "
             "faster, 9 m behind, and brakes no more.",
@@ -590,6 +603,27 @@ SITUATIONS = {
             "ego", "entered-lane", "4a", "where giving way takes 20.0 m",
         ),
         Situation(
+            "brake-check-long-after-cutting-in",
+            "The ego changes lanes 5 m ahead of one of equal speed, keeps the lane for 4 s and brakes with 9 m/s^2.",
+            lambda: lane_change(5.0, faster=0.0, brakes=[(8.0, 9.0, 0.0)]),
+            "ego", "braked-for-nothing", "3", "from 8.0 s the ego braked",
+        ),
+        Situation(
+            "follower-floors-it",
+            "The ego changes lanes 6 m ahead of one that is slower, 4.5 m/s, and at once speeds up with 5 m/s^2.",
+            lambda: lane_change(6.9, faster=-1.5, speed=6.0, npc_brakes=[(2.1, -5.0, 20.0)]),
+            "npc", None, "3", "NPC 0 sped up to",
+        ),
+        Situation(
+            "npc-moves-in-behind-an-ego-over-the-line",
+            "The ego reaches 0.3 m over the line and goes back. One that is 6 m/s faster comes into its lane behind.",
+            lambda: hit(
+                driven(0.0, LEFT, speed=10.0, shifts=[(2.0, 1.3, 1.0), (3.4, LEFT, 1.0)]),
+                driven(-33.0, speed=16.0, shifts=[(2.6, LEFT, 1.6)]),
+            ),
+            "npc", None, "2", "NPC 0 crossed the lane line",
+        ),
+        Situation(
             "follower-entered-later",
             "The ego changes lanes; 4 s later a faster one moves into the same lane 20 m behind it and runs into it.",
             lambda: hit(
@@ -663,6 +697,15 @@ SITUATIONS = {
                 driven(-17.0, RIGHT, shifts=[(2.2, OWN, 2.0)], brakes=[(15.0, -3.0, 30.0)], seconds=30.0),
             ),
             "npc", None, "4a", "",
+        ),
+        Situation(
+            "both-enter-and-the-one-behind-floors-it",
+            "Both move into the lane between, the ego 6 m ahead, with 8 m/s; the NPC at once speeds up with 5 m/s^2.",
+            lambda: hit(
+                driven(0.0, LEFT, speed=8.0, shifts=[(2.0, OWN, 2.0)]),
+                driven(-11.0, RIGHT, speed=8.0, shifts=[(2.2, OWN, 2.0)], brakes=[(2.7, -5.0, 20.0)]),
+            ),
+            "npc", None, "3", "NPC 0 sped up to",
         ),
         Situation(
             "both-enter-behind-a-slower-one",
