@@ -7,7 +7,7 @@ integrated as the world integrates: each step goes at the speed at its beginning
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -92,7 +92,9 @@ class Pursuit:
     hz: int
     goes_on: bool = False
 
-    def avoided_from(self, since: int, response: Braking, emergency: Emergency | None = None) -> int | None:
+    def avoided_from(
+        self, since: int, response: Braking, emergency: Emergency | None = None, spare: float = 0.0
+    ) -> int | None:
         """The tick from which on a response would have kept the responder off the other; None if it would not have.
 
         That is the tick since which there is something to respond to, or, where the reference restores its headway, a
@@ -103,6 +105,9 @@ class Pursuit:
         one lane and keeps its speed, or its braking. The responder is followed until it is no faster, at most 12 s.
         One that drove no faster than the reference has answered, whatever came of it; so has one that at the impact is
         no faster, and hardly further ahead.
+
+        Args:
+            spare: by how much later the response must avoid the contact, too [s].
         """
         end = len(self.ahead) - 1
         if since >= end:
@@ -115,10 +120,17 @@ class Pursuit:
         answered = slice(since + round(response.delay * self.hz), since + int(is_alike.argmin()))
         no_faster = np.flatnonzero(self.speeds[0][answered] <= self.speeds[1][answered])
         if response.headway > 0 and no_faster.size:
-            return self.avoided_from(answered.start + int(no_faster[-1]), response, emergency)
+            return self.avoided_from(answered.start + int(no_faster[-1]), response, emergency, spare)
+        if spare > 0:
+            lost = self._driven(since, *_later(spare, response, emergency))[1]
         is_hit = self._touches(slice(since, end + 1), lost[:recorded])
         is_hit = is_hit or bool((self._gaps[-1] + lost[recorded:] <= 0).any())  # here lost counts what the other gained
         return None if is_hit else since
+
+    def is_no_further(self, since: int, response: Braking, emergency: Emergency) -> bool:
+        """Whether the responder is no further ahead at the impact than a response from a tick on would have been."""
+        end = len(self.ahead) - 1
+        return since < end and bool(self._driven(since, response, emergency)[1][end - since] <= 0)
 
     def sped_up_into(self, since: int) -> int | None:
         """The tick from which on the responder sped up into the other; None where it did not.
@@ -196,6 +208,12 @@ class Pursuit:
             for (x, y), (cos, sin), (length, width) in zip(places, self.directions, self.sizes, strict=True)
         )  # fmt: skip
         return bool(overlaps(relate(*boxes)).any())
+
+
+def _later(seconds: float, response: Braking, emergency: Emergency | None) -> tuple[Braking, Emergency | None]:
+    """Responses that begin so much later, and perceive as soon."""
+    late = None if emergency is None else replace(emergency, braking=_later(seconds, emergency.braking, None)[0])
+    return replace(response, delay=response.delay + seconds), late
 
 
 class Alarm:

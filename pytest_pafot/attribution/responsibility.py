@@ -71,6 +71,8 @@ TOGETHER = 1.0
 """Two that crossed into one lane within that time both did [s]."""
 SOON = 5.0
 """Braking of an NPC that is hit up to so long after its lane change belongs to it, and would have gone on [s]."""
+SPARE = 0.2
+"""An ego is blamed for not answering a cut-in only where an answer so much later would have helped, too [s]."""
 BLOCKED = 0.3
 AT_ONCE = 2.0
 """Nobody can answer an NPC that moves in with less headway than the first, and begins to brake hard within the second
@@ -80,6 +82,8 @@ AMPLE = 1.0
 LEAST_ROOM = 2.0
 """Of two that changed lanes towards each other the one ahead does not answer for the other's throttle, where there was
 so much between them at first [m]."""
+DECIDED = 0.5
+"""An NPC that moves in behind so shortly before it would touch the ego has not made it dangerous by that [s]."""
 LET_GO = 0.4
 """Braking that pauses so long is over [s]."""
 ROLLED = 0.5
@@ -231,7 +235,7 @@ class Conflict:
         over = self._over
         if self._is_in_one_track:
             return self._in_one_lane() if over is None else self._changed(over)
-        ego, npc = self._change(0), self._change(self._npc + 1) or self._moved_in_behind
+        ego, npc = self._change(0), self._npc_change
         latest = max((each for each in (ego, npc) if each is not None), key=lambda each: each.tick, default=None)
         if over is not None and (latest is None or over.tick > latest.tick):
             return self._changed(over)
@@ -273,10 +277,15 @@ class Conflict:
         return None if change is None or self._lanes.is_back(change, side, self._end) else change
 
     @property
-    def _moved_in_behind(self) -> LaneChange | None:
-        """How the NPC came into the ego's lane behind an ego that reached over the line."""
-        change = self._lanes.moved_in_behind(self._npc, -self._side, self._onset, self._end)
-        return None if change is None or self._lanes.is_back(change, -self._side, self._end) else change
+    def _npc_change(self) -> LaneChange | None:
+        """The NPC's last lane change, also one behind an ego that reached over the line."""
+        changes = [self._change(self._npc + 1)]
+        for side in (1.0, -1.0):
+            change = self._lanes.moved_in_behind(self._npc, side, self._onset, self._end)
+            if change is not None and not self._lanes.is_back(change, side, self._end):
+                closing = self._frame.speed[self._npc + 1, change.tick] - self._frame.speed[0, change.tick]
+                changes.append(change if self._gap(change.tick) >= DECIDED * closing else None)
+        return max((each for each in changes if each is not None), key=lambda each: each.tick, default=None)
 
     def _changed(self, change: LaneChange) -> Attribution:
         return self._npc_changed(change) if change.vehicle else self._ego_changed(change)
@@ -318,6 +327,8 @@ class Conflict:
         if kept is not None:
             reason += (Fact(What.NOTHING_HELPS_ANY_MORE, self._npc + 1, self._at(kept[1])),)
         chance = self._second_chance(tick, pursuit, by_ego=False)
+        if not chance and self._gap(tick) >= LEAST_ROOM:
+            chance = self._sped_up(self._npc + 1, pursuit.sped_up_into(tick + round(CUT_OFF.perception * self._hz)))
         return self._attributed("both" if chance else "ego", tick, reason + chance, "entered-lane")
 
     def _without_room(self, change: LaneChange) -> Reason:
@@ -362,11 +373,12 @@ class Conflict:
         is_close = self._gap(tick) < BLOCKED * self._frame.speed[0, tick]
         if is_close and self._npc_braked_hard(tick, min(at_once, self._end)):
             return self._excused_behind(tick, late, pursuit, change, seen)
-        since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY)
+        since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY, SPARE)
         if since is not None:
             answered = self._calm_braking_helps(0, since), self._answer(since)
             return self._unanswered(tick, crossed, answered, "cut-in-unanswered", change)
-        passed = self._duty_passed(change, tick, pursuit)
+        has_answered = pursuit.is_no_further(seen, CUT_OFF, EMERGENCY)
+        passed = None if has_answered else self._duty_passed(change, tick, pursuit)
         return self._excused_behind(tick, late, pursuit, change, seen) if passed is None else passed
 
     def _pushed_in(self, change: LaneChange | None) -> bool:

@@ -94,6 +94,7 @@ class ReferenceDriver(ABC):
         wanted: speed [m/s].
         acceleration: that the pedals have reached [m/s^2].
         speeds, brakings: of the others [m/s, m/s^2].
+        places, drifts: of the others across the road [m], and how fast they move to the right, slip included [m/s].
     """
 
     HARDEST = HARD_BRAKING
@@ -109,6 +110,8 @@ class ReferenceDriver(ABC):
     acceleration: float = 0.0
     speeds: tuple[float, ...] = ()
     brakings: tuple[float, ...] = ()
+    places: tuple[float, ...] = ()
+    drifts: tuple[float, ...] = ()
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
         """Acceleration [m/s^2] and steering [rad]."""
@@ -116,10 +119,13 @@ class ReferenceDriver(ABC):
         if self.wanted is None:
             self.lane, self.wanted, self.now = ego.lane, min(ego.speed, observation.speed_limit), observation.time
         self.step, self.now = observation.time - self.now, observation.time
+        places = tuple(other.y for other in observation.others)
         self.brakings = (0.0,) * len(speeds)
+        self.drifts = tuple(other.speed * math.sin(other.heading) for other in observation.others)
         if self.step > 0 and len(self.speeds) == len(speeds):
             self.brakings = tuple((before - now) / self.step for before, now in zip(self.speeds, speeds, strict=True))
-        self.speeds = speeds
+            self.drifts = tuple((now - before) / self.step for before, now in zip(self.places, places, strict=True))
+        self.speeds, self.places = speeds, places
         lowest = self.acceleration - self.JERK * self.step
         self.acceleration = max(self.wish(observation), min(lowest, 0.0), -self.HARDEST)  # brakes are released at once
         steering = -LANE_GAIN * (ego.y - self.lane * observation.lane_width) - HEADING_GAIN * ego.heading
@@ -179,7 +185,7 @@ class CarefulHuman(ReferenceDriver):
         calm, is_danger, is_over = self.cruise(ego.speed), False, True
         for index, other in enumerate(observation.others):
             leader = self.ahead(observation, index)
-            if leader is not None and not matters_to(ego, other, observation.lane_width):
+            if leader is not None and not matters_to(ego, other, self.drifts[index], observation.lane_width):
                 leader = None
             noticed = self.held(f"noticed {index}", leader is not None)
             critical = leader is not None and leader.is_critical
@@ -228,7 +234,7 @@ class FuzzySafety(ReferenceDriver):
         calm, hardest = self.cruise(ego.speed), 0.0
         for index, other in enumerate(observation.others):
             leader = self.ahead(observation, index)
-            if leader is not None and not self.will_be_in_the_way(ego, other, leader):
+            if leader is not None and not self.will_be_in_the_way(ego, other, self.drifts[index], leader):
                 leader = None
             needed = 0.0 if leader is None else self.braking(ego.speed, leader)
             alert = self.held(f"alert {index}", needed > 0)
@@ -240,12 +246,12 @@ class FuzzySafety(ReferenceDriver):
         return -hardest if hardest > 0 else calm
 
     @staticmethod
-    def will_be_in_the_way(ego: VehicleState, other: VehicleState, leader: Leader) -> bool:
+    def will_be_in_the_way(ego: VehicleState, other: VehicleState, drift: float, leader: Leader) -> bool:
         """Whether it is in the ego's way, or comes into it before the ego has passed."""
         apart = _apart(ego, other)
         if apart <= 0:
             return True
-        sideways = _towards(ego, other)
+        sideways = drift if ego.y > other.y else -drift
         if sideways <= 0:
             return False
         passing = (leader.gap + ego.length + other.length) / leader.closing if leader.closing > 0 else math.inf
@@ -328,24 +334,18 @@ REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
 """Factories of the reference drivers; each can be given to a search as its ADS."""
 
 
-def matters_to(ego: VehicleState, other: VehicleState, lane_width: float) -> bool:
-    """Whether a vehicle is in the ego's way, or visibly leaves its lane towards it."""
+def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float) -> bool:
+    """Whether a vehicle is in the ego's way, or visibly leaves its lane towards it; it drifts to the right [m/s]."""
     if _apart(ego, other) <= 0:
         return True
     side = 1.0 if ego.y > other.y else -1.0
     offset = side * (other.y - other.lane * lane_width)
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
-    return next_lane and offset > KEEPING and _towards(ego, other) > 0
+    return next_lane and offset > KEEPING and side * drift > 0
 
 
 def _along(vehicle: VehicleState) -> float:
     return vehicle.speed * math.cos(vehicle.heading)
-
-
-def _towards(ego: VehicleState, other: VehicleState) -> float:
-    """Lateral speed of another towards the ego's line [m/s]."""
-    sideways = other.speed * math.sin(other.heading)
-    return sideways if ego.y > other.y else -sideways
 
 
 def _half_length(vehicle: VehicleState) -> float:

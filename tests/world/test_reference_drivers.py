@@ -145,9 +145,10 @@ class TestFuzzySafety:
         assert min(gap for _, gap, *_ in drive(CarefulHuman(), brakes)) > 5.0
 
     def test_reacts_to_a_vehicle_that_is_still_in_its_own_lane_but_comes(self):
-        other, ego = car(20.0, 0.8, 12.0, heading=0.15), car(0.0)
-        assert FuzzySafety.will_be_in_the_way(ego, other, self.lead(15.0, 12.0))
-        assert not FuzzySafety.will_be_in_the_way(ego, car(20.0, 0.8, 12.0), self.lead(15.0, 12.0))
+        other, ego = car(20.0, 0.8, 12.0), car(0.0)
+        side = 1.0 if ego.y > other.y else -1.0
+        assert FuzzySafety.will_be_in_the_way(ego, other, side * 1.8, self.lead(15.0, 12.0))
+        assert not FuzzySafety.will_be_in_the_way(ego, other, 0.0, self.lead(15.0, 12.0))
 
 
 class TestIdmAeb:
