@@ -101,7 +101,8 @@ class NetworkDirector(Director):
         """The lane to steer to, and the speed that the instruction asks for."""
         target_lane = ego.lane + npc.column
         stretch, ego_stretch = self._stretch(npc), self._stretch(ego)
-        target = ego.x + self._target(npc, ego) / ego_stretch
+        along = self._target(npc, ego) if self._attentive else npc.target
+        target = ego.x + along / ego_stretch
         distance = (target - npc.x) * stretch
         if npc.kept_lane < 0:
             exists = self._network.exists(target_lane, target)

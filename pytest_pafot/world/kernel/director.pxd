@@ -27,10 +27,9 @@ cdef class Director:
     cdef int _last_lane, _genes, _gene_ticks, _gene, _left
     cdef readonly NpcDriver _driver
     cdef readonly bint _attentive
-    cdef bint _ego_has_leader
-    cdef double _least_share, _speed_limit, _least_gap, _time_gap, _ample, _braking, _delay
-    cdef int _reaction
-    cdef double[::1] _seen_x, _seen_speed, _seen_braking
+    cdef double _least_share, _speed_limit, _least_gap, _time_gap, _ample, _easing, _delay
+    cdef int _reaction, _kept
+    cdef double[::1] _seen
 
     @cython.locals(npc=Npc)
     cpdef void command(self, Body ego) except *
@@ -52,7 +51,7 @@ cdef class Director:
     cdef bint _is_led(self, Body ego) except -1
 
     @cython.final
-    @cython.locals(ticks=int, place=int, driven=double, gained=double)
+    @cython.locals(seen="double[::1]", place=int, driven=double)
     cdef _remember(self, Body ego)
 
     cpdef double _target(self, Npc npc, Body ego) except? -1
@@ -62,15 +61,16 @@ cdef class Director:
 
     cpdef double _stretch(self, Body body) except? -1
 
-    @cython.locals(least_speed=double, is_in_track=bint, has_moved_in=bint, place=int, x=double, ego_speed=double,
-                   ahead=double, braking=double, seconds=double, gap=double, safe=double)
+    @cython.locals(least_speed=double, is_behind=bint, has_moved_in=bint, is_led=bint, seen="double[::1]", before=int,
+                   place=int, x=double, ego_speed=double, ahead=double, gained=double, braking=double, seconds=double,
+                   gap=double, safe=double)
     cpdef double _attending(self, Npc npc, Body ego, double speed) except? -1
 
     @cython.final
     @cython.locals(gap=double, closing=double)
     cdef bint _may_enter(self, Npc npc, Body ego) except -1
 
-    @cython.locals(driver=NpcDriver, distance=double, wanted_speed=double, goal=int)
+    @cython.locals(driver=NpcDriver, target=double, distance=double, wanted_speed=double, goal=int)
     cpdef void _control(self, Npc npc, Body ego) except *
 
     cpdef double _creeping(self, Npc npc, int goal, double speed) except? -1

@@ -143,13 +143,12 @@ class Director:
         self._least_gap = traffic.least_gap
         self._time_gap = traffic.time_gap
         self._ample = AMPLE
-        self._braking = traffic.braking
+        self._easing = -speed_asking_for(traffic.braking, 0.0)  # how much less than its speed an NPC may want [m/s]
         self._reaction = max(round(REACTION * physics_hz), 1)
         self._delay = self._reaction / physics_hz
-        self._seen_x = array("d", [0.0]) * self._reaction  # of the ego in the ticks before, in a circle
-        self._seen_speed = array("d", [0.0]) * self._reaction
-        self._seen_braking = array("d", [0.0]) * self._reaction
-        self._ego_has_leader = False
+        self._kept = self._reaction + 1  # ticks: the difference of two speeds tells how hard the ego braked
+        if self._attentive:
+            self._seen = array("d", [0.0]) * (2 * self._kept)  # the ego's x and speed in the ticks before, in a circle
         self._tick = 0
         self._gene = 0
         self._left = 0
@@ -195,8 +194,6 @@ class Director:
                         npc.kept_speed = npc.speed
             self._gene += 1
         self._left -= 1
-        if self._attentive:
-            self._ego_has_leader = self._is_led(ego)
         for npc in self.npcs:
             self._control(npc, ego)
         if self._attentive:
@@ -212,16 +209,15 @@ class Director:
 
     def _remember(self, ego: Body) -> None:
         """Keep where the ego was, for NPCs that see it late; before the first tick it was driving on as it starts."""
+        seen = self._seen
         if self._tick == 0:
-            for ticks in range(self._reaction):
-                driven = (self._reaction - ticks) * self._delay / self._reaction * ego.speed
-                self._seen_x[ticks] = ego.x - driven / self._stretch(ego)
-                self._seen_speed[ticks] = ego.speed
-        place = self._tick % self._reaction
-        gained = ego.speed - self._seen_speed[place - 1 if place else self._reaction - 1]
-        self._seen_braking[place] = max(-gained * self._reaction / self._delay, 0.0)
-        self._seen_x[place] = ego.x
-        self._seen_speed[place] = ego.speed
+            for place in range(1, self._kept):
+                driven = (self._kept - place) * self._delay / self._reaction * ego.speed
+                seen[2 * place] = ego.x - driven / self._stretch(ego)
+                seen[2 * place + 1] = ego.speed
+        place = self._tick % self._kept
+        seen[2 * place] = ego.x
+        seen[2 * place + 1] = ego.speed
 
     def _begin_gene(self, ego: Body) -> None:
         active = [index for index, npc in enumerate(self.npcs) if self._gene < len(npc.chain)]
@@ -274,7 +270,8 @@ class Director:
 
     def _control(self, npc: Npc, ego: Body) -> None:
         """Set acceleration and steering of one NPC for the coming tick."""
-        distance = ego.x + self._target(npc, ego) - npc.x
+        target = self._target(npc, ego) if self._attentive else npc.target
+        distance = ego.x + target - npc.x
         if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
             self._keep_lane_if_due(npc, ego.lane + npc.column, distance)
         elif npc.kept_lane == NO_LANE and abs(npc.y - npc.shift_lane * self._lane_width) <= ARRIVED_LATERAL:
@@ -300,12 +297,11 @@ class Director:
         npc.course = driver.course
 
     def _target(self, npc: Npc, ego: Body) -> float:
-        """Return where the NPC's cell is along the road, from the ego [m].
+        """Return where an attentive NPC's cell is along the road, from the ego [m].
 
-        In the ego's lane the place of an attentive NPC is where it follows at the ego's speed, or where it may move in
-        ahead of the ego.
+        In the ego's lane its place is where it follows at the ego's speed, or where it may move in ahead of the ego.
         """
-        if not self._attentive or npc.row == 0 or npc.column != 0:
+        if npc.row == 0 or npc.column != 0:
             return npc.target
         if npc.row < 0:
             return -(self._row + max(self._clearance, following_gap(ego.speed)))
@@ -322,9 +318,12 @@ class Director:
     def _attending(self, npc: Npc, ego: Body, speed: float) -> float:
         """Bring a wanted speed within the traffic's style, and cut it to what leaves room behind the ego [m/s]."""
         least_speed = self._least_share * min(self._speed_limit, ego.speed)
-        speed = max(speed, least_speed, speed_asking_for(self._braking, npc.speed))
-        is_in_track = abs(ego.y - npc.y) < (npc.width + ego.width) / 2.0 + TRACK
-        if npc.x >= ego.x or not (is_in_track or (npc.heading_for == ego.lane and npc.lane != ego.lane)):
+        speed = max(speed, least_speed, npc.speed - self._easing)
+        is_behind = npc.x < ego.x and (
+            abs(ego.y - npc.y) < (npc.width + ego.width) / 2.0 + TRACK
+            or (npc.heading_for == ego.lane and npc.lane != ego.lane)
+        )
+        if not is_behind:
             npc.behind = NOT_BEHIND
             return speed
         if npc.behind == NOT_BEHIND:
@@ -334,18 +333,21 @@ class Director:
             npc.behind += 1
         if npc.behind < self._reaction:
             return speed
+        is_led = self._is_led(ego)
         x, ego_speed = ego.x, ego.speed
         ahead = 0.0  # of what it saw, where it believes the ego to be, which brakes as it did [m]
-        if not self._ego_has_leader and self._tick > 0:
-            place = self._tick % self._reaction  # of what is oldest
-            x, ego_speed = self._seen_x[place], self._seen_speed[place]
-            braking = self._seen_braking[place]
+        if not is_led and self._tick > 0:
+            seen = self._seen
+            before, place = self._tick % self._kept, (self._tick + 1) % self._kept  # the two oldest
+            x, ego_speed = seen[2 * place], seen[2 * place + 1]
+            gained = ego_speed - seen[2 * before + 1]
+            braking = max(-gained * self._reaction / self._delay, 0.0)
             seconds = ego_speed / braking if 0.0 < ego_speed < braking * self._delay else self._delay
             ahead = (ego_speed - braking * seconds / 2.0) * seconds
             ego_speed -= braking * seconds
         gap = (x - npc.x) * self._stretch(npc) + ahead - self._row
         safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)  # who reverses leaves no more room than who stands
-        if not self._ego_has_leader:
+        if not is_led:
             safe = max(safe, speed_asking_for(ANSWER, npc.speed))
         return min(speed, safe)
 
