@@ -131,7 +131,7 @@ def _row(saved: Saved) -> dict[str, Any]:
         "time": expect.time,
         "responsibility": expect.responsibility,
         "preventable_by": list(expect.preventable_by),
-        "size": size_of(finding.scenario),
+        "size": size_of(finding.scenario, finding.longest_run),
         "algorithm": finding.found.algorithm,
         "seed": finding.found.seed,
         "flaky": finding.flaky,

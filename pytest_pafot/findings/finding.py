@@ -25,6 +25,7 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import AdsError, Outcome, Side, Trace
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing
+from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import visible
 
@@ -281,6 +282,12 @@ class Finding(Shown):
         """Show the fields on one line, whatever a file has written into them."""
         shown = (f"{each.name}={getattr(self, each.name)!r}" for each in fields(self) if each.repr)
         return visible(f"Finding({', '.join(shown)})")
+
+    @property
+    def longest_run(self) -> float:
+        """How long a run in its world lasts at most [s]; infinite where the file does not say."""
+        seconds = plain_number(self.world.get("duration"))
+        return math.inf if seconds is None else seconds
 
     @property
     def signature(self) -> Signature:

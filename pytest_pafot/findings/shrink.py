@@ -9,6 +9,7 @@ Nothing is simulated here: whether a scenario still fails is asked of a function
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -156,10 +157,10 @@ def instructions(scenario: Scenario) -> int:
     return sort_key(scenario)[1]
 
 
-def size_of(scenario: Scenario) -> str:
-    """The size of a scenario in words: ``2 NPCs, 7 instructions, 60 s``."""
+def size_of(scenario: Scenario, longest_run: float = math.inf) -> str:
+    """The size of a scenario in words, given the world's longest run [s]: ``2 NPCs, 7 instructions, 60 s``."""
     npcs, told = plural(len(scenario.npcs), "NPC"), plural(instructions(scenario), "instruction")
-    return f"{npcs}, {told}, {scenario.genes * scenario.gene_seconds:g} s"
+    return f"{npcs}, {told}, {min(scenario.genes * scenario.gene_seconds, longest_run):g} s"
 
 
 def shrink(

@@ -129,7 +129,7 @@ class FindingRecord:
             time=expect.time,
             responsible=expect.responsibility,
             preventable_by=list(expect.preventable_by),
-            size=size_of(finding.scenario),
+            size=size_of(finding.scenario, finding.longest_run),
             traffic=finding.scenario.traffic.described,
             seed=finding.found.seed,
             algorithm=finding.found.algorithm,

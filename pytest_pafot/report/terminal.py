@@ -138,9 +138,10 @@ def simplified_lines(finding: Finding) -> list[str]:
     """The size of a find before and after, which reference drivers would have prevented it, when, with what sight."""
     lines: list[str] = []
     if finding.shrunk is not None:
-        after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario)}"
+        longest = finding.longest_run
+        after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario, longest)}"
         more = "" if finding.shrunk.is_minimal else ", and could be simpler"
-        lines.append(f"shrunk     from {size_of(finding.original or finding.scenario)} {after}{more}")
+        lines.append(f"shrunk     from {size_of(finding.original or finding.scenario, longest)} {after}{more}")
     prevention = prevention_text(finding.expect)
     lines += [prevention] if prevention else []
     lines += [] if finding.perception is None else [finding.perception.sentence]
