@@ -294,6 +294,9 @@ def _scenario(field: Field) -> Scenario:
 def _traffic(field: Field) -> Traffic:
     if isinstance(field.value, str):
         return Traffic(field.choice(STYLES))
+    if not isinstance(field.value, dict):
+        expected = f"{_one_of(STYLES)}, or a mapping with a style and parts"
+        raise field.error(expected, "write such as `everyday`, or `{style: everyday, least_gap: 4.0}`")
     fields = field.mapping(file_format.TRAFFIC)
     style = fields.pop("style").choice(STYLES)
     parts = {name: inner.number() for name, inner in fields.items()}

@@ -614,6 +614,14 @@ def test_a_fault_in_what_came_after_the_find_is_one_error_at_its_field(path, old
     assert fault(path, text_of(SHRUNK).replace(old, new)).field == field
 
 
+@pytest.mark.parametrize("received", ["[]", "3", "null"])
+def test_what_is_no_traffic_is_told_with_both_ways_to_write_one(path, received):
+    error = fault(path, TEXT.replace("seed: 7", f"seed: 7\n  traffic: {received}"))
+    assert error.expected == "one of paper, hostile, assertive, everyday, or a mapping with a style and parts"
+    assert error.fix == "write such as `everyday`, or `{style: everyday, least_gap: 4.0}`"
+    assert error.received == {"null": "None"}.get(received, received)
+
+
 @table(
     ("part", "error", "line", "field", "told"),
     [
