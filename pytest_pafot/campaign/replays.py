@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -85,11 +85,11 @@ class Replays:
         finding = _finding(saved)
         try:
             if codec.is_code(finding.world):
-                return codec.named(finding.world, self.harness.world)
-            world = codec.of_file(finding.world, finding.scenario, self.harness.world)
-            protocol.check_fits(world, finding.scenario)
-        except ScenarioError as error:
-            raise RequestError(str(located(saved.path, "scenario", error))) from None
+                world = codec.named(finding.world, self.harness.world)
+            else:
+                world = codec.of_file(finding.world, finding.scenario, self.harness.world)
+            with _naming(saved.path):
+                protocol.check_fits(world, finding.scenario)
         except (WorldError, TypeError, ValueError) as error:
             raise RequestError(str(located(saved.path, "world", error))) from None
         return world
@@ -108,7 +108,7 @@ class Replays:
         isolate, trace = harness.request.settings.isolate, None
         job = harness.job(world, owner)
         if self._is_apart(saved, owner):
-            with refusals():
+            with refusals(), _naming(saved.path):
                 trace = run_apart(
                     job,
                     scenario,
@@ -119,7 +119,7 @@ class Replays:
         with harness.recording(job) as record:
             record.write(scenario)
             if trace is None:
-                with refusals():
+                with refusals(), _naming(saved.path):
                     trace = world.rollout(scenario, harness.ads)
             run = harness.seen(trace, world)
             return run, harness.judge(run)
@@ -228,6 +228,16 @@ def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
 
 def _event(outcome: Outcome, time: float) -> str:
     return f"{outcome}{'' if outcome in HAS_EVENT else ' and most critical'} at {time:.1f} s"
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Tell what is wrong with the scenario of a file with the file and the line, also where only a run shows it."""
+    __tracebackhide__ = True
+    try:
+        yield
+    except ScenarioError as error:
+        raise RequestError(str(located(path, "scenario", error))) from None
 
 
 def _finding(saved: Saved) -> Finding:

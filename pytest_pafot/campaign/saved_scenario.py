@@ -83,9 +83,8 @@ class SavedScenario(Shown):
             world: in the place of the file's; needed where that is code.
 
         Raises:
-            CorpusError: where the file's world cannot be made, or its scenario does not fit that; and where a process
-                died in it, as this one would.
-            ScenarioError: for a ``world`` that the scenario does not fit.
+            CorpusError: where the file's world cannot be made, or its scenario does not fit the world; and where a
+                process died in it, as this one would.
             AdsFactoryError: for an ``ads`` that makes none.
         """
         if self.expect.is_crash:
@@ -94,11 +93,11 @@ class SavedScenario(Shown):
             raise CorpusError(self.path, expected, received, fix, field="expect.failure")
         if world is None:
             world = self.world
-            try:
-                protocol.check_fits(world, self.scenario)
-            except ScenarioError as error:
-                raise reader.located(self.path, "scenario", error) from None
-        trace = world.rollout(self.scenario, ads)
+        try:
+            protocol.check_fits(world, self.scenario)
+            trace = world.rollout(self.scenario, ads)  # what a world of one's own finds wrong shows here
+        except ScenarioError as error:
+            raise reader.located(self.path, "scenario", error) from None
         return Run(trace, world=protocol.reference_world(world), take_over=protocol.taking_over(world))
 
     def matches(self, run: Run) -> bool:

@@ -86,6 +86,9 @@ def test_a_scenario_that_does_not_fit_its_world_names_its_line(save):
     saved = save(replace(finding, scenario=replace(finding.scenario, ego_lane=3)))
     with pytest.raises(CorpusError, match=r"yaml:\d+: scenario.ego.lane: expected"):
         saved.replay(keeps_its_speed)
+    for world in (WORLD, Walled()):  # the other one has no check of scenarios before it runs them
+        with pytest.raises(CorpusError, match=r"yaml:\d+: scenario.ego.lane: expected"):
+            saved.replay(keeps_its_speed, world=world)
     assert saved.replay(keeps_its_speed, world=pafot.Highway(lanes=4)).trace.ego[0, LANE] == 3
 
 

@@ -1,5 +1,6 @@
 """Worlds that are code, the user's own and environments in wrappers, are searched and replayed as tests name them."""
 
+import re
 import textwrap
 from importlib import metadata
 
@@ -116,6 +117,15 @@ def test_a_world_of_another_class_is_refused_with_the_file_the_line_and_the_way_
     saved.write("@pafot.search(genes=2, gene_seconds=5, npcs=1)\ndef test_fails(run):\n    assert run.outcome")
     result = saved.run(generations=0)
     result.stdout.fnmatch_lines(["*one of the class Ring, *, received a pafot.Highway; *(world=...) or *pafot_world*"])
+
+
+def test_a_scenario_that_does_not_fit_a_world_of_ones_own_names_its_file_and_line(saved):
+    text = saved.only_file.read_text()
+    saved.only_file.write_text(re.sub("ego: {lane: [0-9]", "ego: {lane: 7", text))
+    result = saved.run(generations=0)
+    result.stdout.fnmatch_lines(
+        [f"*{saved.only_file.name}:*scenario.ego.lane: expected a lane from 0 to 2, received 7*"]
+    )
 
 
 @pytest.mark.parametrize("data", ["object()", "{'road': {1: 2}}", "[float('nan')]"])
