@@ -215,6 +215,6 @@ def _saved_in(folder: Path, world: World) -> list[Scenario]:
         scenarios.append(load(file).scenario)
         try:
             world.check_fits(scenarios[-1])
-        except ScenarioError as error:
+        except (ScenarioError, WorldError) as error:
             raise located(file, "scenario", error) from error
     return scenarios

@@ -96,7 +96,7 @@ class SavedScenario(Shown):
         try:
             protocol.check_fits(world, self.scenario)
             trace = world.rollout(self.scenario, ads)  # what a world of one's own finds wrong shows here
-        except ScenarioError as error:
+        except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from None
         return Run(trace, world=protocol.reference_world(world), take_over=protocol.taking_over(world))
 
