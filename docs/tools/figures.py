@@ -61,15 +61,6 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
         "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} --workers WORKERS",
         DEFAULT_SEARCH,
     ),
-    "near-misses": (
-        "ablation --tables failures --runs {60|1} --hours {12|0.1} --workers WORKERS "
-        "--searches random pafot 'distinct, as it is' 'no near-misses'",
-        DEFAULT_SEARCH,
-    ),
-    "nearness": (
-        "nearness --scenarios {20000|50} --parents {60|1} --children {60|1}",
-        DEFAULT_SEARCH,
-    ),
     "collisions": (
         "ablation --tables collisions --runs {20|1} --hours {3|0.1} --workers WORKERS",
         DEFAULT_SEARCH,

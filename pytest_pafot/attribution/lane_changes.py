@@ -5,7 +5,6 @@ Across the road vehicles are where their centre is; which lane they are in says 
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -51,8 +50,6 @@ class LanePlaces:
 
     def __init__(self, trace: Trace, frame: RoadFrame) -> None:
         self.trace, self.frame = trace, frame
-        self._motions: dict[tuple[int, float], tuple[list[int], list[int]]] = {}
-        self._crossings: dict[tuple[int, float], list[int]] = {}
 
     def offset(self, vehicle: int) -> FloatArray:
         """From the centre of the lane that the vehicle's centre is in, or of the nearest one, to the right [m]."""
@@ -138,19 +135,15 @@ class LanePlaces:
         self, mover: int, other: int, side: float, first: int, last: int, *, is_ahead: bool = True
     ) -> LaneChange | None:
         """The last time that the mover, ahead or behind, came over its lane line on a side where the other was."""
-        if (mover, side) not in self._crossings:
-            over = self._over[side][mover]
-            crosses = over[1:] & ~over[:-1] & (side * self.frame.drift[mover, 1:] >= DRIFTING)
-            self._crossings[mover, side] = (np.flatnonzero(crosses) + 1).tolist()
-        for tick in reversed(self._crossings[mover, side]):
-            if first < tick <= last:
-                before = tick - 1
-                ego_leads = self.frame.ahead[max(mover, other) - 1, before] < 0
-                centres = (self._across[each, before] - self._offsets[each, before] for each in (mover, other))
-                lanes_apart = np.round(side * -np.subtract(*centres) / (2 * self._half_widths[mover, before]))
-                are_in_lanes = self._lanes[[mover, other], before].min() >= 0
-                if ego_leads == ((mover == 0) == is_ahead) and lanes_apart == 1 and are_in_lanes:
-                    return self._made(mover, side, first, tick)
+        over = self._over[side][mover, first : last + 1]
+        crosses = over[1:] & ~over[:-1] & (side * self.frame.drift[mover, first + 1 : last + 1] >= DRIFTING)
+        for before in (first + np.flatnonzero(crosses)[::-1]).tolist():
+            ego_leads = self.frame.ahead[max(mover, other) - 1, before] < 0
+            centres = (self._across[each, before] - self._offsets[each, before] for each in (mover, other))
+            lanes_apart = np.round(side * -np.subtract(*centres) / (2 * self._half_widths[mover, before]))
+            are_in_lanes = self._lanes[[mover, other], before].min() >= 0
+            if ego_leads == ((mover == 0) == is_ahead) and lanes_apart == 1 and are_in_lanes:
+                return self._made(mover, side, first, before + 1)
         return None
 
     def _made(self, vehicle: int, side: float, began: int, moment: int) -> LaneChange:
@@ -163,15 +156,11 @@ class LanePlaces:
     def _motion(self, vehicle: int, side: float, onset: int) -> int | None:
         """First tick of the sideways motion that lasts until a tick, or ended just before it."""
         pause = PAUSE * self.trace.physics_hz
-        if (vehicle, side) not in self._motions:
-            ticks = np.flatnonzero(side * self.frame.drift[vehicle] >= DRIFTING)
-            is_first = np.concatenate(([True], np.diff(ticks) - 1 >= pause))[: len(ticks)]
-            self._motions[vehicle, side] = ticks.tolist(), ticks[is_first].tolist()
-        moving, begins = self._motions[vehicle, side]
-        last = bisect_right(moving, onset)
-        if not last or onset - moving[last - 1] >= pause:
+        moving = np.flatnonzero(side * self.frame.drift[vehicle, : onset + 1] >= DRIFTING)
+        if not moving.size or onset - moving[-1] >= pause:
             return None
-        return begins[bisect_right(begins, onset) - 1]
+        breaks = np.flatnonzero(np.diff(moving) - 1 >= pause)
+        return int(moving[breaks[-1] + 1] if breaks.size else moving[0])
 
     @cached_property
     def _across(self) -> FloatArray:

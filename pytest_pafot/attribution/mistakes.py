@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Literal
 
-from pytest_pafot.attribution.responsibility import Attribution, Fault, rss_rule
-from pytest_pafot.criticality import RoadFrame
+from pytest_pafot.attribution.responsibility import Attribution, Fault, frame_of, rss_rule
 from pytest_pafot.model.trace import ACROSS, LANE, Trace, X, Y
 
 # What a vehicle did shortly before an event, in the few words that tell one kind of failure from another.
@@ -64,29 +63,22 @@ BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
 
 
 def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
-    """What the ego did wrong in a run that ended in a collision, by the verdict; None where it does not answer."""
-    if trace.collision is None or attribution.fault is None:
+    """What the ego did wrong in a run that ended in a collision, by the verdict; None where it does not answer.
+
+    An ego that entered a lane is judged at the verdict's moment, when it came over the line: the other is ahead when
+    there are more than 2 m between the boxes along the road, behind when it is further back than level, else beside.
+    """
+    if trace.collision is None or attribution.fault is None or attribution.tick is None:
         return None
-    return BY_FAULT.get(attribution.fault) or mistake_with(trace.collision.npc, attribution, RoadFrame(trace))
+    if attribution.fault in BY_FAULT:
+        return BY_FAULT[attribution.fault]
+    frame, npc, tick = frame_of(trace), trace.collision.npc, attribution.tick
+    ahead, both = frame.ahead[npc, tick], frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
+    if ahead > both + CLOSE_AHEAD:
+        return "kept-no-distance"
+    return "moved-in-front" if ahead < -both else "moved-into-side"
 
 
 def mistake_of(trace: Trace) -> Mistake | None:
     """What the ego did wrong in a run, by the rule of attribution."""
     return trace.reading("mistake", lambda trace: mistake(trace, rss_rule(trace)))
-
-
-def mistake_with(npc: int, attribution: Attribution, frame: RoadFrame) -> Mistake | None:
-    """What the ego did wrong in a conflict with an NPC, by the verdict; None where it does not answer for it.
-
-    An ego that entered a lane is judged at the verdict's moment, when it came over the line: the other is ahead when
-    there are more than 2 m between the boxes along the road, behind when it is further back than level, else beside.
-    """
-    if attribution.fault is None or attribution.tick is None:
-        return None
-    if attribution.fault in BY_FAULT:
-        return BY_FAULT[attribution.fault]
-    tick = attribution.tick
-    ahead, both = frame.ahead[npc, tick], frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
-    if ahead > both + CLOSE_AHEAD:
-        return "kept-no-distance"
-    return "moved-in-front" if ahead < -both else "moved-into-side"

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -65,37 +64,33 @@ def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
 
 
 def hard_braking(trace: Trace, vehicle: int, first: int, last: int) -> Stop | None:
-    """A vehicle's last hard braking that acted at some tick from the first to the last; None if there was none.
-
-    Hard is more than 5 m/s^2 for 0.4 s; for the ego, more than 3 m/s^2 that takes half of its speed is, too, 5 m/s at
-    least: what others do in front of it, it has to expect.
-    """
-    speed = trace.states[:, vehicle, SPEED]
-    stops = []
-    for begin, end in _stretches(trace, vehicle, HARD_BRAKING):
+    """A vehicle's last hard braking that acted at some tick from the first to the last; None if there was none."""
+    for begin, end in reversed(stretches(braking(trace, vehicle) > HARD_BRAKING)):
         until = min(end, last + 1)
+        if until - 1 < first:
+            return None
         if until - begin >= HARD_SECONDS * trace.physics_hz:
-            stops.append(Stop(begin=begin - 1, end=until - 1))
-    for begin, end in _stretches(trace, vehicle, LASTING_BRAKING) if vehicle == 0 else ():
-        until = min(end, last + 1)
-        if until > begin and speed[begin - 1] - speed[until - 1] >= max(speed[begin - 1] / 2, LEAST_LOST):
-            stops.append(Stop(begin=begin - 1, end=until - 1))
-    return max((stop for stop in stops if stop.end >= first), key=lambda stop: (stop.end, -stop.begin), default=None)
+            return Stop(begin=begin - 1, end=until - 1)
+    return None
 
 
-@lru_cache(maxsize=16)  # each danger of a run asks again
-def _stretches(trace: Trace, vehicle: int, least: float) -> list[tuple[int, int]]:
-    return stretches(braking(trace, vehicle) > least)
+def lasting_braking(trace: Trace, first: int) -> Stop | None:
+    """The ego's last braking by more than 3 m/s^2, after a tick, that took half of its speed, 5 m/s at least."""
+    for begin, end in reversed(stretches(braking(trace) > LASTING_BRAKING)):
+        before, after = trace.ego[[begin - 1, end - 1], SPEED]
+        if end - 1 >= first and before - after >= max(before / 2, LEAST_LOST):
+            return Stop(begin=begin - 1, end=end - 1)
+    return None
 
 
-def long_stop(trace: Trace, end: int) -> Stop | None:
-    """The braking to a standstill that has lasted for long at a tick; None where there was none."""
-    speed = trace.ego[: end + 1, SPEED]
+def long_stop(trace: Trace) -> Stop | None:
+    """The braking to a standstill that has lasted for long when the run ends; None where there was none."""
+    speed = trace.ego[:, SPEED]
     if speed[-1] > STANDING_SPEED:
         return None
     driving = np.flatnonzero(speed > STANDING_SPEED)
     stopped = int(driving[-1]) + 1 if driving.size else 0
-    if not stopped or end - stopped < STANDING_SECONDS * trace.physics_hz:
+    if not stopped or trace.ticks - stopped < STANDING_SECONDS * trace.physics_hz:
         return None
     steady = np.flatnonzero(np.diff(speed[: stopped + 1]) >= 0)
     return Stop(begin=int(steady[-1]) + 1 if steady.size else 0, end=stopped)

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from pytest_pafot.attribution.avoidance import SPED_UP, Braking, Emergency, Pursuit
 from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces, first_lasting
@@ -25,12 +24,13 @@ from pytest_pafot.attribution.needless_braking import (
     Stop,
     braking,
     hard_braking,
+    lasting_braking,
     long_stop,
     reasons,
 )
 from pytest_pafot.attribution.sentences import Fact, Reason, What, sentence
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.model.trace import FloatArray, Trace
+from pytest_pafot.model.trace import Trace
 
 Responsibility = Literal["ego", "npc", "both", "none"]
 """``none`` where there was no collision."""
@@ -153,7 +153,8 @@ def rss_rule(trace: Trace) -> Attribution:
     """
     if trace.collision is None:
         return Attribution(responsibility="none", tick=None, time=None)
-    return trace.reading("attribution", lambda trace: dangers_of(trace).impact)
+    npc = trace.collision.npc
+    return trace.reading("attribution", lambda trace: Conflict(trace, npc).attribution)
 
 
 def is_ego_responsible(trace: Trace) -> bool:
@@ -174,65 +175,35 @@ def position_rule(trace: Trace) -> Responsibility:
     return "ego"
 
 
-class Dangers:
-    """Where in a run the ego and each NPC were closer than RSS allows; arrays have the shape [ticks + 1, NPCs].
-
-    Attributes:
-        across: gap between the boxes across the road [m].
-        places: of the vehicles on the lanes.
-    """
-
-    def __init__(self, trace: Trace) -> None:
-        self.trace = trace
-        self.frame = RoadFrame(trace)
-        self.across = self.frame.gap_across
-        self.places = LanePlaces(trace, self.frame)
-
-    @cached_property
-    def safe_along(self) -> FloatArray:
-        """What RSS asks for along the road [m]."""
-        return self.frame.safe_along(DISTANCES)
-
-    @cached_property
-    def is_dangerous(self) -> npt.NDArray[np.bool_]:
-        """Where RSS would have more, along and across the road."""
-        along = self.frame.gap_along
-        is_close = (along < self.safe_along) | (along <= 0)
-        return np.asarray(is_close & (self.across < self.frame.safe_across(DISTANCES)))
-
-    @cached_property
-    def impact(self) -> Attribution:
-        """Of the collision in which the run ended."""
-        if self.trace.collision is None:
-            raise ValueError("trace: expected a run that ended in a collision, received one without")
-        npc = self.trace.collision.npc
-        safe = np.flatnonzero(~self.is_dangerous[:-1, npc])
-        start = int(safe[-1]) + 1 if safe.size else 0
-        return Conflict(self, npc, start, self.trace.ticks).attribution
-
-
 @lru_cache(maxsize=1)
-def dangers_of(trace: Trace) -> Dangers:
-    """The dangers of a run; those of the last one are kept, which verdict, fitness and near-misses ask for in turn."""
-    return Dangers(trace)
+def frame_of(trace: Trace) -> RoadFrame:
+    """Return a run in the frame of its road; the last one is kept, since verdict, mistake and situation ask in turn."""
+    return RoadFrame(trace)
 
 
 class Conflict:
-    """A danger between the ego and one NPC, from its first tick to its end: an impact, or what almost was one."""
+    """The danger between the ego and the NPC of its collision, from the first tick to the impact."""
 
-    def __init__(self, dangers: Dangers, npc: int, start: int, end: int) -> None:
-        self._dangers, self._npc, self._start, self._end = dangers, npc, start, end
-        self._frame, self._trace, self._hz = dangers.frame, dangers.trace, dangers.trace.physics_hz
-        self._before = max(start - 1, 0)  # the last safe tick, from which on a response counts
-        apart = np.flatnonzero(dangers.across[:end, npc] > 0)
+    def __init__(self, trace: Trace, npc: int) -> None:
+        frame = frame_of(trace)
+        self._frame, self._trace, self._npc = frame, trace, npc
+        self._end, self._hz = trace.ticks, trace.physics_hz
+        self._lanes = LanePlaces(trace, frame)
+        self._safe_along = frame.safe_along(DISTANCES)[:, npc]
+        along, across = frame.gap_along[:, npc], frame.gap_across[:, npc]
+        is_close = (along < self._safe_along) | (along <= 0)
+        is_dangerous = is_close & (across < frame.safe_across(DISTANCES)[:, npc])
+        safe = np.flatnonzero(~is_dangerous[:-1])
+        self._start = int(safe[-1]) + 1 if safe.size else 0
+        self._before = max(self._start - 1, 0)  # the last safe tick, from which on a response counts
+        apart = np.flatnonzero(across[:-1] > 0)
         self._onset = int(apart[-1]) + 1 if apart.size else 0  # from which on they were in one track, up to the end
-        self._side = 1.0 if self._frame.right[npc, max(self._onset - 1, 0)] >= 0 else -1.0
-        self._lanes = dangers.places
+        self._side = 1.0 if frame.right[npc, max(self._onset - 1, 0)] >= 0 else -1.0
 
-    @cached_property
+    @property
     def attribution(self) -> Attribution:
         """By the rules of docs/explanation/verdicts.md."""
-        over = self._over
+        over = self._lanes.moved_over(self._npc, max(self._start, self._onset), self._end)
         if self._is_in_one_track:
             return self._in_one_lane() if over is None else self._changed(over)
         ego, npc = self._change(0), self._npc_change
@@ -245,25 +216,7 @@ class Conflict:
             return self._both_changed(ego, npc)
         return self._changed(latest)
 
-    def may_be(self, fault: Fault | None) -> bool:
-        """Whether the verdict may be a fault of the ego, by what is known sooner than the verdict."""
-        if fault == "entered-lane":
-            has_moved_over = self._over is not None and self._over.vehicle == 0
-            may_have_changed = not self._is_in_one_track and (self._change(0) or self._gap(self._onset) <= 0)
-            return bool(has_moved_over or may_have_changed)
-        if fault == "braked-for-nothing":
-            stop = self._hard_braking(0)
-        elif fault == "stopped-for-nothing":
-            stop = long_stop(self._trace, self._end)
-        else:
-            return True
-        return stop is not None and self._leads(stop.begin)
-
     # Lane changes.
-
-    @cached_property
-    def _over(self) -> LaneChange | None:
-        return self._lanes.moved_over(self._npc, max(self._start, self._onset), self._end)
 
     @property
     def _is_in_one_track(self) -> bool:
@@ -532,7 +485,7 @@ class Conflict:
             since = max(duty, min(self._before, stop.begin))  # hard braking is something to answer, however far away
             braked = self._braked_for_nothing(0, stop)
             return self._needless(stop, since, braked, "braked-for-nothing", moved_in)
-        stop = long_stop(self._trace, self._end)
+        stop = long_stop(self._trace)
         is_slow = self._frame.speed[self._npc + 1, self._start] <= CRAWLING
         if stop is not None and not is_slow and self._is_needless(stop, slice(stop.begin, stop.end + 1), moved_in):
             standing = self._at(self._end - stop.end)
@@ -542,15 +495,17 @@ class Conflict:
 
     def _needless_braking(self, leader: int, moved_in: int = 0) -> Stop | None:
         """The hard braking of the vehicle ahead with nothing in its way, about when the danger began."""
-        stop = self._hard_braking(leader)
+        first = self._start - round(AFTERMATH_SECONDS * self._hz)
+        stops = (
+            hard_braking(self._trace, leader, first, self._end),
+            None if leader else lasting_braking(self._trace, first),
+        )
+        stop = max((each for each in stops if each), key=lambda each: (each.end, -each.begin), default=None)
         if stop is None:
             return None
         is_hard = (braking(self._trace, leader)[stop.begin + 1 : stop.end + 1] > HARD_BRAKING).any()
         ticks = slice(stop.begin, stop.begin + 1 + (round(HARD_SECONDS * self._hz) if is_hard else 0))
         return stop if self._is_needless(stop, ticks, moved_in, leader) else None
-
-    def _hard_braking(self, leader: int) -> Stop | None:
-        return hard_braking(self._trace, leader, self._start - round(AFTERMATH_SECONDS * self._hz), self._end)
 
     def _is_needless(self, stop: Stop, ticks: slice, moved_in: int, leader: int = 0) -> bool:
         """Whether the one ahead alone made it dangerous: nothing was a reason to brake, and it never regained speed.
@@ -617,7 +572,7 @@ class Conflict:
         return Fact(what, mover, at, other, gap_m=ahead, sideways_m_per_s=drift, faster_m_per_s=faster)
 
     def _too_close(self, follower: int, leader: int) -> Fact:
-        gap, safe = max(self._gap(self._start), 0.0), float(self._dangers.safe_along[self._start, self._npc])
+        gap, safe = max(self._gap(self._start), 0.0), float(self._safe_along[self._start])
         return Fact(What.CAME_TOO_CLOSE, follower, self._at(self._start), other=leader, gap_m=gap, asked_m=safe)
 
     def _braked_for_nothing(self, vehicle: int, stop: Stop) -> Fact:

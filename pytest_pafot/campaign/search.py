@@ -34,7 +34,7 @@ from pytest_pafot.execution.separate_runs import Retried, retry
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching import run_campaign
-from pytest_pafot.searching.ask_tell import Algorithm, floors_of
+from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.campaign import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
 from pytest_pafot.world import WorldError, codec, protocol
@@ -282,15 +282,12 @@ class Search:
         loop.shown = self.replays.shown_by(others)  # Their failures are not new.
         search_until = began + (self.limit.until - began) * (1 - FOR_SIMPLIFYING)
         self.sessions.find_again(saved, search_until)
-        reads_near_misses = request.blame != "any" and request.algorithm.reads_near_misses
 
         def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:
-            if reads_near_misses:
-                loop.floors = floors_of(algorithm, state)
             return for_batches if state.generation and self.sessions.decides_for_many else algorithm
 
         def foresee(scenarios: Iterable[Scenario]) -> None:
-            runner.announce((each for each in scenarios if each not in loop.fatal), loop.floors)
+            runner.announce(each for each in scenarios if each not in loop.fatal)
             loop.count()  # while other processes are at work
 
         try:

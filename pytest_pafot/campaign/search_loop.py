@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from pytest_pafot.attribution.mistakes import mistake_of
-from pytest_pafot.attribution.near_misses import Floors, near_misses
 from pytest_pafot.campaign.events import Judged, Listener
 from pytest_pafot.campaign.harness import Simulation
 from pytest_pafot.campaign.recorder import Recorder
@@ -32,15 +31,13 @@ FITNESS = "fitness"
 """The name of what a search maximises, among the readings of a trace."""
 
 
-def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace, floors: Floors) -> None:
+def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
     """Read what will be asked for; the trace keeps it. The fitness is None where it stays in the session."""
     trace.reading("interaction", interaction_of)
     unit_doubt(trace)
     mistake_of(trace)
     if fitness is not None:
         trace.reading(FITNESS, fitness)
-    if trace.outcome is not Outcome.INVALID:
-        near_misses(trace, floors)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -52,8 +49,6 @@ class SearchLoop:
     fitness: Callable[[Trace], float]  # of a trace, higher is worse for the ego
     space: SearchSpace | None = None  # from which scenarios are drawn; None for replays alone
     listener: Listener = lambda event: None
-    # Of the near-misses that matter to the algorithm now; empty where it does not read them
-    floors: Floors = field(default_factory=dict)
     is_steered_by_checks: bool = True  # whether the margins of checks are objectives beside the fitness
     fatal: set[Scenario] = field(default_factory=set)  # in which a process died, earlier or in this search; not run
     shown: Mapping[Signature, str] = field(default_factory=dict)  # by saved scenarios now: their ids by signature
@@ -211,7 +206,6 @@ class SearchLoop:
             broken = verdict.reference.failure if verdict.reference.is_ads else None
             self.broken = "" if broken is None else self.broken or f"{broken.kind}: {broken.message}"
         check = None if failure is None else failure.check
-        says_nothing = verdict.failed or verdict.discarded or verdict.kind == "invalid" or not self.floors
         return Evaluation.of(
             run.trace,
             fitness=run.trace.reading(FITNESS, self.fitness),
@@ -219,7 +213,6 @@ class SearchLoop:
             discarded=verdict.discarded,
             kind=signature,
             mistake=(None if signature is None else signature.mistake) if check is None else check.name,
-            near_misses=() if says_nothing else near_misses(run.trace, self.floors),
             margins=worst_margins(verdict) if self.is_steered_by_checks else (),
         )
 

@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from pytest_pafot.attribution.near_misses import NONE, Floors, near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
 from pytest_pafot.commands.policy_reference import PlanError, ads_factory, caution
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, claim, run_job
@@ -25,7 +24,6 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import Evaluation, run_campaign
-from pytest_pafot.searching.ask_tell import Algorithm, floors_of
 from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import Fitness, resolve
 from pytest_pafot.support.text import csv_text
@@ -130,16 +128,9 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     # Blame steers all but AV-Fuzzer's fitness, which its authors did not steer.
     is_steered = plan.blame != "any" and name != "av-fuzzer"
     fitness = resolve(name, responsible=is_ego_responsible if is_steered else None)
-    asks_for_near_misses = plan.blame != "any" and chosen.reads_near_misses
     budget = math.inf if plan.seconds is None else plan.seconds
     generations = plan.generations or UNBOUNDED
-    seconds, floors = 0.0, NONE
-
-    def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:
-        nonlocal floors
-        if asks_for_near_misses:
-            floors = floors_of(algorithm, state)
-        return algorithm
+    seconds = 0.0
 
     with _runner(world, factory) as runner:
 
@@ -147,7 +138,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
             nonlocal seconds
             trace = runner.run(scenario)
             seconds += trace.duration
-            return evaluated(trace, fitness, plan.blame, world, floors)
+            return evaluated(trace, fitness, plan.blame, world)
 
         events = run_campaign(
             plan.made(algorithm),
@@ -156,7 +147,6 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
             seed=seed,
             stop=lambda: seconds >= budget,
             foresee=runner.announce,
-            adapted=adapted,
         )
         first: list[Evaluation] = []
         for event in events:
@@ -180,11 +170,10 @@ def _runner(world: WorldLike, factory: Callable[..., Any]) -> Iterator[Runner]:
             yield runner
 
 
-def evaluated(trace: Trace, fitness: Fitness, blame: str, world: WorldLike, floors: Floors = NONE) -> Evaluation:
+def evaluated(trace: Trace, fitness: Fitness, blame: str, world: WorldLike) -> Evaluation:
     """A run in a world judged by who is responsible for it, with its :class:`RunFacts` as its note.
 
-    It has near-misses where they are above their floors, and none where it fails, as in a search. The text of a
-    signature can be read, and is equal exactly for equal signatures.
+    The text of a signature can be read, and is equal exactly for equal signatures.
     """
     run, signature, mistake = Run(trace, world=reference_world(world)), None, None
     failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
@@ -203,7 +192,6 @@ def evaluated(trace: Trace, fitness: Fitness, blame: str, world: WorldLike, floo
         failing=failing,
         kind=signature if failing else None,
         mistake=mistake if failing else None,
-        near_misses=() if failing or trace.outcome is Outcome.INVALID else near_misses(trace, floors),
     )
     facts = RunFacts(
         responsibility=responsibility,

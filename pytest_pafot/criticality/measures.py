@@ -271,19 +271,15 @@ class Encounters(RelativePositions):
             return self._extremes.max_safety_shortfall
         return float(self.safety_shortfall.max(initial=0.0))
 
-    @property
-    def passes(self) -> sweep.Sweep | None:
-        """Compiled passes over the run; None where there are none."""
+    @cached_property
+    def _extremes(self) -> sweep.Sweep | None:
+        """Of one compiled pass over the run; None where there is none, or where it leaves the run to the arrays."""
         heading = self._lanes[0].heading
         if not self._sweeps or any(lane.heading != heading for lane in self._lanes):
             return None
-        return sweep.Sweep(self._states, self._sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS)
-
-    @cached_property
-    def _extremes(self) -> sweep.Sweep | None:
-        """Of one pass over the run; None where there is none, or where it leaves the run to the arrays."""
-        found = self.passes
-        return found if found is not None and found.run() else None
+        road = math.cos(heading), math.sin(heading)
+        found = sweep.Sweep(self._states, self._sizes, road, MANOEUVRE_SECONDS)
+        return found if found.run() else None
 
     def _follower_minus_leader(self, values: FloatArray) -> FloatArray:
         ego_minus_npc = values[:1] - values[1:]

@@ -9,9 +9,7 @@ cdef class Sweep:
     cdef const double[:, :, ::1] _states
     cdef const double[:, ::1] _sizes
     cdef Py_ssize_t _ticks, _vehicles
-    cdef double _road_cos, _road_sin, _road_heading, _seconds, _half_seconds_squared
-    cdef double _hz, _ego_response, _npc_response, _gain, _least, _hardest
-    cdef double _lateral_gain, _lateral_braking, _fluctuation
+    cdef double _road_cos, _road_sin, _seconds, _half_seconds_squared
     cdef double _ax, _ay, _speed_a, _acceleration_a, _lane_a, _heading_a, _ac, _as, _al, _aw
     cdef double _x, _y, _speed_b, _acceleration_b, _lane_b, _heading_b, _bc, _bs, _bl, _bw
     cdef double _turn_cos, _turn_sin, _reach_0, _reach_1, _reach_2, _reach_3
@@ -19,10 +17,6 @@ cdef class Sweep:
 
     @cython.locals(tick=Py_ssize_t, vehicle=Py_ssize_t)
     cpdef bint run(self) except -1
-
-    @cython.locals(tick=Py_ssize_t, vehicle=Py_ssize_t, start=Py_ssize_t, peak=Py_ssize_t, worst=double,
-                   severity=double)
-    cpdef list dangers(self, object rules, double hz, double near_seconds, double near_metres)
 
     @cython.locals(vehicle=Py_ssize_t, column=Py_ssize_t, size=double)
     cdef bint _is_sane(self, Py_ssize_t tick) noexcept
@@ -40,23 +34,6 @@ cdef class Sweep:
 
     @cython.locals(gain=double, pull=double, distance=double)
     cdef double _safety_distance(self) noexcept
-
-    @cython.locals(cos=double, sin=double, ahead=double, right=double, safe=double, turn_a=double, turn_b=double,
-                   ac=double, sa=double, bc=double, sb=double, speed_a=double, speed_b=double, across=double,
-                   along=double, keep=double)
-    cdef bint _is_dangerous(self, Py_ssize_t tick, Py_ssize_t vehicle) noexcept
-
-    @cython.locals(heading=double, speed=double, x=double, y=double)
-    cdef double _drift(self, Py_ssize_t tick, Py_ssize_t vehicle) noexcept
-
-    @cython.locals(fastest=double, travelled=double)
-    cdef double _safe_along(self, double follower, double leader, double response) noexcept
-
-    @cython.locals(way=double)
-    cdef double _safe_across(self, double right, double drift_a, double drift_b) noexcept
-
-    @cython.locals(fastest=double)
-    cdef double _sideways(self, double drift, double response) noexcept
 
     @cython.locals(ac=double, sa=double, bc=double, sb=double, x=double, y=double, c=double, s=double)
     cdef void _relate(self) noexcept

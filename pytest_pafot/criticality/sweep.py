@@ -47,10 +47,6 @@ def is_in_use() -> bool:
     )
 
 
-Stretch = tuple[int, int, int, int, float]
-"""Of danger: the NPC, the first tick, the one after the last, and the tick of the greatest severity with that."""
-
-
 class Sweep:
     """Passes over a run.
 
@@ -78,7 +74,6 @@ class Sweep:
         self._states: Any = states
         self._sizes: Any = sizes
         self._road_cos, self._road_sin = road
-        self._road_heading = math.atan2(road[1], road[0])
         self._seconds = manoeuvre_seconds
         self._half_seconds_squared = manoeuvre_seconds * manoeuvre_seconds / 2
         self._ticks = states.shape[0]
@@ -95,46 +90,6 @@ class Sweep:
                 self._see(tick, vehicle)
                 self._measure()
         return self.min_ttc < LONGEST
-
-    def dangers(self, rules: Any, hz: float, near_seconds: float, near_metres: float) -> list[Stretch] | None:
-        """Where both distances to an NPC are shorter than RSS asks for; None where that is left to the arrays.
-
-        The severity is the mean of the risks of the time to contact and of the gap, which are one half at
-        ``near_seconds`` and at ``near_metres``. Stretches are in the order of the NPCs and of time.
-
-        Args:
-            rules: :class:`~pytest_pafot.criticality.rss.RssRules`.
-            hz: ticks per second.
-        """
-        self._hz = hz
-        self._ego_response, self._npc_response = float(rules.ego_response), float(rules.npc_response)
-        self._gain, self._fluctuation = float(rules.acceleration), float(rules.fluctuation)
-        self._least, self._hardest = float(rules.least_braking), float(rules.hardest_braking)
-        self._lateral_gain, self._lateral_braking = float(rules.lateral_acceleration), float(rules.lateral_braking)
-        for tick in range(self._ticks):
-            if not self._is_sane(tick):
-                return None
-        found: list[Stretch] = []
-        for vehicle in range(1, self._vehicles):
-            start = peak = -1
-            worst = 0.0
-            for tick in range(self._ticks):
-                self._see_ego(tick)
-                self._see(tick, vehicle)
-                if self._is_dangerous(tick, vehicle):
-                    self._relate()
-                    severity = 1.0 / (1.0 + self._contact_time() / near_seconds)
-                    severity = (severity + 1.0 / (1.0 + self._gap() / near_metres)) / 2.0
-                    if start < 0:
-                        start = tick
-                    if start == tick or severity > worst:
-                        peak, worst = tick, severity
-                elif start >= 0:
-                    found.append((vehicle - 1, start, tick, peak, worst))
-                    start = -1
-            if start >= 0:
-                found.append((vehicle - 1, start, self._ticks, peak, worst))
-        return found
 
     def _is_sane(self, tick: int) -> bool:
         for vehicle in range(self._vehicles):
@@ -209,55 +164,6 @@ class Sweep:
             gain, pull = -gain, -pull
         distance: float = gain * self._seconds + pull * self._half_seconds_squared
         return distance
-
-    def _is_dangerous(self, tick: int, vehicle: int) -> bool:
-        """Whether both distances are shorter than RSS asks for."""
-        cos, sin = self._road_cos, self._road_sin
-        ahead, right = self._x * cos + self._y * sin, self._y * cos - self._x * sin
-        safe = self._safe_across(right, self._drift(tick, 0), self._drift(tick, vehicle))
-        turn_a, turn_b = abs(self._heading_a - self._road_heading), abs(self._heading_b - self._road_heading)
-        if abs(right) - (self._aw + self._al * turn_a + self._bw + self._bl * turn_b) - SLACK >= safe:
-            return False
-        ac, sa = math.cos(self._heading_a), math.sin(self._heading_a)
-        bc, sb = math.cos(self._heading_b), math.sin(self._heading_b)
-        speed_a, speed_b = self._speed_a * (ac * cos + sa * sin), self._speed_b * (bc * cos + sb * sin)
-        ac, sa = abs(ac * cos + sa * sin), abs(sa * cos - ac * sin)
-        bc, sb = abs(bc * cos + sb * sin), abs(sb * cos - bc * sin)
-        across = abs(right) - (self._al * sa + self._aw * ac) - (self._bl * sb + self._bw * bc)
-        if not (across if across > 0.0 else 0.0) < safe:
-            return False
-        along = abs(ahead) - (self._al * ac + self._aw * sa) - (self._bl * bc + self._bw * sb)
-        if ahead >= 0.0:
-            keep = self._safe_along(speed_a, speed_b, self._ego_response)
-        else:
-            keep = self._safe_along(speed_b, speed_a, self._npc_response)
-        return bool(along <= 0.0 or along < keep)
-
-    def _drift(self, tick: int, vehicle: int) -> float:
-        """To the right of the road, as a vehicle has moved since the tick before, at first by its heading [m/s]."""
-        if tick == 0:
-            heading, speed = self._states[0, vehicle, 2], self._states[0, vehicle, 3]
-            return float(speed * (math.sin(heading) * self._road_cos - math.cos(heading) * self._road_sin))
-        x = self._states[tick, vehicle, 0] - self._states[tick - 1, vehicle, 0]
-        y = self._states[tick, vehicle, 1] - self._states[tick - 1, vehicle, 1]
-        return float((y * self._road_cos - x * self._road_sin) * self._hz)
-
-    def _safe_along(self, follower: float, leader: float, response: float) -> float:
-        """What RSS asks for along the road [m], where it is more than none."""
-        fastest = follower + response * self._gain
-        travelled = (follower + fastest) / 2.0 * response + fastest * abs(fastest) / (2.0 * self._least)
-        return travelled - leader * abs(leader) / (2.0 * self._hardest)
-
-    def _safe_across(self, right: float, drift_a: float, drift_b: float) -> float:
-        """What RSS asks for across the road [m]."""
-        way = self._sideways(drift_a if right >= 0.0 else -drift_a, self._ego_response)
-        way = way + self._sideways(-drift_b if right >= 0.0 else drift_b, self._npc_response)
-        return self._fluctuation + (way if way > 0.0 else 0.0)
-
-    def _sideways(self, drift: float, response: float) -> float:
-        """Way towards the other until the sideways motion ends, at worst [m]."""
-        fastest = drift + response * self._lateral_gain
-        return (drift + fastest) / 2.0 * response + fastest * abs(fastest) / (2.0 * self._lateral_braking)
 
     def _relate(self) -> None:
         """See the pair along its four axes, as :func:`pytest_pafot.criticality.boxes.relate` does."""

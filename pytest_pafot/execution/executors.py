@@ -25,7 +25,6 @@ from queue import Empty, SimpleQueue
 from types import ModuleType
 from typing import Any
 
-from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.captured_output import capture_output
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun, Timed, recovery_note, timed
@@ -80,7 +79,6 @@ class ExecutorPool:
         self._is_known = False  # whether some worker has the content of the parcel
         self._under_way: dict[Scenario, tuple[Sequence[Scenario], Future[Any]]] = {}
         self._answers: dict[Scenario, Answer] = {}
-        self._floors: Floors = {}
         self._numbers = count()
         self._runs, self._seconds = 0, 0.0
 
@@ -95,13 +93,9 @@ class ExecutorPool:
             notes = [f"pafot_executor: this process ran the scenarios, since no other could: {self.failure}"]
         return notes + list(map(recovery_note, self.recovered))
 
-    def expect(self, scenarios: Iterable[Scenario], floors: Floors = NONE) -> None:
-        """Begin with these; what was expected before and not fetched is of no interest any more.
-
-        Near-misses are read above the floors.
-        """
+    def expect(self, scenarios: Iterable[Scenario]) -> None:
+        """Begin with these; what was expected before and not fetched is of no interest any more."""
         self.close()
-        self._floors = dict(floors)
         size = max(1, min(MOST, round(self._runs * TASK_SECONDS / self._seconds))) if self._runs else 1
         to_come = iter(scenarios)
         while task := list(islice(to_come, size)):
@@ -142,9 +136,7 @@ class ExecutorPool:
             ids = "+".join(scenario.id for scenario in scenarios)
             named = {"key": f"pafot-{ids}-{self._parcel.digest}-{next(self._numbers)}", "pure": False}
         try:
-            future = self._executor.submit(
-                pickle.loads, pickle.dumps(_Call(_run_task, parcel, scenarios, self._floors)), **named
-            )
+            future = self._executor.submit(pickle.loads, pickle.dumps(_Call(_run_task, parcel, scenarios)), **named)
         except (RuntimeError, OSError) as error:  # it is broken, or was shut down
             self.failure = f"{type(error).__name__}: {error}"
         else:
@@ -254,14 +246,14 @@ class _Bench:
         self.parcel = parcel
         self._idle: SimpleQueue[WorkerPool[Scenario, Timed]] = SimpleQueue()
 
-    def run(self, scenarios: Sequence[Scenario], floors: Floors) -> Done | str:
+    def run(self, scenarios: Sequence[Scenario]) -> Done | str:
         try:
             pool = self._idle.get_nowait()
         except Empty:
             multiprocessing.current_process().daemon = False  # Workers of Dask are daemons, which may have no child.
             work, patience = partial(_run, self.parcel), self.parcel.patience
             pool = WorkerPool(work, 1, method="spawn", patience=patience, idle=IDLE)
-        pool.expect(scenarios, floors)
+        pool.expect(scenarios)
         answers = [pool.fetch(scenario) for scenario in scenarios]
         recovered, pool.recovered = pool.recovered, []
         unable = next((each for each in answers if isinstance(each, ExecutionError)), None)
@@ -271,7 +263,7 @@ class _Bench:
         return answers, recovered
 
 
-def _run_task(parcel: Parcel, scenarios: Sequence[Scenario], floors: Floors) -> Done | str | None:
+def _run_task(parcel: Parcel, scenarios: Sequence[Scenario]) -> Done | str | None:
     """In a worker: run scenarios; or why it cannot run any, or None where it lacks the content of the parcel."""
     difference = _difference(parcel.versions)
     if difference:
@@ -280,7 +272,7 @@ def _run_task(parcel: Parcel, scenarios: Sequence[Scenario], floors: Floors) -> 
         bench = _bench(parcel)
     except LookupError:
         return None
-    return bench.run(scenarios, floors)
+    return bench.run(scenarios)
 
 
 @lru_cache(maxsize=4)
@@ -290,13 +282,13 @@ def _bench(parcel: Parcel) -> _Bench:
     return _Bench(parcel)
 
 
-def _run(parcel: Parcel, scenario: Scenario, tell: object, floors: Floors) -> Timed:
+def _run(parcel: Parcel, scenario: Scenario, tell: object) -> Timed:
     """The work of the process of a worker."""
     with capture_output() as output:
         world, ads, read = _unpacked(parcel)
         trace, seconds = timed(world, scenario, ads)
     with suppress(Exception):  # which is raised where somebody asks for it
-        read(trace, floors)
+        read(trace)
     return trace, output, seconds
 
 

@@ -55,8 +55,8 @@ LARGEST = 0x2020_2020 - 1
 by chance, reads as more: the session would wait for so many bytes for ever."""
 
 Work: TypeAlias = Callable[..., ResultT]
-"""Runs a task in a process of the pool: it is called with the task, with a function that can be told the share of it
-that is done, and with what goes along with the tasks, where anything does."""
+"""Runs a task in a process of the pool: it is called with the task, and with a function that can be told the share of
+it that is done."""
 
 
 class ProcessLostError(Exception, Generic[TaskT]):
@@ -117,7 +117,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._context: Any = multiprocessing.get_context(self.method)
         self._workers: list[_Worker[TaskT]] = []
         self._looked_at = -math.inf  # when all processes were looked at, those that say nothing included
-        self._along: tuple[Any, ...] = ()
         self._pending: deque[TaskT] = deque()
         self._wanted: set[TaskT] = set()
         self._answers: dict[TaskT, ResultT | Exception] = {}
@@ -129,13 +128,12 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self.close(at_once=kind is not None)
 
-    def expect(self, tasks: Iterable[TaskT], *along: Any) -> None:
+    def expect(self, tasks: Iterable[TaskT]) -> None:
         """Begin with these, in this order; what was expected before and not fetched is of no interest any more.
 
-        What goes ``along`` is given to the work with each task from now on. Tasks that are made as they are read take
-        no time from those before them.
+        Tasks that are made as they are read take no time from those before them.
         """
-        self._pending, self._wanted, self._along = deque(), set(), along
+        self._pending, self._wanted = deque(), set()
         self._answers, self._suspects = {}, {}
         for task in tasks:
             self._wanted.add(task)
@@ -212,7 +210,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
             return
         idle = next((worker for worker in self._workers if worker.task is None), None)
         try:
-            while idle is None or not idle.take(task, self._along, self.clock()):
+            while idle is None or not idle.take(task, self.clock()):
                 if idle is not None:  # It ended between two tasks: nobody's doing.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
@@ -315,16 +313,16 @@ class _Worker(Generic[TaskT]):
         """Whether it came so far as to wait for tasks."""
         return bool(self._beats.value)
 
-    def take(self, task: TaskT, along: tuple[Any, ...], now: float) -> bool:
+    def take(self, task: TaskT, now: float) -> bool:
         """Run a task; False where the process has ended."""
         self.share, self._asked_at = 0.0, None if self.has_begun else now
-        self.task = task if self.send((task, along)) else None
+        self.task = task if self.send(task) else None
         return self.task is not None
 
-    def send(self, what: tuple[TaskT, tuple[Any, ...]] | None) -> bool:
-        """Give it a task and what goes along, or None for its end; False where the process has ended."""
+    def send(self, task: TaskT | None) -> bool:
+        """Give it a task, or None for its end; False where the process has ended."""
         try:
-            self.connection.send_bytes(pickle.dumps(what))
+            self.connection.send_bytes(pickle.dumps(task))
         except OSError:
             return False
         return True
@@ -413,10 +411,9 @@ def _serve(
     if memory is not None:
         _limit_memory(memory)
     with last_resort(LastResort(end=end, grace=grace)), suppress(EOFError, OSError):
-        while connection.poll(idle) and (given := connection.recv()) is not None:
-            task, along = given
+        while connection.poll(idle) and (task := connection.recv()) is not None:
             try:
-                said = _sendable(work(task, tell, *along))
+                said = _sendable(work(task, tell))
             except MemoryError:  # To repeat it in the session would take the memory of the session.
                 end(EXHAUSTED)
                 return

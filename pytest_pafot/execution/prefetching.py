@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
 
-from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.executors import ExecutorPool
 from pytest_pafot.execution.scenario_pool import (
@@ -55,7 +54,7 @@ class LockStep:
         why = "since the ADS decides for many runs at once, by its `batch`"
         return [] if self._workers == 1 else [f"--pafot-workers={self._workers}: not in use, {why}"]
 
-    def announce(self, scenarios: Iterable[Scenario], floors: Floors = NONE) -> None:
+    def announce(self, scenarios: Iterable[Scenario]) -> None:
         """Know what will be asked for; of what was made before, nothing is kept."""
         self._announced, self._made = list(scenarios), {}
 
@@ -84,7 +83,6 @@ class Processes:
     def __init__(self, job: Job, *, workers: int, executor: Executor | None = None) -> None:
         self.announced: list[Scenario] = []
         """What will be asked for, as far as it was not yet."""
-        self._floors: Floors = {}
         self._job = job
         self._workers = workers
         self._executor = executor
@@ -112,11 +110,11 @@ class Processes:
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
         return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays from {dear:g} ms on"]
 
-    def announce(self, scenarios: Iterable[Scenario], floors: Floors = NONE) -> None:
+    def announce(self, scenarios: Iterable[Scenario]) -> None:
         """Know what will be asked for, and begin with it where processes are in use."""
-        self.announced, self._floors = [], dict(floors)
+        self.announced = []
         if self._pool is not None:
-            self._pool.expect(self._noted(scenarios), self._floors)
+            self._pool.expect(self._noted(scenarios))
         else:
             self.announced.extend(scenarios)
 
@@ -169,7 +167,7 @@ class Processes:
     def _begin(self) -> ScenarioPool | ExecutorPool:
         job, executor = self._job, self._executor
         self._pool = pool = pool_for(job, self._workers) if executor is None else ExecutorPool(job, executor)
-        pool.expect(self.announced, self._floors)
+        pool.expect(self.announced)
         return pool
 
 

@@ -13,7 +13,6 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.prefetching import Isolated, LockStep, Processes
 from pytest_pafot.execution.scenario_pool import Job
@@ -182,12 +181,9 @@ class Runner:
         self._prefetching.announce(())
         self.processes.close(at_once=kind is not None)
 
-    def announce(self, scenarios: Iterable[Scenario], floors: Floors = NONE) -> None:
-        """Say what will be asked for next, in this order; what was announced before is forgotten.
-
-        Other processes read near-misses above the floors from their runs.
-        """
-        self._prefetching.announce(scenarios, floors)
+    def announce(self, scenarios: Iterable[Scenario]) -> None:
+        """Say what will be asked for next, in this order; what was announced before is forgotten."""
+        self._prefetching.announce(scenarios)
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
         """One run. It leaves the crash record written, for a verdict that may end the process too.

@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.captured_output import CapturedOutput, capture_output
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import GRACE, IGNORED, ProcessLostError, WorkerPool
@@ -44,7 +43,7 @@ Answer: TypeAlias = Timed | Exception
 ScenarioPool: TypeAlias = WorkerPool[Scenario, Timed]
 
 
-def _read_nothing(trace: Trace, floors: Floors) -> None:
+def _read_nothing(trace: Trace) -> None:
     """Of runs in which nobody searches."""
 
 
@@ -64,8 +63,8 @@ class Job:
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()
     """Folder of the project, whose modules travel with the ADS where it runs on other machines."""
-    read: Callable[[Trace, Floors], None] = _read_nothing
-    """What another process reads from a run that it has made; the trace keeps it. Near-misses have floors."""
+    read: Callable[[Trace], None] = _read_nothing
+    """What another process reads from a run that it has made; the trace keeps it."""
     memory: int | None = None
     """How many MB a process may take beyond what it begins with; 0 for any number, None for its share of all."""
     reference: str = ""
@@ -125,13 +124,13 @@ def _memory(job: Job, size: int) -> int | None:
     return max(min(limits) * 3 // 4 // size, LEAST_MEMORY)
 
 
-def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object, floors: Floors = NONE) -> Timed:
+def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object) -> Timed:
     """The work of each process: a run, with the scenario on disk meanwhile."""
     with record, capture_output() as output:  # closed each time: nobody could if the session died meanwhile
         record.write(scenario, reference=job.reference)
         trace, seconds = timed(job.world, scenario, job.ads)
     with suppress(Exception):  # which is raised where somebody asks for it
-        job.read(trace, floors)
+        job.read(trace)
     return trace, output, seconds
 
 

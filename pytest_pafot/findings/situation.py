@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from pytest_pafot.attribution.lane_changes import DRIFTING
 from pytest_pafot.attribution.needless_braking import braking
-from pytest_pafot.attribution.responsibility import BRAKES, dangers_of
+from pytest_pafot.attribution.responsibility import BRAKES, frame_of
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure
 from pytest_pafot.model.trace import LANE, FloatArray, Outcome, Trace
@@ -81,7 +81,7 @@ class Situation:
             npc = None
         if npc is None or not np.isfinite(trace.states).all():
             return None
-        frame, hz, end = dangers_of(trace).frame, trace.physics_hz, min(round(time * trace.physics_hz), trace.ticks)
+        frame, hz, end = frame_of(trace), trace.physics_hz, min(round(time * trace.physics_hz), trace.ticks)
         mistake = None if hit is None or check is not None else run.attribution.tick
         tick = end if mistake is None else mistake
         lanes = _lanes_between(trace, frame, npc)
@@ -115,7 +115,7 @@ class Situation:
 
         Shape [3, ticks + 1], in multiples of what is tolerated: where none is above 1 the situation came up.
         """
-        frame, npc, start = dangers_of(trace).frame, self.npc, round(min(self.time, START) * trace.physics_hz)
+        frame, npc, start = frame_of(trace), self.npc, round(min(self.time, START) * trace.physics_hz)
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
         slower = self.ego_speed - self.npc_speed
         if self.lane == 0 and self.ahead > 0:
@@ -136,7 +136,7 @@ class Situation:
 
     def nearest_in(self, trace: Trace) -> Self:
         """Return the moment at which a run came nearest to the situation."""
-        frame, tick = dangers_of(trace).frame, int((self.distances(trace) ** 2).sum(axis=0).argmin())
+        frame, tick = frame_of(trace), int((self.distances(trace) ** 2).sum(axis=0).argmin())
         ego_speed, npc_speed = frame.speed[0, tick], frame.speed[self.npc + 1, tick]
         return self._at(tick, trace, frame, self.npc, ego_speed=ego_speed, npc_speed=npc_speed)
 

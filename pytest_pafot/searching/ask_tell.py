@@ -9,14 +9,12 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 from numpy.random import Generator as Rng
 
-from pytest_pafot.attribution.mistakes import Mistake
-from pytest_pafot.attribution.near_misses import ALL
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, LocalSearchFinished, NewBest
@@ -197,12 +195,6 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
     def kept(self, state: GenerationStateT) -> Sequence[Evaluation]:
         """What passes on untouched into the generation that was asked for."""
         return ()
-
-
-def floors_of(algorithm: Algorithm[StateT], state: StateT) -> Mapping[Mistake, float]:
-    """The floors of near-misses that matter in a state of a search; every one does to a search that has no floors."""
-    floors: Mapping[Mistake, float] = getattr(algorithm, "floors", lambda state: ALL)(state)
-    return floors
 
 
 def end_of_local_search(

@@ -93,8 +93,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         foresee: told at the beginning of a generation which of its scenarios are not known, in their order, each of
             which may be drawn only when it is read. Most of them are given to ``evaluate`` afterwards; who simulates
             them ahead changes no event.
-        adapted: the algorithm to go on with, asked before each generation with the one so far and its state, from which
-            ``evaluate`` may know what need not be measured.
+        adapted: the algorithm to go on with, asked before each generation with the one so far and its state.
         resumed: from which an earlier campaign with the same arguments goes on. Generations and runs count from
             there. The events of both, one after the other, are those of one campaign that was not cut, but for its
             beginning and its end; a generation that was cut is told as finished by both where the runs decided.

@@ -9,7 +9,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.criticality import Encounters, sweep
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_cells
@@ -61,8 +60,6 @@ class Evaluation:
         kind: of the failure; two failures of equal kind are the same one. None where nothing failed or nobody says.
         mistake: of the ego in the failure, or the name of the check that failed; None where there is none or nobody
             says.
-        near_misses: what the ego nearly had to answer for, of each mistake the worst that may matter to the algorithm;
-            empty where nobody says, and for runs that fail or say nothing.
         margins: of each check that the user's function made, its name and its worst margin
             (:attr:`pytest_pafot.oracle.checks.Check.margin`), in the order of the names; empty where they do not steer.
         arrived: per NPC and gene that was started, whether its cell, or lane, was reached.
@@ -86,7 +83,6 @@ class Evaluation:
     barely_moved: bool = False
     kind: Hashable | None = None
     mistake: str | None = None
-    near_misses: tuple[NearMiss, ...] = ()
     margins: tuple[tuple[str, float], ...] = ()
     arrived: tuple[tuple[bool, ...], ...] = ()
     driven: tuple[tuple[Cell, ...], ...] = ()
@@ -110,7 +106,6 @@ class Evaluation:
         discarded: bool = False,
         kind: Hashable | None = None,
         mistake: str | None = None,
-        near_misses: tuple[NearMiss, ...] = (),
         margins: tuple[tuple[str, float], ...] = (),
     ) -> Self:
         """The evaluation of a run: the judgements given, the rest read from its trace."""
@@ -131,7 +126,6 @@ class Evaluation:
             barely_moved=barely_moved(trace),
             kind=kind,
             mistake=mistake,
-            near_misses=near_misses,
             margins=margins,
             arrived=arrived,
             driven=trace.driven,

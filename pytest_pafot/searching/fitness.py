@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.attribution.near_misses import NEAR_SECONDS
 from pytest_pafot.criticality import Encounters, RoadFrame, execution_time, planned_duration
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.criticality.signals import MEASURES
@@ -85,7 +84,7 @@ class Weights:
     gap: float = 1.0
     shortfall: float = 1.0
     time: float = 1.0
-    tau: float = NEAR_SECONDS
+    tau: float = 1.5
 
     def __post_init__(self) -> None:
         for field in fields(self):

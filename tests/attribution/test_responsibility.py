@@ -6,7 +6,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.responsibility import DISTANCES, position_rule, rss_rule
+from pytest_pafot.attribution.needless_braking import Stop, hard_braking
+from pytest_pafot.attribution.responsibility import DISTANCES, Conflict, is_ego_responsible, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import Fact, What, sentence
 from pytest_pafot.criticality import rss_longitudinal
 from pytest_pafot.model.grid import Cell
@@ -355,3 +356,19 @@ class TestPositionRule:
 
     def test_a_creeping_ego_counts_as_driving(self):
         assert position_rule(self.crash(Cell.FRONT, ego_speed=0.11)) == "ego"
+
+
+def test_braking_is_hard_from_when_it_has_lasted_and_not_by_what_follows():
+    trace = trace_of(driven(0.0, brakes=[(2.0, 9.0, 0.0)]), driven(100.0))
+    begin, enough = 2 * HZ, 2 * HZ + 6  # 0.4 s
+    assert hard_braking(trace, 0, 0, enough - 1) is None
+    assert hard_braking(trace, 0, 0, enough) == Stop(begin=begin, end=enough)
+
+
+def test_the_collision_of_a_run_is_judged_once(monkeypatch):
+    trace = crash(driven(0.0), driven(-60.0, speed=26.0), side="rear", cell=Cell.REAR)
+    judged, rule = [], Conflict._in_one_lane
+    monkeypatch.setattr(Conflict, "_in_one_lane", lambda conflict: judged.append(conflict) or rule(conflict))
+    assert rss_rule(trace) == rss_rule(trace)
+    assert not is_ego_responsible(trace)
+    assert len(judged) == 1

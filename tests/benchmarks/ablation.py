@@ -18,7 +18,6 @@ from typing import Any
 
 from example_ads import idm_mobil
 from pytest_pafot import Highway, Run, Scenario
-from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.findings.finding import of_failure
@@ -43,7 +42,6 @@ class Variant:
     fitness: Any = "default"
     parameters: tuple[tuple[str, float], ...] = ()
     tells_kinds: bool = True
-    tells_near_misses: bool = True
 
 
 DEFAULT = Variant()
@@ -76,7 +74,6 @@ FAILURES: Mapping[str, Variant] = {
     "2 NPCs": replace(DISTINCT, space=replace(WIDE, npcs=2)),
     "no patterns": replace(DISTINCT, space=replace(WIDE, patterns=False)),
     "one start": replace(DISTINCT, space=replace(WIDE, ego_lanes=(), ego_speeds=None)),
-    "no near-misses": replace(DISTINCT, tells_near_misses=False),
     "known failures stay parents": replace(DISTINCT, tells_kinds=False),
     "4 proposals at once": replace(DISTINCT, parameters=(("population", 4),)),
     "64 proposals at once": replace(DISTINCT, parameters=(("population", 64),)),
@@ -118,7 +115,6 @@ def measured(named: tuple[str, bool], seed: int, hours: float) -> Tally:
             failing=is_blamed if blame else is_hit,
             kind=kind if variant.tells_kinds else None,
             mistake=None if kind is None else kind.mistake,
-            near_misses=near_misses(trace) if blame and variant.tells_near_misses else (),
         )
 
     events = run_campaign(

@@ -7,7 +7,6 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
-from pytest_pafot.attribution import near_misses
 from pytest_pafot.campaign.search_loop import FITNESS, read_ahead
 from pytest_pafot.execution import prefetching
 from pytest_pafot.searching.evaluation import Evaluation
@@ -52,10 +51,9 @@ def test_a_search_learns_the_same_from_its_runs_wherever_they_are_read(monkeypat
 def test_what_was_read_ahead_comes_with_the_trace_and_is_not_read_again(monkeypatch):
     chains = [[PositionInstruction(Cell.FRONT, 12.0)], [PositionInstruction(Cell.REAR, 26.0)]]
     trace = Highway().rollout(Scenario.repaired(chains, gene_seconds=10.0), lambda: brakes_late)
-    floors, fitness = dict(near_misses.ALL), resolve("default")
-    expected = near_misses.near_misses(trace, floors), Evaluation.of(trace, fitness=fitness(trace), failing=False)
-    read_ahead(fitness, trace, floors)
+    fitness = resolve("default")
+    expected = Evaluation.of(trace, fitness=fitness(trace), failing=False)
+    read_ahead(fitness, trace)
     sent = pickle.loads(pickle.dumps(trace))
-    monkeypatch.setattr(near_misses, "_worst", lambda trace, floors: pytest.fail("read again"))
     again = sent.reading(FITNESS, lambda trace: pytest.fail("read again"))
-    assert (near_misses.near_misses(sent, floors), Evaluation.of(sent, fitness=again, failing=False)) == expected
+    assert Evaluation.of(sent, fitness=again, failing=False) == expected

@@ -8,10 +8,8 @@ from itertools import count
 import pytest
 
 from pytest_pafot import Highway
-from pytest_pafot.attribution.near_misses import ALL, near_misses
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
 from pytest_pafot.commands.policy_reference import PlanError
-from pytest_pafot.comparison import algorithm_run
 from pytest_pafot.comparison.algorithm_run import COLUMNS, evaluated, run_rows, text_of
 from pytest_pafot.comparison.plan import Plan
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
@@ -166,22 +164,6 @@ def test_seeds_differ_between_runs_and_algorithms_and_come_from_the_base_seed():
     assert len(set(seeds)) == 40
     assert seeds[0] == 110821487627419, "in every process the same"
     assert plan.run_seed("pafot", 0) == Plan(ads="y", algorithms=("pafot",)).run_seed("pafot", 0)
-
-
-def test_near_misses_are_judged_down_to_their_floors_as_in_a_search_and_the_rows_are_the_same(quick, monkeypatch):
-    plan = quick(generations=4, blame="ego")
-    given = []
-
-    def noted(trace, floors):
-        given.append(dict(floors))
-        return near_misses(trace, floors)
-
-    monkeypatch.setattr(algorithm_run, "near_misses", noted)
-    rows = list(run_rows(plan, "distinct", 0))
-    assert given[0] == dict(ALL)
-    assert len({str(floors) for floors in given}) > 1
-    monkeypatch.setattr(algorithm_run, "near_misses", lambda trace, floors: near_misses(trace))
-    assert list(run_rows(plan, "distinct", 0)) == rows
 
 
 def test_runs_of_another_length_are_told_as_other_scenarios(quick):

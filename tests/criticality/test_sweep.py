@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway
-from pytest_pafot.attribution.lane_changes import stretches
-from pytest_pafot.criticality import Encounters, RoadFrame, RssRules, sweep
+from pytest_pafot.criticality import Encounters, sweep
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
 from pytest_pafot.searching import SearchSpace, interaction, sample
@@ -49,22 +48,6 @@ def swept(module, trace):
 def by_arrays(trace):
     encounters = Encounters(trace, sweeps=False)
     return tuple(getattr(encounters, name) for name in EXTREMES)
-
-
-def dangers(module, trace, rules):
-    heading = trace.lanes[0].heading
-    passes = module.Sweep(trace.states, trace.sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS)
-    return passes.dangers(rules, trace.physics_hz, 1.5, 1.0)
-
-
-def dangers_by_arrays(trace, rules):
-    frame, encounters = RoadFrame(trace), Encounters(trace)
-    is_close = (frame.gap_along < frame.safe_along(rules)) | (frame.gap_along <= 0)
-    is_dangerous = is_close & (frame.gap_across < frame.safe_across(rules))
-    severity = (1 / (1 + encounters.ttc.T / 1.5) + 1 / (1 + encounters.gap.T / 1.0)) / 2
-    found = [(npc, *each) for npc in range(len(trace.sizes) - 1) for each in stretches(is_dangerous[:, npc])]
-    peaks = [(npc, start + int(severity[start:end, npc].argmax())) for npc, start, end in found]
-    return [(*each, tick, severity[tick, npc]) for each, (npc, tick) in zip(found, peaks, strict=True)]
 
 
 def kept(module, trace):
@@ -130,15 +113,6 @@ class TestSweep:
         found = [(swept(module, trace), by_arrays(trace)) for trace in runs()[:15]]
         assert [swept for swept, arrays in found if swept not in (arrays, None)] == []
 
-    @given(seed=seeds, spread=st.sampled_from([5.0, 25.0, 500.0]))
-    def test_finds_the_dangers_of_the_arrays_in_any_states(self, module, seed, spread):
-        trace, rules = drawn(seed, spread=spread), RssRules(ego_response=0.5, npc_response=2.0)
-        assert dangers(module, trace, rules) == dangers_by_arrays(trace, rules)
-
-    def test_finds_the_dangers_of_the_arrays_in_runs(self, module):
-        for trace in runs()[:5]:
-            assert dangers(module, trace, RssRules()) == dangers_by_arrays(trace, RssRules()) != []
-
     def test_answers_itself_in_nearly_all_runs_of_a_search(self, module):
         assert sum(swept(module, trace) is not None for trace in runs()) >= 15
 
@@ -156,7 +130,7 @@ class TestSweep:
             states = drawn(4).states.copy()[:, :3]
             states[-1, of, column] = value
             trace = trace_of(*np.moveaxis(states, 1, 0))
-            if swept(module, trace) is not None or dangers(module, trace, RssRules()) is not None:
+            if swept(module, trace) is not None:
                 swept_anyway.append((column, value))
         assert swept_anyway == []
 

@@ -24,7 +24,7 @@ class Pool:
         self.expected, self.fetched, self.closed = [], [], None
         self.failure, self.recovered = "", []
 
-    def expect(self, scenarios, floors):
+    def expect(self, scenarios):
         self.expected = list(scenarios)
 
     def fetch(self, scenario):

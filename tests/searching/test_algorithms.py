@@ -47,7 +47,6 @@ class Structural:
     name = "structural"
     fitness = "paper"
     knows_grid = False
-    reads_near_misses = True
 
     def __init__(self, space, population=4):
         self.inner = RandomSearch(space, population=population)
@@ -95,13 +94,13 @@ def test_an_algorithm_of_ones_own_is_a_class_or_its_module_and_name():
     assert of_class.make(SPACE, population=6, jump=0.1) == Own(SPACE, population=6, jump=0.1)
     assert resolve_algorithm("tests.searching.test_algorithms:Own") == of_class
     assert (of_class.name, of_class.fitness, of_class.knows_grid) == ("own", "default", True)
-    assert (of_class.reads_near_misses, of_class.library) == (False, None)
+    assert of_class.library is None
 
 
 def test_a_class_says_what_is_otherwise_in_it_and_hands_that_down():
     told = resolve_algorithm(Structural)
-    assert (told.fitness, told.knows_grid, told.reads_near_misses) == ("paper", False, True)
-    assert resolve_algorithm(Careful).reads_near_misses
+    assert (told.fitness, told.knows_grid) == ("paper", False)
+    assert resolve_algorithm(Careful).batch_population == DistinctSearch.batch_population
     assert resolve_algorithm(AvFuzzerSearch) == resolve_algorithm("av-fuzzer")
 
 

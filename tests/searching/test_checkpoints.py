@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
@@ -35,7 +34,7 @@ ALGORITHMS = [DistinctSearch(SearchSpace(genes=3), population=5, random_runs=10)
 
 
 class Telling:
-    """A cheap world whose runs have kinds of failures, mistakes, near-misses and margins."""
+    """A cheap world whose runs have kinds of failures, mistakes and margins."""
 
     def __init__(self, world):
         self.world = world
@@ -45,8 +44,7 @@ class Telling:
         speed = run.executed.npcs[0][0].speed
         margins = (("near", 20.0 - speed), ("slow", speed))
         if not run.failing:
-            near = NearMiss(mistake="kept-no-distance", npc=0, tick=int(speed), severity=speed / 30)
-            return replace(run, margins=margins, near_misses=(near,))
+            return replace(run, margins=margins)
         mistake = "moved-into-side" if speed > 15 else "moved-in-front"
         kind = Signature(
             failure="AssertionError",

@@ -8,12 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.near_misses import ALL, NearMiss
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
 from pytest_pafot.searching.algorithms.distinct import niche
-from pytest_pafot.searching.ask_tell import floors_of
 from pytest_pafot.searching.events import Evaluated, NewBest
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at
@@ -138,91 +136,6 @@ def test_a_failure_that_takes_several_steps_is_found_behind_one_that_absorbs_the
     assert found(DistinctSearch(population=4)) >= 1.5 * found(PafotSearch()) > 0
 
 
-def near(mistake, severity):
-    return NearMiss(mistake=mistake, npc=0, tick=30, severity=severity)
-
-
-def severities(state):
-    return [(group[0][0].mistake, [near_miss.severity for near_miss, _ in group]) for group in state.near]
-
-
-def test_the_three_that_came_nearest_to_a_mistake_stay_whatever_their_fitness(make_evaluation):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
-
-    def evaluate(index, scenario):
-        misses = (near("kept-no-distance", 0.1 * index), *([near("moved-in-front", 0.7)] if index == 2 else []))
-        return make_evaluation(scenario, fitness=-index, near_misses=misses)
-
-    state = told(algorithm, algorithm.start(rng), evaluate, rng)
-    assert severities(state) == [
-        ("kept-no-distance", pytest.approx([0.3, 0.2, 0.1])), ("moved-in-front", [0.7])
-    ]  # fmt: skip
-    later = told(algorithm, state, lambda i, s: make_evaluation(s, near_misses=(near("kept-no-distance", 0.25),)), rng)
-    assert severities(later)[0] == ("kept-no-distance", pytest.approx([0.3, 0.25, 0.2]))
-    assert later.near[0][0] == state.near[0][0], "the same near-miss again takes no second place"
-
-
-def test_a_near_miss_matters_that_is_worse_than_the_third_worst_of_a_mistake_not_known(make_evaluation):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
-
-    def evaluate(index, scenario):
-        if index == 3:
-            return make_evaluation(scenario, failing=True, kind="a", mistake="braked-for-nothing")
-        return make_evaluation(scenario, near_misses=(near("kept-no-distance", 0.5 + index / 8),))
-
-    state = told(algorithm, algorithm.start(rng), evaluate, rng)
-    assert algorithm.floors(state) == {
-        "kept-no-distance": 0.5, "moved-into-side": 0.0, "moved-in-front": 0.0, "stopped-for-nothing": 0.0
-    }  # fmt: skip
-    assert floors_of(RandomSearch(), None) == ALL, "to a search without floors everything matters"
-
-
-def test_who_came_near_to_a_mistake_that_is_known_is_no_parent_for_that(make_evaluation):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
-
-    def evaluate(index, scenario):
-        if index == 3:
-            return make_evaluation(scenario, failing=True, kind="a", mistake="moved-in-front")
-        return make_evaluation(scenario, near_misses=(near("braked-for-nothing", 0.2), near("moved-in-front", 0.9)))
-
-    state = told(algorithm, algorithm.start(rng), evaluate, rng)
-    assert severities(state) == [("braked-for-nothing", [0.2])]
-    state = told(algorithm, state, lambda i, s: make_evaluation(s, near_misses=(near("moved-in-front", 1.0),)), rng)
-    assert severities(state) == [("braked-for-nothing", [0.2])]
-
-
-@table("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True, "kind": "a"}])
-def test_runs_that_say_nothing_or_that_fail_came_near_to_nothing(make_evaluation, fields):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
-    misses = (near("moved-in-front", 0.9),)
-    state = told(algorithm, algorithm.start(rng), lambda i, s: make_evaluation(s, near_misses=misses, **fields), rng)
-    assert state.near == ()
-
-
-def test_a_mistake_without_failures_nearby_is_found_by_its_near_misses(make_evaluation):
-    """The fitness says nothing of it: only what came near leads there."""
-
-    def slow(scenario):
-        return sum(gene.speed < 7 for chain in scenario.npcs for gene in chain[:3])
-
-    def found(is_told, seed):
-        def evaluate(each):
-            return make_evaluation(
-                each,
-                failing=slow(each) >= 5,
-                kind="rare" if slow(each) >= 5 else None,
-                near_misses=(near("moved-in-front", slow(each) / 6),) if is_told else (),
-            )
-
-        return any(
-            event.evaluation.failing
-            for event in of(Evaluated, search(evaluate, DistinctSearch(population=4, fresh=0.0), seed))
-        )
-
-    with_them, without = (sum(found(is_told, seed) for seed in range(40)) for is_told in (True, False))
-    assert with_them >= 1.5 * without > 0
-
-
 @given(st.integers(0, 20))
 def test_the_same_draws_give_the_same_search(make_evaluation, seed):
     judge = Judge(make_evaluation, lambda scenario: "fast" if scenario.npcs[0][0].speed > 20 else None)
@@ -260,8 +173,8 @@ def test_the_worst_margin_of_each_check_stays_whatever_the_fitness(make_evaluati
     state = told(algorithm, algorithm.start(rng), judged, rng)
     kept = {name: [-each.fitness for _, each in elites] for name, elites in state.strained.items()}
     assert kept == {"gap": [0.1], "jerk": [0.2]}
-    dangers, *checks = algorithm.parents(state)
-    assert [each.fitness for each in dangers] == [3.0]
+    worst, *checks = algorithm.parents(state)
+    assert [each.fitness for each in worst] == [3.0]
     assert [[-each.fitness for each in group] for group in checks] == [[0.1], [0.2]]
 
 
@@ -276,15 +189,3 @@ def test_a_check_that_has_failed_is_climbed_no_further(make_evaluation):
     state = told(algorithm, algorithm.start(rng), judged, rng)
     assert list(state.strained) == ["gap"]
     assert all(not each.failing for group in algorithm.parents(state) for each in group)
-
-
-def test_half_of_all_draws_are_those_of_checks(make_evaluation):
-    algorithm, rng = DistinctSearch(population=4), np.random.default_rng(0)
-    misses = (near("kept-no-distance", 0.5), near("moved-in-front", 0.5))
-
-    def judged(index, scenario):
-        return make_evaluation(scenario, near_misses=misses, margins=(("jerk", 0.5),))
-
-    groups = algorithm.parents(told(algorithm, algorithm.start(rng), judged, rng))
-    assert len(groups) == 6
-    assert groups[3] == groups[4] == groups[5]

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake
-from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.grid import Cell
@@ -51,7 +50,6 @@ signatures = st.builds(
     npc_manoeuvre=maybe(one_of(Manoeuvre)),
     ego_manoeuvre=maybe(one_of(Manoeuvre)),
 )
-near_misses = st.builds(NearMiss, mistake=one_of(Mistake), npc=counts, tick=counts, severity=finite)
 collisions = st.builds(
     Collision,
     tick=counts,
@@ -83,7 +81,6 @@ evaluations = st.builds(
     discarded=st.booleans(),
     kind=maybe(signatures),
     mistake=maybe(texts),
-    near_misses=tuples(near_misses),
     margins=tuples(st.tuples(texts, st.floats(allow_nan=False))),
     arrived=tuples(tuples(st.booleans())),
     driven=tuples(tuples(st.sampled_from(Cell))),
@@ -98,7 +95,6 @@ states = st.builds(
     kinds=st.frozensets(signatures, max_size=3),
     mistakes=st.frozensets(texts, max_size=3),
     elites=elites,
-    near=tuples(tuples(st.tuples(near_misses, evaluations))),
     strained=st.dictionaries(texts, elites, max_size=2),
 )
 keys = st.sampled_from((*CELLS, *STEPS, *speed_bins(30)))
@@ -155,9 +151,9 @@ def test_what_json_cannot_hold_is_refused():
         (tuple[tuple[str, float], ...], [["a", 1.0], ["b", 1.0, 2.0]], "[1]", "a list of 2"),
         (Steps, [0.5, 3], "", "a list of 3"),
         (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]", "one of 1, 2"),
-        (Evaluation, plain([None]) * 20, "[0]", "a scenario"),
-        (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 20, "[0].speed", "m/s"),
-        (NearMiss | None, [], "", "a list of 4"),
+        (Evaluation, plain([None]) * 19, "[0]", "a scenario"),
+        (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 19, "[0].speed", "m/s"),
+        (Collision | None, [], "", "a list of 8"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_place(kind, data, place, expected):

@@ -42,7 +42,6 @@ class AlgorithmClass:
     # that it maximises unless another one is asked for: a name, weights or a function
     fitness: str | Weights | Fitness = "default"
     knows_grid: bool = True  # whether its genes are Position-Instructions; else they are Lane-Instructions
-    reads_near_misses: bool = False  # whether it makes use of :attr:`~pytest_pafot.searching.Evaluation.near_misses`
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
     batch_population: int | None = None  # scenarios in a generation where the ADS decides for many runs at once
     library: str | None = None  # that it needs beside this package, as it is imported

@@ -17,8 +17,6 @@ from typing import Any, ClassVar
 
 from numpy.random import Generator
 
-from pytest_pafot.attribution.mistakes import Mistake
-from pytest_pafot.attribution.near_misses import ALL, NearMiss
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, GenerationStateT, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
@@ -68,11 +66,9 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
 
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last one, which has no upper end
-NEAREST = 3  # near-misses of each mistake, whose runs may be parents
 
 Niche = tuple[int, int]  # the cell of an impact and the index of its closing speed; 0 and what the ego was made to do
 Elites = tuple[tuple[Niche, Evaluation], ...]  # the best of each niche, in their order
-Near = tuple[NearMiss, Evaluation]  # a run, and what the ego nearly had to answer for in it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,8 +79,6 @@ class DistinctState(GenerationState):
     mistakes: frozenset[str] = frozenset()  # of the ego that these failures had, and checks that failed
     # the worst run for the ego of each niche, in the order of the niches, without those of known kinds
     elites: Elites = ()
-    # the worst near-misses of each mistake that is not known, with their runs, the worst first
-    near: tuple[tuple[Near, ...], ...] = ()
     # by the name of each check that has not failed, the runs with the worst margin in each niche
     strained: Mapping[str, Elites] = field(default_factory=dict)
 
@@ -96,15 +90,13 @@ class DistinctSearch(NicheSearch[DistinctState]):
     1. The first scenarios are random, as the paper's first generation is.
     2. After them a third of the scenarios is random again, and the others are children. The worst run of every niche
        may have some: of every impact cell and closing speed, and without an impact of everything that the ego was made
-       to do (:func:`~pytest_pafot.searching.evaluation.demand_of`), so that no kind of run displaces the others. So may
-       the runs of the three worst near-misses of each mistake of the ego
-       (:attr:`~pytest_pafot.searching.Evaluation.near_misses`). The elites of the niches are one group, those of each
-       mistake another; all groups are drawn equally often, and parents of a group by binary tournament on the fitness.
-       A child has one to three mutations.
+       to do (:func:`~pytest_pafot.searching.evaluation.demand_of`), so that no kind of run displaces the others.
        For each check (:attr:`~pytest_pafot.searching.Evaluation.margins`) that has not failed yet the niches are held
-       once more, by its worst margin in place of the fitness: every check is an objective, without a weight.
+       once more, by its worst margin in place of the fitness: every check is an objective, without a weight. These
+       groups are drawn equally often, and parents of a group by binary tournament on the fitness. A child has one to
+       three mutations.
     3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no parent from
-       then on: simplifying it is the shrinker's work. Nor are near-misses of a mistake that is known.
+       then on: simplifying it is the shrinker's work.
 
     Attributes:
         population: scenarios in a generation.
@@ -113,7 +105,6 @@ class DistinctSearch(NicheSearch[DistinctState]):
     """
 
     name: ClassVar[str] = "distinct"
-    reads_near_misses: ClassVar[bool] = True
     batch_population: ClassVar[int] = 64
 
     population: int = field(default=16, kw_only=True)
@@ -136,19 +127,10 @@ class DistinctSearch(NicheSearch[DistinctState]):
         """The inverse of :meth:`stored`."""
         return from_plain(DistinctState, data)
 
-    def floors(self, state: DistinctState) -> Mapping[Mistake, float]:
-        """Of each mistake that is not known, the severity up to which a near-miss cannot become one of the worst."""
-        full = {group[0][0].mistake: group[-1][0].severity for group in state.near if len(group) == NEAREST}
-        return {each: full.get(each, floor) for each, floor in ALL.items() if each not in state.mistakes}
-
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
-        """Groups that have the same chance each: the elites, whoever came near to a mistake, and those of each check.
-
-        Those of checks are there as often as all others are, since what a test asserts is what it wants to see fail.
-        """
-        dangers = [[each for _, each in group] for group in (state.elites, *state.near) if group]
-        strained = [[each for _, each in elites] for elites in state.strained.values() if elites]
-        return dangers + strained * (-(-len(dangers) // len(strained)) if strained else 0)
+        """Groups that have the same chance each: the elites of the niches, and those of each check."""
+        groups = (state.elites, *state.strained.values())
+        return [[each for _, each in elites] for elites in groups if elites]
 
     def child(self, parents: Sequence[Sequence[Evaluation]], rng: Generator) -> Scenario:
         """One to three mutations of a parent, or of two that have swapped NPCs; or a random scenario."""
@@ -171,7 +153,6 @@ class DistinctSearch(NicheSearch[DistinctState]):
             kinds=kinds,
             mistakes=mistakes,
             elites=_elites([*(each for _, each in state.elites), *evaluations], kinds),
-            near=_near(state.near, evaluations, mistakes),
             strained=_strained(state.strained, evaluations, kinds, mistakes),
         )
 
@@ -187,27 +168,6 @@ def niche(evaluation: Evaluation) -> Niche:
 
 def _parent(groups: Sequence[Sequence[Evaluation]], rng: Generator) -> Evaluation:
     return tournament(groups[int(rng.integers(len(groups)))], rng)
-
-
-def _near(
-    before: Sequence[Sequence[Near]], evaluations: Sequence[Evaluation], mistakes: frozenset[str]
-) -> tuple[tuple[Near, ...], ...]:
-    """The nearest of each mistake that is not known, in the order of the mistakes; the first of equals.
-
-    A child that differs from its parent only in what comes later, or in which NPC is which, has the same near-miss.
-    """
-    known = (near for group in before for near in group)
-    judged = (each for each in evaluations if each.eligible and not each.failing)
-    told = ((near_miss, each) for each in judged for near_miss in each.near_misses)
-    found: dict[Mistake, dict[tuple[float, int], Near]] = {}
-    for near_miss, each in (*known, *told):
-        same = (near_miss.severity, near_miss.tick)
-        found.setdefault(near_miss.mistake, {}).setdefault(same, (near_miss, each))
-    return tuple(
-        tuple(sorted(found[mistake].values(), key=lambda near: -near[0].severity)[:NEAREST])
-        for mistake in sorted(found)
-        if mistake not in mistakes
-    )
 
 
 def _strained(
