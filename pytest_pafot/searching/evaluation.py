@@ -204,7 +204,7 @@ def demand_of(trace: Trace) -> Demand:
     """Return what a run made the ego do, by which runs without an impact differ."""
     speed, ticks = trace.ego[:, SPEED], max(round(BRAKING_SECONDS * trace.physics_hz), 1)
     # fmax passes over NaN, which a world of the user's own may record.
-    lost = float(np.fmax.reduce(speed[:-ticks] - speed[ticks:], initial=0.0)) / BRAKING_SECONDS
+    lost = float(np.fmax.reduce(speed[:-ticks] - speed[ticks:], initial=0.0)) * trace.physics_hz / ticks
     changes = int(np.count_nonzero(np.diff(trace.ego[:, LANE])))
     return int(min(lost, 9.9) / BRAKING_STEP), min(changes, 2), bool(speed.min() < STANDING)
 

@@ -140,6 +140,7 @@ SECONDS = np.arange(151) / 15
         (20.0, 1, (0, 0, False)),
         (20 + SECONDS, 1, (0, 0, False)),
         (np.maximum(20 - 5 * SECONDS, 10), 1, (2, 0, False)),
+        (np.maximum(20 - 5.9 * SECONDS, 5), 1, (2, 0, False)),
         (np.maximum(20 - 50 * SECONDS, 0), 1 + (SECONDS > 3), (4, 1, True)),
         (20.0, 1 + SECONDS.astype(int) % 2, (0, 2, False)),
         (np.where(SECONDS == 2, np.nan, np.maximum(20 - 5 * SECONDS, 10)), 1, (2, 0, False)),
