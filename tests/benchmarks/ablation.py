@@ -71,7 +71,7 @@ FAILURES: Mapping[str, Variant] = {
     "pafot": DEFAULT,
     "distinct, as it is": DISTINCT,
     "the paper's space": replace(DISTINCT, space=SearchSpace()),
-    "2 NPCs": replace(DISTINCT, space=replace(WIDE, npcs=2)),
+    "2 NPCs": replace(DISTINCT, space=replace(WIDE, npcs=2, most_npcs=())),
     "no patterns": replace(DISTINCT, space=replace(WIDE, patterns=False)),
     "one start": replace(DISTINCT, space=replace(WIDE, ego_lanes=(), ego_speeds=None)),
     "known failures stay parents": replace(DISTINCT, tells_kinds=False),
