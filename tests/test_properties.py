@@ -360,7 +360,8 @@ def test_every_hard_braking_of_a_run_is_judged_as_the_rule_does():
         trace = situation.trace()
         made = only(properties.brakes_for_a_reason, trace)
         assert made.holds != expected_needless(trace), situation.name
-        assert made.holds <= (situation.fault != "braked-for-nothing"), situation.name
+        is_hard = (braking(trace) > 5.0).any()  # verdicts count lasting braking, too
+        assert made.holds <= (situation.fault != "braked-for-nothing" or not is_hard), situation.name
 
 
 # Cut-ins.
