@@ -187,6 +187,7 @@ class Crash:
         self.joined = first_of_last_stretch(lambda tick: in_one_track(self.ego, self.npc, tick), self.impact)
         self.is_cut_in = False
         self.counted = None  # the tick since which a response was counted last
+        self.sped_up = None  # the tick since which one sped up into the other
         self.sides = {}
         self.ticks = {"danger": self.danger, "joined": self.joined}
 
@@ -220,7 +221,10 @@ class Crash:
         return any(self.ego.speed[tick] > STANDS for tick in just_before)
 
     def _by_the_first_rule_that_applies(self):
-        mine, theirs = LaneChange.of(self, self.ego, self.npc), LaneChange.of(self, self.npc, self.ego)
+        mine = self.unless_given_up(self.ego, LaneChange.of(self, self.ego, self.npc))
+        theirs = self.unless_given_up(self.npc, LaneChange.of(self, self.npc, self.ego))
+        if theirs is None:
+            theirs = self.unless_given_up(self.npc, self.npc_moved_in_behind())
         over = self.came_over()
         if over is not None and all(each is None or over[1].moment > each.moment for each in (mine, theirs)):
             return self.changed_lanes(*((over[1], None) if over[0] is self.ego else (None, over[1])))
@@ -242,7 +246,26 @@ class Crash:
             return self.both_changed_lanes(mine, theirs)
         return self.npc_changed_lanes(theirs) if mine is None else self.ego_changed_lanes(mine)
 
-    # Rule 2, last paragraph
+    # Rule 2, last paragraphs
+
+    def unless_given_up(self, mover, change):
+        """A lane change; None for one that the mover gave up, or that is none."""
+        if change is None or not mover.is_over_its_line(change.moment, change.side):
+            return change
+        is_in_its_lane = mover.lane[self.impact] == mover.lane[change.moment]
+        if mover.is_straight:  # off the road there is one more lane on either side
+            is_in_its_lane = mover.centre[self.impact] == mover.centre[change.moment]
+        is_back = is_in_its_lane and not mover.is_over_its_line(self.impact, change.side)
+        return None if is_back else change
+
+    def npc_moved_in_behind(self):
+        """Its lane change while the ego reached over the line, or None."""
+        side = side_of(self.ego, self.npc, self.joined - 1)
+        for tick in range(self.impact, self.joined, -1):
+            is_ego_ahead = not is_behind(self.ego, self.npc, tick - 1)
+            if is_ego_ahead and comes_over(self.npc, self.ego, tick, side):
+                return LaneChange(tick, tick, side)
+        return None
 
     def came_over(self):
         """Who did, and the lane change that it was; None if nobody did."""
@@ -275,6 +298,13 @@ class Crash:
         at, later = mine.moment, max(mine.moment, theirs.moment)
         if not is_behind(self.ego, self.npc, at) and self.ego_gives_way(at):
             return self.npc_follows(at, tick=at)
+        apart = gap(self.ego, self.npc, later)
+        if not is_behind(self.ego, self.npc, later) and apart > 0:
+            braked = self.braked_after_keeping_its_lane(later)
+            if braked is not None:
+                return self.npc_follows(braked, tick=theirs.moment, moved_in=theirs.moment)
+            if apart >= 2.0 and self.npc_sped_up(later):
+                return self.npc_follows(later, tick=theirs.moment, moved_in=theirs.moment)
         ego_behind = is_behind(self.ego, self.npc, self.joined)
         ahead, behind = (self.npc, self.ego) if ego_behind else (self.ego, self.npc)
         passed = self.duty_passes(ahead, behind, later)
@@ -288,14 +318,15 @@ class Crash:
         at = change.moment
         if is_behind(self.ego, self.npc, at):
             return self.opinion("ego", "entered-lane", at)
-        if self.ego_gives_way(at):
-            return self.npc_follows(at, tick=at)
+        apart = gap(self.ego, self.npc, at)
+        had_room = apart > 0 and apart >= giving_way(self.npc.speed[at], self.ego.speed[at])
+        answers_from = self.npc_answers_from(at, had_room)
+        if answers_from is not None:
+            return self.npc_follows(answers_from, tick=at)
         passed = self.duty_passes(self.ego, self.npc, at)
         if passed is not None:
             return self.npc_follows(passed.due, tick=passed.kept)
-        due, apart = max(at, self.danger - 1), gap(self.ego, self.npc, at)
-        had_room = apart > 0 and apart >= giving_way(self.npc.speed[at], self.ego.speed[at])
-        is_ahead = gap(self.ego, self.npc, self.joined) > 0
+        due, is_ahead = max(at, self.danger - 1), gap(self.ego, self.npc, self.joined) > 0
         if had_room and is_ahead and self.would_have_avoided(self.npc, self.ego, due):
             self.ticks["answer"] = self.counted
             return self.opinion("both", "entered-lane", at)
@@ -309,6 +340,45 @@ class Crash:
         if gap(self.ego, self.npc, at) <= 0 or gap(self.ego, self.npc, self.joined) <= 0:
             return self.npc_unless_second_chance(at, moment=at)
         return self.cut_in(change)
+
+    def npc_answers_from(self, at, had_room):
+        """Before the duty passes, for what the ego did or for the speed that it took up itself; None if it does not."""
+        if self.ego_gives_way(at):
+            return at
+        braked = self.braked_after_keeping_its_lane(at)
+        if braked is not None:
+            return braked
+        kept_its_speed = min(self.ego.speed[at : self.impact + 1]) >= self.ego.speed[at] - 0.3
+        return at if had_room and kept_its_speed and self.npc_sped_up(at) else None
+
+    def braked_after_keeping_its_lane(self, since):
+        """The tick at which the ego began to brake for nothing, if it had kept its lane since a tick; else None."""
+        second = self.keeps_its_lane(self.ego, since)
+        began = self.braked_for_nothing(self.ego, self.npc)
+        return began if second is not None and began is not None and began >= second[1] else None
+
+    def npc_sped_up(self, at):
+        """Into the ego, than which it was hardly faster at a tick."""
+        was_no_faster = self.npc.speed[at] <= self.ego.speed[at] + 0.3
+        return was_no_faster and self.sped_up_into(self.npc, self.ego, at + round(0.4 * self.hz))
+
+    def sped_up_into(self, behind, ahead, first):
+        """Whether it did from a tick on, where its lowest speed so far would have avoided the collision."""
+        if first > self.impact:
+            return False
+        drive = Response(self, behind, ahead, first, delay=0.0, perceived=0.0)
+        lowest, is_faster, began = behind.speed[first], False, first
+        for tick in range(first, self.impact):
+            drive.lag += (behind.speed[tick] - lowest) / self.hz
+            if behind.speed[tick + 1] <= lowest:
+                lowest, began = behind.speed[tick + 1], tick + 1
+            is_faster = is_faster or behind.speed[tick + 1] > lowest + 0.3
+            if drive.is_contact(tick + 1):
+                return False
+        closing = max(0.0, lowest - ahead.speed[self.impact])
+        is_clear = drive.ahead_by(self.impact) > 0 and drive.straight_gap(self.impact) > closing**2 / (2 * 6.0)
+        self.sped_up = began if is_faster and is_clear else self.sped_up
+        return is_faster and is_clear
 
     # Rule 4a
 
@@ -389,9 +459,14 @@ class Crash:
             and all(behind.deceleration(later) < BRAKES for later in range(tick + 1, end + 1))
         )
 
-    def npc_unless_second_chance(self, named, moment=None):
-        """For an ego behind that is excused, by the NPC's lane change if its moment is given."""
-        if not self.has_second_chance(self.ego, self.npc, named):
+    def npc_unless_second_chance(self, named, moment=None, seen=None):
+        """For an ego behind that is excused, by the NPC's lane change if its moment is given.
+
+        In rule 5 the NPC can be seen from a tick on.
+        """
+        has_chance = self.has_second_chance(self.ego, self.npc, named)
+        due = None if seen is None else seen + round(1.4 * self.hz)
+        if not has_chance and (due is None or not self.sped_up_into(self.ego, self.npc, due)):
             return self.opinion("npc", None, named)
         is_shared = moment is not None and not self.stands() and self.cuts_in_soon_before(moment)
         return self.opinion("both" if is_shared else "ego", "leader-unanswered", named)
@@ -401,11 +476,11 @@ class Crash:
     def cut_in(self, change):
         at = change.moment
         self.is_cut_in = self.seconds(self.impact - at) <= 5.0
-        if gap(self.ego, self.npc, at) < 0.3 * self.ego.speed[at] and self.npc_brakes_hard(at, within=2.0):
-            return self.npc_unless_second_chance(at, moment=at)
         seen = at
         while seen > change.start and self.is_seen(seen - 1, change) and self.is_seen(at, change):
             seen -= 1
+        if gap(self.ego, self.npc, at) < 0.3 * self.ego.speed[at] and self.npc_brakes_hard(at, within=2.0):
+            return self.npc_unless_second_chance(at, at, seen)
         dv = self.ego.speed[seen] - self.npc.speed[seen]
         nobody_can = dv > 0 and gap(self.ego, self.npc, seen) <= dv * (1.4 + dv / (2 * 6.0))
         if not nobody_can and self.would_have_avoided_a_cut_in(self.ego, self.npc, seen):
@@ -414,7 +489,7 @@ class Crash:
         passed = self.duty_passes(self.npc, self.ego, at)
         if passed is not None:
             return self.opinion(self.ego_or_both(at), "leader-unanswered", passed.kept)
-        return self.npc_unless_second_chance(at, moment=at)
+        return self.npc_unless_second_chance(at, at, seen)
 
     def npc_brakes_hard(self, at, *, within=math.inf):
         """Whether it begins to, for at least 0.4 s, in a time after a tick."""
@@ -472,12 +547,34 @@ class Crash:
         stretch = self.hard_braking(braker)
         if stretch is None or stretch[1] < max(self.danger - round(1.0 * self.hz), since):
             return None
-        began = stretch[0] - 1
-        end = min(self.impact, began + round(0.4 * self.hz))
+        began = end = stretch[0] - 1
+        if any(braker.deceleration(tick) > 5.0 for tick in range(stretch[0], stretch[1] + 1)):
+            end = min(self.impact, began + round(0.4 * self.hz))
         return began if self.counts(braker, follower, began, end, stretch[1], moved_in) else None
 
     def hard_braking(self, braker):
-        return last_hard_braking(braker.deceleration, range(1, self.impact + 1), self.hz)
+        """The first and the last tick of the stretch that counts, or None."""
+        found = [
+            (first, last)
+            for first, last in self.stretches(braker, 5.0)
+            if self.seconds(last - first + 1) >= 0.4 - ROUNDING
+        ]
+        if braker is self.ego:
+            for first, last in self.stretches(braker, 3.0):
+                had, lost = braker.body_speed[first - 1], braker.body_speed[first - 1] - braker.body_speed[last]
+                if lost >= max(had / 2, 5.0):
+                    found.append((first, last))
+        return max(found, key=lambda stretch: (stretch[1], -stretch[0]), default=None)
+
+    def stretches(self, braker, hard):
+        """Of ticks up to the impact that each brake harder, their first and their last one."""
+        found, first = [], None
+        for tick in range(1, self.impact + 2):
+            is_hard = tick <= self.impact and braker.deceleration(tick) > hard
+            if not is_hard and first is not None:
+                found.append((first, tick - 1))
+            first = (first or tick) if is_hard else None
+        return found
 
     def stopped_for_nothing(self, moved_in):
         """The tick at which the braking to a standstill begins, or None."""
@@ -553,17 +650,6 @@ class Crash:
         if ego == npc:
             ego = towards[0] - towards[1] >= MOVES_SIDEWAYS
         return self.opinion("ego", "entered-lane", at) if ego else self.opinion("npc", None, at)
-
-
-def last_hard_braking(deceleration, ticks, hz):
-    """The first and the last tick of the last stretch with more than 5 m/s^2 for at least 0.4 s, or None."""
-    found = first = None
-    for tick in ticks:
-        is_hard = deceleration(tick) > 5.0
-        first = (first or tick) if is_hard else None
-        if is_hard and (tick - first + 1) / hz >= 0.4 - ROUNDING:
-            found = first, tick
-    return found
 
 
 def end_of(lane):

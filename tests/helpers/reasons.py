@@ -93,6 +93,11 @@ class Reading:
         """Until when, and from when on the one behind would brake."""
         return [self.time(self.crash.ticks["no faster"]), self.due(1.4)]
 
+    def sped_up_towards(self, whose):
+        """Since when, and to which speed."""
+        first, mover = self.crash.sped_up, self.ego if whose == "the ego" else self.npc
+        return [self.time(first), max(mover.speed[first : self.crash.impact + 1])]
+
     def stood(self):
         return [self.time(self.tick), self.time(self.crash.impact - self.crash.ticks["stood"])]
 
@@ -131,6 +136,12 @@ CLAUSES = {
     ),
     f"from {NUMBER} s the ego braked to a standstill with nothing in its way and stood for {NUMBER} s": (
         lambda reading, said: reading.stood()
+    ),
+    f"; from {NUMBER} s on NPC # sped up to {NUMBER} m/s towards the ego": (
+        lambda reading, said: reading.sped_up_towards("NPC")
+    ),
+    f"; from {NUMBER} s on the ego sped up to {NUMBER} m/s towards NPC #": (
+        lambda reading, said: reading.sped_up_towards("the ego")
     ),
     f", as it slowed down to {NUMBER} m/s": lambda reading, said: [reading.slowest()],
     f"the ego was standing \\({NUMBER} m/s\\) at the impact": (
