@@ -370,8 +370,9 @@ class Crash:
         lowest, is_faster, began = behind.speed[first], False, first
         for tick in range(first, self.impact):
             drive.lag += (behind.speed[tick] - lowest) / self.hz
-            if behind.speed[tick + 1] <= lowest:
-                lowest, began = behind.speed[tick + 1], tick + 1
+            lowest = min(lowest, behind.speed[tick + 1])
+            if not is_faster and behind.speed[tick + 1] <= lowest:
+                began = tick + 1
             is_faster = is_faster or behind.speed[tick + 1] > lowest + 0.3
             if drive.is_contact(tick + 1):
                 return False
