@@ -814,7 +814,7 @@ class Response:
         falls = max(0.0, self.other.deceleration_along(tick)) if brakes_on else 0.0
         while True:
             own, other = self.speeds[tick], self.others_speeds[tick]
-            still_brakes = falls > 0 and other > 0
+            still_brakes = falls > ROUNDING and other > 0
             if not still_brakes and (own <= other or (tick - self.impact) / self.hz >= self.LONGEST):
                 return True
             self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
