@@ -20,7 +20,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import Expect, Perceived, of_failure
 from pytest_pafot.findings.replay import ending
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, Start, shrink
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import LANE, SPEED
 from pytest_pafot.oracle.run import Run
@@ -224,7 +224,10 @@ class Simplification:
         if candidate in loop.fatal:
             return None
         try:
+            protocol.check_fits(loop.simulation.harness.world, candidate)
             run = loop.simulation.run(candidate)
+        except ScenarioError:  # As where it begins in an outer lane, beside which there are fewer cells for the NPCs.
+            return None
         except ProcessLostError as error:
             loop.lose(error)
             return None

@@ -70,7 +70,10 @@ def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
 
     def shrunk(signature: Signature, scenario: Scenario) -> tuple[Scenario, Shrunk, Scenario | None]:
         def attempt(candidate: Scenario) -> Scenario | None:
-            run, observed = signature_of(candidate)
+            try:
+                run, observed = signature_of(candidate)
+            except ScenarioError:  # It does not fit the road.
+                return None
             if observed != signature:
                 return None
             starts[driven(run)] = starts_of(run, world.speed_limit)

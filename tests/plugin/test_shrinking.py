@@ -6,8 +6,10 @@ from types import SimpleNamespace
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
+import pytest_pafot as pafot
 import pytest_pafot.campaign.simplification
-import pytest_pafot.world.engines.gym_replay  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
+import pytest_pafot.world.engines.gym_replay  # pytester forgets modules that a run imports; reading them takes a while
+from example_ads import constant_speed
 from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, _Turn, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.shrink import OutOfBudget, sort_key
@@ -200,6 +202,29 @@ def test_a_find_that_is_cut_again_is_told_so_though_its_file_is_replayed(project
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
     (finding,) = json.loads((project.path / "out.json").read_text())["findings"]
     assert finding["unshrunk"] == "not shrunk: out of time; --pafot-resume goes on"
+
+
+def test_a_simplification_that_does_not_fit_the_road_is_passed_over(monkeypatch):
+    """From the second gene on the ego would start in the outer lane, beside which there is no room for six NPCs."""
+    starts = ((1, 22.0), (0, 22.0), (0, 22.0))
+    monkeypatch.setattr(pytest_pafot.campaign.simplification, "starts_of", lambda run, top_speed: starts)
+
+    def holds(run):
+        assert len(run.scenario.npcs) < 6 or min(map(len, run.scenario.npcs)) < 2
+
+    result = pafot.explore(
+        constant_speed.make,
+        holds=holds,
+        npcs=6,
+        ego_lane=1,
+        genes=3,
+        gene_seconds=2,
+        runs=2,
+        shrink_rollouts=400,
+        seed=1,
+    )
+    (finding,) = result.findings
+    assert (len(finding.scenario.npcs), finding.scenario.ego_lane, finding.scenario.genes) == (6, 1, 2)
 
 
 def rollouts_without_an_option(ads, **road):
