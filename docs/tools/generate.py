@@ -112,6 +112,9 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.last_chance": "When one of them would last have stayed free of fault in the ego's place: `time` [s], the "
     "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad]. Not there where "
     "there is no such moment.",
+    "expect.avoided_by": "The last decision of the ego from which braking in its lane avoids the collision, as it was "
+    "simulated: `time` [s] and `braking` [m/s^2], with which it slows down to a standstill. Not there where none does, "
+    "and where the `fault` is not one of an answer.",
     "perception": "How the ADS saw the others, where that was not perfect: what was given to "
     "[`pafot.Perception`](ads.md), without what is perfect; and, once that is known, the list "
     "`needed` of those imperfections without which the test does not fail, empty where it fails also with perfect "

@@ -1,18 +1,27 @@
-"""The last chance: when a reference driver in the ego's place would still have prevented what failed."""
+"""The last chance: when a driver in the ego's place would still have prevented what failed. It is simulated."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
-from pytest_pafot.attribution.sentences import last_chance_sentence
+from pytest_pafot.attribution.responsibility import FOLLOWING, Fault, is_ego_responsible
+from pytest_pafot.attribution.sentences import avoidance_sentence, last_chance_sentence
 from pytest_pafot.model.trace import ACCELERATION, STEERING, Outcome, Trace
 
 DRIVER = "careful-human"
 """The reference driver that takes over."""
+
+STEADY_BRAKING = "steady-braking"
+"""The driver that brakes with 6 m/s^2 down to a standstill, and keeps its lane."""
+
+ANSWERED_BY_BRAKING: tuple[Fault, ...] = "leader-unanswered", "cut-in-unanswered"
+"""The faults of which it is looked for when braking avoids the collision."""
+
+FREE_FOR = 12.0
+"""For how long braking must keep the ego free of contact [s]: longer than it takes to stop from 60 m/s."""
 
 SCANNED = 10.0
 """How long before the impact a chance is looked for [s]."""
@@ -52,6 +61,24 @@ class LastChance:
         return last_chance_sentence(self.time, self.driver, self.action[0], self.ego_action[0])
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Avoidance:
+    """The last decision of the ego from which braking in its lane avoids a collision.
+
+    Attributes:
+        time: of that decision [s], to milliseconds.
+        braking: with which the ego slows down to a standstill [m/s^2].
+    """
+
+    time: float
+    braking: float
+
+    @property
+    def sentence(self) -> str:
+        """From when on which braking avoids the collision."""
+        return avoidance_sentence(self.time, self.braking)
+
+
 def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastChance | None:
     """The last of the ego's decisions from which a reference driver stays free of fault to the end of the run.
 
@@ -84,21 +111,44 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
 def last_decision(
     trace: Trace, until: int, take_over: TakeOver, prevents: Callable[[Trace], bool]
 ) -> LastChance | None:
-    """Return the last of the ego's decisions before a tick from which a reference driver's run prevents something.
+    """Return the last of the ego's decisions before a tick from which a careful driver's run prevents something.
 
     Those of the last 10 s before it are tried, the latest first. None where none of them does, and where the run does
     not repeat. See :func:`last_chance` for the arguments.
     """
-    every, first = trace.physics_hz // trace.ads_hz, max(until - round(SCANNED * trace.physics_hz), 0)
-    for tick in range((until - 1) // every * every, first - 1, -every):
-        taken = take_over(trace, tick, DRIVER)
-        repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
-        if repeated.shape != recorded.shape or not (np.abs(repeated - recorded) <= ROUNDING).all():
-            return None
+    for tick, taken in _taken_over(trace, until, take_over, DRIVER):
         if prevents(taken):
             time = round(tick / trace.physics_hz, 3)
             return LastChance(time=time, driver=DRIVER, action=_action(taken, tick), ego_action=_action(trace, tick))
     return None
+
+
+def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidance | None:
+    """Return the last of the ego's decisions from which braking with 6 m/s^2 in its lane avoids the collision.
+
+    The ego then touches nobody in the 12 s after it, or up to the end of the run; nor do two NPCs touch, which ends a
+    run. The decisions of the last 10 s before the impact are tried, the latest first. None where none of them avoids
+    it, where the fault is not one of an answer to somebody ahead, and where the run does not repeat. See
+    :func:`last_chance` for the arguments.
+    """
+    if trace.collision is None or fault not in ANSWERED_BY_BRAKING:
+        return None
+    for tick, taken in _taken_over(trace, trace.ticks, take_over, STEADY_BRAKING):
+        is_free = taken.outcome not in (Outcome.COLLISION, Outcome.INVALID)
+        if is_free or taken.ticks > tick + FREE_FOR * taken.physics_hz:
+            return Avoidance(time=round(tick / trace.physics_hz, 3), braking=FOLLOWING.deceleration)
+    return None
+
+
+def _taken_over(trace: Trace, until: int, take_over: TakeOver, driver: str) -> Iterator[tuple[int, Trace]]:
+    """Let a driver take over at the decisions of the last 10 s before a tick, the latest first, if the run repeats."""
+    every, first = trace.physics_hz // trace.ads_hz, max(until - round(SCANNED * trace.physics_hz), 0)
+    for tick in range((until - 1) // every * every, first - 1, -every):
+        taken = take_over(trace, tick, driver)
+        repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
+        if repeated.shape != recorded.shape or not (np.abs(repeated - recorded) <= ROUNDING).all():
+            return
+        yield tick, taken
 
 
 def _action(trace: Trace, tick: int) -> tuple[float, float]:

@@ -28,9 +28,9 @@ from pytest_pafot.attribution.needless_braking import (
     long_stop,
     reasons,
 )
-from pytest_pafot.attribution.sentences import Fact, Reason, What, sentence
+from pytest_pafot.attribution.sentences import Fact, Reason, What, sentences
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.trace import LANE, Trace
 
 Responsibility = Literal["ego", "npc", "both", "none"]
 """``none`` where there was no collision."""
@@ -104,8 +104,8 @@ class Attribution:
 
     Attributes:
         responsibility: for the collision.
-        tick, time: of what the reason begins with [s]: a lane change, a braking, or when the danger began; None without
-            a collision.
+        tick, time: when the lane change, the braking or the danger began that the verdict goes by [s]; None without a
+            collision.
         fault: of the ego; None where it does not answer for the collision.
         facts: that the reason tells.
     """
@@ -117,9 +117,14 @@ class Attribution:
     facts: Reason = ()
 
     @property
+    def sentences(self) -> tuple[str, ...]:
+        """What happened, and what was due and did not come; at most two sentences, none without a collision."""
+        return sentences(self.facts)  # worded when it is asked for: a search judges many collisions and shows few
+
+    @property
     def reason(self) -> str:
-        """The end of a sentence that begins with "because"."""
-        return sentence(self.facts)  # worded when it is asked for: a search judges many collisions and shows few
+        """The sentences in one line."""
+        return " ".join(self.sentences) or "There was no collision."
 
     def __repr__(self) -> str:
         told = (f"{name}={getattr(self, name)!r}" for name in ("responsibility", "tick", "time", "reason", "fault"))
@@ -255,7 +260,9 @@ class Conflict:
         passed = self._duty_passed(first, both, self._pursuit(by_ego=by_ego))
         if passed is not None:
             return passed
-        return self._attributed("both", ego.tick, (self._crossed(ego), self._crossed(npc)), "entered-lane")
+        ego_at, npc_at = self._at(ego.tick), self._at(npc.tick)
+        crossed = Fact(What.BOTH_CROSSED, 0, ego_at, other=self._npc + 1, later_s=npc_at)
+        return self._attributed("both", ego.tick, (crossed,), "entered-lane")
 
     def _ego_changed(self, change: LaneChange) -> Attribution:
         crossed, tick = self._crossed(change), change.tick
@@ -263,36 +270,29 @@ class Conflict:
             return self._attributed("ego", tick, (crossed,), "entered-lane")
         if self._gives_way(change):
             return self._gave_way(change)
-        reason, pursuit = (crossed, *self._without_room(change)), self._pursuit(by_ego=False)
-        speed = self._frame.speed[0, tick : self._end + 1]
+        pursuit, speed = self._pursuit(by_ego=False), self._frame.speed[0, tick : self._end + 1]
         has_slowed = speed.min() < speed[0] - SPED_UP
-        room = math.inf if has_slowed else self._room(tick, float(speed[0]))
-        later = self._later_cause(tick, room, crossed, pursuit) or self._duty_passed(change, tick, pursuit)
+        first_room = self._room(tick, float(speed[0]))
+        later = self._later_cause(tick, math.inf if has_slowed else first_room, crossed, pursuit)
+        later = later or self._duty_passed(change, tick, pursuit)
         if later is not None:
             return later
-        entered = max(self._onset, tick)
-        if self._gap(tick) >= self._room(tick, float(self._frame.speed[0, tick])) and self._gap(entered) > 0:
+        entered, room = max(self._onset, tick), self._room(tick, self._lowest(change))
+        if self._gap(tick) >= room:  # it was too little only when the two had come into one track
+            crossed = self._placed(What.CAME_IN, 0, entered)
+            room = self._room(entered, float(self._frame.speed[0, entered]))
+        if self._gap(tick) >= first_room and self._gap(entered) > 0:
             since = pursuit.avoided_from(max(tick, self._before), FOLLOWING)  # there was room at first
             if since is not None:
-                helps = self._braking_helps(self._npc + 1, since)
-                return self._attributed("both", tick, (*reason, helps), "entered-lane")
-        kept = self._lanes.kept_since(0, tick, self._end)
-        if kept is not None:
-            reason += (Fact(What.NOTHING_HELPS_ANY_MORE, self._npc + 1, self._at(kept[1])),)
+                answer = self._answer(self._npc + 1, since)
+                return self._attributed("both", tick, (crossed, answer), "entered-lane")
         chance = self._second_chance(tick, pursuit, by_ego=False)
-        if not chance and self._gap(tick) >= LEAST_ROOM:
+        if chance is None and self._gap(tick) >= LEAST_ROOM:
             chance = self._sped_up(self._npc + 1, pursuit.sped_up_into(tick + round(CUT_OFF.perception * self._hz)))
-        return self._attributed("both" if chance else "ego", tick, reason + chance, "entered-lane")
-
-    def _without_room(self, change: LaneChange) -> Reason:
-        """How the ego's lane change left too little room."""
-        tick, lowest, at = change.tick, self._lowest(change), self._at(change.tick)
-        room, entered = self._room(tick, lowest), max(self._onset, tick)
-        if self._gap(tick) >= room:
-            return (Fact(What.CAME_CLOSE, 0, self._at(entered), gap_m=max(self._gap(entered), 0.0)),)
-        is_slower = lowest < self._frame.speed[0, tick] - SPED_UP
-        slowed = (Fact(What.SLOWED_DOWN, 0, at, speed_m_per_s=lowest),) if is_slower else ()
-        return Fact(What.LEFT_TOO_LITTLE, 0, at, asked_m=room), *slowed
+        if chance is not None:
+            return self._attributed("both", tick, (crossed, chance), "entered-lane")
+        asked = Fact(What.LEFT_TOO_LITTLE, 0, self._at(tick), other=self._npc + 1, asked_m=room)
+        return self._attributed("ego", tick, (crossed, asked), "entered-lane")
 
     def _duty_passed(self, change: LaneChange, tick: int, pursuit: Pursuit) -> Attribution | None:
         """To the one behind, who could still have avoided it when the one ahead had kept the lane since a tick.
@@ -303,15 +303,14 @@ class Conflict:
         since = None if kept is None else pursuit.avoided_from(max(kept[1], self._before), FOLLOWING)
         if kept is None or since is None:
             return None
-        lane = Fact(What.KEPT_LANE, change.vehicle, self._at(kept[0]))
+        lane = self._placed(What.KEPT_LANE, change.vehicle, kept[0])
         if change.vehicle == 0:
-            return self._npc_followed(kept[1], kept[0], (lane, self._braking_helps(self._npc + 1, since)))
-        answered = self._braking_helps(0, since), self._answer(since)
-        return self._unanswered(kept[0], lane, answered, "leader-unanswered", change)
+            return self._npc_followed(kept[1], kept[0], (lane, self._answer(self._npc + 1, since)))
+        return self._unanswered(kept[0], lane, self._answer(0, since), "leader-unanswered", change)
 
     def _gave_way(self, change: LaneChange) -> Attribution:
         room = self._room(change.tick, self._lowest(change))
-        gave = Fact(What.GAVE_WAY, 0, self._at(change.tick), asked_m=room)
+        gave = Fact(What.GAVE_WAY, 0, self._at(change.tick), other=self._npc + 1, asked_m=room)
         return self._npc_followed(change.tick, change.tick, (self._crossed(change), gave))
 
     def _npc_changed(self, change: LaneChange) -> Attribution:
@@ -321,15 +320,14 @@ class Conflict:
         seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=self._end - tick <= SOON * self._hz)
         if min(self._gap(tick), self._gap(max(self._onset, tick))) <= 0:
             return self._excused_behind(tick, (crossed,), pursuit, change)
-        late = crossed, Fact(What.CUT_IN_TOO_LATE, self._npc + 1, self._at(tick))
+        late = crossed, self._had_no_time(0, tick)
         at_once = tick + round(AT_ONCE * self._hz) + math.ceil(HARD_SECONDS * self._hz)
         is_close = self._gap(tick) < BLOCKED * self._frame.speed[0, tick]
         if is_close and self._npc_braked_hard(tick, min(at_once, self._end)):
             return self._excused_behind(tick, late, pursuit, change, seen)
         since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY, SPARE)
         if since is not None:
-            answered = self._calm_braking_helps(0, since), self._answer(since)
-            return self._unanswered(tick, crossed, answered, "cut-in-unanswered", change)
+            return self._unanswered(tick, crossed, self._answer(0, since, CUT_OFF), "cut-in-unanswered", change)
         has_answered = pursuit.is_no_further(seen, CUT_OFF, EMERGENCY)
         passed = None if has_answered else self._duty_passed(change, tick, pursuit)
         return self._excused_behind(tick, late, pursuit, change, seen) if passed is None else passed
@@ -341,11 +339,10 @@ class Conflict:
         speed = float(self._frame.speed[self._npc + 1, change.tick])
         return self._gap(change.tick) < self._room(change.tick, speed, behind=0)
 
-    def _npc_braked_hard(self, first: int, last: int) -> float:
-        """How hard the NPC braked between two ticks [m/s^2]; 0 where it did not, or not for long enough."""
+    def _npc_braked_hard(self, first: int, last: int) -> bool:
+        """Whether the NPC braked hard between two ticks, and for long enough."""
         slowed = -np.diff(self._frame.speed[self._npc + 1, first : last + 1]) * self._hz
-        is_hard = first_lasting(slowed > HARD_BRAKING, math.ceil(HARD_SECONDS * self._hz)) is not None
-        return float(slowed.max()) if is_hard else 0.0
+        return first_lasting(slowed > HARD_BRAKING, math.ceil(HARD_SECONDS * self._hz)) is not None
 
     def _strayed(self) -> Attribution:
         """Side by side without a lane change: by slow drift, or in lanes that come together."""
@@ -376,14 +373,14 @@ class Conflict:
         if npc > ego + SPED_UP or self._gap(tick) < room:
             return None
         sped_up = self._sped_up(self._npc + 1, pursuit.sped_up_into(tick + round(CUT_OFF.perception * self._hz)))
-        return self._npc_followed(tick, moved_in or tick, (crossed, *sped_up), moved_in) if sped_up else None
+        return None if sped_up is None else self._npc_followed(tick, moved_in or tick, (crossed, sped_up), moved_in)
 
-    def _sped_up(self, behind: int, since: int | None) -> Reason:
+    def _sped_up(self, behind: int, since: int | None) -> Fact | None:
         """That the one behind sped up since a tick, without which it would have stayed off the other."""
         if since is None:
-            return ()
+            return None
         speed, ahead = float(self._frame.speed[behind, since : self._end + 1].max()), 0 if behind else self._npc + 1
-        return (Fact(What.SPED_UP_INTO, behind, self._at(since), other=ahead, speed_m_per_s=speed),)
+        return Fact(What.SPED_UP_INTO, behind, self._at(since), other=ahead, speed_m_per_s=speed)
 
     def _gives_way(self, change: LaneChange) -> bool:
         """Whether the ego's lane change leaves the NPC room, and still does when they have come into one track."""
@@ -418,25 +415,20 @@ class Conflict:
         close, pursuit = self._too_close(0, self._npc + 1), self._pursuit(by_ego=True)
         since = pursuit.avoided_from(self._before, FOLLOWING)
         if since is not None:
-            answered = self._braking_helps(0, since), self._answer(since)
-            return self._unanswered(self._start, close, answered, "leader-unanswered")
-        began = () if self._start else (Fact(What.AS_THE_RUN_BEGAN, 0, 0.0),)
-        hopeless = Fact(What.NOTHING_HELPS, 0, self._at(self._start))
-        return self._excused_behind(self._start, (close, *began, hopeless), pursuit)
+            return self._unanswered(self._start, close, self._answer(0, since), "leader-unanswered")
+        return self._excused_behind(self._start, (close, self._had_no_time(0, self._start)), pursuit)
 
     def _unanswered(
-        self, tick: int, danger: Fact, answered: Reason, fault: Fault, change: LaneChange | None = None
+        self, tick: int, danger: Fact, answer: Fact, fault: Fault, change: LaneChange | None = None
     ) -> Attribution:
         """The ego's, behind; shared with an NPC that braked hard after it had pushed in, or with nothing in its way."""
         npc = self._npc + 1
         stop = None if self._stands else self._needless_braking(npc)
         if stop is not None and self._gap(stop.begin) <= AMPLE * self._frame.speed[0, stop.begin]:
-            return self._attributed("both", tick, (danger, self._braked_for_nothing(npc, stop), *answered), fault)
-        peak = self._npc_braked_hard(change.tick, self._end) if change and self._pushed_in(change) else 0.0
-        if change and peak:
-            braked = Fact(What.BRAKED_HARD, npc, self._at(change.tick), braking_m_per_s2=peak)
-            return self._attributed("both", tick, (danger, braked, *answered), fault)
-        return self._blamed_unless_standing(tick, (danger, *answered), fault)
+            return self._attributed("both", tick, (self._braked_for_nothing(npc, stop), answer), fault)
+        if change and self._pushed_in(change) and self._npc_braked_hard(change.tick, self._end):
+            return self._attributed("both", tick, (danger, answer), fault)
+        return self._blamed_unless_standing(tick, (danger, answer), fault)
 
     def _excused_behind(
         self,
@@ -448,16 +440,16 @@ class Conflict:
     ) -> Attribution:
         """The NPC's, ahead; but not where the ego had mastered it, or sped up, and ran into the NPC nevertheless."""
         chance = self._second_chance(tick, pursuit, by_ego=True)
-        if not chance and seen is not None:
+        if chance is None and seen is not None:
             chance = self._sped_up(0, pursuit.sped_up_into(seen + round(CUT_OFF.delay * self._hz)))
-        if not chance:
+        if chance is None:
             return self._excused(tick, reason)
         if self._pushed_in(change):
-            return self._attributed("both", tick, reason + chance, "leader-unanswered")
-        return self._blamed_unless_standing(tick, reason + chance, "leader-unanswered")
+            return self._attributed("both", tick, (reason[0], chance), "leader-unanswered")
+        return self._blamed_unless_standing(tick, (reason[0], chance), "leader-unanswered")
 
-    def _second_chance(self, tick: int, pursuit: Pursuit, *, by_ego: bool) -> Reason:
-        """How the one behind gave away what it had gained since a tick; nothing where it did not."""
+    def _second_chance(self, tick: int, pursuit: Pursuit, *, by_ego: bool) -> Fact | None:
+        """How the one behind gave away what it had gained since a tick; None where it did not."""
         behind, ahead = (0, self._npc + 1) if by_ego else (self._npc + 1, 0)
         closing = self._frame.speed[behind] - self._frame.speed[ahead]
         first = max(tick, self._before) + round(FOLLOWING.delay * self._hz)
@@ -465,15 +457,13 @@ class Conflict:
         over = max((at for at in ticks if closing[at] <= 0), default=None)
         since = None if over is None else pursuit.avoided_from(over, CUT_OFF, EMERGENCY)
         if over is not None and since is not None:
-            answer = (self._answer(since),) if by_ego else ()
-            was_slow = Fact(What.WAS_NO_FASTER, behind, self._at(over))
-            return was_slow, self._calm_braking_helps(behind, since), *answer
+            return self._answer(behind, since, CUT_OFF)
         pause, slowed = math.ceil(LET_GO * self._hz), braking(self._trace, behind)
         for at in (each for each in ticks if closing[each] > 0 and each + pause <= self._end):
             has_let_go = slowed[at] >= BRAKES and (slowed[at + 1 : at + 1 + pause] < BRAKES).all()
             if has_let_go and pursuit.avoided_from(at, HELD) is not None:
-                return (Fact(What.LET_BRAKES_GO, behind, self._at(at), braking_m_per_s2=HELD.deceleration),)
-        return ()
+                return Fact(What.LET_BRAKES_GO, behind, self._at(at))
+        return None
 
     def _npc_followed(self, duty: int, tick: int, reason: Reason, moved_in: int = 0) -> Attribution:
         """The ego led: the NPC owes an answer, not before a tick, unless the ego braked, or stopped, for nothing.
@@ -532,11 +522,10 @@ class Conflict:
         if moved_in:
             moved = Fact(What.MOVED_IN_BEHIND, npc, self._at(moved_in))
             return self._attributed("both", stop.begin, (braked, moved), fault)
-        answer = self._pursuit(by_ego=False).avoided_from(since, FOLLOWING)
-        if answer is not None:
-            return self._attributed("both", stop.begin, (braked, self._braking_helps(npc, answer)), fault)
-        hopeless = Fact(What.NOTHING_HELPS_BEHIND, npc, self._at(since))
-        return self._attributed("ego", stop.begin, (braked, hopeless), fault)
+        counted = self._pursuit(by_ego=False).avoided_from(since, FOLLOWING)
+        if counted is not None:
+            return self._attributed("both", stop.begin, (braked, self._answer(npc, counted)), fault)
+        return self._attributed("ego", stop.begin, (braked, self._had_no_time(npc, since)), fault)
 
     # What reasons are made of.
 
@@ -554,8 +543,7 @@ class Conflict:
 
     def _excused(self, tick: int, reason: Reason) -> Attribution:
         if self._stands:
-            speed = abs(float(self._frame.speed[0, self._end]))
-            reason = (Fact(What.STOOD, 0, self._at(self._end), speed_m_per_s=speed),)
+            reason = (Fact(What.STOOD, 0, self._at(self._end), other=self._npc + 1),)
         return self._attributed("npc", tick, reason)
 
     @property
@@ -564,12 +552,18 @@ class Conflict:
 
     def _crossed(self, change: LaneChange) -> Fact:
         """That a vehicle changed lanes, and where it was then."""
-        mover, other = (0, self._npc + 1) if change.vehicle == 0 else (self._npc + 1, 0)
-        tick, gap = change.tick, max(self._gap(change.tick), 0.0)
-        ahead = gap if self._leads(tick) == (mover == 0) else -gap
-        faster = float(self._frame.speed[mover, tick] - self._frame.speed[other, tick])
-        what, at, drift = What.CROSSED_LINE, self._at(tick), change.drift
-        return Fact(what, mover, at, other, gap_m=ahead, sideways_m_per_s=drift, faster_m_per_s=faster)
+        crossed = self._placed(What.CROSSED_LINE, change.vehicle, change.tick)
+        before = int(self._trace.states[change.tick, change.vehicle, LANE])
+        lane = before + (1 if self._frame.drift[change.vehicle, change.tick] > 0 else -1)
+        is_numbered = self._trace.track is None and before >= 0 and 0 <= lane < len(self._trace.lanes)
+        return crossed._replace(lane=lane if is_numbered else None)
+
+    def _placed(self, what: What, vehicle: int, tick: int) -> Fact:
+        """What a vehicle did at a tick, and where it was then."""
+        other, gap = self._npc + 1 - vehicle, max(self._gap(tick), 0.0)
+        ahead = gap if self._leads(tick) == (vehicle == 0) else -gap
+        faster = float(self._frame.speed[other, tick] - self._frame.speed[vehicle, tick])
+        return Fact(what, vehicle, self._at(tick), other, gap_m=ahead, faster_m_per_s=faster)
 
     def _too_close(self, follower: int, leader: int) -> Fact:
         gap, safe = max(self._gap(self._start), 0.0), float(self._safe_along[self._start])
@@ -579,26 +573,23 @@ class Conflict:
         peak = float(braking(self._trace, vehicle)[stop.begin : stop.end + 1].max())
         return Fact(What.BRAKED_FOR_NOTHING, vehicle, self._at(stop.begin), braking_m_per_s2=peak)
 
-    def _braking_helps(self, vehicle: int, since: int) -> Fact:
-        """That the proper response to one ahead avoids it, since a tick."""
-        due = self._at(since + round(FOLLOWING.delay * self._hz))
-        return Fact(What.BRAKING_HELPS, vehicle, due, braking_m_per_s2=FOLLOWING.deceleration)
+    def _had_no_time(self, vehicle: int, tick: int) -> Fact:
+        """That the proper response would not have been in time."""
+        return Fact(What.HAD_NO_TIME, vehicle, self._at(tick))
 
-    def _calm_braking_helps(self, vehicle: int, since: int) -> Fact:
-        due, hard = self._at(since + round(CUT_OFF.delay * self._hz)), EMERGENCY.braking.deceleration
-        calm = CUT_OFF.deceleration
-        return Fact(What.CALM_BRAKING_HELPS, vehicle, due, braking_m_per_s2=hard, calm_m_per_s2=calm)
-
-    def _answer(self, since: int) -> Fact:
-        """What the ego did since a tick."""
-        slowed = braking(self._trace)[since + 1 : self._end + 1]
+    def _answer(self, vehicle: int, since: int, response: Braking = FOLLOWING) -> Fact:
+        """When the one behind was due to brake, of what there was to answer since a tick, and what it did."""
+        due = since + round(response.delay * self._hz)
+        due_s = self._at(due) if due < self._end else None
+        slowed = braking(self._trace, vehicle)[since + 1 : self._end + 1]
         braked = np.flatnonzero(slowed >= BRAKES)
         if braked.size:
-            return Fact(What.BRAKED, 0, self._at(since + int(braked[0])), braking_m_per_s2=float(slowed.max()))
-        speed = self._frame.speed[0, since : self._end + 1]
+            at, peak = self._at(since + int(braked[0])), float(slowed.max())
+            return Fact(What.BRAKED, vehicle, at, due_s=due_s, braking_m_per_s2=peak)
+        speed = self._frame.speed[vehicle, since : self._end + 1]
         if float(speed.max()) > float(speed[0]) + SPED_UP:
-            return Fact(What.SPED_UP, 0, self._at(since), speed_m_per_s=float(speed.max()))
-        return Fact(What.DID_NOT_BRAKE, 0, self._at(since))
+            return Fact(What.SPED_UP, vehicle, self._at(since), due_s=due_s, speed_m_per_s=float(speed.max()))
+        return Fact(What.DID_NOT_BRAKE, vehicle, self._at(since), due_s=due_s)
 
     def _at(self, tick: int) -> float:
         """Time of a tick [s]."""

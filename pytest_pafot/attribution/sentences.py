@@ -1,4 +1,7 @@
-"""The sentences of attribution, and the facts that verdicts give as their reason. No other file words them."""
+"""The sentences of attribution, and the facts that they are made of. No other file words them.
+
+Each is at most 97 characters long, so that it needs no break in an explanation.
+"""
 
 from __future__ import annotations
 
@@ -7,103 +10,114 @@ from typing import NamedTuple
 
 
 class What(Enum):
-    """What a fact says, and its words; "; " goes before those that begin with no sign of their own."""
+    """What a fact says, and the words of its sentence."""
 
-    CROSSED_LINE = (
-        "at {at} {who} crossed the lane line towards {whom} ({it.sideways_m_per_s:.1f} m/s sideways), {place}"
-    )
-    CAME_CLOSE = ", and came into its track only {it.gap_m:.1f} m ahead at {at}"
-    LEFT_TOO_LITTLE = ", where giving way takes {it.asked_m:.1f} m"
-    SLOWED_DOWN = ", as it slowed down to {it.speed_m_per_s:z.1f} m/s"
-    GAVE_WAY = ", more than the {it.asked_m:.1f} m that giving way takes"
-    KEPT_LANE = "from {at} on {who} kept the lane ahead"
-    CAME_SIDEWAYS = "at {at} {who} came sideways into {whom}, side by side"
+    CROSSED_LINE = "At {at} {who} crossed {into}, {place}."
+    CAME_IN = "At {at} {who} came in {place}."
+    BOTH_CROSSED = "At {at} {who} and at {later} {whom} crossed a lane line towards each other."
+    KEPT_LANE = "From {at} on {who} kept its lane, {place}."
+    CAME_SIDEWAYS = "At {at} {who} came sideways into {whom} beside it."
     CAME_TOO_CLOSE = (
-        "from {at} on {who} was {it.gap_m:.1f} m behind {whom}, closer than the {it.asked_m:.1f} m that RSS demands"
+        "At {at} {who} was {it.gap_m:.1f} m behind {whom}, closer than the {it.asked_m:.1f} m that RSS demands."
     )
-    AS_THE_RUN_BEGAN = " as the run began"
-    STOOD = "{who} was standing ({it.speed_m_per_s:.1f} m/s) at the impact"
-    BRAKED_FOR_NOTHING = "from {at} {who} braked with up to {it.braking_m_per_s2:.1f} m/s^2 with nothing in its way"
-    STOPPED_FOR_NOTHING = (
-        "from {at} {who} braked to a standstill with nothing in its way and stood for {it.lasting_s:.1f} s"
+    STOOD = "At {at} {who} was standing when {whom} touched it."
+    BRAKED_FOR_NOTHING = (
+        "At {at} {who} began to brake with up to {it.braking_m_per_s2:.1f} m/s^2 with nothing in its way."
     )
-    MOVED_IN_BEHIND = ", and {who} moved in behind it"
-    BRAKED_HARD = ", and braked with up to {it.braking_m_per_s2:.1f} m/s^2"
-    BRAKING_HELPS = "{whose}braking with {it.braking_m_per_s2:.0f} m/s^2 from {at} on would have avoided it"
-    CALM_BRAKING_HELPS = (
-        "braking with {it.calm_m_per_s2:.0f} to {it.braking_m_per_s2:.0f} m/s^2 from {at} on would have avoided it"
-    )
-    WAS_NO_FASTER = "; but until {at} {who} was no faster"
-    LET_BRAKES_GO = (
-        "; but {who} let the brakes go at {at}, "
-        "where braking on with {it.braking_m_per_s2:.0f} m/s^2 would have avoided it"
-    )
-    CUT_IN_TOO_LATE = ", too late to avoid it"
-    NOTHING_HELPS = ", and no response could avoid it"
-    NOTHING_HELPS_BEHIND = ", and {who} behind could not avoid it"
-    NOTHING_HELPS_ANY_MORE = ", and {who} could not avoid it any more when the ego kept the lane"
-    SPED_UP_INTO = "; from {at} on {who} sped up to {it.speed_m_per_s:.1f} m/s towards {whom}"
-    BRAKED = "{who} braked from {at} on with up to {it.braking_m_per_s2:.1f} m/s^2"
-    SPED_UP = "{who} sped up to {it.speed_m_per_s:.1f} m/s"
-    DID_NOT_BRAKE = "{who} did not brake"
+    STOPPED_FOR_NOTHING = "At {at} {who} began to stop with nothing in its way, and it stood for {it.lasting_s:.1f} s."
+    LEFT_TOO_LITTLE = "{who} was due to leave {whom} a gap of {it.asked_m:.1f} m."
+    GAVE_WAY = "{who} left {whom} more than the {it.asked_m:.1f} m that giving way takes."
+    MOVED_IN_BEHIND = "At {at} {who} moved in behind {whom}."
+    HAD_NO_TIME = "{who} had too little time to answer, by the rules."
+    SPED_UP_INTO = "From {at} on {who} sped up to {it.speed_m_per_s:.1f} m/s towards {whom}."
+    LET_BRAKES_GO = "{who} was due to keep braking and let the brakes go at {at}."
+    DID_NOT_BRAKE = "{who} {due} and did not."
+    BRAKED = "{who} {due}, and braked with up to {it.braking_m_per_s2:.1f} m/s^2 from {at} on."
+    SPED_UP = "{who} {due}, and sped up to {it.speed_m_per_s:.1f} m/s."
+
+
+_WITHOUT_DUE = {
+    What.DID_NOT_BRAKE: "From {at} on {who} did not brake.",
+    What.BRAKED: "From {at} on {who} braked with up to {it.braking_m_per_s2:.1f} m/s^2.",
+    What.SPED_UP: "From {at} on {who} sped up to {it.speed_m_per_s:.1f} m/s.",
+}
+"""Where no braking was due before the impact."""
 
 
 class Fact(NamedTuple):
     """A fact of a reason; figures that its words do not tell are 0.
 
     Attributes:
-        vehicle, other: whose it is, and towards or behind whom; 0 is the ego, ``i + 1`` NPC ``i``.
-        time_s: when it was so, or began to be.
-        gap_m: between the boxes along the road. Of who crossed a line negative behind the other, 0 side by side.
+        vehicle, other: whose it is, and towards, behind or ahead of whom; 0 is the ego, ``i + 1`` NPC ``i``.
+        time_s: when it was so, or began to be; of two that crossed a line ``later_s`` is that of the other.
+        due_s: from when on the vehicle was due to brake; None where it was not, or not before the impact.
+        gap_m: between the boxes along the road: ahead of the other, negative behind it, 0 side by side.
         asked_m: what the gap should be.
-        braking_m_per_s2, calm_m_per_s2: the hardest, and what is enough where it is no emergency.
+        faster_m_per_s: by how much the other was faster.
+        lane: that was crossed into; None where it has no number.
     """
 
     what: What
     vehicle: int
     time_s: float
     other: int = 0
+    later_s: float = 0.0
+    due_s: float | None = None
     gap_m: float = 0.0
     asked_m: float = 0.0
     speed_m_per_s: float = 0.0
-    sideways_m_per_s: float = 0.0
     faster_m_per_s: float = 0.0
     braking_m_per_s2: float = 0.0
-    calm_m_per_s2: float = 0.0
     lasting_s: float = 0.0
+    lane: int | None = None
 
 
 Reason = tuple[Fact, ...]
-"""Facts in the order in which they are told; none without a collision."""
+"""What happened, then what was due; none without a collision."""
 
 
-def sentence(reason: Reason) -> str:
-    """The end of a sentence that begins with "because"."""
-    if len(reason) > 1 and reason[1].what is What.CROSSED_LINE:
-        when = " and ".join(f"at {fact.time_s:.1f} s {_name(fact.vehicle)}" for fact in reason)
-        sideways = " and ".join(f"{fact.sideways_m_per_s:.1f}" for fact in reason)
-        return f"{when} crossed a lane line towards each other ({sideways} m/s sideways)"
-    text, before = "", None
-    for fact in reason:
-        who, whom, place = _name(fact.vehicle), _name(fact.other), _place(fact) if fact.gap_m else "side by side"
-        whose, at = f"{who}'s " if fact.vehicle else "", f"{fact.time_s:.1f} s"
-        words = fact.what.value.format(it=fact, at=at, who=who, whose=whose, whom=whom, place=place)
-        if before and words[0] not in ",; ":
-            has_and = before.what is What.WAS_NO_FASTER or (before.what, before.vehicle) == (What.KEPT_LANE, 0)
-            text += ", and " if has_and else "; "
-        text, before = text + words, fact
-    return text or "there was no collision"
+def sentences(reason: Reason) -> tuple[str, ...]:
+    """One sentence a fact."""
+    return tuple(map(_sentence, reason))
+
+
+def responsible_sentence(responsibility: str, npc: int) -> str:
+    """Who is responsible for a collision with an NPC."""
+    who = {"ego": "the ego", "npc": f"NPC {npc}", "both": f"the ego and NPC {npc}"}[responsibility]
+    return f"Responsible: {who}."
+
+
+def _sentence(fact: Fact) -> str:
+    words = fact.what.value if fact.due_s is not None else _WITHOUT_DUE.get(fact.what, fact.what.value)
+    text = words.format(
+        it=fact,
+        at=f"{fact.time_s:.1f} s",
+        later=f"{fact.later_s:.1f} s",
+        due=f"was due to brake from {fact.due_s or 0.0:.1f} s on",
+        who=_name(fact.vehicle),
+        whom=_name(fact.other),
+        into="a lane line" if fact.lane is None else f"into lane {fact.lane}",
+        place=_place(fact),
+    )
+    return text[0].upper() + text[1:]
 
 
 def _name(vehicle: int) -> str:
     return f"NPC {vehicle - 1}" if vehicle else "the ego"
 
 
-def _place(crossed: Fact) -> str:
-    """Where one that crossed a line was, and how much faster, as seen from the other."""
-    faster = crossed.faster_m_per_s
+def _place(fact: Fact) -> str:
+    """Where a vehicle was as seen from the other, and how much faster that one was."""
+    whom, faster = _name(fact.other), fact.faster_m_per_s
+    if not fact.gap_m:
+        return f"beside {whom}"
     pace = f"{abs(faster):.1f} m/s {'faster' if faster >= 0 else 'slower'}" if abs(faster) >= 0.05 else "as fast"
-    return f"{abs(crossed.gap_m):.1f} m {'ahead' if crossed.gap_m > 0 else 'behind'}, {pace}"
+    return f"{abs(fact.gap_m):.1f} m {'ahead of' if fact.gap_m > 0 else 'behind'} {whom}, which was {pace}"
+
+
+def avoidance_sentence(time: float, braking: float) -> str:
+    """From when on [s] which braking [m/s^2] avoids a collision, as it was driven."""
+    return f"Braking with {braking:.0f} m/s^2 from {time:.1f} s on avoids it."
 
 
 def last_chance_sentence(time: float, driver: str, acceleration: float, of_ego: float) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.attribution.last_chance import LastChance, last_decision
+from pytest_pafot.attribution.last_chance import Avoidance, LastChance, avoidance, last_decision
 from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
@@ -160,6 +160,13 @@ class Harness:
             return taken.ticks >= until and bool(made) and all(each.holds for each in made)
 
         return last_decision(run.trace, until, take_over, keeps)
+
+    def avoidance(self, run: Run, verdict: Verdict) -> Avoidance | None:
+        """Simulate from when on braking avoids the collision that failed; None where something else did."""
+        failure = verdict.failure
+        if run.take_over is None or failure is None or failure.check is not None or verdict.severity is None:
+            return None
+        return avoidance(run.trace, run.attribution.fault, run.take_over)
 
     def judge_trace(self, world: Any, trace: Trace) -> Verdict:
         """What the function makes of a trace from a world."""

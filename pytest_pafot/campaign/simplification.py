@@ -267,6 +267,7 @@ class Simplification:
                 verdict.failure,
                 reference_drivers=outcomes,
                 last_chance=harness.last_chance(run, verdict),
+                avoided_by=harness.avoidance(run, verdict),
                 against=before.expect.against,
                 root=str(harness.root),
             ),

@@ -66,7 +66,7 @@ EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
     (
         *("assertion", "check", "message", "npc", "cell", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
-        *("situation", "reference_drivers", "last_chance", "against", "traceback"),
+        *("situation", "reference_drivers", "last_chance", "avoided_by", "against", "traceback"),
     ),
 )
 EXPECT_OF_COLLISION = Keys((*EXPECT.required, "npc", "cell", "side"), EXPECT.optional)
@@ -76,6 +76,8 @@ SITUATION = Keys(("npc", "time", "ahead", "lane", "ego_speed", "npc_speed"))
 """Of ``expect.situation``."""
 LAST_CHANCE = Keys(("time", "driver", "action", "ego_action"))
 """Of ``expect.last_chance``."""
+AVOIDANCE = Keys(("time", "braking"))
+"""Of ``expect.avoided_by``."""
 
 FOUND = Keys(("seed", "generation", "algorithm", "versions"), ("weights",))
 PERCEPTION = Keys((), ("range", "latency", "noise", "dropout", "occlusion", "needed"))
@@ -151,7 +153,7 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
     values["check"] = (
         {} if expect.check is None else {k: v for k, v in asdict(expect.check).items() if v not in (None, "")}
     )
-    for name in ("situation", "last_chance"):
+    for name in ("situation", "last_chance", "avoided_by"):
         values[name] = {} if values[name] is None else asdict(values[name])
     entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}
     if not any(isinstance(value, str) and "\n" in value for value in entries.values()):

@@ -15,7 +15,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, get_args
 
-from pytest_pafot.attribution.last_chance import LastChance
+from pytest_pafot.attribution.last_chance import Avoidance, LastChance
 from pytest_pafot.attribution.mistakes import Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.corpus import file_format
@@ -368,6 +368,7 @@ def _expect(field: Field, npcs: int) -> Expect:
             for name, inner in _given(fields, "reference_drivers", Field.any_mapping, {}).items()
         },
         last_chance=_given(fields, "last_chance", _last_chance),
+        avoided_by=_given(fields, "avoided_by", _avoidance),
         against=_given(fields, "against", Field.text, ""),
         traceback=_given(fields, "traceback", Field.text, ""),
     )
@@ -410,6 +411,11 @@ def _last_chance(field: Field) -> LastChance:
         action=_action(fields["action"]),
         ego_action=_action(fields["ego_action"]),
     )
+
+
+def _avoidance(field: Field) -> Avoidance:
+    fields = field.mapping(file_format.AVOIDANCE)
+    return Avoidance(time=fields["time"].number(), braking=fields["braking"].number())
 
 
 def _action(field: Field) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from datetime import date
 from types import TracebackType
 from typing import Any
 
-from pytest_pafot.attribution.last_chance import LastChance
+from pytest_pafot.attribution.last_chance import Avoidance, LastChance
 from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before, mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.shrink import Shrunk
@@ -101,6 +101,7 @@ class Expect:
         npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
         reference_drivers: what becomes of each in the ego's place; empty where that means nothing.
         last_chance: when one of them would still have stayed free of fault; None where there is no such moment.
+        avoided_by: the last decision from which braking avoids the collision, as simulated; None where there is none.
         against: the reference that passed where this failed, as ``module:factory`` or the name of a fixture; empty
             without one, or where its factory has no such name.
         traceback: of an ADS that raised, likewise; empty otherwise.
@@ -122,6 +123,7 @@ class Expect:
     ego_manoeuvre: Manoeuvre | None = None
     reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
     last_chance: LastChance | None = None
+    avoided_by: Avoidance | None = None
     against: str = ""
     traceback: str = ""
 
@@ -150,6 +152,7 @@ class Expect:
         *,
         reference_drivers: Mapping[str, ReferenceOutcome] | None = None,
         last_chance: LastChance | None = None,
+        avoided_by: Avoidance | None = None,
         against: str = "",
         root: str = "",
     ) -> Expect:
@@ -183,6 +186,7 @@ class Expect:
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             reference_drivers=dict(reference_drivers or {}),
             last_chance=last_chance,
+            avoided_by=avoided_by,
             against=against,
             traceback=text,
         )

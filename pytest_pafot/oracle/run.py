@@ -6,7 +6,6 @@ import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy.typing as npt
 from pytest_pafot import criticality
 from pytest_pafot.attribution.last_chance import LastChance, TakeOver, last_chance
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
-from pytest_pafot.attribution.sentences import What
+from pytest_pafot.attribution.sentences import What, responsible_sentence
 from pytest_pafot.criticality.signals import (
     BY_NAME,
     EgoLaneChange,
@@ -367,15 +366,19 @@ class Run(Drawn):
         event = self.collision or self.worst_ttc
         return None if event is None else event.cell
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Who did what, what was due and did not come, and who is responsible; none without a collision."""
+        if self.collision is None:
+            return ()
+        verdict = self.attribution
+        return *verdict.sentences, responsible_sentence(verdict.responsibility, self.collision.npc)
+
     def explain(self) -> str:
         """The run in under 15 lines of plain ASCII: what happened, whose fault, and what the NPCs were told."""
-        lines = [self._headline(), *self._measures()]
-        if self.responsibility is not None:
-            sentence = f"responsible: {self.responsibility}, because {self.attribution.reason}"
-            if self.second_opinion != self.responsibility:
-                sentence += f" (the PAFOT authors' position rule says: {self.second_opinion})"
-            lines += wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=4)
+        lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
         names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}", self.scenario.traffic.described]
+        names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
         lines += [*_gene_table(self.trace), f"  {', '.join(filter(None, names))}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
@@ -435,7 +438,8 @@ class Run(Drawn):
             return text
         time = int(np.nanargmin(self.trace.ego[:, ACCELERATION])) / self.trace.physics_hz
         text += f" at {time:.1f} s"
-        due = [fact.time_s for fact in self.attribution.facts if fact.what in (What.DID_NOT_BRAKE, What.SPED_UP)]
+        unanswered = What.DID_NOT_BRAKE, What.SPED_UP
+        due = [each.time_s for each in self.attribution.facts if each.what in unanswered and not each.vehicle]
         if not due:
             return text
         return f"{text}, {'before an answer was due' if time <= due[0] else 'too little to be an answer'}"

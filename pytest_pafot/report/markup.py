@@ -146,6 +146,7 @@ def finding_article(finding: FindingView, index: int) -> str:
         claim if finding.check is None else _check_figures(finding.check),
         f'<ul class="tags"><li>{mark} {text(who)}</li>{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul>',
         f'<p class="test">{text(finding.node_id)}</p></header>' if finding.node_id else "</header>",
+        "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences),
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
         f'<section><h3>What happened</h3><pre class="explanation">{words}</pre></section>' if words else "",
         "" if finding.shrink is None else _shrink_section(finding.shrink),

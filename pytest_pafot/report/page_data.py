@@ -206,6 +206,7 @@ class FindingView:
     Attributes:
         id: unique within a report together with the node id.
         node_id: of the item that replays it.
+        sentences: who did what, what was due or what avoids it, and who is responsible; none without a collision.
         assertion: the line of the test that failed, or what was raised.
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
         runs: of the search that failed in this way; 0 for a run that no test has judged.
@@ -243,6 +244,7 @@ class FindingView:
     label: str = ""
     severity: Severity | None = None
     path: str = ""
+    sentences: tuple[str, ...] = ()
     assertion: str = ""
     check: CheckView | None = None
     prevention: str = ""

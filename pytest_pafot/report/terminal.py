@@ -144,8 +144,8 @@ def simplified_lines(finding: Finding) -> list[str]:
         lines.append(f"shrunk     from {size_of(finding.original or finding.scenario, longest)} {after}{more}")
     prevention = prevention_text(finding.expect)
     lines += [prevention] if prevention else []
-    lines += [] if finding.perception is None else [finding.perception.sentence]
-    return lines if finding.expect.last_chance is None else [*lines, finding.expect.last_chance.sentence]
+    told = finding.expect.avoided_by, finding.perception, finding.expect.last_chance
+    return [*lines, *(each.sentence for each in told if each is not None)]
 
 
 def prevention_text(expect: Expect) -> str:

@@ -94,21 +94,8 @@ _GLUE = "\N{NO-BREAK SPACE}"
 
 
 def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
-    """Lines of a width at most. Where ``run.explain()`` breaks its longest sentence, it is put together first."""
-    whole: list[str] = []
-    is_open = False
-    for line in lines:
-        margin = len(whole[-1]) - len(_unmarked(whole[-1])) + 2 if is_open else 0
-        if is_open and len(line) - len(_unmarked(line)) == margin:
-            whole[-1] += f" {_unmarked(line)}"
-        else:
-            whole.append(line)
-            is_open = _unmarked(line).startswith("responsible: ")
-    return [part for line in whole for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
-
-
-def _unmarked(line: str) -> str:
-    return line.removeprefix(MARKER).lstrip(" ")
+    """Lines of a width at most."""
+    return [part for line in lines for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
 
 
 def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:

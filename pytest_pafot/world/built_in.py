@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.protocol import FirstDecision, decision_asked
-from pytest_pafot.world.reference_drivers import REFERENCES, ReferenceDriver
+from pytest_pafot.world.reference_drivers import REFERENCES, TAKING_OVER, ReferenceDriver
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
@@ -179,7 +179,7 @@ class BuiltInWorld(ABC):
         Args:
             trace: of a run in this world.
             tick: of it, at which the driver decides for the first time.
-            name: of :attr:`reference_drivers`.
+            name: of :attr:`reference_drivers`, or ``steady-braking``.
 
         Raises:
             WorldError: for another name, a tick that the run does not have, or one with other ticks than this world's.
@@ -190,7 +190,7 @@ class BuiltInWorld(ABC):
         if trace.physics_hz != self.rules.physics_hz:
             expected = f"a run in this world, with {self.rules.physics_hz} ticks a second"
             raise WorldError(field="trace", expected=expected, received=f"one with {trace.physics_hz}")
-        relief = Relief(_reference_driver(name), tick / trace.physics_hz)
+        relief = Relief(_reference_driver(name, TAKING_OVER), tick / trace.physics_hz)
         return self._driven_by(relief, trace.executed, RecordedBody(trace, tick))
 
     def _driven_by(
@@ -223,7 +223,7 @@ class BuiltInWorld(ABC):
         )
 
 
-def _reference_driver(name: str) -> ReferenceDriver:
-    if name not in REFERENCES:
-        raise WorldError(f"reference driver: expected one of {', '.join(REFERENCES)}, received {name!r}")
-    return REFERENCES[name]()
+def _reference_driver(name: str, known: Mapping[str, Callable[[], ReferenceDriver]] = REFERENCES) -> ReferenceDriver:
+    if name not in known:
+        raise WorldError(f"reference driver: expected one of {', '.join(known)}, received {name!r}")
+    return known[name]()

@@ -23,7 +23,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from pytest_pafot.attribution.lane_changes import KEEPING
-from pytest_pafot.attribution.responsibility import EMERGENCY
+from pytest_pafot.attribution.last_chance import STEADY_BRAKING
+from pytest_pafot.attribution.responsibility import EMERGENCY, FOLLOWING
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 GRAVITY = 9.81
@@ -328,10 +329,30 @@ class IdmAeb(ReferenceDriver):
         return GENTLE_ACCELERATION * (free - pressing)
 
 
+@dataclass(slots=True)
+class SteadyBraking(ReferenceDriver):
+    """Brake with 6 m/s^2 down to a standstill in the lane that the ego is in, whatever happens."""
+
+    HARDEST = FOLLOWING.deceleration
+    JERK = 1000.0
+    """So that the brakes act at once."""
+
+    acceleration: float = -FOLLOWING.deceleration
+
+    def wish(self, observation: Observation) -> float:
+        """The acceleration that the driver wants now [m/s^2]."""
+        return -min(self.HARDEST, observation.ego.speed / self.step) if self.step > 0 else -self.HARDEST
+
+
 REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {"careful-human": CarefulHuman, "fuzzy-safety": FuzzySafety, "idm-aeb": IdmAeb}
 )
 """Factories of the reference drivers; each can be given to a search as its ADS."""
+
+TAKING_OVER: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
+    {**REFERENCES, STEADY_BRAKING: SteadyBraking}
+)
+"""Factories of those that can take over in the midst of a run."""
 
 
 def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float) -> bool:

@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from pytest_pafot.attribution.last_chance import LastChance, last_chance
+from pytest_pafot.attribution.last_chance import Avoidance, LastChance, avoidance, last_chance
 from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
@@ -94,6 +95,43 @@ def test_a_run_that_does_not_repeat_has_none(ticks):
     assert tried == [27]
 
 
+def braked(hit=None, outcome=Outcome.SAFE, ticks=300):
+    """A run that begins as that of :func:`crash`, with a contact of the ego at some tick."""
+    trace = crash()
+    states = np.concatenate([trace.states, np.repeat(trace.states[-1:], ticks - 30, axis=0)])
+    collision = None if hit is None else collision_at(hit, side="rear", cell=Cell.REAR)
+    states = states if hit is None else states[: hit + 1]
+    return replace(trace, states=states, outcome=outcome if hit is None else Outcome.COLLISION, collision=collision)
+
+
+@table(
+    ("taken", "is_free"),
+    [
+        (braked(), True),
+        (braked(hit=27 + 180), False),
+        (braked(hit=27 + 181), True),
+        (braked(outcome=Outcome.INVALID, ticks=60), False),
+        (braked(outcome=Outcome.INVALID), True),
+    ],
+)
+def test_braking_avoids_it_where_nobody_touches_the_ego_for_twelve_seconds(taken, is_free):
+    """Not from behind, either."""
+    names = []
+
+    def take_over(trace, tick, name):
+        names.append(name)
+        return taken if tick == 27 else trace
+
+    found = avoidance(crash(), "leader-unanswered", take_over)
+    assert found == (Avoidance(time=1.8, braking=6.0) if is_free else None)
+    assert {*names} == {"steady-braking"}
+
+
+@table("fault", [None, "entered-lane", "braked-for-nothing", "stopped-for-nothing"])
+def test_braking_is_not_tried_where_the_fault_is_another(fault):
+    assert avoidance(crash(), fault, lambda *_: pytest.fail("simulated")) is None
+
+
 def test_it_tells_what_the_driver_and_the_ego_do_from_there_to_the_next_tick():
     trace = crash()
     states, taken = trace.states.copy(), trace.states.copy()
@@ -133,3 +171,6 @@ def test_behind_a_slower_leader_it_is_where_full_braking_still_takes_off_the_clo
     assert chance.time == round(expected / 15, 3)
     assert chance.action[0] == pytest.approx(-HARD_BRAKING, abs=0.001)
     assert chance.ego_action == (0.0, 0.0)
+    needed = closing**2 / (2 * 6.0) + closing * trace.dt / 2
+    expected = max(tick for tick in decisions if gap[tick] > needed)
+    assert avoidance(trace, "leader-unanswered", world.take_over).time == round(expected / 15, 3)

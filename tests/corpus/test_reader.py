@@ -235,6 +235,20 @@ def test_a_last_chance_has_a_time_a_driver_and_two_actions(path, chance, field):
 
 
 @table(
+    ("avoided", "field"),
+    [
+        ("6.0", ""),
+        ("{time: 9.8}", ""),
+        ("{time: -1.0, braking: 6.0}", ".time"),
+        ("{time: 9.8, braking: x}", ".braking"),
+    ],
+)
+def test_what_avoids_it_has_a_time_and_a_braking(path, avoided, field):
+    error = fault(path, swapped(DRIVERS, f"{DRIVERS}, avoided_by: {avoided}"))
+    assert (error.line, error.field) == (14, f"expect.avoided_by{field}")
+
+
+@table(
     ("situation", "field"),
     [
         ("none", ""),

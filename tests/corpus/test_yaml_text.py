@@ -5,7 +5,7 @@ from pathlib import Path
 import yaml
 from hypothesis import given, settings
 
-from pytest_pafot.attribution.last_chance import LastChance
+from pytest_pafot.attribution.last_chance import Avoidance, LastChance
 from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import write
@@ -129,6 +129,12 @@ def test_the_last_chance_says_what_the_driver_and_the_ego_did():
     assert (
         "         last_chance: {time: 11.6, driver: careful-human, action: [-4.0, 0.0], ego_action: [0.8, -0.001]}}\n"
     ) in text
+
+
+def test_what_avoids_it_says_from_when_on_and_how_hard():
+    avoided = Avoidance(time=9.8, braking=6.0)
+    text = text_of(plain_finding(expect=replace(plain_finding().expect, avoided_by=avoided)))
+    assert "avoided_by: {time: 9.8, braking: 6.0}}\n" in text
 
 
 def test_a_property_that_is_no_collision_names_the_worst_moment():

@@ -5,7 +5,7 @@ from typing import get_args
 
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.last_chance import LastChance
+from pytest_pafot.attribution.last_chance import Avoidance, LastChance
 from pytest_pafot.attribution.mistakes import Manoeuvre
 from pytest_pafot.corpus.file_format import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
@@ -127,6 +127,10 @@ def chances():
     return st.builds(LastChance, time=st.floats(0, 1e6), driver=texts(), action=actions, ego_action=actions)
 
 
+def avoidances():
+    return st.builds(Avoidance, time=st.floats(0, 1e6), braking=st.floats(0, 1e3))
+
+
 @st.composite
 def expectations(draw, npcs):
     outcome = draw(st.sampled_from([outcome for outcome in Outcome if outcome is not Outcome.INVALID]))
@@ -148,6 +152,7 @@ def expectations(draw, npcs):
         ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         reference_drivers=draw(st.dictionaries(keys(), st.sampled_from(get_args(ReferenceOutcome)), max_size=3)),
         last_chance=draw(st.none() | chances()),
+        avoided_by=draw(st.none() | avoidances()),
         against=draw(texts()),
         traceback=draw(texts()),
     )

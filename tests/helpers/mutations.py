@@ -206,7 +206,7 @@ def holds(finding: Finding) -> dict[str, Any]:
         "original": None if finding.original is None else _scenario(finding.original),
         "expect": {name: getattr(expect, name) for name in expect.__slots__}
         | {"reference_drivers": dict(expect.reference_drivers), "last_chance": _chance(expect.last_chance)}
-        | {"check": None if expect.check is None else asdict(expect.check)},
+        | {name: None if (part := getattr(expect, name)) is None else asdict(part) for name in ("check", "avoided_by")},
         "found": {name: getattr(found, name) for name in found.__slots__} | {"versions": dict(found.versions)},
         "perception": finding.perception,  # which no file has that is damaged
         "shrunk": None

@@ -1,191 +1,167 @@
-"""Every number that the reason of a verdict says, computed once more from the trace.
+"""Every number that the sentences of a verdict say, computed once more from the trace.
 
-A reason is a list of clauses. Each has a pattern with the numbers to be looked at, and a function that computes them in
-their order; what no pattern knows is an error.
+Each sentence has a pattern with the numbers to be looked at, and a function that computes them in their order; what no
+pattern knows is an error.
 """
 
 from __future__ import annotations
 
+import math
 import re
 
 from tests.helpers.pencil_and_paper import Crash, gap, giving_way, is_behind, safe_along
 
 NUMBER = r"(-?\d+\.\d)"
+WHO = r"(?:the ego|The ego|NPC #)"
+PLACE = f"(?:beside {WHO}|{NUMBER} m (?:ahead of|behind) {WHO}, which was (?:{NUMBER} m/s (?:faster|slower)|as fast))"
 
 
 class Reading:
-    """A collision as its reason is read: what its numbers are at the tick that the verdict names."""
+    """A collision as its sentences are read: what their numbers are at the tick that the verdict names."""
 
     def __init__(self, trace, tick):
         self.crash = Crash(trace)
         self.crash.verdict()
         self.ego, self.npc, self.tick = self.crash.ego, self.crash.npc, tick
-        self.mover, self.other = self.ego, self.npc
 
     def time(self, tick):
         return tick / self.crash.hz
 
-    def apart(self):
-        """Told as 0 of two that are side by side."""
-        return max(0.0, gap(self.ego, self.npc, self.tick))
-
-    def behind_and_ahead(self):
+    def who(self, said):
+        """The vehicle that a sentence names first, and the other."""
         pair = self.ego, self.npc
-        return pair if is_behind(*pair, self.tick) else pair[::-1]
+        return pair if re.search("ego|NPC", said, re.IGNORECASE)[0] == "ego" else pair[::-1]
 
-    def too_close(self):
-        return [self.time(self.tick), self.apart(), safe_along(*self.behind_and_ahead(), self.tick)]
+    def apart(self, tick):
+        """Told as 0 of two that are side by side."""
+        return max(0.0, gap(self.ego, self.npc, tick))
 
-    def crossed(self, whose):
-        """When and how fast sideways; what is told of the mover next is compared with the other."""
-        self.mover, self.other = (self.ego, self.npc) if whose == "ego's moment" else (self.npc, self.ego)
-        return [self.time(self.tick), self.towards(whose)]
+    def too_close(self, said):
+        behind, ahead = self.who(said)
+        assert is_behind(self.ego, self.npc, self.tick) == (behind is self.ego)
+        return [self.time(self.tick), self.apart(self.tick), safe_along(behind, ahead, self.tick)]
 
-    def towards(self, whose):
-        """Sideways, to the other."""
-        mover = self.ego if whose == "ego's moment" else self.npc
-        return self.crash.sides[whose] * mover.sideways(self.crash.ticks[whose])
+    def crossed(self, said):
+        """When, into which lane, and where that was."""
+        mover, _ = self.who(said)
+        side = self.crash.sides["ego's moment" if mover is self.ego else "npc's moment"]
+        lane = re.search(r"into lane (\d)", said)
+        assert lane is None or int(lane[1]) == mover.lane[self.tick] + side
+        return self.placed(said, self.tick)
 
-    def place(self, words):
-        """How far ahead or behind, and how much faster or slower, as the words say."""
-        faster = self.mover.speed[self.tick] - self.other.speed[self.tick]
-        ahead = self.mover.along[self.tick] > self.other.along[self.tick]
-        assert ("ahead" in words) == ahead
-        if words.endswith("as fast"):
+    def came_in(self, said):
+        return self.placed(said, max(self.crash.joined, self.tick))
+
+    def placed(self, said, tick):
+        """How far ahead or behind, and how much faster or slower the other was, as the words say."""
+        mover, other = self.who(said)
+        faster, apart = other.speed[tick] - mover.speed[tick], self.apart(tick)
+        if "beside" in said:
+            assert apart == 0.0
+            return [self.time(tick)]
+        assert ("ahead" in said) == (mover.along[tick] > other.along[tick])
+        if said.endswith("as fast."):
             assert f"{abs(faster):.1f}" == "0.0"
-            return [self.apart()]
-        return [self.apart(), faster if "faster" in words else -faster]
+            return [self.time(tick), apart]
+        return [self.time(tick), apart, faster if "faster" in said else -faster]
 
-    def came_in(self):
-        return [max(0.0, gap(self.ego, self.npc, self.crash.joined)), self.time(self.crash.joined)]
+    def both_crossed(self, said):
+        return [self.time(self.crash.ticks[whose]) for whose in ("ego's moment", "npc's moment")]
 
-    def both_crossed(self):
-        both = "ego's moment", "npc's moment"
-        return [self.time(self.crash.ticks[whose]) for whose in both] + [self.towards(whose) for whose in both]
+    def room(self, said):
+        """What the ego was to leave when it crossed the line, or where it left that, when it came in."""
+        at, then = self.tick, max(self.crash.joined, self.tick)
+        room = giving_way(self.npc.speed[at], self.crash.slowest_in_change(at))
+        if "more than" in said or gap(self.ego, self.npc, at) < room:
+            return [room]
+        return [giving_way(self.npc.speed[then], self.ego.speed[then])]
 
-    def slowest(self):
-        """Of the ego, in its lane change."""
-        return self.crash.slowest_in_change(self.tick)
+    def answered(self, said):
+        """When braking was due, which is before the impact, and what was done since it counts."""
+        crash, (vehicle, _) = self.crash, self.who(said)
+        since = crash.ticks["answer"]
+        ticks = range(since + 1, crash.impact + 1)
+        braked = [tick - 1 for tick in ticks if vehicle.deceleration(tick) >= 0.5]
+        highest, hardest = max(vehicle.speed[since : crash.impact + 1]), max(map(vehicle.deceleration, ticks))
+        assert ("braked" in said) == bool(braked)
+        assert braked or ("sped up" in said) == (highest > vehicle.speed[since] + 0.3)
+        due = [since + round(delay * crash.hz) for delay in (1.0, 1.4)]
+        if "was due" in said:
+            told = next((tick for tick in due if f"from {self.time(tick):.1f} s on" in said), math.inf)
+            assert told < crash.impact
+            did = [hardest, self.time(braked[0])] if braked else [highest] if "sped up" in said else []
+            return [self.time(told), *did]
+        assert due[1] >= crash.impact
+        return [self.time(braked[0]), hardest] if braked else [self.time(since)] + [highest] * ("sped up" in said)
 
-    def room(self):
-        return giving_way(self.npc.speed[self.tick], self.slowest())
-
-    def due(self, delay):
-        return self.time(self.crash.ticks["answer"] + round(delay * self.crash.hz))
-
-    def braking(self):
-        """Of the ego, since its answer counts: from when on and with how much at most."""
-        ticks = range(self.crash.ticks["answer"] + 1, self.crash.impact + 1)
-        first = next(tick for tick in ticks if self.ego.deceleration(tick) >= 0.5)
-        return [self.time(first - 1), max(self.ego.deceleration(tick) for tick in ticks)]
-
-    def npcs_peak(self):
-        return max(self.npc.deceleration_along(tick) for tick in range(self.tick + 1, self.crash.impact + 1))
-
-    def speed_reached(self):
-        return max(self.ego.speed[self.crash.ticks["answer"] : self.crash.impact + 1])
-
-    def hard_braking(self, braker):
+    def hard_braking(self, said):
+        braker, _ = self.who(said)
         first, last = self.crash.hard_braking(braker)
         return [self.time(first - 1), max(braker.deceleration(tick) for tick in range(first, last + 1))]
 
-    def no_faster(self):
-        """Until when, and from when on the one behind would brake."""
-        return [self.time(self.crash.ticks["no faster"]), self.due(1.4)]
-
-    def sped_up_towards(self, whose):
+    def sped_up_towards(self, said):
         """Since when, and to which speed."""
-        first, mover = self.crash.sped_up, self.ego if whose == "the ego" else self.npc
+        first, mover = self.crash.sped_up, self.ego if said.split(" on ")[1].startswith("the ego") else self.npc
         return [self.time(first), max(mover.speed[first : self.crash.impact + 1])]
 
-    def stood(self):
+    def stood(self, said):
         return [self.time(self.tick), self.time(self.crash.impact - self.crash.ticks["stood"])]
 
+    def ended(self, said):
+        assert abs(self.ego.speed[self.crash.impact]) <= 0.1
+        return [self.time(self.crash.impact)]
 
-CLAUSES = {
-    f"from {NUMBER} s on (?:NPC # was {NUMBER} m behind the ego|the ego was {NUMBER} m behind NPC #), closer than the "
-    f"{NUMBER} m that RSS demands": lambda reading, said: reading.too_close(),
-    f"at {NUMBER} s NPC # crossed the lane line towards the ego \\({NUMBER} m/s sideways\\)": (
-        lambda reading, said: reading.crossed("npc's moment")
-    ),
-    f"at {NUMBER} s the ego crossed the lane line towards NPC # \\({NUMBER} m/s sideways\\)": (
-        lambda reading, said: reading.crossed("ego's moment")
-    ),
-    f", {NUMBER} m (?:ahead|behind), (?:{NUMBER} m/s (?:faster|slower)|as fast)": lambda reading, said: reading.place(
-        said
-    ),
-    f", and came into its track only {NUMBER} m ahead at {NUMBER} s": lambda reading, said: reading.came_in(),
-    f", (?:where giving way takes {NUMBER} m|more than the {NUMBER} m that giving way takes)": (
-        lambda reading, said: [reading.room()]
-    ),
-    f"at {NUMBER} s the ego and at {NUMBER} s NPC # crossed a lane line towards each other "
-    f"\\({NUMBER} and {NUMBER} m/s sideways\\)": lambda reading, said: reading.both_crossed(),
-    f"the ego had kept its lane from {NUMBER} s on|from {NUMBER} s on (?:NPC #|the ego) kept the lane ahead": (
-        lambda reading, said: [reading.time(reading.tick)]
-    ),
-    f"from {NUMBER} s the ego braked with up to {NUMBER} m/s\\^2 with nothing in its way": (
-        lambda reading, said: reading.hard_braking(reading.ego)
-    ),
-    f"; from {NUMBER} s NPC # braked with up to {NUMBER} m/s\\^2 with nothing in its way": (
-        lambda reading, said: reading.hard_braking(reading.npc)
-    ),
-    f"; but until {NUMBER} s (?:the ego|NPC #) was no faster, and braking with 3 to 6 m/s\\^2 from {NUMBER} s on "
-    "would have avoided it": lambda reading, said: reading.no_faster(),
-    f"; but (?:the ego|NPC #) let the brakes go at {NUMBER} s, where braking on with 6 m/s\\^2 would have avoided it": (
-        lambda reading, said: [reading.time(reading.crash.ticks["brakes let go"])]
-    ),
-    f"from {NUMBER} s the ego braked to a standstill with nothing in its way and stood for {NUMBER} s": (
-        lambda reading, said: reading.stood()
-    ),
-    f"; from {NUMBER} s on NPC # sped up to {NUMBER} m/s towards the ego": (
-        lambda reading, said: reading.sped_up_towards("NPC")
-    ),
-    f"; from {NUMBER} s on the ego sped up to {NUMBER} m/s towards NPC #": (
-        lambda reading, said: reading.sped_up_towards("the ego")
-    ),
-    f", as it slowed down to {NUMBER} m/s": lambda reading, said: [reading.slowest()],
-    f"the ego was standing \\({NUMBER} m/s\\) at the impact": (
-        lambda reading, said: [abs(reading.ego.speed[reading.crash.impact])]
-    ),
-    f"at {NUMBER} s (?:NPC # came sideways into the ego|the ego came sideways into NPC #)(?:'s way)?": (
-        lambda reading, said: [reading.time(reading.crash.joined)]
-    ),
-    f"(?:; |; NPC #'s |, and NPC #'s )braking with 6 m/s\\^2 from {NUMBER} s on would have avoided it": (
-        lambda reading, said: [reading.due(1.0)]
-    ),
-    f"; braking with 3 to 6 m/s\\^2 from {NUMBER} s on would have avoided it": lambda reading, said: [reading.due(1.4)],
-    f"; the ego braked from {NUMBER} s on with up to {NUMBER} m/s\\^2": lambda reading, said: reading.braking(),
-    f", and braked with up to {NUMBER} m/s\\^2": lambda reading, said: [reading.npcs_peak()],
-    f"; the ego sped up to {NUMBER} m/s": lambda reading, said: [reading.speed_reached()],
-    ", side by side|, and NPC # moved in behind it|, too late to avoid it"
-    "|, and no response could avoid it|, and NPC # behind could not avoid it"
-    "|, and NPC # could not avoid it any more when the ego kept the lane|; the ego did not brake": (
-        lambda reading, said: []
+
+SENTENCES = {
+    f"At {NUMBER} s {WHO} was {NUMBER} m behind {WHO}, closer than the {NUMBER} m that RSS demands.": Reading.too_close,
+    rf"At {NUMBER} s {WHO} crossed (?:into lane \d|a lane line), {PLACE}\.": Reading.crossed,
+    rf"At {NUMBER} s the ego came in {PLACE}\.": Reading.came_in,
+    rf"At {NUMBER} s the ego and at {NUMBER} s NPC # crossed a lane line towards each other\.": Reading.both_crossed,
+    rf"From {NUMBER} s on {WHO} kept its lane, {PLACE}\.": lambda reading, said: reading.placed(said, reading.tick),
+    rf"At {NUMBER} s {WHO} came sideways into {WHO} beside it\.": lambda reading, said: [
+        reading.time(reading.crash.joined)
+    ],
+    rf"At {NUMBER} s the ego was standing when NPC # touched it\.": Reading.ended,
+    rf"At {NUMBER} s {WHO} began to brake with up to {NUMBER} m/s\^2 with nothing in its way\.": Reading.hard_braking,
+    rf"At {NUMBER} s the ego began to stop with nothing in its way, and it stood for {NUMBER} s\.": Reading.stood,
+    rf"The ego was due to leave NPC # a gap of {NUMBER} m\.": Reading.room,
+    rf"The ego left NPC # more than the {NUMBER} m that giving way takes\.": Reading.room,
+    rf"At {NUMBER} s NPC # moved in behind the ego\.": lambda reading, said: [
+        reading.time(reading.crash.ticks["npc's moment"])
+    ],
+    rf"{WHO} had too little time to answer, by the rules\.": lambda reading, said: [],
+    rf"From {NUMBER} s on {WHO} sped up to {NUMBER} m/s towards {WHO}\.": Reading.sped_up_towards,
+    rf"{WHO} was due to keep braking and let the brakes go at {NUMBER} s\.": lambda reading, said: [
+        reading.time(reading.crash.ticks["brakes let go"])
+    ],
+    rf"{WHO} was due to brake from {NUMBER} s on(?: and did not|, and braked with up to {NUMBER} m/s\^2 "
+    rf"from {NUMBER} s on|, and sped up to {NUMBER} m/s)\.": Reading.answered,
+    rf"From {NUMBER} s on {WHO} (?:did not brake|braked with up to {NUMBER} m/s\^2|sped up to {NUMBER} m/s)\.": (
+        Reading.answered
     ),
 }
-"""Of these a reason is made; ``#`` is the NPC that was touched."""
+"""``#`` is the NPC that was touched."""
 
 
 def numbers(trace, attribution):
-    """The numbers of a reason as it says them, and as they are.
+    """The numbers of the sentences as they say them, and as they are.
 
     Raises:
-        ValueError: for words that are in none of the clauses.
+        ValueError: for a sentence that none of the patterns knows.
     """
-    reading, rest = Reading(trace, attribution.tick), attribution.reason
+    reading = Reading(trace, attribution.tick)
     said, true = [], []
-    while rest:
-        found, compute = clause(rest, trace.collision.npc)
+    for sentence in attribution.sentences:
+        found, compute = known(sentence, trace.collision.npc)
         said += [number for number in found.groups() if number is not None]
-        true += [f"{number:.1f}".replace("-0.0", "0.0") for number in compute(reading, found[0])]
-        rest = rest[found.end() :]
+        true += [f"{number:.1f}".replace("-0.0", "0.0") for number in compute(reading, sentence)]
     return said, true
 
 
-def clause(rest, npc):
-    """The one that begins a text."""
-    for pattern, compute in CLAUSES.items():
-        found = re.match(pattern.replace("#", str(npc)), rest)
+def known(sentence, npc):
+    """Which of the patterns it is."""
+    for pattern, compute in SENTENCES.items():
+        found = re.fullmatch(pattern.replace("#", str(npc)), sentence)
         if found:
             return found, compute
-    raise ValueError(f"no clause of a reason that is known begins: {rest!r}")
+    raise ValueError(f"no sentence that is known: {sentence!r}")

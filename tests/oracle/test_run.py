@@ -39,7 +39,7 @@ def test_without_a_collision_nobody_is_responsible():
 def test_the_position_rule_is_a_second_opinion_and_named_where_it_disagrees():
     run = Run(replace(crash().trace, collision=collision_at(30, cell=Cell.LEFT, side="left")))
     assert (run.responsibility, run.second_opinion) == ("ego", "npc")
-    assert "(the PAFOT authors' position rule says: npc)" in " ".join(run.explain().split())
+    assert run.explain().endswith(", position rule: npc")
     assert crash().second_opinion == "ego"
     assert "position" not in crash().explain()
     assert Run(closing()).second_opinion is None
@@ -144,11 +144,11 @@ def test_an_explanation_tells_what_happened_whose_fault_and_what_the_npcs_were_t
     text = crash(arrivals=((12,), (None,))).explain()
     assert text.splitlines() == [
         "collision after 2.0 s: NPC 0 in cell 2 (front) against the ego's front",
+        "  At 0.0 s the ego was 21.0 m behind NPC 0, closer than the 47.1 m that RSS demands.",
+        "  The ego was due to brake from 1.0 s on and did not.",
+        "  Responsible: the ego.",
         "  at the impact: ego 20.0 m/s, NPC 10.0 m/s, closing 10.0 m/s",
         "  hardest brake of the ego: 0.0 m/s^2",
-        "  responsible: ego, because from 0.0 s on the ego was 21.0 m behind NPC 0, closer than the 47.1 m",
-        "    that RSS demands; braking with 6 m/s^2 from 1.0 s on would have avoided it; the ego did not",
-        "    brake",
         "  from [s]  NPC 0                                NPC 1",
         "       0.0  1 front-left 20.0 m/s reached 0.8 s  2 front 20.0 m/s not reached",
         f"  scenario {crash().scenario.id}, repair seed 0",
@@ -170,7 +170,7 @@ def test_hardest_braking_has_its_time_and_never_contradicts_the_reason(tick, bra
     ego[tick, ACCELERATION], ego[tick:, SPEED] = -braking, 20.0 - braking / 15
     text = Run(trace_of(ego, npc, outcome=Outcome.COLLISION)).explain()
     assert f"hardest brake of the ego: {told}\n" in text
-    assert ("did not brake" in " ".join(text.split())) is ("answer" in told)
+    assert ("s on and did not." in text) is ("answer" in told)
 
 
 def test_an_explanation_names_the_error_of_the_ads():

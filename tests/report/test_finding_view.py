@@ -6,11 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.last_chance import LastChance
+from pytest_pafot.attribution.last_chance import Avoidance, LastChance
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.finding_view import finding_view, frame_ticks, shrink_view
 from pytest_pafot.report.page_data import ChanceView
 from tests.helpers.tables import table
@@ -126,6 +127,18 @@ def test_reference_drivers_are_told_with_what_became_of_them():
     finding = finding_of(trace)
     finding = replace(finding, expect=replace(finding.expect, reference_drivers={"idm-aeb": "fails"}))
     assert finding_view(trace, finding, node_id="n").prevention == "not preventable by idm-aeb (fails too)"
+
+
+def test_what_avoids_it_stands_above_the_picture_and_what_was_due_in_the_explanation():
+    trace = rear_trace()
+    finding = finding_of(trace)
+    first, *others = Run(trace).sentences
+    assert view_of(trace).sentences == (first, *others)
+    avoided = replace(finding, expect=replace(finding.expect, avoided_by=Avoidance(time=1.2, braking=6.0)))
+    view = finding_view(trace, avoided, node_id="n")
+    assert view.sentences == (first, "Braking with 6 m/s^2 from 1.2 s on avoids it.", "Responsible: NPC 0.")
+    assert first not in view.explanation
+    assert all(each in view.explanation for each in others[:-1])
 
 
 def test_the_last_chance_is_in_the_explanation_and_on_the_time_line():

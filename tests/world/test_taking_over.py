@@ -1,12 +1,14 @@
 """A reference driver that takes over in the midst of a recorded run: all is as recorded before, and its own after."""
 
+import math
+
 import numpy as np
 import pytest
 from gymnasium.wrappers import FlattenObservation
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
-from pytest_pafot.model.trace import ACCELERATION, SPEED
+from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED
 from pytest_pafot.world import Highway, World, WorldError
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.stages import mostly_oracle
@@ -82,6 +84,18 @@ def test_it_wants_the_speed_that_the_ego_had_before_it_braked_for_nothing():
     assert np.diff(taken.ego[60:, SPEED]).min() > 0 or taken.ego[-1, SPEED] > 21.0
 
 
+@pytest.mark.parametrize("tick", [0, 40])
+def test_steady_braking_takes_six_off_at_once_down_to_a_standstill_in_the_lane_of_then(tick):
+    trace = HIGHWAY.rollout(BRAKES, changing_lanes)
+    taken = HIGHWAY.take_over(trace, tick, "steady-braking")
+    speed, lane = taken.ego[tick:, SPEED], taken.ego[tick:, LANE]
+    stop = math.ceil(speed[0] / 6.0 * trace.physics_hz)
+    assert len(speed) > stop
+    assert speed[: stop + 1] == pytest.approx(np.maximum(speed[0] - 6.0 / 15 * np.arange(stop + 1), 0.0), abs=1e-3)
+    assert np.abs(speed[stop:]).max() < 1e-6
+    assert (lane == lane[0]).all()
+
+
 def test_it_takes_over_in_the_same_way_each_time():
     trace = HIGHWAY.rollout(BRAKES, changing_lanes)
     once, again = (HIGHWAY.take_over(trace, 60, "careful-human") for _ in range(2))
@@ -91,7 +105,7 @@ def test_it_takes_over_in_the_same_way_each_time():
 @table(
     ("tick", "name", "world", "message"),
     [
-        (10, "me", HIGHWAY, "expected one of careful-human, fuzzy-safety, idm-aeb, received 'me'"),
+        (10, "me", HIGHWAY, "expected one of careful-human, fuzzy-safety, idm-aeb, steady-braking, received 'me'"),
         (-1, "idm-aeb", HIGHWAY, "tick: expected one of the run, 0 to .*, received -1"),
         (10**6, "idm-aeb", HIGHWAY, "tick: expected one of the run, 0 to .*, received 1000000"),
         (10, "idm-aeb", Highway(physics_hz=30), "trace: expected a run in this world, with 30 ticks .* one with 15"),
