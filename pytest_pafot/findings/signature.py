@@ -33,7 +33,7 @@ SLOW_DECISION = "SlowDecision"
 
 _OF_COLLISIONS = frozenset(
     {"collision", "responsibility", "attribution", "outcome", "second_opinion", "preventable_by", "reference_drivers",
-     "last_chance", "explain"}
+     "last_chance", "sentences", "explain"}
 )  # fmt: skip
 """What an assertion that speaks of the collision names of a run."""
 

@@ -377,9 +377,10 @@ class Run(Drawn):
     def explain(self) -> str:
         """The run in under 15 lines of plain ASCII: what happened, whose fault, and what the NPCs were told."""
         lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
-        names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}", self.scenario.traffic.described]
+        names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
         names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
-        lines += [*_gene_table(self.trace), f"  {', '.join(filter(None, names))}"]
+        names += filter(None, [self.scenario.traffic.described])
+        lines += [*_gene_table(self.trace), f"  {', '.join(names)}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
 

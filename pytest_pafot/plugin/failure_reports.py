@@ -25,7 +25,7 @@ from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lin
 
 SUMMARY = pytest.StashKey[str]()  # what the summary line of a failing item says
 
-SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+(, [a-z]+ traffic.*)?(, position rule: \w+)?")
+SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+(, position rule: \w+)?(, [a-z]+ traffic.*)?")
 """Closes what ``run.explain()`` says; its file and its report have it."""
 
 REPEATED = (
