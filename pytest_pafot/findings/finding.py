@@ -144,6 +144,12 @@ class Expect:
         """Names of the reference drivers that would have prevented it (:func:`~pytest_pafot.oracle.run.preventing`)."""
         return tuple(preventing(self.reference_drivers.items(), self.responsibility))
 
+    def sentences_on(self, run: Run) -> tuple[str, ...]:
+        """Return the sentences on a run; if it shows this collision, what avoids it in place of what was due."""
+        told, hit = run.sentences, run.collision
+        is_this = hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
+        return (told[0], self.avoided_by.sentence, told[-1]) if self.avoided_by is not None and is_this else told
+
     @classmethod
     def of(
         cls,

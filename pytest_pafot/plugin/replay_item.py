@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import date
 from functools import partial
@@ -65,7 +65,8 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if label == "drifted" and not verdict.failed:
         detail = "; ".join(filter(None, [unhandled(finding, run), detail]))
     line = headline(run, verdict) if verdict.failed else ""
-    _tell(item, replays, saved, label, headline=line, detail=detail, verdict=verdict, worse=worse)
+    sentences = finding.expect.sentences_on(run) if verdict.failed else ()
+    _tell(item, replays, saved, label, headline=line, sentences=sentences, detail=detail, verdict=verdict, worse=worse)
     page = page_messages_of(item, request.settings)
     if page is not None:
         check = None if verdict.failure is None else verdict.failure.check
@@ -114,7 +115,7 @@ def _worsening(verdict: Verdict) -> str:
     return "" if verdict.reference is None else worsening(verdict.severity, verdict.reference.severity)
 
 
-def _tell(
+def _tell(  # noqa: PLR0913  (all that a record has)
     item: pytest.Function,
     replays: Replays,
     saved: Saved,
@@ -122,6 +123,7 @@ def _tell(
     *,
     headline: str,
     detail: str,
+    sentences: Sequence[str] = (),
     verdict: Verdict | None = None,
     worse: str = "",
 ) -> None:
@@ -151,6 +153,7 @@ def _tell(
             status=label,
             file=path,
             headline=headline,
+            sentences=list(sentences),
             detail=detail,
             severity=severity,
             severity_before=before,

@@ -250,6 +250,7 @@ class SearchMessages:
             file=kept.find.path or None,
             again=[*self.settings.budget.split(), f"--pafot-seed={self.settings.seed}"],
             headline=kept.find.headline,
+            sentences=[] if kept.run is None else list(kept.finding.expect.sentences_on(kept.run)),
             detail=kept.find.problem,
             unshrunk=kept.find.unshrunk,
             severity=kept.find.severity,

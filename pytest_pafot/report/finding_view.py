@@ -13,7 +13,6 @@ from itertools import pairwise
 import numpy as np
 
 from pytest_pafot.attribution.lane_changes import stretches
-from pytest_pafot.attribution.last_chance import Avoidance
 from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.criticality.signals import jerk
@@ -244,8 +243,8 @@ def finding_view(
     expect = finding.expect
     clearance = finding.world.get("clearance", CLEARANCE)
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
-    sentences = () if trace is None else _sentences(trace, expect.avoided_by)
-    explanation = "" if trace is None else _explanation(trace, sentences)
+    sentences = () if trace is None else expect.sentences_on(Run(trace))
+    explanation = "" if trace is None else _explanation(Run(trace), sentences)
     first, _, rest = explanation.partition("\n")
     chance, rest = expect.last_chance, (rest if check is None else explanation) or expect.message
     view = FindingView(
@@ -294,15 +293,15 @@ def drive_view(trace: Trace) -> DriveView:
 
 def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
     """The view of a run that no test has judged, with the gap to the cells ahead and behind [m]; it is in no file."""
-    run, sentences = Run(trace), _sentences(trace, None)
-    headline, _, explanation = _explanation(trace, sentences).partition("\n")
+    run = Run(trace)
+    headline, _, explanation = _explanation(run, run.sentences).partition("\n")
     view = FindingView(
         id=f"scenario {run.scenario.id}",
         node_id="",
         test="",
         headline=headline,
         explanation=explanation,
-        sentences=sentences,
+        sentences=run.sentences,
         responsibility=run.responsibility or "none",
         road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
         vehicles=(),
@@ -317,15 +316,9 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
     return _with_run(view, trace, clearance, None)
 
 
-def _sentences(trace: Trace, avoided: Avoidance | None) -> tuple[str, ...]:
-    """The sentences on a collision; what avoids it, where that was driven, in place of what was due."""
-    told = Run(trace).sentences
-    return told if avoided is None else (told[0], avoided.sentence, told[-1])
-
-
-def _explanation(trace: Trace, sentences: Sequence[str]) -> str:
+def _explanation(run: Run, sentences: Sequence[str]) -> str:
     """The explanation of a run without the sentences that stand above its picture."""
-    return "\n".join(line for line in Run(trace).explain().splitlines() if line.strip() not in sentences)
+    return "\n".join(line for line in run.explain().splitlines() if line.strip() not in sentences)
 
 
 def _assertion(expect: Expect) -> str:

@@ -41,6 +41,7 @@ class FindingRecord:
         file: relative to the rootdir; null where it was not saved.
         replay: the command that shows it again.
         headline: how the run ended, in a few words; empty where it passes.
+        sentences: on the collision: who did what, what was due or what avoids it, and who is responsible.
         detail: what differs from the file, such as a situation that did not come up, or why there is none.
         signature: all that makes two failures the same, in one line; of what the file was saved for.
         kind: its short name, of which ids are made.
@@ -74,6 +75,7 @@ class FindingRecord:
     file: str | None = None
     replay: str = ""
     headline: str = ""
+    sentences: list[str] = field(default_factory=list)
     detail: str = ""
     signature: str = ""
     kind: str = ""

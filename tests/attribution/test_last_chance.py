@@ -147,9 +147,7 @@ def test_it_tells_what_the_driver_and_the_ego_do_from_there_to_the_next_tick():
 
 def test_who_neither_brakes_nor_accelerates_keeps_its_speed():
     chance = LastChance(time=3.0, driver="careful-human", action=(1.5, 0.0), ego_action=(-0.04, 0.0))
-    assert chance.sentence == (
-        "last chance 3.0 s: careful-human accelerates with 1.5 m/s^2, the ego keeps its speed"
-    )
+    assert chance.sentence == ("last chance 3.0 s: careful-human accelerates with 1.5 m/s^2, the ego keeps its speed")
 
 
 @pytest.mark.parametrize("engine", ["kernel", "highway-env"])

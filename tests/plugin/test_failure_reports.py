@@ -6,7 +6,9 @@ from xml.etree import ElementTree
 
 import pytest
 
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.plugin.session import SHARED, Controller, Shared, shared_by_controller
+from tests.helpers.sessions import read_record
 
 EXPLAINED = """
 @pafot.search(SHORT, blame="ego", stop_after=1)
@@ -105,6 +107,17 @@ def test_the_words_of_a_message_are_not_broken(explained, monkeypatch):
     told = re.findall(r"At \d+\.\d s the ego was .* Responsible: the ego\.", wide)
     assert told
     assert all(each in narrow for each in told)
+
+
+def test_the_record_has_the_sentences_with_what_avoids_the_collision(explained):
+    results = [search(explained, "--pafot-json=1.json"), search(explained, "--pafot-json=2.json", generations=0)]
+    records = [read_record((explained.path / name).read_text(encoding="utf-8")) for name in ("1.json", "2.json")]
+    found, replayed = (record.findings[0].sentences for record in records)
+    assert found == replayed
+    for result in results:
+        lines = block(result, f"test_collides[saved-{explained.only_id}]")
+        assert {f"E       {found[0]}", f"E       {found[2]}"} <= {*lines}
+    assert found[1] == load(explained.only_file).expect.avoided_by.sentence
 
 
 def test_an_id_is_not_repeated_without_need(explained):

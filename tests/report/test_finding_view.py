@@ -131,10 +131,14 @@ def test_reference_drivers_are_told_with_what_became_of_them():
 
 def test_what_avoids_it_stands_above_the_picture_and_what_was_due_in_the_explanation():
     trace = rear_trace()
+    safe = replace(trace, outcome=Outcome.SAFE, collision=None)
     finding = finding_of(trace)
     first, *others = Run(trace).sentences
     assert view_of(trace).sentences == (first, *others)
-    avoided = replace(finding, expect=replace(finding.expect, avoided_by=Avoidance(time=1.2, braking=6.0)))
+    expect = replace(finding.expect, avoided_by=Avoidance(time=1.2, braking=6.0))
+    avoided, other = (replace(finding, expect=each) for each in (expect, replace(expect, time=expect.time + 0.1)))
+    assert finding_view(trace, other, node_id="n").sentences == (first, *others)  # of another run than this one
+    assert finding_view(safe, avoided, node_id="n").sentences == ()
     view = finding_view(trace, avoided, node_id="n")
     assert view.sentences == (first, "Braking with 6 m/s^2 from 1.2 s on avoids it.", "Responsible: NPC 0.")
     assert first not in view.explanation
