@@ -132,23 +132,25 @@ class Pursuit:
         end = len(self.ahead) - 1
         return since < end and bool(self._driven(since, response, emergency)[1][end - since] <= 0)
 
-    def sped_up_into(self, since: int) -> int | None:
-        """The tick from which on the responder sped up into the other; None where it did not.
+    def sped_up(self, since: int) -> int | None:
+        """The last tick at which the responder was slowest since a tick; None where it is no faster at the impact."""
+        recorded = self.speeds[0][since:]
+        if len(recorded) < 2 or recorded[-1] <= recorded.min() + SPED_UP:
+            return None
+        return since + int(np.flatnonzero(recorded == np.minimum.accumulate(recorded))[-1])
 
-        It did where it would have stayed off the other, had it never driven faster than before since a tick, and could
-        have slowed down to the other's speed at the impact.
+    def stays_off_unless_faster(self, since: int) -> bool:
+        """Whether the responder would have stayed off the other, had it never driven faster than before since a tick.
+
+        And could have slowed down to the other's speed at the impact.
         """
         end = len(self.ahead) - 1
         recorded = self.speeds[0][since:]
-        faster = recorded - np.minimum.accumulate(recorded)
-        if since >= end or faster.max() <= SPED_UP:
-            return None
-        lost = np.concatenate(([0.0], np.cumsum(faster[:-1]) / self.hz))
-        closing = max(float(recorded[-1] - faster[-1] - self.speeds[1][end]), 0.0)
+        held = np.minimum.accumulate(recorded)
+        lost = np.concatenate(([0.0], np.cumsum(recorded - held)[:-1] / self.hz))
+        closing = max(float(held[-1] - self.speeds[1][end]), 0.0)
         is_hit = self._touches(slice(since, end + 1), lost)
-        if is_hit or self._gaps[-1] + lost[-1] <= closing**2 / (2 * HARDEST):
-            return None
-        return since + int((faster > 0).argmax()) - 1
+        return not is_hit and bool(self._gaps[-1] + lost[-1] > closing**2 / (2 * HARDEST))
 
     def _driven(self, since: int, response: Braking, emergency: Emergency | None) -> tuple[FloatArray, FloatArray]:
         """Speeds of the reference [m/s], and by how much it is further back than recorded [m], tick by tick.

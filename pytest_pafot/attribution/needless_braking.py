@@ -20,9 +20,9 @@ HARD_BRAKING = 5.0
 """[m/s^2]."""
 HARD_SECONDS = 0.4
 """For so long at least [s]."""
-LASTING_BRAKING = 3.0
-"""Braking that takes half of the speed is needless, too, if nothing asks for it, down to this (UN R79, 5.6.4.7: what a
-lane change may ask of the one behind) [m/s^2]."""
+LASTING_BRAKING = 4.0
+"""Braking that takes half of the speed is hard, too, down to this: more than a careful driver brakes to keep its
+distance [m/s^2]."""
 LEAST_LOST = 5.0
 """It takes so much speed at least [m/s]."""
 STANDING_SPEED = 0.1
@@ -75,7 +75,7 @@ def hard_braking(trace: Trace, vehicle: int, first: int, last: int) -> Stop | No
 
 
 def lasting_braking(trace: Trace, first: int) -> Stop | None:
-    """The ego's last braking by more than 3 m/s^2, after a tick, that took half of its speed, 5 m/s at least."""
+    """The ego's last braking by more than 4 m/s^2, after a tick, that took half of its speed, 5 m/s at least."""
     for begin, end in reversed(stretches(braking(trace) > LASTING_BRAKING)):
         before, after = trace.ego[[begin - 1, end - 1], SPEED]
         if end - 1 >= first and before - after >= max(before / 2, LEAST_LOST):

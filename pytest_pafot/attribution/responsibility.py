@@ -72,7 +72,7 @@ TOGETHER = 1.0
 SOON = 5.0
 """Braking of an NPC that is hit up to so long after its lane change belongs to it, and would have gone on [s]."""
 SPARE = 0.2
-"""An ego is blamed for not answering a cut-in only where an answer so much later would have helped, too [s]."""
+"""An ego that brakes for a cut-in is blamed only where the answer would have helped so much later, too [s]."""
 BLOCKED = 0.3
 AT_ONCE = 2.0
 """Nobody can answer an NPC that moves in with less headway than the first, and begins to brake hard within the second
@@ -288,7 +288,7 @@ class Conflict:
                 return self._attributed("both", tick, (crossed, answer), "entered-lane")
         chance = self._second_chance(tick, pursuit, by_ego=False)
         if chance is None and self._gap(tick) >= LEAST_ROOM:
-            chance = self._sped_up(self._npc + 1, pursuit.sped_up_into(tick + round(CUT_OFF.perception * self._hz)))
+            chance = self._sped_up(self._npc + 1, tick, pursuit)
         if chance is not None:
             return self._attributed("both", tick, (crossed, chance), "entered-lane")
         asked = Fact(What.LEFT_TOO_LITTLE, 0, self._at(tick), other=self._npc + 1, asked_m=room)
@@ -325,7 +325,9 @@ class Conflict:
         is_close = self._gap(tick) < BLOCKED * self._frame.speed[0, tick]
         if is_close and self._npc_braked_hard(tick, min(at_once, self._end)):
             return self._excused_behind(tick, late, pursuit, change, seen)
-        since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY, SPARE)
+        in_time = slice(seen + 1, seen + 1 + round((CUT_OFF.delay + SPARE) * self._hz))
+        spare = SPARE if (braking(self._trace)[in_time] >= BRAKES).any() else 0.0
+        since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY, spare)
         if since is not None:
             return self._unanswered(tick, crossed, self._answer(0, since, CUT_OFF), "cut-in-unanswered", change)
         has_answered = pursuit.is_no_further(seen, CUT_OFF, EMERGENCY)
@@ -372,12 +374,18 @@ class Conflict:
         ego, npc = self._frame.speed[0, tick], self._frame.speed[self._npc + 1, tick]
         if npc > ego + SPED_UP or self._gap(tick) < room:
             return None
-        sped_up = self._sped_up(self._npc + 1, pursuit.sped_up_into(tick + round(CUT_OFF.perception * self._hz)))
+        sped_up = self._sped_up(self._npc + 1, tick, pursuit)
         return None if sped_up is None else self._npc_followed(tick, moved_in or tick, (crossed, sped_up), moved_in)
 
-    def _sped_up(self, behind: int, since: int | None) -> Fact | None:
-        """That the one behind sped up since a tick, without which it would have stayed off the other."""
-        if since is None:
+    def _sped_up(self, behind: int, tick: int, pursuit: Pursuit) -> Fact | None:
+        """That the one behind, which could see the other since a tick, sped up into it; None where it did not.
+
+        An ego for which it would have been enough to answer as the rules ask has no other excuse, either.
+        """
+        seen = tick + round(CUT_OFF.perception * self._hz)
+        since = pursuit.sped_up(seen)
+        would_answer = behind == 0 and pursuit.avoided_from(tick, CUT_OFF, EMERGENCY) is not None
+        if since is None or not (would_answer or pursuit.stays_off_unless_faster(seen)):
             return None
         speed, ahead = float(self._frame.speed[behind, since : self._end + 1].max()), 0 if behind else self._npc + 1
         return Fact(What.SPED_UP_INTO, behind, self._at(since), other=ahead, speed_m_per_s=speed)
@@ -441,7 +449,7 @@ class Conflict:
         """The NPC's, ahead; but not where the ego had mastered it, or sped up, and ran into the NPC nevertheless."""
         chance = self._second_chance(tick, pursuit, by_ego=True)
         if chance is None and seen is not None:
-            chance = self._sped_up(0, pursuit.sped_up_into(seen + round(CUT_OFF.delay * self._hz)))
+            chance = self._sped_up(0, seen, pursuit)
         if chance is None:
             return self._excused(tick, reason)
         if self._pushed_in(change):

@@ -255,8 +255,8 @@ SITUATIONS = {
         ),
         Situation(
             "braked-moderately",
-            "On a free road the ego brakes with 2.9 m/s^2 to 5 m/s. The one 2 s behind does not brake.",
-            lambda: hit(driven(0.0, brakes=[(4.0, 2.9, 5.0)]), driven(-45.0)),
+            "On a free road the ego brakes with 3.9 m/s^2 to 5 m/s. The one 2 s behind does not brake.",
+            lambda: hit(driven(0.0, brakes=[(4.0, 3.9, 5.0)]), driven(-45.0)),
             "npc", None, "7", "behind the ego, closer than the ",
         ),
         Situation(
