@@ -136,7 +136,10 @@ class LanePlaces:
     ) -> LaneChange | None:
         """The last time that the mover, ahead or behind, came over its lane line on a side where the other was."""
         over = self._over[side][mover, first : last + 1]
-        crosses = over[1:] & ~over[:-1] & (side * self.frame.drift[mover, first + 1 : last + 1] >= DRIFTING)
+        crosses = over[1:] > over[:-1]
+        if not crosses.any():
+            return None
+        crosses &= side * self.frame.drift[mover, first + 1 : last + 1] >= DRIFTING
         for before in (first + np.flatnonzero(crosses)[::-1]).tolist():
             ego_leads = self.frame.ahead[max(mover, other) - 1, before] < 0
             centres = (self._across[each, before] - self._offsets[each, before] for each in (mover, other))

@@ -368,7 +368,8 @@ class Conflict:
         The ego braked for nothing when it already kept the lane; or the NPC behind, no faster at the tick and with so
         much room, sped up into it.
         """
-        kept, stop = self._lanes.kept_since(0, tick, self._end), self._needless_braking(0, moved_in)
+        kept = self._lanes.kept_since(0, tick, self._end)
+        stop = None if kept is None else self._needless_braking(0, moved_in)
         if kept is not None and stop is not None and stop.begin >= kept[1]:
             return self._npc_followed(stop.begin, tick, (crossed,), moved_in)
         ego, npc = self._frame.speed[0, tick], self._frame.speed[self._npc + 1, tick]
@@ -384,8 +385,10 @@ class Conflict:
         """
         seen = tick + round(CUT_OFF.perception * self._hz)
         since = pursuit.sped_up(seen)
+        if since is None:
+            return None
         would_answer = behind == 0 and pursuit.avoided_from(tick, CUT_OFF, EMERGENCY) is not None
-        if since is None or not (would_answer or pursuit.stays_off_unless_faster(seen)):
+        if not (would_answer or pursuit.stays_off_unless_faster(seen)):
             return None
         speed, ahead = float(self._frame.speed[behind, since : self._end + 1].max()), 0 if behind else self._npc + 1
         return Fact(What.SPED_UP_INTO, behind, self._at(since), other=ahead, speed_m_per_s=speed)
