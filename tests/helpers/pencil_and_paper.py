@@ -222,9 +222,7 @@ class Crash:
 
     def _by_the_first_rule_that_applies(self):
         mine = self.unless_given_up(self.ego, LaneChange.of(self, self.ego, self.npc))
-        theirs = self.unless_given_up(self.npc, LaneChange.of(self, self.npc, self.ego))
-        if theirs is None:
-            theirs = self.unless_given_up(self.npc, self.npc_moved_in_behind())
+        theirs = self.npc_moved_in_behind() or self.unless_given_up(self.npc, LaneChange.of(self, self.npc, self.ego))
         over = self.came_over()
         if over is not None and all(each is None or over[1].moment > each.moment for each in (mine, theirs)):
             return self.changed_lanes(*((over[1], None) if over[0] is self.ego else (None, over[1])))
@@ -259,12 +257,16 @@ class Crash:
         return None if is_back else change
 
     def npc_moved_in_behind(self):
-        """Its lane change while the ego reached over the line, or None."""
-        side = side_of(self.ego, self.npc, self.joined - 1)
+        """Its latest lane change after they came into one track, or None."""
+        found = [self.unless_given_up(self.npc, self.npc_moved_to(side)) for side in (-1, 1)]
+        return max((change for change in found if change is not None), key=lambda change: change.moment, default=None)
+
+    def npc_moved_to(self, side):
+        """Its last one to a side behind the ego, unless that was too close to matter; else None."""
         for tick in range(self.impact, self.joined, -1):
-            is_ego_ahead = not is_behind(self.ego, self.npc, tick - 1)
-            if is_ego_ahead and comes_over(self.npc, self.ego, tick, side):
-                return LaneChange(tick, tick, side)
+            if not is_behind(self.ego, self.npc, tick - 1) and comes_over(self.npc, self.ego, tick, side):
+                closed = 0.5 * (self.npc.speed[tick] - self.ego.speed[tick])
+                return LaneChange(tick, tick, side) if gap(self.ego, self.npc, tick) >= closed else None
         return None
 
     def came_over(self):
@@ -330,8 +332,8 @@ class Crash:
         if had_room and is_ahead and self.would_have_avoided(self.npc, self.ego, due):
             self.ticks["answer"] = self.counted
             return self.opinion("both", "entered-lane", at)
-        has_chance = self.has_second_chance(self.npc, self.ego, at)
-        return self.opinion("both" if has_chance else "ego", "entered-lane", at)
+        is_shared = self.has_second_chance(self.npc, self.ego, at) or (apart >= 2.0 and self.npc_sped_up_since(at))
+        return self.opinion("both" if is_shared else "ego", "entered-lane", at)
 
     def npc_changed_lanes(self, change):
         at = change.moment
@@ -359,8 +361,11 @@ class Crash:
 
     def npc_sped_up(self, at):
         """Into the ego, than which it was hardly faster at a tick."""
-        was_no_faster = self.npc.speed[at] <= self.ego.speed[at] + 0.3
-        return was_no_faster and self.sped_up_into(self.npc, self.ego, at + round(0.4 * self.hz))
+        return self.npc.speed[at] <= self.ego.speed[at] + 0.3 and self.npc_sped_up_since(at)
+
+    def npc_sped_up_since(self, at):
+        """Into the ego, whatever its speed at a tick."""
+        return self.sped_up_into(self.npc, self.ego, at + round(0.4 * self.hz))
 
     def sped_up_into(self, behind, ahead, first):
         """Whether it did from a tick on, where its lowest speed so far would have avoided the collision."""
@@ -484,10 +489,10 @@ class Crash:
             return self.npc_unless_second_chance(at, at, seen)
         dv = self.ego.speed[seen] - self.npc.speed[seen]
         nobody_can = dv > 0 and gap(self.ego, self.npc, seen) <= dv * (1.4 + dv / (2 * 6.0))
-        if not nobody_can and self.would_have_avoided_a_cut_in(self.ego, self.npc, seen):
+        if not nobody_can and self.would_have_avoided_a_cut_in(self.ego, self.npc, seen, to_spare=0.2):
             self.ticks["answer"] = self.counted
             return self.opinion(self.ego_or_both(at), "cut-in-unanswered", at)
-        passed = self.duty_passes(self.npc, self.ego, at)
+        passed = None if self.is_as_far_back_as_asked(seen) else self.duty_passes(self.npc, self.ego, at)
         if passed is not None:
             return self.opinion(self.ego_or_both(at), "leader-unanswered", passed.kept)
         return self.npc_unless_second_chance(at, at, seen)
@@ -528,12 +533,23 @@ class Crash:
         self.counted = due
         return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
 
-    def would_have_avoided_a_cut_in(self, responder, other, seen):
-        drive = Response(self, responder, other, seen, delay=1.4, perceived=0.4, to_cut_in=True)
+    def would_have_avoided_a_cut_in(self, responder, other, seen, to_spare=0.0):
+        """1.4 s, then 3 m/s^2, or 6 m/s^2 in an emergency; with seconds to spare also with a delay as much longer."""
+        drive = self.response_to_a_cut_in(responder, other, seen)
         avoids, self.counted = drive.avoids(Emergency(drive).deceleration, brakes_on=self.is_cut_in), seen
         if drive.mastered is not None:
-            return self.would_have_avoided_a_cut_in(responder, other, drive.mastered)
-        return avoids
+            return self.would_have_avoided_a_cut_in(responder, other, drive.mastered, to_spare)
+        late = self.response_to_a_cut_in(responder, other, seen, to_spare)
+        return avoids and late.is_free(Emergency(late).deceleration, brakes_on=self.is_cut_in)
+
+    def response_to_a_cut_in(self, responder, other, seen, to_spare=0.0):
+        return Response(self, responder, other, seen, delay=1.4 + to_spare, perceived=0.4, to_cut_in=True)
+
+    def is_as_far_back_as_asked(self, seen):
+        """Whether the ego is, at the impact, by the responses to a cut-in from a tick on."""
+        drive = self.response_to_a_cut_in(self.ego, self.npc, seen)
+        drive.is_free(Emergency(drive).deceleration, brakes_on=self.is_cut_in)
+        return drive.lag_at_impact <= 0
 
     def could_have_braked_on(self, responder, other, since):
         """At once, 6 m/s^2."""
@@ -737,26 +753,31 @@ class Response:
     def __init__(self, crash, responder, other, since, *, delay, perceived, to_cut_in=False):
         self.crash, self.responder, self.other, self.since = crash, responder, other, since
         self.hz, self.impact, self.to_cut_in = crash.hz, crash.impact, to_cut_in
-        self.due = since + round(delay * self.hz)
+        self.delay = round(delay * self.hz)
+        self.due = since + self.delay
         self.perceived = since + round(perceived * self.hz)
         self.speeds = {since: responder.speed[since]}
         self.others_speeds = dict(enumerate(other.speed[: self.impact + 1]))
-        self.lag = self.others_way = 0.0
+        self.lag = self.lag_at_impact = self.others_way = 0.0
         self.mastered = None
 
     def avoids(self, deceleration, *, brakes_on=False):
-        """Whether there is no contact; ``brakes_on`` where the other goes on braking after the impact."""
-        if self.since >= self.impact:
-            return False
-        is_hit = False
-        for tick in range(self.since, self.impact):
-            self.lag += (self.responder.speed[tick] - self.speeds[tick]) / self.hz
-            self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
-            is_hit = is_hit or self.is_contact(tick + 1)
-        if self.has_answered():
+        """Whether it would have avoided it: there is no contact, and whoever drove has not answered."""
+        is_free = self.is_free(deceleration, brakes_on=brakes_on)
+        if self.since >= self.impact or self.has_answered():
             return False
         if self.to_cut_in:
             self.mastered = self.last_mastered()
+        return is_free
+
+    def is_free(self, deceleration, *, brakes_on):
+        """Whether there is no contact; ``brakes_on`` where the other goes on braking after the impact."""
+        is_hit = False
+        for tick in range(self.since, self.impact):
+            self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
+            self.lag += (self.responder.speed[tick] - self.speeds[tick]) / self.hz
+            is_hit = is_hit or self.is_contact(tick + 1)
+        self.lag_at_impact = self.lag
         return not is_hit and self.is_free_after_the_impact(deceleration, brakes_on)
 
     def next_speed(self, tick, deceleration):
@@ -778,7 +799,7 @@ class Response:
         ticks = range(self.since, self.impact + 1)
         was_never_faster = all(self.responder.speed[tick] <= self.speeds[tick] + 0.1 for tick in ticks)
         is_as_slow = self.responder.speed[self.impact] <= self.speeds[self.impact] + 0.1
-        return was_never_faster or (is_as_slow and self.lag <= 0.2 * self.responder.speed[self.impact])
+        return was_never_faster or (is_as_slow and self.lag_at_impact <= 0.2 * self.responder.speed[self.impact])
 
     def last_mastered(self):
         """The last tick at which it had answered so far, or None."""
@@ -839,7 +860,7 @@ class Emergency:
         self.count = self.count + 1 if self.is_one(tick, own - other) else 0
         if self.first is None and self.count >= round(0.4 * drive.hz):
             self.first = tick - self.count + 1
-        acts = self.first is not None and tick + 1 >= self.first + round(1.4 * drive.hz)
+        acts = self.first is not None and tick + 1 >= self.first + drive.delay
         if acts and own <= other:
             self.count, self.first, acts = 0, None, False
         return 6.0 if acts else 3.0
