@@ -121,10 +121,9 @@ class Pursuit:
         no_faster = np.flatnonzero(self.speeds[0][answered] <= self.speeds[1][answered])
         if response.headway > 0 and no_faster.size:
             return self.avoided_from(answered.start + int(no_faster[-1]), response, emergency, spare)
-        if spare > 0:
-            lost = self._driven(since, *_later(spare, response, emergency))[1]
-        is_hit = self._touches(slice(since, end + 1), lost[:recorded])
-        is_hit = is_hit or bool((self._gaps[-1] + lost[recorded:] <= 0).any())  # here lost counts what the other gained
+        is_hit = self._is_hit(since, lost)
+        if spare > 0 and not is_hit:
+            is_hit = self._is_hit(since, self._driven(since, *_later(spare, response, emergency))[1])
         return None if is_hit else since
 
     def is_no_further(self, since: int, response: Braking, emergency: Emergency) -> bool:
@@ -191,6 +190,12 @@ class Pursuit:
     def _lists(self) -> tuple[list[float], list[float]]:
         """Speeds as lists, which are faster one by one."""
         return self.speeds[0].tolist(), self.speeds[1].tolist()
+
+    def _is_hit(self, since: int, lost: FloatArray) -> bool:
+        """Whether the responder, so much further back than recorded since a tick [m], touches the other."""
+        recorded = len(self.ahead) - since
+        is_hit = self._touches(slice(since, len(self.ahead)), lost[:recorded])
+        return is_hit or bool((self._gaps[-1] + lost[recorded:] <= 0).any())  # here lost counts what the other gained
 
     def _touches(self, ticks: slice, lost: FloatArray) -> bool:
         """Whether the boxes touch at any tick, with the responder further back."""

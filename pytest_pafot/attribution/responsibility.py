@@ -94,6 +94,9 @@ CRAWLING = 3.0
 """An NPC that is no faster when the danger begins can stop behind whatever stands there [m/s]."""
 DROVE_ON = 1.0
 """An NPC that gained more speed towards an ego that had braked for nothing made it dangerous itself [m/s]."""
+BRAKED_VISIBLY = 3.0
+BRAKED_BEFORE = 1.0
+"""A leader's braking is told where it is at least so hard [m/s^2], and up to so long before what else is told [s]."""
 BRAKES = 0.5
 """What reasons call braking, at least [m/s^2]."""
 
@@ -481,18 +484,23 @@ class Conflict:
 
         One that moved in behind an ego that did so is responsible, too.
         """
-        stop = self._needless_braking(0, moved_in)
-        if stop is not None and stop.end >= duty:
-            since = max(duty, min(self._before, stop.begin))  # hard braking is something to answer, however far away
-            braked = self._braked_for_nothing(0, stop)
-            return self._needless(stop, since, braked, "braked-for-nothing", moved_in)
-        stop = long_stop(self._trace)
+        braked = self._needless_braking(0, moved_in)
+        if braked is not None and braked.end < duty:
+            braked = None
+        stop = None if braked is not None and self._is_hard(braked, 0) else long_stop(self._trace)
         is_slow = self._frame.speed[self._npc + 1, self._start] <= CRAWLING
         if stop is not None and not is_slow and self._is_needless(stop, slice(stop.begin, stop.end + 1), moved_in):
             standing = self._at(self._end - stop.end)
             stopped = Fact(What.STOPPED_FOR_NOTHING, 0, self._at(stop.begin), lasting_s=standing)
             return self._needless(stop, max(duty, self._before), stopped, "stopped-for-nothing", moved_in)
-        return self._excused(tick, reason)
+        if braked is None:
+            return self._excused(tick, reason)
+        since = max(duty, min(self._before, braked.begin))  # it is something to answer, however far away
+        fault: Fault = "braked-for-nothing" if self._is_hard(braked, 0) else "stopped-for-nothing"
+        return self._needless(braked, since, self._braked_for_nothing(0, braked), fault, moved_in)
+
+    def _is_hard(self, stop: Stop, vehicle: int) -> bool:
+        return bool((braking(self._trace, vehicle)[stop.begin + 1 : stop.end + 1] > HARD_BRAKING).any())
 
     def _needless_braking(self, leader: int, moved_in: int = 0) -> Stop | None:
         """The hard braking of the vehicle ahead with nothing in its way, about when the danger began."""
@@ -504,8 +512,8 @@ class Conflict:
         stop = max((each for each in stops if each), key=lambda each: (each.end, -each.begin), default=None)
         if stop is None:
             return None
-        is_hard = (braking(self._trace, leader)[stop.begin + 1 : stop.end + 1] > HARD_BRAKING).any()
-        ticks = slice(stop.begin, stop.begin + 1 + (round(HARD_SECONDS * self._hz) if is_hard else 0))
+        later = round(HARD_SECONDS * self._hz) if self._is_hard(stop, leader) else 0
+        ticks = slice(stop.begin, stop.begin + 1 + later)
         return stop if self._is_needless(stop, ticks, moved_in, leader) else None
 
     def _is_needless(self, stop: Stop, ticks: slice, moved_in: int, leader: int = 0) -> bool:
@@ -574,11 +582,18 @@ class Conflict:
         other, gap = self._npc + 1 - vehicle, max(self._gap(tick), 0.0)
         ahead = gap if self._leads(tick) == (vehicle == 0) else -gap
         faster = float(self._frame.speed[other, tick] - self._frame.speed[vehicle, tick])
-        return Fact(what, vehicle, self._at(tick), other, gap_m=ahead, faster_m_per_s=faster)
+        braked = self._led_braking(tick) if (ahead > 0) == (vehicle > 0) and ahead else 0.0
+        return Fact(what, vehicle, self._at(tick), other, gap_m=ahead, faster_m_per_s=faster, leader_m_per_s2=braked)
+
+    def _led_braking(self, tick: int) -> float:
+        """How hard the NPC ahead braked since a little before a tick [m/s^2]; 0 where that is not worth a word."""
+        since = max(tick - round(BRAKED_BEFORE * self._hz), 0)
+        peak = float(braking(self._trace, self._npc + 1)[since + 1 : self._end + 1].max(initial=0.0))
+        return peak if peak >= BRAKED_VISIBLY else 0.0
 
     def _too_close(self, follower: int, leader: int) -> Fact:
-        gap, safe = max(self._gap(self._start), 0.0), float(self._safe_along[self._start])
-        return Fact(What.CAME_TOO_CLOSE, follower, self._at(self._start), other=leader, gap_m=gap, asked_m=safe)
+        close, safe = self._placed(What.CAME_TOO_CLOSE, follower, self._start), float(self._safe_along[self._start])
+        return close._replace(gap_m=min(close.gap_m, -1e-9), asked_m=safe)  # never told as beside
 
     def _braked_for_nothing(self, vehicle: int, stop: Stop) -> Fact:
         peak = float(braking(self._trace, vehicle)[stop.begin : stop.end + 1].max())

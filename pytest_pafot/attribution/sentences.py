@@ -17,9 +17,7 @@ class What(Enum):
     BOTH_CROSSED = "At {at} {who} and at {later} {whom} crossed a lane line towards each other."
     KEPT_LANE = "From {at} on {who} kept its lane, {place}."
     CAME_SIDEWAYS = "At {at} {who} came sideways into {whom} beside it."
-    CAME_TOO_CLOSE = (
-        "At {at} {who} was {it.gap_m:.1f} m behind {whom}, closer than the {it.asked_m:.1f} m that RSS demands."
-    )
+    CAME_TOO_CLOSE = "At {at} {who} was {place}."
     STOOD = "At {at} {who} was standing when {whom} touched it."
     BRAKED_FOR_NOTHING = (
         "At {at} {who} began to brake with up to {it.braking_m_per_s2:.1f} m/s^2 with nothing in its way."
@@ -32,8 +30,8 @@ class What(Enum):
     SPED_UP_INTO = "From {at} on {who} sped up to {it.speed_m_per_s:.1f} m/s towards {whom}."
     LET_BRAKES_GO = "{who} was due to keep braking and let the brakes go at {at}."
     DID_NOT_BRAKE = "{who} {due} and did not."
-    BRAKED = "{who} {due}, and braked with up to {it.braking_m_per_s2:.1f} m/s^2 from {at} on."
-    SPED_UP = "{who} {due}, and sped up to {it.speed_m_per_s:.1f} m/s."
+    BRAKED = "{who} {due}, but braked {how} (up to {it.braking_m_per_s2:.1f} m/s^2 from {at} on)."
+    SPED_UP = "{who} {due}, but sped up to {it.speed_m_per_s:.1f} m/s."
 
 
 _WITHOUT_DUE = {
@@ -53,7 +51,8 @@ class Fact(NamedTuple):
         due_s: from when on the vehicle was due to brake; None where it was not, or not before the impact.
         gap_m: between the boxes along the road: ahead of the other, negative behind it, 0 side by side.
         asked_m: what the gap should be.
-        faster_m_per_s: by how much the other was faster.
+        faster_m_per_s: by how much the other was faster; told where the one ahead, an NPC, did not brake with
+            ``leader_m_per_s2``, which is then of more interest.
         lane: that was crossed into; None where it has no number.
     """
 
@@ -67,6 +66,7 @@ class Fact(NamedTuple):
     asked_m: float = 0.0
     speed_m_per_s: float = 0.0
     faster_m_per_s: float = 0.0
+    leader_m_per_s2: float = 0.0
     braking_m_per_s2: float = 0.0
     lasting_s: float = 0.0
     lane: int | None = None
@@ -93,6 +93,7 @@ def _sentence(fact: Fact) -> str:
         it=fact,
         at=f"{fact.time_s:.1f} s",
         later=f"{fact.later_s:.1f} s",
+        how="too little" if fact.time_s <= (fact.due_s or 0.0) else "too late",
         due=f"was due to brake from {fact.due_s or 0.0:.1f} s on",
         who=_name(fact.vehicle),
         whom=_name(fact.other),
@@ -111,8 +112,12 @@ def _place(fact: Fact) -> str:
     whom, faster = _name(fact.other), fact.faster_m_per_s
     if not fact.gap_m:
         return f"beside {whom}"
+    safe = f" (safe: {fact.asked_m:.1f} m)" if fact.asked_m else ""
+    place = f"{abs(fact.gap_m):.1f} m{safe} {'ahead of' if fact.gap_m > 0 else 'behind'} {whom}"
+    if fact.leader_m_per_s2:
+        return f"{place}, {'and' if fact.vehicle else 'which'} braked with up to {fact.leader_m_per_s2:.1f} m/s^2"
     pace = f"{abs(faster):.1f} m/s {'faster' if faster >= 0 else 'slower'}" if abs(faster) >= 0.05 else "as fast"
-    return f"{abs(fact.gap_m):.1f} m {'ahead of' if fact.gap_m > 0 else 'behind'} {whom}, which was {pace}"
+    return f"{place}, which was {pace}"
 
 
 def avoidance_sentence(time: float, braking: float) -> str:

@@ -13,7 +13,9 @@ from tests.helpers.pencil_and_paper import Crash, gap, giving_way, is_behind, sa
 
 NUMBER = r"(-?\d+\.\d)"
 WHO = r"(?:the ego|The ego|NPC #)"
-PLACE = f"(?:beside {WHO}|{NUMBER} m (?:ahead of|behind) {WHO}, which was (?:{NUMBER} m/s (?:faster|slower)|as fast))"
+PACE = rf"(?:which was (?:{NUMBER} m/s (?:faster|slower)|as fast)|(?:and|which) braked with up to {NUMBER} m/s\^2)"
+PLACE = f"(?:beside {WHO}|{NUMBER} m (?:ahead of|behind) {WHO}, {PACE})"
+CLOSE = rf"{NUMBER} m \(safe: {NUMBER} m\) behind {WHO}, {PACE}"
 
 
 class Reading:
@@ -39,7 +41,8 @@ class Reading:
     def too_close(self, said):
         behind, ahead = self.who(said)
         assert is_behind(self.ego, self.npc, self.tick) == (behind is self.ego)
-        return [self.time(self.tick), self.apart(self.tick), safe_along(behind, ahead, self.tick)]
+        time, apart, *pace = self.placed(said, self.tick)
+        return [time, apart, safe_along(behind, ahead, self.tick), *pace]
 
     def crossed(self, said):
         """When, into which lane, and where that was."""
@@ -60,7 +63,13 @@ class Reading:
             assert apart == 0.0
             return [self.time(tick)]
         assert ("ahead" in said) == (mover.along[tick] > other.along[tick])
-        if said.endswith("as fast."):
+        ticks = range(max(tick - self.crash.hz, 0) + 1, self.crash.impact + 1)
+        braked = max(map(self.npc.deceleration, ticks), default=0.0)
+        is_told = self.npc.along[tick] > self.ego.along[tick] and apart > 0 and braked >= 3.0
+        assert ("braked" in said) == is_told
+        if is_told:
+            return [self.time(tick), apart, braked]
+        if "as fast" in said:
             assert f"{abs(faster):.1f}" == "0.0"
             return [self.time(tick), apart]
         return [self.time(tick), apart, faster if "faster" in said else -faster]
@@ -89,6 +98,7 @@ class Reading:
         if "was due" in said:
             told = next((tick for tick in due if f"from {self.time(tick):.1f} s on" in said), math.inf)
             assert told < crash.impact
+            assert not braked or ("too late" in said) == (braked[0] > told)
             did = [hardest, self.time(braked[0])] if braked else [highest] if "sped up" in said else []
             return [self.time(told), *did]
         assert due[1] >= crash.impact
@@ -113,7 +123,7 @@ class Reading:
 
 
 SENTENCES = {
-    f"At {NUMBER} s {WHO} was {NUMBER} m behind {WHO}, closer than the {NUMBER} m that RSS demands.": Reading.too_close,
+    rf"At {NUMBER} s {WHO} was {CLOSE}\.": Reading.too_close,
     rf"At {NUMBER} s {WHO} crossed (?:into lane \d|a lane line), {PLACE}\.": Reading.crossed,
     rf"At {NUMBER} s the ego came in {PLACE}\.": Reading.came_in,
     rf"At {NUMBER} s the ego and at {NUMBER} s NPC # crossed a lane line towards each other\.": Reading.both_crossed,
@@ -134,8 +144,8 @@ SENTENCES = {
     rf"{WHO} was due to keep braking and let the brakes go at {NUMBER} s\.": lambda reading, said: [
         reading.time(reading.crash.ticks["brakes let go"])
     ],
-    rf"{WHO} was due to brake from {NUMBER} s on(?: and did not|, and braked with up to {NUMBER} m/s\^2 "
-    rf"from {NUMBER} s on|, and sped up to {NUMBER} m/s)\.": Reading.answered,
+    rf"{WHO} was due to brake from {NUMBER} s on(?: and did not|, but braked too (?:little|late) \(up to {NUMBER} "
+    rf"m/s\^2 from {NUMBER} s on\)|, but sped up to {NUMBER} m/s)\.": Reading.answered,
     rf"From {NUMBER} s on {WHO} (?:did not brake|braked with up to {NUMBER} m/s\^2|sped up to {NUMBER} m/s)\.": (
         Reading.answered
     ),

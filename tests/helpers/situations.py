@@ -119,7 +119,7 @@ SITUATIONS = {
             "slow-leader-ignored",
             "The ego, 20 m/s, runs into a vehicle that has driven 10 m/s all the time. It does not brake.",
             lambda: hit(driven(0.0), driven(100.0, speed=10.0)),
-            "ego", "leader-unanswered", "4b", "closer than the 47.1 m that RSS demands",
+            "ego", "leader-unanswered", "4b", "(safe: 47.1 m)",
         ),
         Situation(
             "standing-vehicle-ignored",
@@ -137,13 +137,13 @@ SITUATIONS = {
             "braked-too-gently",
             "So again, and the ego brakes a second later, with 3 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(3.0, 3.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
-            "ego", "leader-unanswered", "4b", "with up to 3.0 m/s^2",
+            "ego", "leader-unanswered", "4b", "up to 3.0 m/s^2 from",
         ),
         Situation(
             "braked-too-late",
             "So again, and the ego brakes three seconds later, with 8 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(5.0, 8.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
-            "ego", "leader-unanswered", "4b", "braked with up to 8.0 m/s^2 from 5.0 s on",
+            "ego", "leader-unanswered", "4b", "up to 8.0 m/s^2 from 5.0 s on",
         ),
         Situation(
             "leader-stops-dead",
@@ -161,19 +161,19 @@ SITUATIONS = {
             "ego-tailgates",
             "The ego comes up to 2 m behind another and stays there; 5 s later that one brakes with 4 m/s^2.",
             lambda: hit(driven(0.0, speed=25.0, brakes=[(7.0, 5.0, 20.0)]), driven(44.5, brakes=[(13.0, 4.0, 0.0)])),
-            "ego", "leader-unanswered", "4b", "closer than the 52.1 m that RSS demands",
+            "ego", "leader-unanswered", "4b", "(safe: 52.1 m)",
         ),
         Situation(
             "npc-tailgates",
             "Another comes up to 2 m behind the ego and stays there; 5 s later the ego brakes with 4 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(13.0, 4.0, 0.0)]), driven(-44.5, speed=25.0, brakes=[(7.0, 5.0, 20.0)])),
-            "npc", None, "4b", "behind the ego, closer than the ",
+            "npc", None, "4b", "(safe: ",
         ),
         Situation(
             "hit-from-behind",
             "The ego keeps 20 m/s, and one with 26 m/s runs into it from behind.",
             lambda: hit(driven(0.0), driven(-60.0, speed=26.0)),
-            "npc", None, "4b", "behind the ego, closer than the ",
+            "npc", None, "4b", "(safe: ",
         ),
         Situation(
             "ego-speeds-up-behind-a-close-leader",
@@ -229,7 +229,7 @@ SITUATIONS = {
             lambda: hit(
                 driven(0.0, brakes=[(4.5, 8.0, 2.0)]), driven(-45.0), driven(65.0, brakes=[(4.0, 8.0, 2.0)])
             ),
-            "npc", None, "7", "behind the ego, closer than the ",
+            "npc", None, "7", "(safe: ",
         ),
         Situation(
             "braked-for-an-obstacle",
@@ -245,7 +245,7 @@ SITUATIONS = {
                 driven(-45.0),
                 driven(29.0, LEFT, speed=19.0, shifts=[(3.7, OWN, 3.0)]),
             ),
-            "npc", None, "7", "behind the ego, closer than the ",
+            "npc", None, "7", "(safe: ",
         ),
         Situation(
             "braked-for-the-end-of-the-lane",
@@ -257,19 +257,19 @@ SITUATIONS = {
             "braked-moderately",
             "On a free road the ego brakes with 3.9 m/s^2 to 5 m/s. The one 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 3.9, 5.0)]), driven(-45.0)),
-            "npc", None, "7", "behind the ego, closer than the ",
+            "npc", None, "7", "(safe: ",
         ),
         Situation(
             "braked-moderately-to-a-crawl",
             "On a free road the ego brakes with 4.5 m/s^2 to 2 m/s. The one 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 4.5, 2.0)]), driven(-45.0)),
-            "both", "braked-for-nothing", "7", "At 4.0 s the ego began to brake",
+            "both", "stopped-for-nothing", "7", "At 4.0 s the ego began to brake",
         ),
         Situation(
             "braked-for-a-moment",
             "On a free road the ego brakes with 9 m/s^2 for a quarter of a second. The one 1.4 s behind never brakes.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 17.6)]), driven(-34.0)),
-            "npc", None, "7", "behind the ego, closer than the ",
+            "npc", None, "7", "(safe: ",
         ),
         Situation(
             "leader-brakes-for-nothing-half-a-second-ahead",
@@ -282,7 +282,7 @@ SITUATIONS = {
             "leader-brakes-for-nothing-1.8-s-ahead",
             "So again 1.8 s ahead, and the ego brakes two seconds later, with 4 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(7.0, 4.0, 0.0)]), driven(41.0, brakes=[(5.0, 8.0, 0.0)])),
-            "ego", "leader-unanswered", "4b", "with up to 4.0 m/s^2",
+            "ego", "leader-unanswered", "4b", "up to 4.0 m/s^2 from",
         ),
         Situation(
             "leader-brakes-for-a-standing-vehicle",
@@ -401,7 +401,7 @@ SITUATIONS = {
             "cut-in-answered-too-gently",
             "So again, and the ego brakes soon, with 1.5 m/s^2.",
             lambda: cut_in(30.0, slower=10.0, ego_brakes=[(2.7, 1.5, 0.0)]),
-            "ego", "cut-in-unanswered", "5", "with up to 1.5 m/s^2",
+            "ego", "cut-in-unanswered", "5", "up to 1.5 m/s^2 from",
         ),
         Situation(
             "cut-in-answered-in-vain",
@@ -427,7 +427,7 @@ SITUATIONS = {
             "cut-in-far-ahead-and-slow",
             "An NPC of 5 m/s moves in 80 m ahead. The ego does not brake.",
             lambda: cut_in(80.0, slower=15.0),
-            "ego", "leader-unanswered", "4b", "closer than the 51.8 m that RSS demands",
+            "ego", "leader-unanswered", "4b", "(safe: 51.8 m)",
         ),
         Situation(
             "cut-in-45-m-and-slow",
@@ -513,7 +513,7 @@ SITUATIONS = {
                 driven(0.0, brakes=[(2.7, 9.5, 1.5)]),
                 driven(48.3, LEFT, speed=10.0, brakes=[(2.6, 4.0, 0.0)], shifts=[(2.0, 2.2, 1.1)]),
             ),
-            "ego", "leader-unanswered", "4b", "closer than the 1.7 m that RSS demands",
+            "ego", "leader-unanswered", "4b", "(safe: 1.7 m)",
         ),
         Situation(
             "speeds-up-behind-one-half-in-its-lane",
@@ -569,7 +569,7 @@ SITUATIONS = {
             "lane-change-80-m-ahead",
             "The ego changes lanes 80 m ahead of one that is 8 m/s faster and never brakes.",
             lambda: lane_change(80.0, faster=8.0),
-            "npc", None, "4b", "closer than the 68.3 m that RSS demands",
+            "npc", None, "4b", "(safe: 68.3 m)",
         ),
         Situation(
             "lane-change-15-m-ahead-settled",

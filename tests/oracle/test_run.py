@@ -144,7 +144,7 @@ def test_an_explanation_tells_what_happened_whose_fault_and_what_the_npcs_were_t
     text = crash(arrivals=((12,), (None,))).explain()
     assert text.splitlines() == [
         "collision after 2.0 s: NPC 0 in cell 2 (front) against the ego's front",
-        "  At 0.0 s the ego was 21.0 m behind NPC 0, closer than the 47.1 m that RSS demands.",
+        "  At 0.0 s the ego was 21.0 m (safe: 47.1 m) behind NPC 0, which was 10.0 m/s slower.",
         "  The ego was due to brake from 1.0 s on and did not.",
         "  Responsible: the ego.",
         "  at the impact: ego 20.0 m/s, NPC 10.0 m/s, closing 10.0 m/s",

@@ -115,7 +115,7 @@ def test_the_failure_of_a_search_reads_so(snapshot):
 
 def test_the_section_of_a_find_reads_so(snapshot):
     find = replace(FIND, path="", problem="read-only file system", is_timed=True)
-    explanation = "E     At 0.9 s the ego was 42.7 m behind NPC 0, closer than the 48.4 m that RSS demands."
+    explanation = "E     At 0.9 s the ego was 42.7 m (safe: 48.4 m) behind NPC 0, which was 9.9 m/s slower."
     text = terminal.find_section(
         find, explanation=explanation, advice="run it again", content="pafot: 1\ntest: t\n",
         details=["found      pafot, seed 7, generation 0, run 1", "worlds     highway"],
