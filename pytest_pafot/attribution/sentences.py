@@ -34,6 +34,9 @@ class What(Enum):
     SPED_UP = "{who} {due}, but sped up to {it.speed_m_per_s:.1f} m/s."
 
 
+PROPER_BRAKING = 6.0
+"""Who brakes harder in time brakes too briefly, not too little [m/s^2]."""
+
 _WITHOUT_DUE = {
     What.DID_NOT_BRAKE: "From {at} on {who} did not brake.",
     What.BRAKED: "From {at} on {who} braked with up to {it.braking_m_per_s2:.1f} m/s^2.",
@@ -89,11 +92,12 @@ def responsible_sentence(responsibility: str, npc: int) -> str:
 
 def _sentence(fact: Fact) -> str:
     words = fact.what.value if fact.due_s is not None else _WITHOUT_DUE.get(fact.what, fact.what.value)
+    it_is_soft = fact.braking_m_per_s2 < PROPER_BRAKING
     text = words.format(
         it=fact,
         at=f"{fact.time_s:.1f} s",
         later=f"{fact.later_s:.1f} s",
-        how="too little" if fact.time_s <= (fact.due_s or 0.0) else "too late",
+        how="too late" if fact.time_s > (fact.due_s or 0.0) else "too little" if it_is_soft else "too briefly",
         due=f"was due to brake from {fact.due_s or 0.0:.1f} s on",
         who=_name(fact.vehicle),
         whom=_name(fact.other),

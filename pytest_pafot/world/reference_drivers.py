@@ -186,7 +186,8 @@ class CarefulHuman(ReferenceDriver):
         calm, is_danger, is_over = self.cruise(ego.speed), False, True
         for index, other in enumerate(observation.others):
             leader = self.ahead(observation, index)
-            if leader is not None and not matters_to(ego, other, self.drifts[index], observation.lane_width):
+            is_known = f"noticed {index}" in self.since
+            if leader is not None and not matters_to(ego, other, self.drifts[index], observation.lane_width, is_known):
                 leader = None
             noticed = self.held(f"noticed {index}", leader is not None)
             critical = leader is not None and leader.is_critical
@@ -355,14 +356,17 @@ TAKING_OVER: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
 """Factories of those that can take over in the midst of a run."""
 
 
-def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float) -> bool:
-    """Whether a vehicle is in the ego's way, or visibly leaves its lane towards it; it drifts to the right [m/s]."""
+def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float, is_known: bool) -> bool:
+    """Whether a vehicle is in the ego's way, or visibly leaves its lane towards it; it drifts to the right [m/s].
+
+    One that is known already is not forgotten where it pauses, half in the ego's lane.
+    """
     if _apart(ego, other) <= 0:
         return True
     side = 1.0 if ego.y > other.y else -1.0
     offset = side * (other.y - other.lane * lane_width)
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
-    return next_lane and offset > KEEPING and side * drift > 0
+    return next_lane and offset > KEEPING and (is_known or side * drift > 0)
 
 
 def _along(vehicle: VehicleState) -> float:

@@ -99,6 +99,7 @@ class Reading:
             told = next((tick for tick in due if f"from {self.time(tick):.1f} s on" in said), math.inf)
             assert told < crash.impact
             assert not braked or ("too late" in said) == (braked[0] > told)
+            assert "too briefly" not in said or hardest >= 6.0
             did = [hardest, self.time(braked[0])] if braked else [highest] if "sped up" in said else []
             return [self.time(told), *did]
         assert due[1] >= crash.impact
@@ -144,7 +145,7 @@ SENTENCES = {
     rf"{WHO} was due to keep braking and let the brakes go at {NUMBER} s\.": lambda reading, said: [
         reading.time(reading.crash.ticks["brakes let go"])
     ],
-    rf"{WHO} was due to brake from {NUMBER} s on(?: and did not|, but braked too (?:little|late) \(up to {NUMBER} "
+    rf"{WHO} was due to brake from {NUMBER} s on(?: and did not|, but braked too (?:little|briefly|late) \(up to {NUMBER} "
     rf"m/s\^2 from {NUMBER} s on\)|, but sped up to {NUMBER} m/s)\.": Reading.answered,
     rf"From {NUMBER} s on {WHO} (?:did not brake|braked with up to {NUMBER} m/s\^2|sped up to {NUMBER} m/s)\.": (
         Reading.answered
