@@ -307,13 +307,13 @@ def test_any_run_has_a_verdict_with_a_reason_and_a_moment(seed, ticks, vehicles)
     assert found.reason.isascii()
 
 
-@table("due", [None, 199.9])
+@table("due", [None, 99.9])
 def test_every_fact_is_a_sentence_that_no_line_cuts(due):
-    large = {name: 19.9 if "m_per_s" in name else 199.9 for name in Fact._fields if "_" in name and name != "due_s"}
-    far = {What.CAME_TOO_CLOSE: {"gap_m": -199.9}}
+    large = {name: 19.9 if "m_per_s" in name else 99.9 for name in Fact._fields if "_" in name and name != "due_s"}
+    far = {What.CAME_TOO_CLOSE: {"gap_m": -99.9}}
     facts = [Fact(what, 9, other=0, due_s=due, lane=9, **large | far.get(what, {"asked_m": 0.0})) for what in What]
     told = [*sentences(facts)]
-    told += [responsible_sentence(who, 9) for who in ("ego", "npc", "both")] + [avoidance_sentence(199.9, 6.0)]
+    told += [responsible_sentence(who, 9) for who in ("ego", "npc", "both")] + [avoidance_sentence(99.9, 6.0)]
     assert len({*told}) == len(What) + 4
     assert not any({*text} & {*"{};"} or "because" in text for text in told)
     assert all(text[0].isupper() and text.endswith(".") and len(text) <= LINE_LENGTH - 2 for text in told)

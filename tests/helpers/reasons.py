@@ -145,8 +145,8 @@ SENTENCES = {
     rf"{WHO} was due to keep braking and let the brakes go at {NUMBER} s\.": lambda reading, said: [
         reading.time(reading.crash.ticks["brakes let go"])
     ],
-    rf"{WHO} was due to brake from {NUMBER} s on(?: and did not|, but braked too (?:little|briefly|late) \(up to {NUMBER} "
-    rf"m/s\^2 from {NUMBER} s on\)|, but sped up to {NUMBER} m/s)\.": Reading.answered,
+    rf"{WHO} was due to brake from {NUMBER} s on(?: and did not|, but braked too (?:little|briefly|late) "
+    rf"\(up to {NUMBER} m/s\^2 from {NUMBER} s on\)|, but sped up to {NUMBER} m/s)\.": Reading.answered,
     rf"From {NUMBER} s on {WHO} (?:did not brake|braked with up to {NUMBER} m/s\^2|sped up to {NUMBER} m/s)\.": (
         Reading.answered
     ),
