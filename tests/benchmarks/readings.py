@@ -1,6 +1,6 @@
 """Which verdicts would a reader of the trace call false? The collisions of ``tests.helpers.readings``.
 
-    python -m tests.benchmarks.readings [--sets 1 2 3 4]
+    python -m tests.benchmarks.readings [--sets 1 2 3 4 5 6 7]
 
 Prints by set how many verdicts the reader would not defend, against the ego and for it, and each of those with what
 the reader answered.
@@ -17,7 +17,7 @@ from tests.helpers.readings import load
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sets", nargs="+", type=int, default=[1, 2, 3, 4])
+    parser.add_argument("--sets", nargs="+", type=int, default=[1, 2, 3, 4, 5, 6, 7])
     arguments = parser.parse_args()
     for number in arguments.sets:
         counts: Counter[str] = Counter()

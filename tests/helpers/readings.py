@@ -1,6 +1,6 @@
 """Collisions that readers judged from their traces alone, without a look at any rule: packed traces, and the answers.
 
-Each was drawn from searches and random scenarios of 79 policies with one fault or habit each. The traces are those of
+Each was drawn from searches and random scenarios of 107 policies with one fault or habit each. The traces are those of
 the last 25 s, in millimetres, millimetres a second and tenths of a milliradian; a reader says whom it holds
 responsible, and which answers a colleague could defend.
 """
@@ -25,7 +25,7 @@ COLUMNS, SCALES = (X, Y, HEADING, SPEED, LANE), np.array([1e3, 1e3, 1e4, 1e3, 1.
 
 @dataclass(frozen=True)
 class Read:
-    """A collision, the set that it was read in, 1 to 4 (the rules were made with the first three), and the answers."""
+    """A collision, the set that it was read in, 1 to 7, and the answers."""
 
     number: int
     trace: Trace
