@@ -607,14 +607,16 @@ class Conflict:
         """When the one behind was due to brake, of what there was to answer since a tick, and what it did."""
         due = since + round(response.delay * self._hz)
         due_s = self._at(due) if due < self._end else None
+        speed = self._frame.speed[vehicle, since : self._end + 1]
+        lowest = int(np.flatnonzero(speed == np.minimum.accumulate(speed))[-1])
+        low, high, last = float(speed[lowest]), float(speed[lowest:].max()), float(speed[-1])
+        if last > low + SPED_UP and last >= high - SPED_UP:  # that came last, whatever it had done before
+            return Fact(What.SPED_UP, vehicle, self._at(since + lowest), due_s=due_s, speed_m_per_s=high)
         slowed = braking(self._trace, vehicle)[since + 1 : self._end + 1]
         braked = np.flatnonzero(slowed >= BRAKES)
         if braked.size:
             at, peak = self._at(since + int(braked[0])), float(slowed.max())
             return Fact(What.BRAKED, vehicle, at, due_s=due_s, braking_m_per_s2=peak)
-        speed = self._frame.speed[vehicle, since : self._end + 1]
-        if float(speed.max()) > float(speed[0]) + SPED_UP:
-            return Fact(What.SPED_UP, vehicle, self._at(since), due_s=due_s, speed_m_per_s=float(speed.max()))
         return Fact(What.DID_NOT_BRAKE, vehicle, self._at(since), due_s=due_s)
 
     def _at(self, tick: int) -> float:

@@ -31,7 +31,7 @@ class What(Enum):
     LET_BRAKES_GO = "{who} was due to keep braking and let the brakes go at {at}."
     DID_NOT_BRAKE = "{who} {due} and did not."
     BRAKED = "{who} {due}, but braked {how} (up to {it.braking_m_per_s2:.1f} m/s^2 from {at} on)."
-    SPED_UP = "{who} {due}, but sped up to {it.speed_m_per_s:.1f} m/s."
+    SPED_UP = "{who} {due}, but sped up to {it.speed_m_per_s:.1f} m/s from {at} on."
 
 
 PROPER_BRAKING = 6.0

@@ -194,7 +194,7 @@ class TestCutIn:
         npc = driven(25.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0, brakes=[(2.0, -2.0, 30.0)]), npc))
         assert found.responsibility == "ego"
-        assert found.reason.endswith("s on, but sped up to 29.1 m/s.")
+        assert found.reason.endswith("s on, but sped up to 29.1 m/s from 2.2 s on.")
 
     def test_an_ego_that_changes_lanes_into_a_slower_vehicle_ahead_is_responsible(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
