@@ -438,9 +438,8 @@ class Conflict:
         """The ego's, behind; shared with an NPC that braked hard after it had pushed in, or with nothing in its way."""
         npc = self._npc + 1
         stop = None if self._stands else self._needless_braking(npc)
-        if stop is not None and self._gap(stop.begin) <= AMPLE * self._frame.speed[0, stop.begin]:
-            return self._attributed("both", tick, (self._braked_for_nothing(npc, stop), answer), fault)
-        if change and self._pushed_in(change) and self._npc_braked_hard(change.tick, self._end):
+        braked = stop is not None and self._gap(stop.begin) <= AMPLE * self._frame.speed[0, stop.begin]
+        if braked or (change and self._pushed_in(change) and self._npc_braked_hard(change.tick, self._end)):
             return self._attributed("both", tick, (danger, answer), fault)
         return self._blamed_unless_standing(tick, (danger, answer), fault)
 

@@ -276,7 +276,7 @@ SITUATIONS = {
             "One that the ego follows 0.5 s behind brakes with 8 m/s^2 on a free road; the ego brakes with 6 m/s^2 a "
             "second later.",
             lambda: hit(driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)])),
-            "both", "leader-unanswered", "5", "At 5.0 s NPC 0 began to brake with up to 8.0 m/s^2 with nothing",
+            "both", "leader-unanswered", "5", "behind NPC 0, which braked with up to 8.0 m/s^2",
         ),
         Situation(
             "leader-brakes-for-nothing-1.8-s-ahead",
