@@ -359,14 +359,15 @@ TAKING_OVER: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
 def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float, is_known: bool) -> bool:
     """Whether a vehicle is in the ego's way, or visibly leaves its lane towards it; it drifts to the right [m/s].
 
-    One that is known already is not forgotten where it pauses, half in the ego's lane.
+    One that is known already is not forgotten where it pauses over the line.
     """
     if _apart(ego, other) <= 0:
         return True
     side = 1.0 if ego.y > other.y else -1.0
     offset = side * (other.y - other.lane * lane_width)
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
-    return next_lane and offset > KEEPING and (is_known or side * drift > 0)
+    stays = is_known and offset + _half_width(other) > lane_width / 2
+    return next_lane and offset > KEEPING and (stays or side * drift > 0)
 
 
 def _along(vehicle: VehicleState) -> float:
