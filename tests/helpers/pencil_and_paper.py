@@ -273,7 +273,7 @@ class Crash:
         """Who did, and the lane change that it was; None if nobody did."""
         first = max(self.danger, self.joined)
         for tick in range(self.impact, first, -1):
-            is_ego_behind = is_behind(self.ego, self.npc, tick)
+            is_ego_behind = is_behind(self.ego, self.npc, tick - 1)
             mover, other = (self.npc, self.ego) if is_ego_behind else (self.ego, self.npc)
             for side in (-1, 1):
                 if comes_over(mover, other, tick, side):
@@ -339,6 +339,7 @@ class Crash:
         at = change.moment
         if not is_behind(self.ego, self.npc, at) and gap(self.ego, self.npc, at) > 0:
             return self.npc_follows(at, tick=at, moved_in=at)
+        self.is_cut_in = self.seconds(self.impact - at) <= 5.0
         if gap(self.ego, self.npc, at) <= 0 or gap(self.ego, self.npc, self.joined) <= 0:
             return self.npc_unless_second_chance(at, moment=at)
         return self.cut_in(change)
@@ -369,22 +370,25 @@ class Crash:
 
     def sped_up_into(self, behind, ahead, first):
         """Whether it did from a tick on, where its lowest speed so far would have avoided the collision."""
-        if first > self.impact:
+        if not self.is_faster_at_the_impact(behind, first):
             return False
         drive = Response(self, behind, ahead, first, delay=0.0, perceived=0.0)
-        lowest, is_faster, began = behind.speed[first], False, first
+        lowest = behind.speed[first]
         for tick in range(first, self.impact):
             drive.lag += (behind.speed[tick] - lowest) / self.hz
             lowest = min(lowest, behind.speed[tick + 1])
-            if not is_faster and behind.speed[tick + 1] <= lowest:
-                began = tick + 1
-            is_faster = is_faster or behind.speed[tick + 1] > lowest + 0.3
             if drive.is_contact(tick + 1):
                 return False
         closing = max(0.0, lowest - ahead.speed[self.impact])
-        is_clear = drive.ahead_by(self.impact) > 0 and drive.straight_gap(self.impact) > closing**2 / (2 * 6.0)
-        self.sped_up = began if is_faster and is_clear else self.sped_up
-        return is_faster and is_clear
+        return drive.ahead_by(self.impact) > 0 and drive.straight_gap(self.impact) > closing**2 / (2 * 6.0)
+
+    def is_faster_at_the_impact(self, behind, first):
+        """Than its lowest speed from a tick on, by more than 0.3 m/s."""
+        speeds = behind.speed[first : self.impact + 1]
+        is_faster = bool(speeds) and speeds[-1] > min(speeds) + 0.3
+        if is_faster:
+            self.sped_up = max(tick for tick, speed in enumerate(speeds, first) if speed == min(speeds))
+        return is_faster
 
     # Rule 4a
 
@@ -425,12 +429,13 @@ class Crash:
     def npc_follows(self, since, *, tick, moved_in=None):
         """Since a tick that rule 3 or 4a names, or 0; ``moved_in`` is the NPC's moment behind the ego."""
         due = max(since, self.danger - 1, 0)
-        hard, stop = self.braked_for_nothing(self.ego, self.npc, since, moved_in), self.stopped_for_nothing(moved_in)
-        if hard is None and stop is None:
+        braked, stop = self.braked_for_nothing(self.ego, self.npc, since, moved_in), self.stopped_for_nothing(moved_in)
+        if braked is None and stop is None:
             return self.opinion("npc", None, tick)
-        fault, began = ("stopped-for-nothing", stop) if hard is None else ("braked-for-nothing", hard)
-        if hard is not None:
-            due = max(since, min(due, hard))
+        is_hard = braked is not None and self.is_harder_than_5(self.ego, self.hard_braking(self.ego))
+        fault, began = "braked-for-nothing" if is_hard else "stopped-for-nothing", stop
+        if is_hard or stop is None:
+            began, due = braked, max(since, min(due, braked))
         could = moved_in is not None or self.would_have_avoided(self.npc, self.ego, due)
         self.ticks["answer"] = self.counted
         return self.opinion("both" if could else "ego", fault, began)
@@ -471,17 +476,22 @@ class Crash:
         In rule 5 the NPC can be seen from a tick on.
         """
         has_chance = self.has_second_chance(self.ego, self.npc, named)
-        due = None if seen is None else seen + round(1.4 * self.hz)
-        if not has_chance and (due is None or not self.sped_up_into(self.ego, self.npc, due)):
+        if not has_chance and (seen is None or not self.ego_sped_up_into_a_cut_in(seen)):
             return self.opinion("npc", None, named)
         is_shared = moment is not None and not self.stands() and self.cuts_in_soon_before(moment)
         return self.opinion("both" if is_shared else "ego", "leader-unanswered", named)
+
+    def ego_sped_up_into_a_cut_in(self, seen):
+        """Where the NPC can be seen from a tick on."""
+        first = seen + round(0.4 * self.hz)
+        return self.is_faster_at_the_impact(self.ego, first) and (
+            self.sped_up_into(self.ego, self.npc, first) or self.would_have_avoided_a_cut_in(self.ego, self.npc, seen)
+        )
 
     # Rule 5
 
     def cut_in(self, change):
         at = change.moment
-        self.is_cut_in = self.seconds(self.impact - at) <= 5.0
         seen = at
         while seen > change.start and self.is_seen(seen - 1, change) and self.is_seen(at, change):
             seen -= 1
@@ -489,7 +499,9 @@ class Crash:
             return self.npc_unless_second_chance(at, at, seen)
         dv = self.ego.speed[seen] - self.npc.speed[seen]
         nobody_can = dv > 0 and gap(self.ego, self.npc, seen) <= dv * (1.4 + dv / (2 * 6.0))
-        if not nobody_can and self.would_have_avoided_a_cut_in(self.ego, self.npc, seen, to_spare=0.2):
+        steps = range(seen + 1, min(self.impact, seen + round(1.6 * self.hz)) + 1)
+        to_spare = 0.2 if any(self.ego.deceleration(tick) >= BRAKES for tick in steps) else 0.0
+        if not nobody_can and self.would_have_avoided_a_cut_in(self.ego, self.npc, seen, to_spare):
             self.ticks["answer"] = self.counted
             return self.opinion(self.ego_or_both(at), "cut-in-unanswered", at)
         passed = None if self.is_as_far_back_as_asked(seen) else self.duty_passes(self.npc, self.ego, at)
@@ -565,9 +577,13 @@ class Crash:
         if stretch is None or stretch[1] < max(self.danger - round(1.0 * self.hz), since):
             return None
         began = end = stretch[0] - 1
-        if any(braker.deceleration(tick) > 5.0 for tick in range(stretch[0], stretch[1] + 1)):
+        if self.is_harder_than_5(braker, stretch):
             end = min(self.impact, began + round(0.4 * self.hz))
         return began if self.counts(braker, follower, began, end, stretch[1], moved_in) else None
+
+    def is_harder_than_5(self, braker, stretch):
+        """At any tick, from a first to a last one [m/s^2]."""
+        return any(braker.deceleration(tick) > 5.0 for tick in range(stretch[0], stretch[1] + 1))
 
     def hard_braking(self, braker):
         """The first and the last tick of the stretch that counts, or None."""
@@ -577,7 +593,7 @@ class Crash:
             if self.seconds(last - first + 1) >= 0.4 - ROUNDING
         ]
         if braker is self.ego:
-            for first, last in self.stretches(braker, 3.0):
+            for first, last in self.stretches(braker, 4.0):
                 had, lost = braker.body_speed[first - 1], braker.body_speed[first - 1] - braker.body_speed[last]
                 if lost >= max(had / 2, 5.0):
                     found.append((first, last))

@@ -15,7 +15,7 @@ NUMBER = r"(-?\d+\.\d)"
 WHO = r"(?:the ego|The ego|NPC #)"
 PACE = rf"(?:which was (?:{NUMBER} m/s (?:faster|slower)|as fast)|(?:and|which) braked with up to {NUMBER} m/s\^2)"
 PLACE = f"(?:beside {WHO}|{NUMBER} m (?:ahead of|behind) {WHO}, {PACE})"
-CLOSE = rf"{NUMBER} m \(safe: {NUMBER} m\) behind {WHO}, {PACE}"
+CLOSE = rf"{NUMBER} m (?:\(safe: {NUMBER} m\) )?behind {WHO}, {PACE}"
 
 
 class Reading:
@@ -42,7 +42,9 @@ class Reading:
         behind, ahead = self.who(said)
         assert is_behind(self.ego, self.npc, self.tick) == (behind is self.ego)
         time, apart, *pace = self.placed(said, self.tick)
-        return [time, apart, safe_along(behind, ahead, self.tick), *pace]
+        safe = safe_along(behind, ahead, self.tick)
+        assert ("safe" in said) == (safe > 0)
+        return [time, apart, *([safe] if safe > 0 else []), *pace]
 
     def crossed(self, said):
         """When, into which lane, and where that was."""
@@ -96,7 +98,7 @@ class Reading:
         assert braked or ("sped up" in said) == (highest > vehicle.speed[since] + 0.3)
         due = [since + round(delay * crash.hz) for delay in (1.0, 1.4)]
         if "was due" in said:
-            told = next((tick for tick in due if f"from {self.time(tick):.1f} s on" in said), math.inf)
+            told = next((tick for tick in due if f"brake from {self.time(tick):.1f} s on" in said), math.inf)
             assert told < crash.impact
             assert not braked or ("too late" in said) == (braked[0] > told)
             assert "too briefly" not in said or hardest >= 6.0
