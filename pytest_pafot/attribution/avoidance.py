@@ -32,6 +32,8 @@ HARDEST = 6.0
 """How hard one brakes that has come too near [m/s^2]."""
 MARGIN = 0.2
 """Who is at most so much further ahead at the impact, in seconds of its driving, and no faster, answered [s]."""
+NEARLY = 0.5
+"""Who answers a cut-in may then be so much faster than the reference [m/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +117,8 @@ class Pursuit:
         speeds, lost = self._driven(since, response, emergency)
         recorded = end - since + 1
         is_alike = self.speeds[0][since:] <= speeds[:recorded] + ALIKE
-        if is_alike.all() or (is_alike[-1] and lost[recorded - 1] <= MARGIN * self.speeds[0][-1]):
+        hardly_faster = self.speeds[0][-1] <= speeds[recorded - 1] + (ALIKE if emergency is None else NEARLY)
+        if is_alike.all() or (hardly_faster and lost[recorded - 1] <= MARGIN * self.speeds[0][-1]):
             return None
         answered = slice(since + round(response.delay * self.hz), since + int(is_alike.argmin()))
         no_faster = np.flatnonzero(self.speeds[0][answered] <= self.speeds[1][answered])

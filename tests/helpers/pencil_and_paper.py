@@ -814,7 +814,7 @@ class Response:
     def has_answered(self):
         ticks = range(self.since, self.impact + 1)
         was_never_faster = all(self.responder.speed[tick] <= self.speeds[tick] + 0.1 for tick in ticks)
-        is_as_slow = self.responder.speed[self.impact] <= self.speeds[self.impact] + 0.1
+        is_as_slow = self.responder.speed[self.impact] <= self.speeds[self.impact] + (0.5 if self.to_cut_in else 0.1)
         return was_never_faster or (is_as_slow and self.lag_at_impact <= 0.2 * self.responder.speed[self.impact])
 
     def last_mastered(self):

@@ -93,19 +93,25 @@ class Reading:
         since = crash.ticks["answer"]
         ticks = range(since + 1, crash.impact + 1)
         braked = [tick - 1 for tick in ticks if vehicle.deceleration(tick) >= 0.5]
-        highest, hardest = max(vehicle.speed[since : crash.impact + 1]), max(map(vehicle.deceleration, ticks))
-        assert ("braked" in said) == bool(braked)
-        assert braked or ("sped up" in said) == (highest > vehicle.speed[since] + 0.3)
+        hardest, speeds = max(map(vehicle.deceleration, ticks)), vehicle.speed[since : crash.impact + 1]
+        lowest = max(tick for tick in range(len(speeds)) if speeds[tick] == min(speeds[: tick + 1]))
+        highest = max(speeds[lowest:])
+        sped_up = speeds[-1] > speeds[lowest] + 0.3 and speeds[-1] >= highest - 0.3
+        assert ("sped up" in said) == sped_up
+        assert ("braked" in said) == bool(braked and not sped_up)
         due = [since + round(delay * crash.hz) for delay in (1.0, 1.4)]
         if "was due" in said:
             told = next((tick for tick in due if f"brake from {self.time(tick):.1f} s on" in said), math.inf)
             assert told < crash.impact
+            if sped_up:
+                return [self.time(told), highest, self.time(since + lowest)]
             assert not braked or ("too late" in said) == (braked[0] > told)
             assert "too briefly" not in said or hardest >= 6.0
-            did = [hardest, self.time(braked[0])] if braked else [highest] if "sped up" in said else []
-            return [self.time(told), *did]
+            return [self.time(told), *([hardest, self.time(braked[0])] if braked else [])]
         assert due[1] >= crash.impact
-        return [self.time(braked[0]), hardest] if braked else [self.time(since)] + [highest] * ("sped up" in said)
+        if sped_up:
+            return [self.time(since + lowest), highest]
+        return [self.time(braked[0]), hardest] if braked else [self.time(since)]
 
     def hard_braking(self, said):
         braker, _ = self.who(said)
@@ -148,7 +154,9 @@ SENTENCES = {
         reading.time(reading.crash.ticks["brakes let go"])
     ],
     rf"{WHO} was due to brake from {NUMBER} s on(?: and did not|, but braked too (?:little|briefly|late) "
-    rf"\(up to {NUMBER} m/s\^2 from {NUMBER} s on\)|, but sped up to {NUMBER} m/s)\.": Reading.answered,
+    rf"\(up to {NUMBER} m/s\^2 from {NUMBER} s on\)|, but sped up to {NUMBER} m/s from {NUMBER} s on)\.": (
+        Reading.answered
+    ),
     rf"From {NUMBER} s on {WHO} (?:did not brake|braked with up to {NUMBER} m/s\^2|sped up to {NUMBER} m/s)\.": (
         Reading.answered
     ),
