@@ -486,6 +486,13 @@ SITUATIONS = {
             "both", "leader-unanswered", "4c", "The ego was due to brake from",
         ),
         Situation(
+            "cut-in-answered-with-nothing-to-spare",
+            "An NPC that is 8 m/s slower moves in 16 m ahead. The ego brakes with 6 m/s^2 when an answer is due, and "
+            "hits it.",
+            lambda: cut_in(16.0, slower=8.0, ego_brakes=[(3.7, 6.0, 0.0)]),
+            "npc", None, "5", "too little time to answer",
+        ),
+        Situation(
             "speeds-up-behind-a-cut-in-that-nobody-can-answer",
             "An NPC that is 2 m/s slower moves in 2.5 m ahead and speeds up to the ego's speed, nearly. The ego speeds "
             "up into it.",
@@ -613,6 +620,12 @@ SITUATIONS = {
             "The ego changes lanes 6 m ahead of one that is slower, 4.5 m/s, and at once speeds up with 5 m/s^2.",
             lambda: lane_change(6.9, faster=-1.5, speed=6.0, npc_brakes=[(2.1, -5.0, 20.0)]),
             "npc", None, "3", "NPC 0 sped up to",
+        ),
+        Situation(
+            "follower-floors-it-behind-a-close-lane-change",
+            "The ego changes lanes 6 m ahead of one of equal speed, which at once speeds up with 4 m/s^2.",
+            lambda: lane_change(6.0, faster=0.0, npc_brakes=[(2.6, -4.0, 30.0)]),
+            "both", "entered-lane", "3", "NPC 0 sped up to",
         ),
         Situation(
             "npc-moves-in-behind-an-ego-over-the-line",
