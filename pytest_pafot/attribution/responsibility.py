@@ -512,7 +512,7 @@ class Conflict:
         if stop is None:
             return None
         later = round(HARD_SECONDS * self._hz) if self._is_hard(stop, leader) else 0
-        ticks = slice(stop.begin, stop.begin + 1 + later)
+        ticks = slice(stop.begin, min(stop.begin + later, self._end) + 1)
         return stop if self._is_needless(stop, ticks, moved_in, leader) else None
 
     def _is_needless(self, stop: Stop, ticks: slice, moved_in: int, leader: int = 0) -> bool:
