@@ -29,7 +29,7 @@ ALIKE = 0.1
 SPED_UP = 0.3
 """Less is no speeding up [m/s]."""
 HARDEST = 6.0
-"""How hard one brakes that has come too near [m/s^2]."""
+"""How hard the rules ask anybody to brake at most [m/s^2]; it is that of UN R157, 5.2.5.2."""
 MARGIN = 0.2
 """Who is at most so much further ahead at the impact, in seconds of its driving, and no faster, answered [s]."""
 NEARLY = 0.5
@@ -130,7 +130,7 @@ class Pursuit:
         return None if is_hit else since
 
     def is_no_further(self, since: int, response: Braking, emergency: Emergency) -> bool:
-        """Whether the responder is no further ahead at the impact than a response from a tick on would have been."""
+        """Return whether the responder is no further ahead at the impact than a response from a tick on would be."""
         end = len(self.ahead) - 1
         return since < end and bool(self._driven(since, response, emergency)[1][end - since] <= 0)
 
@@ -139,10 +139,10 @@ class Pursuit:
         recorded = self.speeds[0][since:]
         if len(recorded) < 2 or recorded[-1] <= recorded.min() + SPED_UP:
             return None
-        return since + int(np.flatnonzero(recorded == np.minimum.accumulate(recorded))[-1])
+        return since + last_slowest(recorded)
 
     def stays_off_unless_faster(self, since: int) -> bool:
-        """Whether the responder would have stayed off the other, had it never driven faster than before since a tick.
+        """Return whether it would have stayed off the other, had it never driven faster than before since a tick.
 
         And could have slowed down to the other's speed at the impact.
         """
@@ -218,6 +218,11 @@ class Pursuit:
             for (x, y), (cos, sin), (length, width) in zip(places, self.directions, self.sizes, strict=True)
         )  # fmt: skip
         return bool(overlaps(relate(*boxes)).any())
+
+
+def last_slowest(speeds: FloatArray) -> int:
+    """Return the last index at which a vehicle is as slow as it has been so far."""
+    return int(np.flatnonzero(speeds == np.minimum.accumulate(speeds))[-1])
 
 
 def _later(seconds: float, response: Braking, emergency: Emergency | None) -> tuple[Braking, Emergency | None]:

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from pytest_pafot.attribution.avoidance import SPED_UP, Braking, Emergency, Pursuit
+from pytest_pafot.attribution.avoidance import HARDEST, SPED_UP, Braking, Emergency, Pursuit, last_slowest
 from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces, first_lasting
 from pytest_pafot.attribution.needless_braking import (
     AFTERMATH_SECONDS,
@@ -46,7 +46,7 @@ with, would ask for more than that; a follower that does so has to answer for it
 brakes with at most 8 m/s^2, the hardest that NPCs can; a follower with at least 6 m/s^2, what UN R157 5.2.5.2 takes for
 granted of a system that must avoid. Lateral values are the defaults of :class:`~pytest_pafot.criticality.RssRules`."""
 
-FOLLOWING = Braking(delay=1.0, deceleration=6.0)
+FOLLOWING = Braking(delay=1.0, deceleration=HARDEST)
 """The proper response of the one behind in a lane: that of RSS, with the numbers of :data:`DISTANCES`."""
 
 CUT_OFF = Braking(delay=1.4, deceleration=3.0, perception=0.4, headway=1.0)
@@ -56,11 +56,11 @@ competent driver's (UN R157, annex 4, appendix 3): 0.4 s to perceive the risk, 0
 time in which they build up."""
 
 EMERGENCY = Emergency(
-    time_to_contact=2.0, leader_braking=5.0, perception=0.4, braking=Braking(delay=1.4, deceleration=6.0)
+    time_to_contact=2.0, leader_braking=5.0, perception=0.4, braking=Braking(delay=1.4, deceleration=HARDEST)
 )
 """When the one that was cut off has to brake hard: the careful and competent driver's criteria."""
 
-HELD = Braking(delay=0.0, deceleration=6.0)
+HELD = Braking(delay=0.0, deceleration=HARDEST)
 """What is left to one that brakes already: to go on."""
 
 GIVING_WAY = Braking(delay=0.4, deceleration=3.0)
@@ -245,7 +245,8 @@ class Conflict:
             change = self._lanes.moved_in_behind(self._npc, side, self._onset, self._end)
             if change is not None and not self._lanes.is_back(change, side, self._end):
                 closing = self._frame.speed[self._npc + 1, change.tick] - self._frame.speed[0, change.tick]
-                changes.append(change if self._gap(change.tick) >= DECIDED * closing else None)
+                if self._gap(change.tick) >= DECIDED * closing:
+                    changes.append(change)
         return max((each for each in changes if each is not None), key=lambda each: each.tick, default=None)
 
     def _changed(self, change: LaneChange) -> Attribution:
@@ -607,7 +608,7 @@ class Conflict:
         due = since + round(response.delay * self._hz)
         due_s = self._at(due) if due < self._end else None
         speed = self._frame.speed[vehicle, since : self._end + 1]
-        lowest = int(np.flatnonzero(speed == np.minimum.accumulate(speed))[-1])
+        lowest = last_slowest(speed)
         low, high, last = float(speed[lowest]), float(speed[lowest:].max()), float(speed[-1])
         if last > low + SPED_UP and last >= high - SPED_UP:  # that came last, whatever it had done before
             return Fact(What.SPED_UP, vehicle, self._at(since + lowest), due_s=due_s, speed_m_per_s=high)

@@ -8,6 +8,8 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple
 
+from pytest_pafot.attribution.avoidance import HARDEST
+
 
 class What(Enum):
     """What a fact says, and the words of its sentence."""
@@ -33,9 +35,6 @@ class What(Enum):
     BRAKED = "{who} {due}, but braked {how} (up to {it.braking_m_per_s2:.1f} m/s^2 from {at} on)."
     SPED_UP = "{who} {due}, but sped up to {it.speed_m_per_s:.1f} m/s from {at} on."
 
-
-PROPER_BRAKING = 6.0
-"""Who brakes harder in time brakes too briefly, not too little [m/s^2]."""
 
 _WITHOUT_DUE = {
     What.DID_NOT_BRAKE: "From {at} on {who} did not brake.",
@@ -92,12 +91,12 @@ def responsible_sentence(responsibility: str, npc: int) -> str:
 
 def _sentence(fact: Fact) -> str:
     words = fact.what.value if fact.due_s is not None else _WITHOUT_DUE.get(fact.what, fact.what.value)
-    it_is_soft = fact.braking_m_per_s2 < PROPER_BRAKING
+    short = "too little" if fact.braking_m_per_s2 < HARDEST else "too briefly"
     text = words.format(
         it=fact,
         at=f"{fact.time_s:.1f} s",
         later=f"{fact.later_s:.1f} s",
-        how="too late" if fact.time_s > (fact.due_s or 0.0) else "too little" if it_is_soft else "too briefly",
+        how="too late" if fact.time_s > (fact.due_s or 0.0) else short,
         due=f"was due to brake from {fact.due_s or 0.0:.1f} s on",
         who=_name(fact.vehicle),
         whom=_name(fact.other),
