@@ -1,6 +1,7 @@
 """Position-Instructions, chromosomes and scenarios: what the search evolves and a corpus file stores.
 
-Lane-Instructions are the genes of baselines that know no grid. A scenario has genes of one kind.
+Lane-Instructions are the genes of baselines that know no grid. A Crossing-Instruction sends an NPC across, or into, the
+ego's way. A chain has genes of one kind; NPCs with Position-Instructions and with a Crossing-Instruction may be mixed.
 
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -22,6 +24,9 @@ from pytest_pafot.support.errors import FieldError, checked_whole, plain_whole
 
 SPEED_STEPS_PER_MPS = 10
 """Target speeds are multiples of 0.1 m/s, so that a scenario reads the same in a file and in memory."""
+
+SLOT_STEPS_PER_SECOND = 10
+"""Slots are multiples of 0.1 s."""
 
 PAPER_SPEED_LIMIT = 26.8
 """60 mph, on the paper's motorway [m/s]."""
@@ -129,22 +134,93 @@ class LaneInstruction:
         return "keep lane" if self.lane == "keep" else f"lane {self.lane}"
 
 
-Gene = PositionInstruction | LaneInstruction
+Act = Literal["pass", "hold", "stop", "late"]
+"""What an NPC does at a zone: drives through it; waits at the line before it until the ego has passed; stops in it;
+waits at the line and drives in as late as its slot says."""
+
+ACTS: tuple[Act, ...] = get_args(Act)
+
+LARGEST_SLOT = 5.0
+"""Nobody who leaves so much more time to the ego has to do with it [s]."""
+
+ZONE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,30}>[A-Za-z0-9_.-]{1,30}")
+"""An entry and an exit of the road network, as its nodes are called."""
 
 
-def gene_of(target: Any, speed: Any) -> Gene:
-    """The gene of a target as files and canonical texts have it: a word names a lane, anything else a cell.
+@dataclass(frozen=True, slots=True)
+class CrossingInstruction:
+    """The one gene of an NPC whose way meets the ego's: where they meet, when relative to the ego, and how.
+
+    It carries the grid over to a zone, in which *when* stands beside *where*. The NPC starts where it has to, so that
+    it meets an ego that keeps its speed as the slot says; while there is time it follows the ego's arrival.
+
+    Attributes:
+        zone: entry and exit of the NPC's way, such as ``"o1>o3"``; the zone is where it first meets the ego's way.
+        slot: how long after the ego has left the zone the NPC enters it; below 0, how long before the ego enters it the
+            NPC has left it; 0 for both in it at the same time [s]. In steps of 0.1, at most 5 either way.
+        speed: of the NPC up to and in the zone, as far as bends allow it [m/s], more than 0, in steps of 0.1.
+        act: what it does there.
+    """
+
+    zone: str
+    slot: float
+    speed: float
+    act: Act = "pass"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.zone, str) or not ZONE_NAME.fullmatch(self.zone):
+            expected = 'the entry and the exit of a way, such as "o1>o3"'
+            raise ScenarioError(field="zone", expected=expected, received=f"{self.zone!r:.100}")
+        if self.act not in ACTS:
+            raise ScenarioError(field="act", expected=f"one of {', '.join(ACTS)}", received=f"{self.act!r:.100}")
+        object.__setattr__(self, "zone", str(self.zone))
+        object.__setattr__(self, "act", str(self.act))
+        object.__setattr__(self, "slot", _checked_slot(self.slot))
+        object.__setattr__(self, "speed", _checked_speed(self.speed))
+        if self.speed <= 0:
+            expected, fix = "m/s, more than 0, because it has to arrive", 'act "stop" stops it in the zone'
+            raise ScenarioError(field="speed", expected=expected, received=repr(self.speed), fix=fix)
+
+    @property
+    def target(self) -> str:
+        """The zone, as files and canonical texts have it."""
+        return self.zone
+
+    @property
+    def goal(self) -> str:
+        """Where to and when, in words: ``o1>o3 0.5 s after the ego``."""
+        act = {"pass": "", "hold": ", holds at the line", "stop": ", stops there", "late": ", starts late"}[self.act]
+        return f"{self.zone} {self.when}{act}"
+
+    @property
+    def when(self) -> str:
+        """The slot in words: ``0.5 s after the ego``."""
+        if self.slot == 0:
+            return "together with the ego"
+        return f"{abs(self.slot):g} s {'after' if self.slot > 0 else 'before'} the ego"
+
+
+Gene = PositionInstruction | LaneInstruction | CrossingInstruction
+
+
+def gene_of(target: Any, speed: Any, *crossing: Any) -> Gene:
+    """The gene of a target as canonical texts have it: a word names a lane, anything else a cell.
+
+    With a slot and an act besides, the target is a zone.
 
     Raises:
         ScenarioError: where there is no such gene.
     """
+    if crossing:
+        slot, act = crossing
+        return CrossingInstruction(target, slot, speed, act)
     kind = LaneInstruction if isinstance(target, str) else PositionInstruction
     return kind(target, speed)
 
 
 @lru_cache(maxsize=1 << 14, typed=True)
-def _known_gene(target: Any, speed: Any) -> Gene:
-    return gene_of(target, speed)
+def _known_gene(target: Any, speed: Any, *crossing: Any) -> Gene:
+    return gene_of(target, speed, *crossing)
 
 
 Chromosome = tuple[Gene, ...]
@@ -157,7 +233,8 @@ class Scenario:
 
     Attributes:
         npcs: one non-empty chain per NPC, one to eight; lengths may differ. After its last gene an NPC keeps
-            its lane and speed (paper, section 2). All genes are Position-Instructions, or all are Lane-Instructions.
+            its lane and speed (paper, section 2). All genes are Lane-Instructions, or each NPC has either
+            Position-Instructions or one Crossing-Instruction.
         seed: of the draws by which chains are repaired inside the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: everybody's first speed [m/s].
@@ -189,8 +266,8 @@ class Scenario:
         if not isinstance(self.traffic, Traffic):
             fix = 'write pafot.Traffic(style="everyday")'
             raise ScenarioError(field="traffic", expected="a Traffic", received=repr(self.traffic), fix=fix)
-        _check_adjacency(self.positions)
-        _check_distinct(self.positions)
+        _check_adjacency(self.npcs)
+        _check_distinct(self.npcs)
 
     @classmethod
     def repaired(
@@ -211,7 +288,7 @@ class Scenario:
         seed = _checked_whole("seed", seed, MAX_SEED)
         wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
         cells = repair_chains(wanted, seed)
-        npcs = chains if [list(row) for row in cells] == wanted else with_cells(chains, cells)
+        npcs = chains if [list(row) for row in cells] == wanted else with_cells(chains, on_grid(chains, cells))
         return cls(
             npcs=npcs,
             seed=seed,
@@ -248,8 +325,14 @@ class Scenario:
 
     @property
     def positions(self) -> tuple[tuple[PositionInstruction, ...], ...]:
-        """The chains where they are of Position-Instructions, else nothing."""
+        """The chains of Position-Instructions, in the order of their NPCs; empty where no NPC drives on the grid."""
         return positions_of(self.npcs)
+
+    @property
+    def crossings(self) -> tuple[CrossingInstruction | None, ...]:
+        """Per NPC its Crossing-Instruction, or None; empty where no NPC has one."""
+        found = tuple(chain[0] if isinstance(chain[0], CrossingInstruction) else None for chain in self.npcs)
+        return found if any(found) else ()
 
     @property
     def genes(self) -> int:
@@ -267,7 +350,7 @@ class Scenario:
 
     def plain(self) -> list[Any]:
         """All fields as lists and numbers, of which :meth:`canonical` is the text."""
-        npcs = [[[gene.target, gene.speed] for gene in chain] for chain in self.npcs]
+        npcs = [[_plain(gene) for gene in chain] for chain in self.npcs]
         traffic = [] if self.traffic == PAPERS else [self.traffic.plain()]
         return [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic]
 
@@ -279,7 +362,7 @@ class Scenario:
             ScenarioError, TypeError, ValueError: for anything else.
         """
         npcs, seed, ego_lane, ego_speed, gene_seconds, *traffic = fields
-        chains = tuple(tuple(_known_gene(target, speed) for target, speed in chain) for chain in npcs)
+        chains = tuple(tuple(_known_gene(*gene) for gene in chain) for chain in npcs)
         return cls(
             npcs=chains,
             seed=seed,
@@ -307,6 +390,24 @@ class Scenario:
     def __repr__(self) -> str:
         chains = "; ".join(" ".join(f"{g.target}@{g.speed:g}" for g in chain) for chain in self.npcs)
         return f"<Scenario {self.id}: {chains}>"
+
+
+def _plain(gene: Gene) -> list[Any]:
+    if isinstance(gene, CrossingInstruction):
+        return [gene.zone, gene.speed, gene.slot, gene.act]
+    return [gene.target, gene.speed]
+
+
+def _checked_slot(value: object) -> float:
+    slot = _number("slot", value)
+    if abs(slot) > LARGEST_SLOT + 1e-9:
+        expected = f"seconds, at most {LARGEST_SLOT:g} before or after the ego"
+        raise ScenarioError(field="slot", expected=expected, received=repr(value))
+    steps = round(slot * SLOT_STEPS_PER_SECOND)
+    if abs(slot * SLOT_STEPS_PER_SECOND - steps) > 1e-6:
+        fix = f"the nearest valid slot is {steps / SLOT_STEPS_PER_SECOND:g}"
+        raise ScenarioError(field="slot", expected="seconds in steps of 0.1", received=repr(value), fix=fix)
+    return steps / SLOT_STEPS_PER_SECOND + 0.0
 
 
 def _checked_speed(value: object) -> float:
@@ -351,11 +452,16 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
             expected = "at least one Position-Instruction"
             raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received="an empty chain")
         for gene, each in enumerate(chain):
-            if not isinstance(each, (PositionInstruction, LaneInstruction)):
+            if not isinstance(each, (PositionInstruction, LaneInstruction, CrossingInstruction)):
                 expected, fix = "a PositionInstruction", "write PositionInstruction(cell, speed)"
-            elif type(each) is not (kind := type(chains[0][0])):
-                expected = f"a {kind.__name__} like npcs[0][0]"
-                fix = "give all NPCs of a scenario instructions of one kind"
+            elif isinstance(each, LaneInstruction) is not isinstance(chains[0][0], LaneInstruction):
+                expected = f"a {type(chains[0][0]).__name__} like npcs[0][0]"
+                fix = "give all NPCs of a scenario Lane-Instructions, or none"
+            elif type(each) is not (kind := type(chain[0])):
+                expected = f"a {kind.__name__} like npcs[{npc}][0]"
+                fix = "give an NPC instructions of one kind"
+            elif gene and isinstance(each, CrossingInstruction):
+                expected, fix = "one CrossingInstruction", "an NPC crosses once; give the other to another NPC"
             else:
                 continue
             raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
@@ -363,9 +469,17 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
 
 
 def positions_of(npcs: Sequence[Sequence[Gene]]) -> tuple[tuple[PositionInstruction, ...], ...]:
-    """Chains of one kind where that is Position-Instructions, else nothing."""
-    is_positions = bool(npcs) and isinstance(npcs[0][0], PositionInstruction)
-    return cast("tuple[tuple[PositionInstruction, ...], ...]", tuple(map(tuple, npcs))) if is_positions else ()
+    """Return those of some chains that are of Position-Instructions."""
+    if npcs and not isinstance(npcs[0][0], LaneInstruction):
+        positions = tuple(tuple(chain) for chain in npcs if isinstance(chain[0], PositionInstruction))
+        return cast("tuple[tuple[PositionInstruction, ...], ...]", positions)
+    return ()
+
+
+def on_grid(npcs: Sequence[Sequence[Gene]], rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
+    """Return rows, of which there is one for each NPC on the grid, with an empty one for each other NPC."""
+    each = iter(rows)
+    return [next(each) if isinstance(chain[0], PositionInstruction) else () for chain in npcs]
 
 
 def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> tuple[Chromosome, ...]:
@@ -385,9 +499,10 @@ def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
     return tuple(chain[min(int((gene + 0.5) * wanted / seconds), len(chain) - 1)] for gene in range(count))
 
 
-def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
+def _check_adjacency(npcs: Sequence[Chromosome]) -> None:
     for npc, chain in enumerate(npcs):
-        for gene, (before, cell) in enumerate(pairwise(each.cell for each in chain), 1):
+        cells = [each.cell for each in chain if isinstance(each, PositionInstruction)]
+        for gene, (before, cell) in enumerate(pairwise(cells), 1):
             if not is_adjacent(before, cell):
                 low, high = sorted(before.neighbours)
                 place, received = f"npcs[{npc}][{gene}]", f"cell {int(cell)}"
@@ -395,11 +510,13 @@ def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
                 raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)
 
 
-def _check_distinct(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
+def _check_distinct(npcs: Sequence[Chromosome]) -> None:
     for gene, row in enumerate(zip_longest(*npcs)):
         holders: dict[Cell, int] = {}
         for npc, held in enumerate(row):
-            other = npc if held is None else holders.setdefault(held.cell, npc)
+            if not isinstance(held, PositionInstruction):
+                continue
+            other = holders.setdefault(held.cell, npc)
             if other != npc:
                 place, expected = f"npcs[{npc}][{gene}]", f"a cell that no other NPC holds in gene {gene}"
                 received = f"cell {int(held.cell)} of npcs[{other}]"

@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_cells
 from pytest_pafot.support.shown import Drawn
@@ -78,7 +79,8 @@ class Collision:
         time: of that tick [s].
         npc: index of the NPC in the scenario.
         side: of the ego that was hit.
-        cell: in which the NPC's centre was at the impact, or, when that is the ego's own, the last one before.
+        cell: in which the NPC's centre was at the impact, or, when that is the ego's own, the last one before; None
+            where an NPC that crosses was not on the ego's way.
         ego_speed, npc_speed: at the impact [m/s].
         closing_speed: magnitude of the difference of the two velocities, with the slip of turned wheels [m/s].
     """
@@ -87,13 +89,14 @@ class Collision:
     time: float
     npc: int
     side: Side
-    cell: Cell
+    cell: Cell | None
     ego_speed: float
     npc_speed: float
     closing_speed: float
 
     def __repr__(self) -> str:
-        return f"<Collision after {self.time:.1f} s: NPC {self.npc} in cell {int(self.cell)}, {self.side} of the ego>"
+        where = "" if self.cell is None else f" in cell {int(self.cell)}"
+        return f"<Collision after {self.time:.1f} s: NPC {self.npc}{where}, {self.side} of the ego>"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,6 +146,10 @@ class Trace(Drawn):
             [ticks + 1, vehicles, 5] with columns: along the ego's way [m], across it to the right [m], angle to it
             [rad], offset to the centre of the own lane [m], metres driven there per metre of the way (more outside of a
             bend). None on straight roads, where ``lanes`` says it all.
+            NaN for an NPC that crosses, while it is not on the ego's way.
+        zones: per NPC the zone in which its way meets the ego's, None for one on the grid; empty where nobody crosses.
+        on_way: where each NPC that crosses is along its own way [m]; float64, read-only, shape [ticks + 1, NPCs], NaN
+            for those on the grid. None where nobody crosses.
         driven: per NPC and started gene, the cell that it drove to; as in ``executed`` but where cells that the road
             does not have were skipped, which no chain can say. Empty where it is as in ``executed``.
     """
@@ -162,11 +169,15 @@ class Trace(Drawn):
     off_road_tick: int | None = None
     max_decision_seconds: float = field(default=0.0, compare=False)
     track: FloatArray | None = None
+    zones: tuple[Zone | None, ...] = ()
+    on_way: FloatArray | None = None
     driven: tuple[tuple[Cell, ...], ...] = ()
     _readings: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("states", "sizes") if self.track is None else ("states", "sizes", "track"):
+        for name in ("states", "sizes", "track", "on_way"):
+            if getattr(self, name) is None:
+                continue
             array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if array is getattr(self, name) and array.flags.writeable:
                 array = array.copy()
@@ -178,13 +189,16 @@ class Trace(Drawn):
             raise ValueError(f"sizes: expected shape {(self.states.shape[1], 2)}, received {self.sizes.shape}")
         if self.track is not None and self.track.shape != (*self.states.shape[:2], 5):
             raise ValueError(f"track: expected shape {(*self.states.shape[:2], 5)}, received {self.track.shape}")
+        npcs = self.states.shape[1] - 1
+        if self.on_way is not None and self.on_way.shape != (len(self.states), npcs):
+            raise ValueError(f"on_way: expected shape {(len(self.states), npcs)}, received {self.on_way.shape}")
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Pickling makes arrays writeable; a trace that comes back from another process is read-only again."""
         self.__dict__.update(state)
-        self.states.flags.writeable = self.sizes.flags.writeable = False
-        if self.track is not None:
-            self.track.flags.writeable = False
+        for array in (self.states, self.sizes, self.track, self.on_way):
+            if array is not None:
+                array.flags.writeable = False
 
     def reading(self, name: Hashable, read: Callable[[Trace], ReadT]) -> ReadT:
         """What a pure function reads from the trace, once: the value travels with it to other processes."""

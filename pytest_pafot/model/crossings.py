@@ -1,0 +1,178 @@
+"""Ways of other traffic and the zones in which they meet the ego's: what a world gives, a search draws and rules read.
+
+Places are of a vehicle's centre, along its way [m]. A stretch ``(enters, leaves)`` of two ways is where a box of one
+and a box of the other can touch, so that nobody who waits before ``enters`` is in anybody's way there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot.model.scenario import CrossingInstruction, Scenario
+
+FloatArray = npt.NDArray[np.float64]
+Stretch = tuple[float, float]
+
+Kind = Literal["crossing", "oncoming", "merging"]
+"""How two ways meet: one leads across the other; a vehicle that comes towards the ego turns across its way, or the ego
+turns across that vehicle's; both lead on in one lane."""
+Origin = Literal["left", "right", "ahead", "behind"]
+"""From where a vehicle comes, as an ego sees it that drives up to the zone."""
+Holder = Literal["ego", "npc", "none"]
+"""Who has priority."""
+
+STEP = 0.5
+"""Distance of the points of a way [m]."""
+APART = 0.7
+"""What is left at least between two NPCs that drive through one place [s]."""
+SETTING_OFF = 2.0
+"""Acceleration with which a vehicle that has waited is expected to set off [m/s^2]."""
+SLOTS = {"well before": -1.0, "just before": 0.0, "together": 0.0, "just after": 1.0, "well after": math.inf}
+"""The five slots of a zone, each with where it ends [s]: what the nine cells are to the grid."""
+
+
+def slot_name(slot: float) -> str:
+    """Return which of the five slots a slot is [s]."""
+    if slot == 0:
+        return "together"
+    if slot < 0:
+        return "well before" if slot <= SLOTS["well before"] else "just before"
+    return "just after" if slot < SLOTS["just after"] else "well after"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Zone:
+    """Where an NPC's way first meets the ego's.
+
+    Attributes:
+        way: entry and exit of the NPC's way, such as ``"o1>o3"``.
+        kind: how the two meet.
+        origin: from where the NPC comes.
+        ego, npc: the stretches of the ego's way and of the NPC's [m]; those of a merging zone end where both drive in
+            one lane.
+        priority: who has it.
+    """
+
+    way: str
+    kind: Kind
+    origin: Origin
+    ego: Stretch
+    npc: Stretch
+    priority: Holder
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Way:
+    """A way of other traffic.
+
+    Attributes:
+        zone: where it first meets the ego's.
+        speeds: the highest speed that limits and bends allow, every half metre from the entry on [m/s].
+    """
+
+    zone: Zone
+    speeds: FloatArray
+
+    @property
+    def length(self) -> float:
+        """From the entry to the exit [m]."""
+        return (len(self.speeds) - 1) * STEP
+
+    def times(self, speed: float) -> FloatArray:
+        """Return when a vehicle of a speed [m/s], or slower in bends, that starts at the entry is at each point [s]."""
+        driven = np.minimum(self.speeds, speed)
+        steps = 2 * STEP / np.maximum(driven[1:] + driven[:-1], 1e-3)
+        return np.concatenate(([0.0], np.cumsum(steps)))
+
+    def time_at(self, along: float, speed: float) -> float:
+        """Return when a vehicle of a speed [m/s] that starts at the entry is at a place [s]."""
+        return float(np.interp(along, np.arange(len(self.speeds)) * STEP, self.times(speed)))
+
+    def place_at(self, time: float, speed: float) -> float:
+        """Return where a vehicle of a speed [m/s] is so long after it started at the entry [m]; below 0 before that."""
+        times = self.times(speed)
+        return time * speed if time < 0 else float(np.interp(time, times, np.arange(len(times)) * STEP))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Crossings:
+    """All ways of a world on which other traffic meets the ego's way.
+
+    Attributes:
+        ways: by their names.
+        meetings: for two names in the order of the alphabet, the stretches in which those ways meet each other.
+        ego_start: where along its way the ego starts [m].
+        ego_speed: with which [m/s].
+    """
+
+    ways: Mapping[str, Way]
+    meetings: Mapping[tuple[str, str], tuple[Stretch, Stretch]]
+    ego_start: float
+    ego_speed: float
+
+    @cached_property
+    def zones(self) -> tuple[Zone, ...]:
+        """The zones in the order in which the ego comes to them."""
+        return tuple(sorted((way.zone for way in self.ways.values()), key=lambda zone: (zone.ego, zone.way)))
+
+    def entry(self, instruction: CrossingInstruction, ego: Stretch) -> float:
+        """Return when an NPC is to enter its zone, for when the ego enters and leaves it [s]."""
+        way = self.ways[instruction.zone]
+        enters, leaves = way.zone.npc
+        crossing = way.time_at(leaves, instruction.speed) - way.time_at(enters, instruction.speed)
+        if instruction.slot > 0:
+            return ego[1] + instruction.slot
+        return ego[0] + instruction.slot - crossing if instruction.slot < 0 else (sum(ego) - crossing) / 2
+
+    def planned_entry(self, instruction: CrossingInstruction) -> float:
+        """Return when an NPC is to enter its zone where the ego keeps its first speed [s]; below 0 it cannot."""
+        first, last = self.ways[instruction.zone].zone.ego
+        speed = max(self.ego_speed, 0.1)
+        return self.entry(instruction, ((first - self.ego_start) / speed, (last - self.ego_start) / speed))
+
+    def start(self, instruction: CrossingInstruction) -> float:
+        """Return where along its way an NPC starts that is to keep its slot without a change of speed [m].
+
+        Below 0 the way is too short, and beyond the beginning of its zone the slot is too early.
+        """
+        way = self.ways[instruction.zone]
+        arrives = way.time_at(way.zone.npc[0], instruction.speed)
+        return way.place_at(arrives - self.planned_entry(instruction), instruction.speed)
+
+    def windows(self, instruction: CrossingInstruction, stretch: Stretch) -> Stretch:
+        """Return from when to when an NPC is planned to be in a stretch of its way [s]."""
+        way, entry = self.ways[instruction.zone], self.planned_entry(instruction)
+        first, last = (
+            entry + way.time_at(place, instruction.speed) - way.time_at(way.zone.npc[0], instruction.speed)
+            for place in stretch
+        )
+        if instruction.act == "pass" or last < entry:
+            return first, last
+        return first, math.inf  # it stands at the line, or in the zone, for nobody knows how long
+
+    def clash(self, first: CrossingInstruction, second: CrossingInstruction) -> bool:
+        """Return whether two NPCs are planned to be in one place at nearly the same time."""
+        if first.zone == second.zone:
+            zone = self.ways[first.zone].zone.npc
+            stretches = (zone, zone)
+        elif (first.zone, second.zone) in self.meetings:
+            stretches = self.meetings[first.zone, second.zone]
+        elif (second.zone, first.zone) in self.meetings:
+            stretches = self.meetings[second.zone, first.zone][::-1]
+        else:
+            return False
+        a, b = self.windows(first, stretches[0]), self.windows(second, stretches[1])
+        return a[0] < b[1] + APART and b[0] < a[1] + APART
+
+    def clashes(self, scenario: Scenario) -> tuple[tuple[int, int], ...]:
+        """Return the pairs of NPCs that :meth:`clash`."""
+        told = [(npc, each) for npc, each in enumerate(scenario.crossings) if each is not None]
+        return tuple((a, b) for (a, one), (b, other) in combinations(told, 2) if self.clash(one, other))
