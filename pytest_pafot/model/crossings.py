@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
 from typing import Literal
@@ -59,6 +59,8 @@ class Zone:
         ego, npc: the stretches of the ego's way and of the NPC's [m]; those of a merging zone end where both drive in
             one lane.
         priority: who has it.
+        line: points of the NPC's way from its entry to its exit, x and y [m]; for pictures, and empty where nobody
+            says.
     """
 
     way: str
@@ -67,6 +69,12 @@ class Zone:
     ego: Stretch
     npc: Stretch
     priority: Holder
+    line: tuple[tuple[float, float], ...] = field(default=(), compare=False, repr=False)
+
+    @property
+    def whence(self) -> str:
+        """From where the NPC comes, in words: ``from the left``."""
+        return f"from {'the ' if self.origin in ('left', 'right') else ''}{self.origin}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -188,16 +188,20 @@ class CrossingInstruction:
 
     @property
     def goal(self) -> str:
-        """Where to and when, in words: ``o1>o3 0.5 s after the ego``."""
-        act = {"pass": "", "hold": ", holds at the line", "stop": ", stops there", "late": ", starts late"}[self.act]
-        return f"{self.zone} {self.when}{act}"
+        """Where to and when, in words: ``o1>o3 0.5 s after the ego leaves``."""
+        return ", ".join(filter(None, (f"{self.zone} {self.when}", self.deed)))
 
     @property
     def when(self) -> str:
-        """The slot in words: ``0.5 s after the ego``."""
+        """The slot in words: ``0.5 s after the ego leaves``."""
         if self.slot == 0:
             return "together with the ego"
-        return f"{abs(self.slot):g} s {'after' if self.slot > 0 else 'before'} the ego"
+        return f"{abs(self.slot):g} s {'after the ego leaves' if self.slot > 0 else 'before the ego enters'}"
+
+    @property
+    def deed(self) -> str:
+        """What it does there, in words; empty where it passes."""
+        return {"pass": "", "hold": "holds at the line", "stop": "stops there", "late": "starts late"}[self.act]
 
 
 Gene = PositionInstruction | LaneInstruction | CrossingInstruction
