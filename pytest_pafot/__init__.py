@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pytest_pafot.model.driving_style import Traffic as Traffic
     from pytest_pafot.model.grid import Cell as Cell
     from pytest_pafot.model.scenario import Chromosome as Chromosome
+    from pytest_pafot.model.scenario import CrossingInstruction as CrossingInstruction
     from pytest_pafot.model.scenario import LaneInstruction as LaneInstruction
     from pytest_pafot.model.scenario import PositionInstruction as PositionInstruction
     from pytest_pafot.model.scenario import Scenario as Scenario
@@ -61,6 +62,7 @@ _HOMES = {
     "CheckFailed": "oracle.checks",
     "Chromosome": "model.scenario",
     "Collision": "model.trace",
+    "CrossingInstruction": "model.scenario",
     "Drive": "world",
     "Exploration": "campaign.explore",
     "Highway": "world",

@@ -31,7 +31,7 @@ from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import AdsError, Collision, Outcome, Trace
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Moment, Run
@@ -162,6 +162,7 @@ def sections() -> dict[str, str]:
         "scenario": _fields_table(Scenario),
         "traffic": _traffic_table(),
         "instruction": _fields_table(PositionInstruction),
+        "crossing-instruction": _fields_table(CrossingInstruction),
         "lane-instruction": _fields_table(LaneInstruction),
         "cells": _cells_table(),
         "highway": _fields_table(Highway),

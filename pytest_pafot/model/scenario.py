@@ -497,8 +497,11 @@ def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> t
 def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
     """Return genes of another duration that ask for the same at the same times, as nearly as they can [s, s].
 
-    Each is the one that was due in its middle. Longer ones may skip a cell, so that the chain needs repair.
+    Each is the one that was due in its middle. Longer ones may skip a cell, so that the chain needs repair. An
+    instruction at a zone has no duration.
     """
+    if isinstance(chain[0], CrossingInstruction):
+        return chain
     count = max(1, math.ceil(len(chain) * seconds / wanted - 1e-9))
     return tuple(chain[min(int((gene + 0.5) * wanted / seconds), len(chain) - 1)] for gene in range(count))
 

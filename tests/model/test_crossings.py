@@ -1,0 +1,279 @@
+"""Instructions at a zone, and when and where NPCs are planned to be on their ways."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+import re
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from pytest_pafot.model.crossings import APART, SLOTS, STEP, slot_name
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import (
+    CrossingInstruction,
+    LaneInstruction,
+    PositionInstruction,
+    Scenario,
+    ScenarioError,
+    gene_of,
+    on_grid,
+    retimed,
+)
+from tests.helpers.crossings import junction
+from tests.helpers.tables import table
+
+JUNCTION = junction()
+EACH = 0.002
+"""Duration of a step of the oracle [s]."""
+
+crossings = st.builds(
+    CrossingInstruction,
+    st.sampled_from(sorted(JUNCTION.ways)),
+    st.integers(-50, 50).map(lambda tenths: tenths / 10),
+    st.integers(30, 120).map(lambda tenths: tenths / 10),
+    st.sampled_from(["pass", "hold", "stop", "late"]),
+)
+cells = st.lists(st.integers(1, 8), min_size=1, max_size=4)
+chains = st.lists(crossings.map(lambda one: [one]) | cells, min_size=1, max_size=6)
+
+
+def mixed(npcs):
+    """Chains of instructions from chains of cells."""
+    return [[each if isinstance(each, CrossingInstruction) else one(each) for each in chain] for chain in npcs]
+
+
+def one(cell=2, speed=20.0):
+    return PositionInstruction(cell, speed)
+
+
+def crosses(**changes):
+    return CrossingInstruction(**({"zone": "o1>o3", "slot": 0.5, "speed": 8.6} | changes))
+
+
+class TestInstructions:
+    def test_they_take_plain_and_numpy_numbers_and_keep_pythons(self):
+        gene = CrossingInstruction("o1>o3", np.float64(0.5), np.int64(8))
+        assert gene == CrossingInstruction("o1>o3", 0.5, 8.0, "pass")
+        assert (type(gene.slot), type(gene.speed)) == (float, float)
+        assert len({gene, crosses(speed=8)}) == 1
+
+    @given(st.integers(-50, 50))
+    def test_slots_are_tenths_however_they_were_computed(self, tenths):
+        assert crosses(slot=tenths * 0.1).slot == crosses(slot=tenths / 10).slot == tenths / 10
+
+    def test_no_slot_is_minus_zero(self):
+        assert math.copysign(1, crosses(slot=-0.0).slot) == 1
+
+    @table(
+        ("changes", "message"),
+        [
+            ({"zone": "o1"}, "zone: expected the entry and the exit of a way, such as \"o1>o3\", received 'o1'"),
+            ({"zone": "o1>o3>o2"}, "zone: expected the entry"),
+            ({"zone": "a" * 31 + ">b"}, "zone: expected the entry"),
+            ({"zone": "o1>o 3"}, "zone: expected the entry"),
+            ({"zone": "o1>o3\n"}, "zone: expected the entry"),
+            ({"zone": None}, "zone: expected the entry"),
+            ({"act": "wave"}, "act: expected one of pass, hold, stop, late, received 'wave'"),
+            ({"act": None}, "act: expected one of pass"),
+            ({"slot": 0.55}, "slot: expected seconds in steps of 0.1, received 0.55; the nearest valid slot is"),
+            ({"slot": 5.1}, "slot: expected seconds, at most 5 before or after the ego, received 5.1"),
+            ({"slot": -5.1}, "slot: expected seconds, at most 5"),
+            ({"slot": math.nan}, "slot: expected a finite number"),
+            ({"slot": "1"}, "slot: expected a finite number"),
+            ({"slot": True}, "slot: expected a finite number"),
+            ({"speed": 0}, "speed: expected m/s, more than 0, because it has to arrive, received 0.0; act"),
+            ({"speed": -1}, "speed: expected m/s, at least 0"),
+            ({"speed": 8.65}, "speed: expected m/s, at least 0 and in steps of 0.1"),
+            ({"speed": 1000.1}, "speed: expected m/s, at most 1000"),
+        ],
+    )
+    def test_what_is_wrong_is_refused_by_name(self, changes, message):
+        with pytest.raises(ScenarioError, match="^" + re.escape(message)):
+            crosses(**changes)
+
+    def test_they_say_where_and_when_in_words(self):
+        assert crosses().goal == "o1>o3 0.5 s after the ego"
+        assert crosses(slot=-2, act="hold").goal == "o1>o3 2 s before the ego, holds at the line"
+        assert crosses(slot=0, act="stop").goal == "o1>o3 together with the ego, stops there"
+
+    @table(
+        ("slot", "name"),
+        [(-5, "well before"), (-1, "well before"), (-0.9, "just before"), (-0.1, "just before"), (0, "together"),
+         (0.1, "just after"), (0.9, "just after"), (1.0, "well after"), (5, "well after")],
+    )  # fmt: skip
+    def test_each_slot_is_one_of_five(self, slot, name):
+        assert slot_name(slot) == name
+        assert name in SLOTS
+
+
+class TestScenarios:
+    @given(chains, st.integers(0, 2**40))
+    def test_those_of_both_kinds_survive_repair_texts_and_pickles(self, npcs, seed):
+        scenario = Scenario.repaired(mixed(npcs), seed=seed)
+        assert Scenario.from_canonical(json.loads(scenario.canonical())) == scenario
+        assert pickle.loads(pickle.dumps(scenario)) == scenario
+        assert Scenario.repaired(scenario.npcs, seed=seed + 1).npcs == scenario.npcs
+
+    @given(chains)
+    def test_repair_leaves_those_that_cross_alone_and_others_as_if_they_were_not_there(self, npcs):
+        wanted = mixed(npcs)
+        scenario = Scenario.repaired(wanted, seed=3)
+        on_cells = [chain for chain in wanted if isinstance(chain[0], PositionInstruction)]
+        if on_cells:
+            assert scenario.positions == Scenario.repaired(on_cells, seed=3).npcs
+        assert [len(chain) for chain in scenario.npcs] == [len(chain) for chain in wanted]
+        told = [chain[0] if isinstance(chain[0], CrossingInstruction) else None for chain in wanted]
+        assert list(scenario.crossings or [None] * len(wanted)) == told
+
+    @given(chains, chains)
+    def test_texts_are_equal_exactly_for_equal_scenarios(self, npcs, others):
+        a, b = (Scenario.repaired(mixed(each)) for each in (npcs, others))
+        assert (a.canonical() == b.canonical()) == (a == b)
+
+    def test_the_text_tells_every_part(self):
+        scenario = Scenario(npcs=[[crosses()], [one(2)]])
+        assert scenario.canonical() == '[[[["o1>o3",8.6,0.5,"pass"]],[[2,20.0]]],0,1,22.0,10.0]'
+        others = [crosses(zone="o1>o2"), crosses(slot=0.4), crosses(speed=8.5), crosses(act="hold")]
+        assert len({Scenario(npcs=[[each], [one(2)]]).id for each in (crosses(), *others)}) == 5
+
+    def test_only_those_on_the_grid_have_positions(self):
+        scenario = Scenario(npcs=[[crosses()], [one(2), one(3)], [crosses(slot=-1)]])
+        assert scenario.positions == ((one(2), one(3)),)
+        assert scenario.crossings == (crosses(), None, crosses(slot=-1))
+        assert Scenario(npcs=[[one()]]).crossings == ()
+        assert on_grid(scenario.npcs, [[Cell(2), Cell(3)]]) == [(), [Cell(2), Cell(3)], ()]
+
+    @table(
+        ("npcs", "message"),
+        [
+            ([[crosses(), crosses()]], "npcs[0][1]: expected one CrossingInstruction"),
+            ([[crosses(), one()]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
+            ([[one(), crosses()]], "npcs[0][1]: expected a PositionInstruction like npcs[0][0]"),
+            ([[LaneInstruction("keep", 1)], [crosses()]], "npcs[1][0]: expected a LaneInstruction like npcs[0][0]"),
+            ([[crosses()], [LaneInstruction("keep", 1)]], "npcs[1][0]: expected a CrossingInstruction like"),
+        ],
+    )
+    def test_an_npc_that_crosses_does_nothing_else_and_has_no_lanes_beside_it(self, npcs, message):
+        with pytest.raises(ScenarioError, match=re.escape(message)):
+            Scenario(npcs=npcs)
+
+    def test_an_instruction_at_a_zone_has_no_duration(self):
+        assert retimed((crosses(),), 10.0, 3.0) == (crosses(),)
+
+    def test_the_gene_of_a_text_is_known_by_what_it_has(self):
+        assert gene_of("o1>o3", 8.6, 0.5, "hold") == crosses(act="hold")
+        assert gene_of("left", 8.6) == LaneInstruction("left", 8.6)
+
+
+def driven(way, instruction, start, seconds):
+    """Where an NPC is every few milliseconds that drives from a place on at its speed, or as fast as bends allow."""
+    places, points = [start], np.arange(len(way.speeds)) * STEP
+    while len(places) * EACH < seconds:
+        speed = float(np.interp(places[-1], points, np.minimum(way.speeds, instruction.speed)))
+        places.append(places[-1] + speed * EACH)
+    return np.array(places)
+
+
+def occupied(instruction, stretch, seconds=40.0):
+    """First and last time within a stretch [s], by driving along; None where it starts outside of its way."""
+    way, start = JUNCTION.ways[instruction.zone], JUNCTION.start(instruction)
+    if not 0 <= start <= way.zone.npc[0]:
+        return None
+    places = driven(way, instruction, start, seconds)
+    if instruction.act != "pass":  # nobody knows when it goes on from its line
+        places = np.minimum(places, way.zone.npc[0])
+    inside = np.flatnonzero((places >= stretch[0]) & (places <= stretch[1]))
+    return (inside[0] * EACH, inside[-1] * EACH) if inside.size else (math.inf, -math.inf)
+
+
+@given(crossings)
+def test_whoever_starts_at_its_place_keeps_its_slot_beside_an_ego_that_keeps_its_speed(instruction):
+    way, start = JUNCTION.ways[instruction.zone], JUNCTION.start(instruction)
+    assume(0 <= start <= way.zone.npc[0] - 1)
+    places = driven(way, instruction, start, 40.0)
+    enters, leaves = (np.flatnonzero(places >= place)[0] * EACH for place in way.zone.npc)
+    ego_enters, ego_leaves = ((place - 20.0) / 10.0 for place in way.zone.ego)
+    if instruction.slot > 0:
+        slot = enters - ego_leaves
+    elif instruction.slot < 0:
+        slot = leaves - ego_enters
+    else:
+        slot = (enters + leaves - ego_enters - ego_leaves) / 2
+    assert slot == pytest.approx(instruction.slot, abs=0.1)
+
+
+@given(crossings)
+def test_the_start_is_before_the_way_exactly_where_it_takes_longer_to_the_zone_than_there_is_time(instruction):
+    way, wanted = JUNCTION.ways[instruction.zone], JUNCTION.planned_entry(instruction)
+    places = driven(way, instruction, 0.0, 60.0)
+    needed = np.flatnonzero(places >= way.zone.npc[0])[0] * EACH
+    assume(abs(needed - wanted) > 0.1)
+    assert (JUNCTION.start(instruction) < 0) == (needed < wanted)
+
+
+@given(crossings)
+def test_an_npc_that_passes_is_in_each_stretch_while_it_drives_through_it(instruction):
+    assume(instruction.act == "pass")
+    way = JUNCTION.ways[instruction.zone]
+    for stretch in (way.zone.npc, (way.zone.npc[0] - 3, way.zone.npc[0] + 2)):
+        seen = occupied(instruction, stretch)
+        assume(seen is not None and seen[0] > 0.1)
+        assert JUNCTION.windows(instruction, stretch) == pytest.approx(seen, abs=0.15)
+
+
+def test_an_npc_that_does_not_pass_keeps_its_place_for_good_and_what_is_before_its_line_for_a_while():
+    for act in ("hold", "stop", "late"):
+        assert JUNCTION.windows(crosses(act=act), (90.0, 98.0))[1] == math.inf
+        first, last = JUNCTION.windows(crosses(act=act), (60.0, 70.0))
+        assert last - first == pytest.approx(10 / 8.6)
+
+
+@given(crossings, crossings)
+def test_two_npcs_clash_exactly_where_both_drive_through_one_place_within_the_time_apart(a, b):
+    pairs = [(names, (x, y)) for names, (x, y) in JUNCTION.meetings.items()]
+    pairs += [(names[::-1], (y, x)) for names, (x, y) in pairs]
+    pairs += [((name, name), (way.zone.npc, way.zone.npc)) for name, way in JUNCTION.ways.items()]
+    stretches = dict(pairs).get((a.zone, b.zone))
+    assert JUNCTION.clash(a, b) == JUNCTION.clash(b, a)
+    if stretches is None:
+        assert not JUNCTION.clash(a, b)
+        return
+    assume(a.act == b.act == "pass")
+    one, other = occupied(a, stretches[0]), occupied(b, stretches[1])
+    assume(one is not None and other is not None)
+    apart = max(one[0] - other[1], other[0] - one[1])
+    assume(abs(apart - APART) > 0.2)
+    assert JUNCTION.clash(a, b) == (apart < APART)
+
+
+def test_whoever_stands_in_a_place_clashes_with_all_who_come_later_and_with_nobody_long_before():
+    stands = crosses(slot=1.0, act="stop")
+    assert JUNCTION.clash(stands, crosses(slot=5.0))
+    assert not JUNCTION.clash(stands, crosses(slot=-1.5))
+
+
+@given(st.lists(crossings, min_size=1, max_size=5))
+def test_the_clashes_of_a_scenario_are_those_of_its_pairs(instructions):
+    scenario = Scenario(npcs=[[one()], *[[each] for each in instructions]])
+    told = list(enumerate(instructions, 1))
+    assert list(JUNCTION.clashes(scenario)) == [
+        (i, j) for (i, a), (j, b) in combinations(told, 2) if JUNCTION.clash(a, b)
+    ]
+
+
+def test_zones_come_in_the_order_in_which_the_ego_drives_through_them():
+    assert [zone.way for zone in JUNCTION.zones] == ["o3>o1", "o2>o1", "o1>o3", "o1>o2"]
+
+
+@table(("along", "expected"), [(0.0, 0.0), (24.0, 2.0), (160.0, 160 / 12)])
+def test_times_on_a_way_of_one_speed_are_places_over_speeds(along, expected):
+    way = JUNCTION.ways["o1>o3"]
+    assert way.time_at(along, 50.0) == pytest.approx(expected)
+    assert way.place_at(expected, 50.0) == pytest.approx(along)
+    assert way.length == 160.0
