@@ -215,7 +215,8 @@ class Simplification:
 
     def _confirming(self, scenario: Scenario) -> float:
         """Return the seconds that it will take to confirm a scenario, as long as it took with those before."""
-        return self.loop.recorder.pace * scenario.genes * scenario.gene_seconds
+        longest_run = float(self.loop.simulation.harness.world.longest_run)
+        return self.loop.recorder.pace * min(scenario.seconds, longest_run)
 
     def _shown(self, find_id: str, candidate: Scenario, top_speed: float) -> Shown:
         """Run a candidate: as driven, with the start of each gene, where it fails in the same way as a find."""

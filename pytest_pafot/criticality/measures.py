@@ -141,8 +141,11 @@ def execution_time(trace: Trace) -> float:
 
 
 def planned_duration(trace: Trace) -> float:
-    """Time that the scenario's genes take [s]; a run ends earlier for a reason, or at the world's own limit."""
-    return trace.scenario.genes * trace.scenario.gene_seconds
+    """Time that the scenario's genes take [s]; a run ends earlier for a reason, or at the world's own limit.
+
+    That of the run where an NPC crosses, which has no duration.
+    """
+    return trace.duration if trace.scenario.crossings else trace.scenario.seconds
 
 
 class Encounters(RelativePositions):

@@ -33,6 +33,10 @@ STEP = 0.5
 """Distance of the points of a way [m]."""
 APART = 0.7
 """What is left at least between two NPCs that drive through one place [s]."""
+LENGTH = 5.0
+"""Of a vehicle [m]."""
+BEFORE_LINE, STOPPING = 2.0, 6.0
+"""How far before its zone an NPC waits [m], and with what it can brake for that [m/s^2]."""
 SETTING_OFF = 2.0
 """Acceleration with which a vehicle that has waited is expected to set off [m/s^2]."""
 SLOTS = {"well before": -1.0, "just before": 0.0, "together": 0.0, "just after": 1.0, "well after": math.inf}
@@ -104,6 +108,10 @@ class Way:
         """Return when a vehicle of a speed [m/s] that starts at the entry is at a place [s]."""
         return float(np.interp(along, np.arange(len(self.speeds)) * STEP, self.times(speed)))
 
+    def speed_at(self, along: float) -> float:
+        """Return the highest speed at a place [m/s]."""
+        return float(np.interp(along, np.arange(len(self.speeds)) * STEP, self.speeds))
+
     def place_at(self, time: float, speed: float) -> float:
         """Return where a vehicle of a speed [m/s] is so long after it started at the entry [m]; below 0 before that."""
         times = self.times(speed)
@@ -155,6 +163,18 @@ class Crossings:
         arrives = way.time_at(way.zone.npc[0], instruction.speed)
         return way.place_at(arrives - self.planned_entry(instruction), instruction.speed)
 
+    def fits(self, instruction: CrossingInstruction) -> bool:
+        """Return whether an NPC can keep its slot: its way exists, and it starts on it and before its zone.
+
+        One that is to wait has to start where it can still stop before the line.
+        """
+        way = self.ways.get(instruction.zone)
+        if way is None:
+            return False
+        waits = instruction.act in ("hold", "late")
+        room = BEFORE_LINE + instruction.speed**2 / (2 * STOPPING) if waits else 0.0
+        return 0 <= self.start(instruction) <= way.zone.npc[0] - room
+
     def windows(self, instruction: CrossingInstruction, stretch: Stretch) -> Stretch:
         """Return from when to when an NPC is planned to be in a stretch of its way [s]."""
         way, entry = self.ways[instruction.zone], self.planned_entry(instruction)
@@ -167,7 +187,7 @@ class Crossings:
         return first, math.inf  # it stands at the line, or in the zone, for nobody knows how long
 
     def clash(self, first: CrossingInstruction, second: CrossingInstruction) -> bool:
-        """Return whether two NPCs are planned to be in one place at nearly the same time."""
+        """Return whether two NPCs are planned to be in one place nearly at once, or to overtake in one lane."""
         if first.zone == second.zone:
             zone = self.ways[first.zone].zone.npc
             stretches = (zone, zone)
@@ -177,8 +197,26 @@ class Crossings:
             stretches = self.meetings[second.zone, first.zone][::-1]
         else:
             return False
+        if first.zone.split(">")[0] == second.zone.split(">")[0] and self._crowd(first, second, stretches[0][0]):
+            return True
         a, b = self.windows(first, stretches[0]), self.windows(second, stretches[1])
         return a[0] < b[1] + APART and b[0] < a[1] + APART
+
+    def _crowd(self, first: CrossingInstruction, second: CrossingInstruction, until: float) -> bool:
+        """Return whether two NPCs that share their lane up to a place [m] start too close, or one overtakes the other.
+
+        The slower one needs longer for any stretch, so that the times between them are extreme at its two ends.
+        """
+        since = max(0.0, self.start(first), self.start(second))
+        order = set()
+        for place in (since, max(since, until)):
+            (a, _), (b, _) = (self.windows(each, (place, place)) for each in (first, second))
+            behind = first if a > b else second
+            speed = min(behind.speed, self.ways[behind.zone].speed_at(place))
+            if abs(a - b) < APART + LENGTH / max(speed, 0.1):
+                return True
+            order.add(a > b)
+        return len(order) > 1
 
     def clashes(self, scenario: Scenario) -> tuple[tuple[int, int], ...]:
         """Return the pairs of NPCs that :meth:`clash`."""

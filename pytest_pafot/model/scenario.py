@@ -344,6 +344,11 @@ class Scenario:
         return max(map(len, self.npcs))
 
     @property
+    def seconds(self) -> float:
+        """How long the longest chain lasts [s]; without end where an NPC crosses, which knows no duration."""
+        return math.inf if self.crossings else self.genes * self.gene_seconds
+
+    @property
     def id(self) -> str:
         """Six hexadecimal digits of a digest of all fields; equal scenarios have equal ids."""
         return hashlib.sha256(self.canonical().encode()).hexdigest()[:6]

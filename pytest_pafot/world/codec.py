@@ -178,7 +178,7 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Wor
         return world
     for what, asked, most in (
         ("decisions", protocol.hang_limit(world), protocol.hang_limit(own)),
-        ("runs", min(world.longest_run, scenario.genes * scenario.gene_seconds), own.longest_run),
+        ("runs", min(world.longest_run, scenario.seconds), own.longest_run),
     ):
         if asked > most + 1e-9:
             expected, received = f"{what} of at most {most:g} s, as in the world that the test names", f"{asked:g} s"
@@ -206,7 +206,7 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapp
         config, longest = data.get("config"), _longest(data, own)
         given = data.get("duration"), config.get("duration") if isinstance(config, Mapping) else None
         asked = next((each for each in given if isinstance(each, (int, float))), LONGEST_RUN)
-        if min(asked, scenario.genes * scenario.gene_seconds) > longest + 1e-9:
+        if min(asked, scenario.seconds) > longest + 1e-9:
             limits["duration"] = longest
     return {**data, **limits}
 

@@ -122,7 +122,7 @@ class Rules:
 
     def ticks(self, scenario: Scenario) -> int:
         """Physics steps of a run that nothing ends early."""
-        return int(min(self.duration, scenario.genes * scenario.gene_seconds) * self.physics_hz + 1e-9)
+        return int(min(self.duration, scenario.seconds) * self.physics_hz + 1e-9)
 
 
 def ego_start(headway: float, clearance: float) -> float:
