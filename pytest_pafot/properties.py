@@ -28,7 +28,7 @@ from pytest_pafot.attribution.needless_braking import (
     hard_braking,
     reasons,
 )
-from pytest_pafot.attribution.responsibility import DISTANCES
+from pytest_pafot.attribution.responses import DISTANCES
 from pytest_pafot.criticality import RoadFrame, RssRules, longitudinal_gap
 from pytest_pafot.criticality.signals import Signal
 from pytest_pafot.model.trace import LANE, OFFSET, FloatArray, X, Y

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import pytest_pafot as pafot
 from pytest_pafot import properties
 from pytest_pafot.attribution.needless_braking import braking, reasons
-from pytest_pafot.attribution.responsibility import DISTANCES
+from pytest_pafot.attribution.responses import DISTANCES
 from pytest_pafot.criticality import RoadFrame, RssRules
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, AdsError, Outcome
 from pytest_pafot.oracle.checks import Recording, recorded

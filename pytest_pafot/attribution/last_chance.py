@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_pafot.attribution.responsibility import FOLLOWING, Fault, is_ego_responsible
+from pytest_pafot.attribution.responses import FOLLOWING
+from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
 from pytest_pafot.attribution.sentences import avoidance_sentence, last_chance_sentence
 from pytest_pafot.model.trace import ACCELERATION, STEERING, Outcome, Trace
 

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from pytest_pafot.attribution.avoidance import HARDEST, SPED_UP, Braking, Emergency, Pursuit, last_slowest
+from pytest_pafot.attribution.avoidance import SPED_UP, Braking, Pursuit
 from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces, first_lasting
 from pytest_pafot.attribution.needless_braking import (
     AFTERMATH_SECONDS,
@@ -28,8 +28,19 @@ from pytest_pafot.attribution.needless_braking import (
     long_stop,
     reasons,
 )
+from pytest_pafot.attribution.responses import (
+    BRAKES,
+    CUT_OFF,
+    DISTANCES,
+    EMERGENCY,
+    FOLLOWING,
+    HEADWAY,
+    HELD,
+    answer,
+    room_to_leave,
+)
 from pytest_pafot.attribution.sentences import Fact, Reason, What, sentences
-from pytest_pafot.criticality import RoadFrame, RssRules
+from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.trace import LANE, Trace
 
 Responsibility = Literal["ego", "npc", "both", "none"]
@@ -39,34 +50,6 @@ Fault = Literal["entered-lane", "cut-in-unanswered", "leader-unanswered", "brake
 """What the ego answers for: it changed lanes into somebody's way; it did not respond properly to a cut-in, or to a
 vehicle ahead in its lane; it braked hard, or stopped, with nothing in its way."""
 
-DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=6.0, hardest_braking=8.0)
-"""The safe distances of attribution. The usual two seconds behind a leader of equal speed must never be a fault: with
-these values they are safe up to 48 m/s (v + v^2 / 48 <= 2 v). Speeding up during the response time, which RSS counts
-with, would ask for more than that; a follower that does so has to answer for it through the distance itself. A leader
-brakes with at most 8 m/s^2, the hardest that NPCs can; a follower with at least 6 m/s^2, what UN R157 5.2.5.2 takes for
-granted of a system that must avoid. Lateral values are the defaults of :class:`~pytest_pafot.criticality.RssRules`."""
-
-FOLLOWING = Braking(delay=1.0, deceleration=HARDEST)
-"""The proper response of the one behind in a lane: that of RSS, with the numbers of :data:`DISTANCES`."""
-
-CUT_OFF = Braking(delay=1.4, deceleration=3.0, perception=0.4, headway=1.0)
-"""The proper response of one that was cut off, unless it is an emergency: no harsh braking (UN R157, 5.2.3.3), but
-what a lane change may ask of others (UN R79, 5.6.4.7: 3 m/s^2, and a second behind). The delay is the careful and
-competent driver's (UN R157, annex 4, appendix 3): 0.4 s to perceive the risk, 0.75 s until the brakes act, and half the
-time in which they build up."""
-
-EMERGENCY = Emergency(
-    time_to_contact=2.0, leader_braking=5.0, perception=0.4, braking=Braking(delay=1.4, deceleration=HARDEST)
-)
-"""When the one that was cut off has to brake hard: the careful and competent driver's criteria."""
-
-HELD = Braking(delay=0.0, deceleration=HARDEST)
-"""What is left to one that brakes already: to go on."""
-
-GIVING_WAY = Braking(delay=0.4, deceleration=3.0)
-"""What a lane change may ask of the one behind in the other lane (UN R79, 5.6.4.7)."""
-HEADWAY = 1.0
-"""What is to be left between the two when the one behind has slowed down, in seconds of the mover's driving [s]."""
 TOGETHER = 1.0
 """Two that crossed into one lane within that time both did [s]."""
 SOON = 5.0
@@ -97,8 +80,6 @@ DROVE_ON = 1.0
 BRAKED_VISIBLY = 3.0
 BRAKED_BEFORE = 1.0
 """A leader's braking is told where it is at least so hard [m/s^2], and up to so long before what else is told [s]."""
-BRAKES = 0.5
-"""What reasons call braking, at least [m/s^2]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -174,13 +155,15 @@ def position_rule(trace: Trace) -> Responsibility:
     """The rule of the authors' released code: by where the NPC was at the impact. A second opinion.
 
     An ego at 0.1 m/s or less is never responsible; otherwise it is when the NPC was ahead of it, in cell 1, 2
-    or 3; an NPC beside or behind the ego is responsible itself. The paper itself counts collisions without a split.
+    or 3; an NPC beside or behind the ego is responsible itself. Of an NPC that was not on the ego's way, and so in no
+    cell, the side of the ego that was hit says where it was: at the front it was ahead. The paper itself counts
+    collisions without a split.
     """
-    if trace.collision is None:
+    hit = trace.collision
+    if hit is None:
         return "none"
-    if trace.collision.ego_speed <= STANDING_SPEED or trace.collision.cell.row <= 0:
-        return "npc"
-    return "ego"
+    was_ahead = hit.side == "front" if hit.cell is None else hit.cell.row > 0
+    return "ego" if was_ahead and hit.ego_speed > STANDING_SPEED else "npc"
 
 
 @lru_cache(maxsize=1)
@@ -406,9 +389,7 @@ class Conflict:
     def _room(self, tick: int, speed: float, behind: int | None = None) -> float:
         """What a lane change at some speed ahead of another has to leave at a tick [m] (UN R79, 5.6.4.7)."""
         follower = self._frame.speed[self._npc + 1 if behind is None else behind, tick]
-        faster = max(float(follower) - speed, 0.0)
-        slowing_down = faster * GIVING_WAY.delay + faster**2 / (2 * GIVING_WAY.deceleration)
-        return max(slowing_down + speed * HEADWAY, 0.0)
+        return room_to_leave(float(follower), speed)
 
     def _lowest(self, change: LaneChange) -> float:
         """Speed of the ego during its lane change [m/s]: who slows down in it asks more of the one behind."""
@@ -605,19 +586,7 @@ class Conflict:
 
     def _answer(self, vehicle: int, since: int, response: Braking = FOLLOWING) -> Fact:
         """When the one behind was due to brake, of what there was to answer since a tick, and what it did."""
-        due = since + round(response.delay * self._hz)
-        due_s = self._at(due) if due < self._end else None
-        speed = self._frame.speed[vehicle, since : self._end + 1]
-        lowest = last_slowest(speed)
-        low, high, last = float(speed[lowest]), float(speed[lowest:].max()), float(speed[-1])
-        if last > low + SPED_UP and last >= high - SPED_UP:  # that came last, whatever it had done before
-            return Fact(What.SPED_UP, vehicle, self._at(since + lowest), due_s=due_s, speed_m_per_s=high)
-        slowed = braking(self._trace, vehicle)[since + 1 : self._end + 1]
-        braked = np.flatnonzero(slowed >= BRAKES)
-        if braked.size:
-            at, peak = self._at(since + int(braked[0])), float(slowed.max())
-            return Fact(What.BRAKED, vehicle, at, due_s=due_s, braking_m_per_s2=peak)
-        return Fact(What.DID_NOT_BRAKE, vehicle, self._at(since), due_s=due_s)
+        return answer(self._trace, vehicle, self._frame.speed[vehicle], since, response)
 
     def _at(self, tick: int) -> float:
         """Time of a tick [s]."""

@@ -24,7 +24,7 @@ from types import MappingProxyType
 
 from pytest_pafot.attribution.lane_changes import KEEPING
 from pytest_pafot.attribution.last_chance import STEADY_BRAKING
-from pytest_pafot.attribution.responsibility import EMERGENCY, FOLLOWING
+from pytest_pafot.attribution.responses import EMERGENCY, FOLLOWING
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 GRAVITY = 9.81

@@ -7,7 +7,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.needless_braking import Stop, hard_braking
-from pytest_pafot.attribution.responsibility import DISTANCES, Conflict, is_ego_responsible, position_rule, rss_rule
+from pytest_pafot.attribution.responses import DISTANCES
+from pytest_pafot.attribution.responsibility import Conflict, is_ego_responsible, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import Fact, What, avoidance_sentence, responsible_sentence, sentences
 from pytest_pafot.criticality import rss_longitudinal
 from pytest_pafot.model.grid import Cell
