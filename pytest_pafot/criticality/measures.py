@@ -85,7 +85,8 @@ def ego_follows(trace: Trace) -> npt.NDArray[np.bool_]:
     """Whether the ego is the follower of the pair: the NPC's centre is level with its own or ahead, along the road.
 
     The road's direction is that of the ego's lane (of the last lane where the ego is off the road). On roads that are
-    not straight, ahead is what comes later on the ego's way (:attr:`pytest_pafot.Trace.track`).
+    not straight, ahead is what comes later on the ego's way (:attr:`pytest_pafot.Trace.track`). False for an NPC that
+    is not on the ego's way: neither follows the other.
     """
     return Encounters(trace).ego_follows.T
 
@@ -94,7 +95,8 @@ def safety_distance(trace: Trace) -> FloatArray:
     """SD of the paper (equation 5 with t = 3 s) [m]: by how much the follower gains on the leader within t.
 
     (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:func:`ego_follows`) and 2 the leader. The
-    distance that the follower has to keep, so higher asks for more; negative where the leader pulls away.
+    distance that the follower has to keep, so higher asks for more; negative where the leader pulls away. NaN where the
+    NPC is not on the ego's way.
     """
     return Encounters(trace).safety_distance.T
 
@@ -102,7 +104,8 @@ def safety_distance(trace: Trace) -> FloatArray:
 def min_safety_distance(trace: Trace) -> float:
     """The smallest :func:`safety_distance` of the run [m], which is what the paper's fitness minimises.
 
-    Taken as it is, it rewards leaders that pull away; :func:`safety_shortfall` is the reading that does not.
+    Taken as it is, it rewards leaders that pull away; :func:`safety_shortfall` is the reading that does not. Only of
+    NPCs while they are on the ego's way; infinite where none ever is.
     """
     return Encounters(trace).min_safety_distance
 
@@ -110,7 +113,8 @@ def min_safety_distance(trace: Trace) -> float:
 def safety_shortfall(trace: Trace) -> FloatArray:
     """Share of the safety distance that is missing, clip((SD - gap) / SD, 0, 1); higher is worse.
 
-    0 where ego and NPC are not in the same lane (by their centres), and where SD <= 0; 1 at contact.
+    0 where ego and NPC are not in the same lane (by their centres), as an NPC that crosses, and where SD <= 0; 1 at
+    contact.
     """
     return Encounters(trace).safety_shortfall.T
 
@@ -123,9 +127,9 @@ def max_safety_shortfall(trace: Trace) -> float:
 def required_deceleration(trace: Trace) -> FloatArray:
     """Constant deceleration with which the follower just avoids the leader, who keeps its speed [m/s^2].
 
-    Higher is worse; (v1 - v2)^2 / (2 gap) while closing in the same lane, else 0; infinite at contact while
-    closing. Source: deceleration rate to avoid a crash, DRAC (Cooper and Ferguson 1976; in the review of
-    Westhofen et al. 2022).
+    Higher is worse; (v1 - v2)^2 / (2 gap) while closing in the same lane, else 0, also for an NPC that crosses;
+    infinite at contact while closing. Source: deceleration rate to avoid a crash, DRAC (Cooper and Ferguson 1976; in
+    the review of Westhofen et al. 2022).
     """
     return Encounters(trace).required_deceleration.T
 
@@ -177,12 +181,12 @@ class Encounters(RelativePositions):
 
     @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:
-        """Whether the NPC's centre is level with the ego's or ahead of it, along the road."""
+        """Whether the NPC's centre is level with the ego's or ahead of it, along the road; False off the ego's way."""
         return self.ahead >= 0
 
     @cached_property
     def gain(self) -> FloatArray:
-        """Speed of the follower minus that of the leader [m/s]."""
+        """Speed of the follower minus that of the leader [m/s]; NaN off the ego's way."""
         return self._follower_minus_leader(self.speed)
 
     @cached_property
@@ -220,7 +224,10 @@ class Encounters(RelativePositions):
 
     @cached_property
     def safety_distance(self) -> FloatArray:
-        """By how much the follower gains on the leader within 3 s, as in the paper [m]; higher asks for more."""
+        """By how much the follower gains on the leader within 3 s, as in the paper [m]; higher asks for more.
+
+        NaN off the ego's way.
+        """
         t = MANOEUVRE_SECONDS
         return self.gain * t + self._follower_minus_leader(self.column(ACCELERATION)) * (t * t / 2)
 
@@ -264,8 +271,8 @@ class Encounters(RelativePositions):
 
     @property
     def min_safety_distance(self) -> float:
-        """Least :attr:`safety_distance` of the run [m]."""
-        return _lowest(self.safety_distance)
+        """Least :attr:`safety_distance` of the run, on the ego's way [m]; inf if nobody ever is."""
+        return _lowest(np.where(self.is_on_way, self.safety_distance, np.inf))
 
     @property
     def max_safety_shortfall(self) -> float:
@@ -286,7 +293,8 @@ class Encounters(RelativePositions):
 
     def _follower_minus_leader(self, values: FloatArray) -> FloatArray:
         ego_minus_npc = values[:1] - values[1:]
-        return np.where(self.ego_follows, ego_minus_npc, -ego_minus_npc)
+        gain: FloatArray = np.where(self.ego_follows, ego_minus_npc, -ego_minus_npc)
+        return gain if self._track is None else np.where(self.is_on_way, gain, np.nan)
 
 
 def _lowest(values: FloatArray) -> float:

@@ -6,6 +6,9 @@ of a collision, the explanation of a run and the report page share. *Ahead* is a
 follows from the two, see :func:`pytest_pafot.model.grid.cell_at`: rows are as long as the ego, columns as wide as its
 lane.
 
+An NPC that crosses is on the ego's way only for a while, if ever. While it is not, nothing here says where it is:
+distances are NaN, it is in no cell and in nobody's lane.
+
 Source of the grid: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Modelling Target Positions).
 """
 
@@ -14,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import takewhile
 from typing import Any, TypeVar
 
 import numpy as np
@@ -69,9 +73,16 @@ class RelativePositions:
             heading = np.array(headings)[self.column(LANE)[:1].astype(np.intp)]
         return np.cos(heading), np.sin(heading)
 
+    @cached_property
+    def is_on_way(self) -> npt.NDArray[np.bool_]:
+        """Whether each NPC is on the ego's way; False for one that crosses, but after a merge, and True for others."""
+        is_there = np.ones((self._states.shape[1] - 1, len(self._states)), dtype=np.bool_)
+        # A world of the user's own may record NaN for a vehicle, too. Then nobody knows, which must show as NaN.
+        return is_there if self._track is None else ~np.isnan(self._track[:, 1:, ALONG].T) | np.isnan(self.x[1:])
+
     @property
     def ahead(self) -> FloatArray:
-        """How far each NPC's centre is ahead of the ego's [m], negative behind it.
+        """How far each NPC's centre is ahead of the ego's [m], negative behind it; NaN off the ego's way.
 
         Along the straight road; on one that bends, the difference of the places on the ego's way times the mean of the
         metres that the two drive per metre of it. In a circle that is the arc halfway between theirs.
@@ -82,19 +93,21 @@ class RelativePositions:
     def right(self) -> FloatArray:
         """How far each NPC's centre is to the right of the ego's, across the road [m], negative to the left.
 
+        NaN off the ego's way.
+
         On a road that bends, the difference of the distances to the ego's way, each taken where the vehicle is itself.
         """
         return self._offset[1]
 
     @cached_property
     def same_lane(self) -> npt.NDArray[np.bool_]:
-        """Whether the centres of ego and NPC are in one lane of the road."""
+        """Whether the centres of ego and NPC are in one lane of the road, and the NPC is on the ego's way."""
         lane = self.column(LANE)
         same: npt.NDArray[np.bool_] = (lane[1:] == lane[:1]) & (lane[:1] >= 0)
-        return same
+        return same if self._track is None else same & self.is_on_way
 
     def cell(self, npc: int, tick: int) -> Cell | None:
-        """The cell that an NPC's centre is in, None for the ego's own.
+        """The cell that an NPC's centre is in, None for the ego's own and off the ego's way.
 
         A column is as wide as the ego's lane then, or as the first lane where the ego is on none.
         """
@@ -108,8 +121,12 @@ class RelativePositions:
         return cell_at(ahead, right, float(self._sizes[0, 0]), self._lanes[max(lane, 0)].width)
 
     def last_cell(self, npc: int, tick: int) -> Cell | None:
-        """The last cell up to a tick that an NPC's centre was in beside the ego's own; None if there was none."""
-        cells = (self.cell(npc, each) for each in range(tick, -1, -1))
+        """The last cell up to a tick that an NPC's centre was in beside the ego's own; None if there was none.
+
+        None as well off the ego's way, and where the NPC came on that way in the ego's own cell.
+        """
+        ticks = takewhile(lambda each: self.is_on_way[npc, each], range(tick, -1, -1))
+        cells = (self.cell(npc, each) for each in ticks)
         return next((cell for cell in cells if cell is not None), None)
 
     @cached_property

@@ -4,7 +4,7 @@ Source: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalabl
 arXiv:1708.06374, 2017: safe longitudinal distance for the same direction, safe lateral distance. A pair is in
 danger where both gaps are below their safe distance. All is measured along and across the road's direction
 at the ego, that of its lane; on roads that are not straight along and across the ego's way, as far as the vehicles
-drive there.
+drive there. An NPC that crosses has neither gaps nor safe distances while it is not on that way: all are NaN.
 """
 
 from __future__ import annotations
@@ -99,20 +99,22 @@ class RoadFrame:
     """Positions and velocities along and across the road, shape [vehicles or NPCs, ticks + 1].
 
     Attributes:
+        is_on_way: whether each NPC is on the ego's way, see :class:`~pytest_pafot.criticality.RelativePositions`.
         ahead, right: of the NPC's centre from the ego's [m].
         cos, sin: of each vehicle's angle to the road, where it is itself.
         speed: of each vehicle, along the road [m/s].
         drift: of each vehicle, to the right of the road, as it has moved since the tick before, slip included; at the
-            first tick by where it points [m/s].
+            first tick, also on the ego's way, by where it points [m/s].
         half_along, half_across: half extents of each box [m].
 
-    Gaps and safe distances have the shape [ticks + 1, NPCs].
+    Gaps and safe distances have the shape [ticks + 1, NPCs]. All that is of an NPC is NaN while it is not on the ego's
+    way.
     """
 
     def __init__(self, trace: Trace) -> None:
         encounters = Encounters(trace)
         boxes = encounters.boxes
-        self.ahead, self.right = encounters.ahead, encounters.right
+        self.is_on_way, self.ahead, self.right = encounters.is_on_way, encounters.ahead, encounters.right
         if trace.track is None:
             road_cos, road_sin = encounters.road
             self.cos, self.sin = (
@@ -130,7 +132,8 @@ class RoadFrame:
         self.speed, self.drift = speed * self.cos, speed * self.sin
         before = slice(-1) if road_cos.shape[1] > 1 else slice(None)
         right = np.diff(encounters.y) * road_cos[:, before] - np.diff(encounters.x) * road_sin[:, before]
-        self.drift[:, 1:] = right * trace.physics_hz
+        stays = np.vstack((np.ones_like(self.is_on_way[:1, 1:]), self.is_on_way[:, :-1] & self.is_on_way[:, 1:]))
+        np.copyto(self.drift[:, 1:], right * trace.physics_hz, where=stays)
         cos, sin = np.abs(self.cos), np.abs(self.sin)
         self.half_along = boxes.half_length * cos + boxes.half_width * sin
         self.half_across = boxes.half_length * sin + boxes.half_width * cos

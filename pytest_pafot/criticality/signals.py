@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from pytest_pafot.criticality.measures import Encounters
 from pytest_pafot.criticality.rss import longitudinal_gap
+from pytest_pafot.criticality.zones import Passage, passages, time_advantage
+from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, FloatArray, Trace
 
 if TYPE_CHECKING:
@@ -161,7 +163,7 @@ class Measure:
 def leader(trace: Trace) -> npt.NDArray[np.intp]:
     """Index of the NPC ahead of the ego in its lane at each tick, by their centres; -1 without one.
 
-    The nearest one, shape [ticks + 1].
+    The nearest one, shape [ticks + 1]. An NPC that crosses is none before it has merged into the ego's way.
     """
     encounters = Encounters(trace)
     is_ahead = encounters.same_lane & ~(encounters.ahead < 0)
@@ -234,8 +236,8 @@ def ego_lane_changes(trace: Trace) -> tuple[EgoLaneChange, ...]:
 
 
 def _lane_change(trace: Trace, before: int, tick: int) -> EgoLaneChange:
-    lane, ahead = trace.states[tick, :, LANE], Encounters(trace).ahead[:, tick]
-    gap, is_there = longitudinal_gap(trace)[tick], lane[1:] == lane[0]
+    encounters, lane = Encounters(trace), trace.states[tick, :, LANE]
+    gap, ahead, is_there = longitudinal_gap(trace)[tick], encounters.ahead[:, tick], encounters.same_lane[:, tick]
     return EgoLaneChange(
         tick=tick,
         time=tick / trace.physics_hz,
@@ -264,6 +266,10 @@ def _encounter(name: str, trace: Trace) -> FloatArray:
     return values
 
 
+def _time_advantage(trace: Trace) -> FloatArray:
+    return time_advantage(trace).T
+
+
 _speed, _acceleration, _lane = (partial(_column, index) for index in (SPEED, ACCELERATION, LANE))
 _TURNING = "speed times the turning rate of the heading since the tick before, positive to the right"
 _JERK = "change of the acceleration since the tick before, per second; 0 at the first tick"
@@ -282,13 +288,16 @@ MEASURES = (
     Measure("npcs.speed", "m/s", "neither", "as recorded", partial(_of_npcs, _speed)),
     Measure("npcs.acceleration", "m/s^2", "neither", "as recorded", partial(_of_npcs, _acceleration)),
     Measure("npcs.lane", "", "neither", "as the ego's", partial(_of_npcs, _lane)),
-    Measure("npcs.ahead", "m", "neither", f"how far it is ahead of the ego {_ROAD}; negative behind",
-            partial(_encounter, "ahead")),
-    Measure("npcs.right", "m", "neither", "how far it is to the right of the ego across the road, between the centres",
-            partial(_encounter, "right")),
+    Measure("npcs.ahead", "m", "neither", f"how far it is ahead of the ego {_ROAD}; negative behind, NaN while it "
+            "crosses", partial(_encounter, "ahead")),
+    Measure("npcs.right", "m", "neither", "how far it is to the right of the ego across the road, between the centres; "
+            "NaN while it crosses", partial(_encounter, "right")),
     Measure("npcs.gap", "m", "low", "between its box and the ego's; 0 at contact", partial(_encounter, "gap")),
     Measure("npcs.ttc", "s", "low", "time to contact with the ego at constant velocity, of the boxes; inf if there is "
             "none (Hayward 1972)", partial(_encounter, "ttc")),
+    Measure("npcs.time_advantage", "s", "low", "from when one of it and the ego will leave the zone where their ways "
+            "meet until the other comes, if both keep their speed; 0 if both are to be there at once, inf if one never "
+            "comes, and without a zone (Laureshyn and others 2010)", _time_advantage),
 )  # fmt: skip
 """What a run measures by itself, by the names that lead there: ``run.headway``, ``run.ego.jerk``, ``run.npcs[0].ttc``.
 
@@ -322,10 +331,12 @@ class Signals:
         return Signal(row, hz=self.trace.physics_hz, name=name, unit=measure.unit)
 
     def all(self) -> Iterator[Signal]:
-        """Each measure of :data:`MEASURES`, of each NPC."""
+        """Each measure of :data:`MEASURES`, of each NPC; those at a zone only of NPCs that have one."""
         npcs = range(self.trace.states.shape[1] - 1)
+        crossing = [npc for npc, zone in enumerate(self.trace.zones) if zone is not None]
         for measure in MEASURES:
-            of_whom = npcs if measure.name.startswith(NpcSignals._of) else (None,)
+            of_npcs = crossing if measure.function is _time_advantage else npcs
+            of_whom = of_npcs if measure.name.startswith(NpcSignals._of) else (None,)
             yield from (self.of(measure, npc) for npc in of_whom)
 
     @property
@@ -348,7 +359,8 @@ class _Vehicle:
         self._signals, self._npc = signals, npc
 
     def __dir__(self) -> list[str]:
-        return [name.removeprefix(self._of) for name in BY_NAME if name.startswith(self._of)]
+        more = [name for name, value in vars(type(self)).items() if isinstance(value, property)]
+        return [*(name.removeprefix(self._of) for name in BY_NAME if name.startswith(self._of)), *more]
 
     if not TYPE_CHECKING:  # type checkers know every name
 
@@ -382,3 +394,15 @@ class NpcSignals(_Vehicle):
     right: Signal
     gap: Signal
     ttc: Signal
+    time_advantage: Signal
+
+    @property
+    def zone(self) -> Zone | None:
+        """The zone in which its way meets the ego's; None for one on the grid."""
+        passage = self.passage
+        return None if passage is None else passage.zone
+
+    @property
+    def passage(self) -> Passage | None:
+        """When it and the ego were in that zone, and how much time was between them; None for one on the grid."""
+        return passages(self._signals.trace)[self._npc or 0]

@@ -1,0 +1,112 @@
+"""What happens at the zones in which the ways of NPCs meet the ego's: who is in them when, and how narrowly they pass.
+
+Places are those of :class:`~pytest_pafot.model.crossings.Zone`, so that somebody is in a zone from when its box could
+touch that of somebody who drives there on the other way, until it no longer could.
+
+Sources: Allen, Shin, Cooper, "Analysis of traffic conflicts and collisions", Transportation Research Record 667, 1978,
+for post-encroachment time; Laureshyn, Svensson, Hyden, "Evaluation of traffic safety, based on micro-level behavioural
+data", Accident Analysis and Prevention 42, 2010, for time advantage, which is that time as one expects it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_pafot.model.crossings import Stretch, Zone
+from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Trace
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Passage:
+    """When the ego and an NPC were in the zone in which their ways meet.
+
+    Attributes:
+        npc: index in the scenario.
+        zone: in which the two ways meet.
+        ego_enters, ego_leaves, npc_enters, npc_leaves: the first tick at which a centre was there [s]; inf where the
+            run was over before.
+    """
+
+    npc: int
+    zone: Zone
+    ego_enters: float
+    ego_leaves: float
+    npc_enters: float
+    npc_leaves: float
+
+    @property
+    def post_encroachment_time(self) -> float:
+        """From when one of them left the zone until the other one entered it [s]; lower is worse.
+
+        0 where both were in it at once, inf where one of them never came.
+        """
+        if math.inf in (self.ego_enters, self.npc_enters):
+            return math.inf
+        return max(self.npc_enters - self.ego_leaves, self.ego_enters - self.npc_leaves, 0.0)
+
+
+def passages(trace: Trace) -> tuple[Passage | None, ...]:
+    """Return for each NPC how it and the ego passed the zone of both; None for one on the grid."""
+    none = (None,) * (trace.states.shape[1] - 1)
+    return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(trace.zones or none))
+
+
+def time_advantage(trace: Trace) -> FloatArray:
+    """Post-encroachment time at the zone of ego and NPC as it will be if both keep their speed [s]; lower is worse.
+
+    Shape [ticks + 1, NPCs]. 0 where they would be in the zone at once, inf where one of them would never come to it,
+    and for an NPC on the grid. Once one of them is in the zone, or has left it, the time at which it was counts.
+    """
+    advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
+    for npc, zone in enumerate(trace.zones):
+        if zone is None:
+            continue
+        ego, other = (
+            [_seconds_to(place, along, trace.states[:, vehicle, SPEED], trace.physics_hz) for place in stretch]
+            for vehicle, along, stretch in _ways(trace, npc, zone)
+        )
+        with np.errstate(invalid="ignore"):  # inf - inf, of who never comes
+            gap = np.maximum(other[0] - ego[1], ego[0] - other[1])
+        is_alone = np.isposinf(ego[0]) | np.isposinf(other[0])
+        advantage[:, npc] = np.where(is_alone, np.inf, np.maximum(gap, 0.0))
+    return advantage
+
+
+def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
+    if zone is None:
+        return None
+    enters_and_leaves = [
+        [_first_at(place, along) / trace.physics_hz for place in stretch]
+        for _, along, stretch in _ways(trace, npc, zone)
+    ]
+    (ego_enters, ego_leaves), (npc_enters, npc_leaves) = enters_and_leaves
+    return Passage(
+        npc=npc, zone=zone, ego_enters=ego_enters, ego_leaves=ego_leaves, npc_enters=npc_enters, npc_leaves=npc_leaves
+    )
+
+
+def _ways(trace: Trace, npc: int, zone: Zone) -> tuple[tuple[int, FloatArray, Stretch], ...]:
+    """Of the ego and of an NPC the index of the vehicle, where it is along its own way [m], and the zone's stretch."""
+    if trace.on_way is None:
+        raise ValueError("on_way: expected the places of NPCs that cross, as the trace has zones, received None")
+    return (0, trace.track_of(0)[:, ALONG], zone.ego), (npc + 1, trace.on_way[:, npc], zone.npc)
+
+
+def _first_at(place: float, along: FloatArray) -> float:
+    """The first tick at which somebody was at a place; inf where it never was, NaN where nobody knows."""
+    if np.isnan(along).any():
+        return math.nan
+    ticks = np.flatnonzero(along >= place)
+    return float(ticks[0]) if ticks.size else math.inf
+
+
+def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: int) -> FloatArray:
+    """In how many seconds somebody is at a place if it keeps its speed, at each tick; below 0 since it was there."""
+    ticks = np.arange(len(along))
+    is_moving = speed > 0
+    ahead: FloatArray = np.where(is_moving, (place - along) / np.where(is_moving, speed, 1.0), np.inf)
+    first = _first_at(place, along)
+    return np.where(ticks >= first, (min(first, len(along)) - ticks) / hz, ahead)

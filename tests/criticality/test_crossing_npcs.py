@@ -1,0 +1,249 @@
+"""What is measured of an NPC that crosses the ego's way, or merges: in the plane as of any, along the way nothing.
+
+Each public measure is in one of the lists below, so that a new one has to decide.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pytest_pafot import criticality
+from pytest_pafot.criticality import Encounters, RoadFrame, passages, time_advantage
+from pytest_pafot.criticality.signals import MEASURES, Signals, ego_lane_changes, leader
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import LANE, SPEED, Y
+from tests.helpers.crossing_traces import CROSSES, HZ, MERGES, ZONES, junction_trace
+from tests.helpers.tables import table
+from tests.helpers.traces import trace_of
+
+IN_THE_PLANE = ("centre_distance", "ettc", "gap", "post_encroachment_time", "ttc")
+EXTREMES_IN_THE_PLANE = ("mettc", "min_centre_distance", "min_gap", "min_ttc")
+ALONG_THE_WAY = ("lateral_gap", "longitudinal_gap", "rss_lateral", "rss_longitudinal", "safety_distance")
+IN_ONE_LANE = ("ego_follows", "required_deceleration", "safety_shortfall")
+"""They are False, or 0, for whoever is not in the ego's lane."""
+OTHERS = {
+    "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "execution_time", "hardest_brake",
+    "max_safety_shortfall", "min_safety_distance", "passages", "planned_duration", "time_advantage",
+}  # fmt: skip
+
+MERGED = 62
+"""The tick at which the second NPC is on the ego's way."""
+
+
+def mixed(**more):
+    """An NPC that crosses the whole time, one that merges 22 m ahead of the ego, and one on the grid."""
+    return junction_trace((CROSSES, 0.0), (MERGES, 0.0), (None, 20.0), **more)
+
+
+def off_way(trace):
+    return np.isnan(trace.track[:, 1:, 0])
+
+
+def test_every_public_measure_is_in_one_of_the_lists():
+    listed = {*IN_THE_PLANE, *EXTREMES_IN_THE_PLANE, *ALONG_THE_WAY, *IN_ONE_LANE}
+    assert listed | OTHERS == set(criticality.__all__)
+    assert not listed & OTHERS
+
+
+@table("name", [*IN_THE_PLANE, *EXTREMES_IN_THE_PLANE])
+def test_measures_in_the_plane_are_those_of_the_states_alone(name):
+    trace, measure = mixed(), getattr(criticality, name)
+    alone = replace(trace, track=None, zones=(), on_way=None)
+    assert np.isfinite(trace.states).all()
+    np.testing.assert_array_equal(measure(trace), measure(alone))
+    assert not np.isnan(measure(trace)).any()
+
+
+@table("name", ALONG_THE_WAY)
+def test_measures_along_the_way_are_nan_as_long_as_the_npc_is_not_on_it(name):
+    trace = mixed()
+    assert off_way(trace)[:, 0].all()
+    assert off_way(trace)[:, 1].sum() == MERGED
+    np.testing.assert_array_equal(np.isnan(getattr(criticality, name)(trace)), off_way(trace))
+
+
+@table("name", IN_ONE_LANE)
+def test_who_is_not_on_the_way_is_in_nobody_s_lane_whatever_the_index_of_its_lane(name):
+    trace = mixed()
+    states = trace.states.copy()
+    states[:, :, LANE] = 0
+    values = getattr(criticality, name)(replace(trace, states=states))
+    assert not values[off_way(trace)].any()
+    assert name != "ego_follows" or values[MERGED:, 1].all()
+
+
+@table("name", [*ALONG_THE_WAY, *IN_ONE_LANE])
+def test_after_a_merge_an_npc_is_measured_as_one_that_never_was_elsewhere(name):
+    trace, measure = mixed(), getattr(criticality, name)
+    after = replace(trace, states=trace.states[MERGED:], track=trace.track[MERGED:], on_way=None, zones=(), arrivals=())
+    np.testing.assert_array_equal(measure(trace)[MERGED:, 1:], measure(after)[:, 1:])
+
+
+def test_extremes_leave_out_who_is_not_on_the_way_and_nobody_there_is_told_as_inf():
+    trace = mixed(ego_speed=12.0)
+    distance = criticality.safety_distance(trace)
+    assert criticality.min_safety_distance(trace) == distance[~off_way(trace)].min()
+    crossing = junction_trace((CROSSES, 0.0))
+    assert criticality.min_safety_distance(crossing) == math.inf
+    assert criticality.max_safety_shortfall(crossing) == 0.0
+
+
+def test_a_number_that_nobody_recorded_is_still_nan_at_a_junction():
+    trace = mixed()
+    states, track = trace.states.copy(), trace.track.copy()
+    states[70, 1, :LANE] = np.nan
+    track[70, 1] = np.nan
+    broken = replace(trace, states=states, track=track)
+    assert math.isnan(criticality.min_safety_distance(broken))
+    assert math.isnan(criticality.min_gap(broken))
+
+
+def test_the_road_frame_has_no_numbers_of_who_is_not_on_the_way():
+    trace = mixed()
+    frame, off = RoadFrame(trace), off_way(trace).T
+    np.testing.assert_array_equal(frame.is_on_way, ~off)
+    for values in (frame.ahead, frame.right):
+        np.testing.assert_array_equal(np.isnan(values), off)
+    for values in (frame.cos, frame.sin, frame.speed, frame.drift, frame.half_along, frame.half_across):
+        np.testing.assert_array_equal(np.isnan(values[1:]), off)
+        assert not np.isnan(values[0]).any()
+
+
+def test_the_first_drift_on_the_way_is_by_where_the_npc_points_as_at_the_first_tick_of_a_run():
+    trace = mixed()
+    frame = RoadFrame(trace)
+    angle = trace.track[MERGED, 2, 2]
+    assert frame.drift[2, MERGED] == pytest.approx(10.0 * math.sin(angle))
+    moved = (trace.states[MERGED + 1, 2, Y] - trace.states[MERGED, 2, Y]) * HZ
+    assert frame.drift[2, MERGED + 1] == pytest.approx(moved, abs=0.05)
+
+
+def test_who_leaves_the_ego_s_way_has_no_drift_there_any_more():
+    trace = mixed()
+    track = trace.track.copy()
+    track[80:, 2] = np.nan
+    np.testing.assert_array_equal(np.isnan(RoadFrame(replace(trace, track=track)).drift[2]), np.isnan(track[:, 2, 0]))
+
+
+def test_who_is_not_on_the_way_is_in_no_cell_and_has_no_last_one():
+    trace = mixed()
+    positions = Encounters(trace)
+    assert {positions.cell(0, tick) for tick in range(trace.ticks + 1)} == {None}
+    assert positions.last_cell(0, trace.ticks) is None
+    assert positions.cell(1, MERGED - 1) is None
+    assert positions.cell(1, MERGED) == positions.last_cell(1, trace.ticks) == Cell.FRONT
+
+
+def test_who_merges_into_the_ego_s_own_cell_was_in_no_cell_before():
+    trace = junction_trace((MERGES, 0.0), ego_speed=16.0, seconds=4.6)
+    positions = Encounters(trace)
+    assert abs(positions.ahead[0, -1]) < 2.5
+    assert positions.cell(0, trace.ticks) is positions.last_cell(0, trace.ticks) is None
+
+
+def test_the_leader_is_somebody_on_the_ego_s_way():
+    trace = junction_trace((CROSSES, 10.0), (MERGES, -20.0), (None, 60.0))
+    states = trace.states.copy()
+    states[:, :, LANE] = 0
+    ahead = leader(replace(trace, states=states))
+    first = int(np.flatnonzero(~off_way(trace)[:, 1])[0])
+    assert set(ahead[:first]) == {2}
+    assert set(ahead[first:]) == {1}
+
+
+def test_a_lane_change_knows_nothing_of_who_crosses():
+    trace = mixed()
+    states = trace.states.copy()
+    states[30:, :2, LANE] = 1  # the ego changes into lane 1, which the first NPC crosses
+    (change,) = ego_lane_changes(replace(trace, states=states))
+    assert (change.gap_ahead, change.gap_behind) == (math.inf, math.inf)
+
+
+# At the zone.
+
+
+def test_a_passage_says_when_ego_and_npc_were_in_the_zone():
+    """The ego is in the zone from 4.55 to 5.45 s, the first NPC, 10 m later, from 6.55 to 7.45 s."""
+    first, second, third = passages(junction_trace((CROSSES, -10.0), (MERGES, -60.0), (None, 20.0)))
+    assert (first.npc, first.zone) == (0, ZONES[CROSSES])
+    times = (first.ego_enters, first.ego_leaves, first.npc_enters, first.npc_leaves)
+    assert times == tuple(math.ceil(seconds * HZ) / HZ for seconds in (4.55, 5.45, 6.55, 7.45))
+    assert first.post_encroachment_time == pytest.approx(6.55 - 5.45, abs=1 / HZ)
+    assert (second.ego_enters, second.npc_enters) == (6.0, math.inf)
+    assert second.post_encroachment_time == math.inf
+    assert third is None
+
+
+@table(
+    ("start", "expected"),
+    [
+        (-10.0, 6.55 - 5.45),  # after the ego
+        (30.0, 4.55 - 3.45),  # before it
+        (15.0, 4.55 - 4.95 + 0.4),  # it is still there when the ego comes
+    ],
+)
+def test_the_post_encroachment_time_at_a_zone_is_between_who_leaves_and_who_comes(start, expected):
+    (passage,) = passages(junction_trace((CROSSES, start)))
+    assert passage.post_encroachment_time == pytest.approx(expected, abs=1 / HZ)
+
+
+def test_the_time_advantage_of_steady_vehicles_is_the_post_encroachment_time_from_the_first_tick_on():
+    trace = junction_trace((CROSSES, -10.0), (MERGES, 0.0))
+    advantage = time_advantage(trace)
+    assert advantage.shape == (trace.ticks + 1, 2)
+    assert advantage[:, 0] == pytest.approx(1.1, abs=1 / HZ)
+    assert advantage[0, 0] == pytest.approx(1.1, abs=1e-9)
+    assert advantage[-1, 0] == pytest.approx(passages(trace)[0].post_encroachment_time, abs=1e-9)
+
+
+def test_a_vehicle_that_stands_before_a_zone_never_comes_and_one_that_stands_in_it_never_leaves():
+    trace = junction_trace((CROSSES, 0.0))
+    states, on_way = trace.states.copy(), trace.on_way.copy()
+    states[15:, 1, SPEED], on_way[15:] = 0.0, on_way[15]
+    assert set(time_advantage(replace(trace, states=states, on_way=on_way))[15:, 0]) == {math.inf}
+    on_way[15:] = 60.0
+    assert set(time_advantage(replace(trace, states=states, on_way=on_way))[15:, 0]) == {0.0}
+
+
+def test_on_the_grid_nobody_has_a_zone():
+    trace = mixed()
+    assert passages(trace)[2] is None
+    assert set(time_advantage(trace)[:, 2]) == {math.inf}
+    alone = trace_of(trace.states[:, 0], trace.states[:, 3])
+    assert passages(alone) == (None,)
+    assert set(time_advantage(alone)[:, 0]) == {math.inf}
+
+
+def test_a_place_that_nobody_recorded_makes_the_times_at_a_zone_nan():
+    trace = junction_trace((CROSSES, 0.0))
+    on_way = trace.on_way.copy()
+    on_way[20] = np.nan
+    broken = replace(trace, on_way=on_way)
+    (passage,) = passages(broken)
+    assert math.isnan(passage.post_encroachment_time)
+    assert math.isnan(time_advantage(broken)[20, 0])
+
+
+# As signals.
+
+
+def test_signals_of_an_npc_that_crosses_are_numbers_but_for_where_it_is_along_the_way():
+    first, second, third = Signals(mixed()).npcs
+    names = [measure.name.removeprefix("npcs.") for measure in MEASURES if measure.name.startswith("npcs.")]
+    missing = [name for name in names if np.isnan(getattr(first, name)).any()]
+    assert missing == ["ahead", "right"]
+    assert np.isnan(second.ahead).sum() == np.isnan(second.right).sum() == MERGED
+    assert not np.isnan(third.ahead).any()
+    assert (first.zone, third.zone, third.passage) == (ZONES[CROSSES], None, None)
+    assert first.passage.zone is first.zone
+    assert {"zone", "passage", "ttc", "time_advantage"} <= set(dir(first))
+
+
+def test_only_who_has_a_zone_has_a_column_of_its_time_advantage():
+    trace = mixed()
+    named = [signal.name for signal in Signals(trace).all() if "time_advantage" in signal.name]
+    assert named == ["npcs[0].time_advantage", "npcs[1].time_advantage"]
+    straight = trace_of(trace.states[:, 0], trace.states[:, 3])
+    assert not [signal.name for signal in Signals(straight).all() if "time_advantage" in signal.name]
