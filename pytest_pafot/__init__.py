@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from pytest_pafot.criticality.temporal import eventually as eventually
     from pytest_pafot.criticality.temporal import until as until
     from pytest_pafot.episodes.rate import Rate as Rate
+    from pytest_pafot.model.crossings import CrossingVehicle as CrossingVehicle
+    from pytest_pafot.model.crossings import Zone as Zone
     from pytest_pafot.model.driving_style import Traffic as Traffic
     from pytest_pafot.model.grid import Cell as Cell
     from pytest_pafot.model.scenario import Chromosome as Chromosome
@@ -63,6 +65,7 @@ _HOMES = {
     "Chromosome": "model.scenario",
     "Collision": "model.trace",
     "CrossingInstruction": "model.scenario",
+    "CrossingVehicle": "model.crossings",
     "Drive": "world",
     "Exploration": "campaign.explore",
     "Highway": "world",
@@ -86,6 +89,7 @@ _HOMES = {
     "World": "world",
     "WorldError": "world",
     "WorldLike": "world",
+    "Zone": "model.crossings",
     "above": "criticality.temporal",
     "always": "criticality.temporal",
     "below": "criticality.temporal",

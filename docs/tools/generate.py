@@ -29,6 +29,7 @@ from pytest_pafot.episodes.rate_command import add_arguments as add_rate_argumen
 from pytest_pafot.export.export_command import add_arguments as add_export_arguments
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
@@ -41,7 +42,17 @@ from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, Sear
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.training import training_env
-from pytest_pafot.world import Drive, Highway, NpcLimits, Observation, Perception, VehicleState, World, WorldLike
+from pytest_pafot.world import (
+    CrossingVehicle,
+    Drive,
+    Highway,
+    NpcLimits,
+    Observation,
+    Perception,
+    VehicleState,
+    World,
+    WorldLike,
+)
 
 REFERENCE = sorted((Path(__file__).parents[1] / "reference").glob("*.md"))
 
@@ -172,6 +183,8 @@ def sections() -> dict[str, str]:
         "drive": _fields_table(Drive),
         "observation": _fields_table(Observation),
         "vehicle": _fields_table(VehicleState),
+        "crossing-vehicle": _fields_table(CrossingVehicle),
+        "zone": _fields_table(Zone),
         "perception": _fields_table(Perception),
         "torch": _table(["Argument", "Meaning"], _arguments(policies.torch)),
         "program": _table(["Argument", "Meaning"], _arguments(policies.process)),

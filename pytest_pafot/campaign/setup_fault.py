@@ -40,7 +40,7 @@ class SetupFaultError(Exception):
             asked = None if is_vehicle_class(ads) else first_decision(world, self.run.trace.scenario)
             others = (
                 "A policy needs the config= and the wrappers= that it was trained with; a planner in SI units needs "
-                "pafot.Highway, which is there without world=."
+                "pafot.Highway, which is there without world=, or pafot.World(..., planner_hz=5)."
             )
             if asked is not None and asked.is_si:
                 others = 'A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).'

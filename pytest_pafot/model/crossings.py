@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +79,49 @@ class Zone:
     def whence(self) -> str:
         """From where the NPC comes, in words: ``from the left``."""
         return f"from {'the ' if self.origin in ('left', 'right') else ''}{self.origin}"
+
+
+class CrossingVehicle(NamedTuple):
+    """A vehicle that is not on the ego's way but on one that meets it, as an observer with a map could measure it.
+
+    Distances are from centres, along the way that each of the two drives. They fall below 0 in the zone.
+
+    Attributes:
+        id: the NPC's place in ``run.npcs``, the same all through the run.
+        zone: where the two ways first meet, and who has priority there.
+        distance: from the vehicle to the beginning of the zone [m].
+        ego_distance: from the ego to the beginning of the zone [m].
+        ahead, right: from the ego's centre to the vehicle's, as the ego points [m].
+        heading: relative to the ego's, positive to the right [rad].
+        speed: [m/s].
+        length, width: [m].
+    """
+
+    id: int
+    zone: Zone
+    distance: float
+    ego_distance: float
+    ahead: float
+    right: float
+    heading: float
+    speed: float
+    length: float
+    width: float
+
+    @property
+    def to_leave(self) -> float:
+        """How far it has to drive until it is out of the zone [m]; below 0 where it has left it."""
+        return self.distance + self.zone.npc[1] - self.zone.npc[0]
+
+    @property
+    def ego_to_leave(self) -> float:
+        """How far the ego has to drive until it is out of the zone [m]; below 0 where it has left it."""
+        return self.ego_distance + self.zone.ego[1] - self.zone.ego[0]
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether it is in the zone."""
+        return self.distance <= 0 <= self.to_leave
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any, NoReturn
@@ -25,7 +25,7 @@ from pytest_pafot.world.kernel.observation import Observation
 
 SEEN = (
     *("time", "decision_period", "lanes", "lane_width", "speed_limit", "lane_centres", "road_length"),
-    *("acceleration", "steering", "lateral_velocities", "ids", "ego", "others"),
+    *("acceleration", "steering", "lateral_velocities", "ids", "ego", "others", "crossing"),
 )
 """Of a :class:`pytest_pafot.Observation`, the keys of a line in their order."""
 
@@ -129,6 +129,7 @@ def line_of(observation: Any, *, reset: bool) -> bytes:
         values |= {name: getattr(observation, name) for name in SEEN}
         values["ego"] = observation.ego._asdict()
         values["others"] = [other._asdict() for other in observation.others]
+        values["crossing"] = [{**each._asdict(), "zone": asdict(replace(each.zone, line=()))} for each in observation.crossing]
     else:
         values["observation"] = observation
     return json.dumps(values, default=lambda array: array.tolist()).encode() + b"\n"

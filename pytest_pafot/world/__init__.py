@@ -1,5 +1,6 @@
 """Worlds: roads on which a scenario is run against an ADS. The only room that knows highway-env."""
 
+from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.driving.perception import Perception
@@ -12,6 +13,7 @@ from pytest_pafot.world.protocol import WorldLike
 
 __all__ = [
     "AdsFactoryError",
+    "CrossingVehicle",
     "Drive",
     "Highway",
     "NpcLimits",

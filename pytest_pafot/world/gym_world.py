@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.support.errors import WorldError
+from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.engines.lock_step import SteppedRun
+from pytest_pafot.world.engines.selection import rollout_planner
+from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.network import Meeting, NetworkRoad
@@ -43,7 +45,8 @@ class World(BuiltInWorld):
 
     Its ADS is a callable from the environment's own observation to its own action, or a highway-env vehicle class
     that drives itself, or comes from a factory with a parameter ``env`` for planners that simulate inside the
-    environment. The environment's road is kept; its random traffic is replaced by the NPCs.
+    environment. With ``planner_hz`` it is a planner in SI units, as in :class:`pytest_pafot.Highway`. The environment's
+    road is kept; its random traffic is replaced by the NPCs.
 
     Attributes:
         env_id: such as ``"highway-v0"``.
@@ -53,6 +56,9 @@ class World(BuiltInWorld):
         wrappers: callables that take an environment and return it wrapped, such as gymnasium's wrappers, put around
             what ``gymnasium.make`` gives, the first one innermost; runs then go through ``env.step`` of the whole. By
             default none, and an environment that is registered with wrappers is refused.
+        planner_hz: decisions per second of an ADS that is a callable from :class:`pytest_pafot.Observation` to
+            ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`; divides the environment's
+            ``simulation_frequency``. None where the ADS has the environment's own observation and action.
 
     Raises:
         WorldError: when the environment cannot be used; the message says why. The environment itself is made at
@@ -67,6 +73,7 @@ class World(BuiltInWorld):
     limits: NpcLimits = field(default_factory=NpcLimits)
     hang_limit: float = HANG_LIMIT
     wrappers: Sequence[Callable[[Any], Any]] | None = None
+    planner_hz: int | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
@@ -79,8 +86,13 @@ class World(BuiltInWorld):
         self._check_fields()
         if self.duration is not None:
             object.__setattr__(self, "duration", number_within("duration", self.duration, 0.1, 3600.0))
+        if self.planner_hz is not None:
+            object.__setattr__(self, "planner_hz", whole_within("planner_hz", self.planner_hz, *ADS_HZ))
         if self.wrappers is None:
             return
+        if self.planner_hz is not None:
+            expected = "none around the environment of a planner in SI units, which sees nothing through them"
+            raise WorldError(field="wrappers", expected=expected, received=f"{self.wrappers!r:.200}")
         if not isinstance(self.wrappers, (list, tuple)):
             raise WorldError(field="wrappers", expected="a list of callables", received=f"{self.wrappers!r:.200}")
         for index, each in enumerate(self.wrappers):
@@ -147,13 +159,13 @@ class World(BuiltInWorld):
 
     @property
     def observation_space(self) -> Any:
-        """What a policy sees, in all wrappers."""
-        return self.environment.outer.observation_space
+        """What a policy sees, in all wrappers; None for a planner in SI units."""
+        return None if self.planner_hz is not None else self.environment.outer.observation_space
 
     @property
     def action_space(self) -> Any:
-        """What a policy decides, in all wrappers."""
-        return self.environment.outer.action_space
+        """What a policy decides, in all wrappers; None for a planner in SI units."""
+        return None if self.planner_hz is not None else self.environment.outer.action_space
 
     @property
     def physics_hz(self) -> int:
@@ -162,7 +174,7 @@ class World(BuiltInWorld):
 
     @property
     def ads_hz(self) -> int:
-        """The environment's ``policy_frequency``."""
+        """The environment's ``policy_frequency``, or ``planner_hz``."""
         return self.rules.ads_hz
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -180,11 +192,24 @@ class World(BuiltInWorld):
         """
         self.check_fits(scenario)
         check_drives_in(ads_factory, self)
+        if self.planner_hz is not None and not is_vehicle_class(ads_factory) and wants_env(ads_factory):
+            raise AdsFactoryError(
+                "ads: expected a factory without a parameter `env` in a pafot.World with planner_hz=, whose planner "
+                "sees a pafot.Observation; leave planner_hz= out for planners that simulate inside the environment"
+            )
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
             ads = make_ads(ads_factory)  # Whether the run needs the environment's own steps depends on what drives.
             ads_factory = ads if is_vehicle_class(ads) else wraps(ads_factory, updated=())(lambda: ads)
-        if self.wrappers is not None or self.environment.steps_itself(drives_itself=is_vehicle_class(ads_factory)):
+        drives_itself = self.planner_hz is not None or is_vehicle_class(ads_factory)
+        if self.wrappers is not None or self.environment.steps_itself(drives_itself=drives_itself):
             return self.rollout_in_gym(scenario, ads_factory)
+        if self.planner_hz is not None:
+            ads = make_ads(ads_factory)
+            if is_vehicle_class(ads):
+                ads_factory = ads
+            else:
+                with closing(ads, self.hang_limit):
+                    return rollout_planner(self, self.rules, scenario, ads)
         from pytest_pafot.world.engines import policy_engine  # noqa: PLC0415  (imports highway-env)
 
         return policy_engine.rollout(self.environment, self.rules, scenario, ads_factory)
@@ -198,7 +223,8 @@ class World(BuiltInWorld):
         """
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)
 
-        return replay_environment(self.environment, self.rules, scenario, ads_factory)
+        is_planner = self.planner_hz is not None
+        return replay_environment(self.environment, self.rules, scenario, ads_factory, is_planner=is_planner)
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
         from pytest_pafot.world.engines.policy_engine import begin  # noqa: PLC0415  (imports highway-env)
@@ -209,7 +235,7 @@ class World(BuiltInWorld):
     def has_lock_step(self) -> bool:
         """Whether runs can take place in lock step: not by the steps of a whole environment, nor on bends."""
         is_bare = isinstance(self.road, StraightRoad) and self.wrappers is None
-        return is_bare and not self.environment.steps_itself(drives_itself=False)
+        return is_bare and self.planner_hz is None and not self.environment.steps_itself(drives_itself=False)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.
@@ -225,6 +251,8 @@ class World(BuiltInWorld):
         data["config"] = self.environment.whole_config
         data["duration"] = self._wanted if is_straight else min(self._wanted, self._longest)
         del data["wrappers"]
+        if self.planner_hz is None:
+            del data["planner_hz"]
         return data if self.wrappers is None else {**data, "wrappers": self.environment.wrapper_names}
 
     @cached_property
@@ -249,8 +277,11 @@ class World(BuiltInWorld):
         env = self.environment.unwrapped
         config = env.config
         physics_hz = whole_within("config.simulation_frequency", config["simulation_frequency"], *PHYSICS_HZ)
-        ads_hz = whole_within("config.policy_frequency", config["policy_frequency"], *ADS_HZ)
-        check_divides(("config.simulation_frequency", physics_hz), ("config.policy_frequency", ads_hz))
+        name, value = "config.policy_frequency", config["policy_frequency"]
+        if self.planner_hz is not None:
+            name, value = "planner_hz", self.planner_hz
+        ads_hz = whole_within(name, value, *ADS_HZ)
+        check_divides(("config.simulation_frequency", physics_hz), (name, ads_hz))
         duration = self._wanted
         check_ticks(duration, physics_hz)
         road: StraightRoad | NetworkRoad | None = self.environment.straight_road

@@ -269,7 +269,9 @@ MESSAGES = {
     ],
     "ads=lambda: lambda seen: 1": ["received 1; policies of a highway-env environment need world=pafot.World("],
     "ads=lambda: lambda seen: np.int64(1)": ["policies of a highway-env environment need world=pafot.World("],
-    "world=five, ads=Planner": ["received (0.0, 0.0); planners in SI units drive in pafot.Highway, * without world="],
+    "world=five, ads=Planner": [
+        "received (0.0, 0.0); planners in SI units drive without world=, or in a pafot.World(*"
+    ],
     "world=five, ads=lambda: lambda seen: seen.ego": [
         "no attribute 'ego'",
         "a planner in SI units needs pafot.Highway",

@@ -90,6 +90,15 @@ def test_a_line_has_all_that_an_observation_has():
     assert told["lane_centres"] == list(observation.lane_centres)
 
 
+def test_a_line_has_who_crosses_with_its_zone():
+    zone = pafot.Zone(way="o3>o1", kind="crossing", origin="right", ego=(9.0, 19.0), npc=(8.0, 18.0), priority="npc")
+    crossing = pafot.CrossingVehicle(2, zone, 10.0, 20.0, 22.0, 9.0, -1.57, 8.0, 5.0, 2.0)
+    seen = Observation(0.0, SEEN.ego, (), 4, 4.0, 26.8, crossing=(crossing,))
+    (told,) = programs.json.loads(programs.line_of(seen, reset=True))["crossing"]
+    assert (told["id"], told["distance"], told["zone"]["priority"]) == (2, 10.0, "npc")
+    assert told["zone"]["ego"] == [9.0, 19.0]
+
+
 def test_a_policy_of_an_environment_gets_and_gives_what_the_environment_has(tmp_path):
     world = pafot.World("highway-fast-v0", duration=3.0)
     ads = program(tmp_path, "answer(action=4 if seen['observation'][0][3] > 0.2 and number else 1)")

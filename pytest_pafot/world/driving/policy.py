@@ -100,7 +100,7 @@ def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
 def _hint_at_choice(array: Any, space: Any) -> str:
     """What an array probably is that should have been the number of an action."""
     if array.dtype.kind == "f" and array.shape == (2,) and space.n != 2:
-        return "planners in SI units drive in pafot.Highway, that is without world="
+        return "planners in SI units drive without world=, or in a pafot.World(..., planner_hz=5)"
     if array.dtype.kind == "f" and array.size == space.n:
         return "if these are values of the actions, return the number of the largest: `int(np.argmax(...))`"
     if array.dtype.kind == "f" and array.size == 1:

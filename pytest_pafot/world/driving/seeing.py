@@ -17,6 +17,7 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import Observation, Observer
+from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 
 OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollisionObservation", "LidarObservation")
@@ -62,13 +63,13 @@ class PlannerSight:
     Attributes:
         seed: of the scenario.
         physics_hz: ticks per second.
-        lanes: of the road.
+        lanes: of the road; None where it is not straight, whose planner puts everybody on it.
     """
 
     sight: Sight
     seed: int
     physics_hz: int
-    lanes: Lanes
+    lanes: Lanes | None
 
     @property
     def delay(self) -> int:
@@ -93,7 +94,7 @@ class PlannerSight:
         for glimpse in self.sight.glimpses(then.array, self.seed, self.tick(now)):
             was = then.others[glimpse.other]
             x, y = was.x + glimpse.x, was.y + glimpse.y
-            lane = self.lanes.closest(x, y, was.heading)
+            lane = was.lane if self.lanes is None else self.lanes.closest(x, y, was.heading)
             others.append(was._replace(x=x, y=y, speed=was.speed + glimpse.speed, lane=lane))
             ids.append(then.ids[glimpse.other])
             lateral.append(then.lateral_velocities[glimpse.other + 1] + glimpse.speed * math.sin(was.heading))
@@ -114,8 +115,11 @@ class PlannerSight:
 
 
 def planner_sight(sight: Sight | None, rules: Rules, scenario: Scenario) -> PlannerSight | None:
-    """What a planner sees in a run on a straight road; None where it sees all as it is."""
-    return None if sight is None else PlannerSight(sight, scenario.seed, rules.physics_hz, rules.straight.grid)
+    """What a planner sees in a run; None where it sees all as it is."""
+    if sight is None:
+        return None
+    lanes = rules.road.grid if isinstance(rules.road, StraightRoad) else None
+    return PlannerSight(sight, scenario.seed, rules.physics_hz, lanes)
 
 
 class PolicySight:

@@ -21,8 +21,8 @@ from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
-from pytest_pafot.world.driving.seeing import PolicySight, planner_sight, policy_sight
-from pytest_pafot.world.engines.object_engine import VehiclesOfRun, decide, step_ego
+from pytest_pafot.world.driving.seeing import PolicySight, policy_sight
+from pytest_pafot.world.engines.object_engine import VehiclesOfRun, decide, planner_of, step_ego
 from pytest_pafot.world.engines.policy_engine import put_ego, put_new_ego
 from pytest_pafot.world.guard.failure import UNFIT, closing, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -172,11 +172,13 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
         return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, ads, None)).run()
 
 
-def replay_environment(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+def replay_environment(
+    environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory, *, is_planner: bool
+) -> Trace:
     """A run of a :class:`pytest_pafot.World` by ``env.step`` of its environment in its wrappers."""
     outer, route = environment.make(), environment.route
     env = _reset(outer, scenario)
-    is_policy, view = not is_vehicle_class(ads_factory), None
+    is_policy, view = not (is_planner or is_vehicle_class(ads_factory)), None
     vehicle_class = env.action_type.vehicle_class if is_policy else StockVehicle
     put_new_ego(env, vehicle_class, rules.ego_position(scenario), scenario.ego_speed, route)
     if is_policy and wants_env(ads_factory):
@@ -190,6 +192,9 @@ def replay_environment(environment: GymEnvironment, rules: Rules, scenario: Scen
     ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
     if is_vehicle_class(ads):
         return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, ads, route)).run()
+    if is_planner:
+        with closing(ads, rules.hang_limit):
+            return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, ads, route)).run()
     seen = env if environment.wrappers is None else outer
     with closing(ads, rules.hang_limit):
         ads, sight = ads_and_sight(ads)
@@ -222,10 +227,9 @@ def _si_driver(
         driver = SelfDriving(ads, env.road, rules.ego_position(scenario), scenario.ego_speed, route)
         put_ego(env, driver.vehicle, None)
     else:
-        every = rules.physics_hz // rules.ads_hz
+        env.config["policy_frequency"] = rules.ads_hz
         ads, sight = ads_and_sight(ads)
-        seen = planner_sight(sight, rules, scenario)
-        driver = Planner(ads, env.road, rules.road, env.vehicle, rules.physics_hz, every, sight=seen)
+        driver = planner_of(rules, scenario, env.road, ads, sight, env.vehicle)
     env.observation_type.observe = env._reward = env._info = _nothing
     return driver
 

@@ -84,13 +84,18 @@ def _planner(
     body: Body | None,
     start: tuple[float, float, float],
 ) -> Planner:
-    ego = Car(road, start[:2], start[2], scenario.ego_speed, body)
+    return planner_of(rules, scenario, road, ads, sight, Car(road, start[:2], start[2], scenario.ego_speed, body))
+
+
+def planner_of(rules: Rules, scenario: Scenario, road: Road, ads: Any, sight: Sight | None, ego: Any) -> Planner:
+    """Return the driver of an ego for an ADS in SI units, on any road."""
+    seen = planner_sight(sight, rules, scenario)
+    common = {"vehicle": ego, "physics_hz": rules.physics_hz, "every": rules.physics_hz // rules.ads_hz, "sight": seen}
     if isinstance(rules.road, NetworkRoad):
         far = rules.start_distance(scenario)
         starts = [rules.ego_start + row * far for row in (-1, 0, 1)]
-        return RoadPlanner(ads, road, rules.road, ego, rules.physics_hz, starts)
-    seen = planner_sight(sight, rules, scenario)
-    return Planner(ads, road, rules.road, ego, rules.physics_hz, rules.physics_hz // rules.ads_hz, sight=seen)
+        return RoadPlanner(ads, road, rules.road, starts=starts, **common)
+    return Planner(ads, road, rules.road, **common)
 
 
 class ObjectRun:

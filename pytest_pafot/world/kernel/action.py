@@ -195,7 +195,7 @@ def hint_at(action: Any) -> str:
             "(action, state) is what `model.predict` returns: take `model.predict(observation, deterministic=True)[0]`"
         )
     if isinstance(action, Drive):
-        return "pafot.Drive is for planners in SI units, which drive in pafot.Highway, that is without world="
+        return "pafot.Drive is for planners in SI units: leave world= out, or give pafot.World(..., planner_hz=5)"
     if inspect.iscoroutine(action) or inspect.isgenerator(action):
         if inspect.iscoroutine(action):
             action.close()  # else Python warns of it, too

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.world.kernel.lanes import Lanes
 
@@ -36,8 +37,8 @@ class VehicleState(NamedTuple):
     width: float
 
 
-_Details = tuple[float, float, float, tuple[int, ...], float]
-"""What few planners look at: decision period, acceleration, steering, ids and road length of an observation."""
+_Details = tuple[float, float, float, tuple[int, ...], float, tuple[CrossingVehicle, ...]]
+"""What few planners look at: decision period, acceleration, steering, ids, road length and crossing vehicles."""
 
 
 def lateral_velocity(heading: float, speed: float, steering: float) -> float:
@@ -86,7 +87,7 @@ class Observer:
         """What few planners look at, of a tick."""
         row, count = tick * len(self.sizes) * self.columns, len(self.sizes) - 1
         period, ids = self.every / self.physics_hz, tuple(range(count))
-        return period, self.record[row + 4], self.record[row + 5], ids, self.lanes.length
+        return period, self.record[row + 4], self.record[row + 5], ids, self.lanes.length, ()
 
     def lateral_velocities(self, tick: int) -> tuple[float, ...]:
         """Of all vehicles at a tick [m/s], the ego first."""
@@ -129,7 +130,7 @@ class Observation:
     Attributes:
         time: since the start [s].
         ego: the vehicle that the ADS drives.
-        others: all other vehicles, the NPCs.
+        others: all other vehicles, the NPCs; where ways cross, those that are on the ego's.
         lanes: number of lanes.
         lane_width: [m].
         speed_limit: [m/s].
@@ -139,6 +140,8 @@ class Observation:
         ids: of the others, the same all through the run: the NPC's place in ``run.npcs``.
         lane_centres: y of the centre line of each lane, from the left [m].
         road_length: the lanes go from x = 0 to here [m].
+        crossing: where ways cross, all vehicles that are on another way than the ego's; see
+            :class:`pytest_pafot.CrossingVehicle`. Neither ``ids`` nor ``array`` has them.
     """
 
     __slots__ = (
@@ -160,6 +163,7 @@ class Observation:
         lateral_velocities: tuple[float, ...] | None = None,
         ids: tuple[int, ...] | None = None,
         road_length: float = 1e5,
+        crossing: tuple[CrossingVehicle, ...] = (),
     ) -> None:
         self._time = float(time)
         self._ego: VehicleState | None = ego
@@ -168,7 +172,7 @@ class Observation:
         self._lane_width = float(lane_width)
         self._speed_limit = float(speed_limit)
         numbers = tuple(range(len(others))) if ids is None else tuple(ids)
-        self._details: _Details | None = (decision_period, acceleration, steering, numbers, road_length)
+        self._details: _Details | None = (decision_period, acceleration, steering, numbers, road_length, crossing)
         self._lateral = lateral_velocities
         self._observer: Any = None  # everything is here
         self._tick = 0
@@ -187,7 +191,7 @@ class Observation:
 
     @property
     def others(self) -> tuple[VehicleState, ...]:
-        """All other vehicles, the NPCs."""
+        """All other vehicles, the NPCs; where ways cross, those that are on the ego's."""
         if self._others is None:
             count = len(self._observer.sizes)
             self._others = tuple([self._observer.vehicle(self._tick, index) for index in range(1, count)])
@@ -249,8 +253,13 @@ class Observation:
         return self._detailed()[4]
 
     @property
+    def crossing(self) -> tuple[CrossingVehicle, ...]:
+        """All vehicles that are on another way than the ego's, where ways cross."""
+        return self._detailed()[5]
+
+    @property
     def array(self) -> FloatArray:
-        """All vehicles as float64, shape [vehicles, 7], the ego first; columns as in :class:`VehicleState`."""
+        """The ego and the others as float64, shape [vehicles, 7]; columns as in :class:`VehicleState`."""
         values: FloatArray = stacked([self])[0]
         return values
 
@@ -273,9 +282,9 @@ class Observation:
             self._observer.fill(self._tick, values, run)
 
     def _values(self) -> tuple[Any, ...]:
-        period, acceleration, steering, ids, length = self._detailed()
+        period, acceleration, steering, ids, length, crossing = self._detailed()
         seen = self.time, self.ego, self.others, self.lanes, self.lane_width, self.speed_limit
-        return *seen, period, acceleration, steering, self.lateral_velocities, ids, length
+        return *seen, period, acceleration, steering, self.lateral_velocities, ids, length, crossing
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Observation) and self._values() == other._values()
@@ -286,7 +295,7 @@ class Observation:
     def __repr__(self) -> str:
         names = (
             "time", "ego", "others", "lanes", "lane_width", "speed_limit", "decision_period", "acceleration",
-            "steering", "lateral_velocities", "ids", "road_length",
+            "steering", "lateral_velocities", "ids", "road_length", "crossing",
         )  # fmt: skip
         fields = ", ".join([f"{name}={value!r}" for name, value in zip(names, self._values(), strict=True)])
         return f"Observation({fields})"

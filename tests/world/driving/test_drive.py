@@ -262,7 +262,7 @@ def test_policies_of_an_environment_answer_in_its_own_actions():
     error = World("highway-v0").rollout(BEHIND, always(Drive(lane=1, speed=20.0))).error
     assert error.kind == "BadAction"
     assert error.message.endswith(
-        "; pafot.Drive is for planners in SI units, which drive in pafot.Highway, that is without world="
+        "; pafot.Drive is for planners in SI units: leave world= out, or give pafot.World(..., planner_hz=5)"
     )
 
 

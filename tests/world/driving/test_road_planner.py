@@ -1,0 +1,139 @@
+"""A planner in SI units sees who drives along its way there, and everybody else where their ways cross."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from types import SimpleNamespace
+
+import gymnasium
+import numpy as np
+import pytest
+from highway_env.road.road import Road
+
+from pytest_pafot import Drive, Perception, PositionInstruction, Scenario, World, WorldError, Zone
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.world import AdsFactoryError, from_dict
+from pytest_pafot.world.driving.road_planner import RoadPlanner
+from pytest_pafot.world.driving.seeing import PlannerSight
+from pytest_pafot.world.driving.vehicles import Car
+from pytest_pafot.world.roads.route import line_of, way
+
+WORLD = World("intersection-v0", config={"destination": "o2"}, planner_hz=5)
+FROM_THE_RIGHT = Zone(
+    way="o3>o1", kind="crossing", origin="right", ego=(103.0, 113.0), npc=(108.0, 118.0), priority="npc"
+)
+TURNS_IN = Zone(way="o3>o2", kind="merging", origin="right", ego=(112.0, 130.0), npc=(98.0, 122.0), priority="npc")
+HALF = 111.0
+"""Of the intersection: from the middle to the outer ends of the roads [m]."""
+
+
+def line_to(start, destination):
+    network = WORLD.network
+    planned = [(*pair, 0) for pair in pairwise(network.shortest_path(f"o{start}", f"o{destination}"))]
+    return line_of(way(network, planned[0], 0.0, planned, ahead=400.0, behind=0.0)[0])
+
+
+LINES = {zone.way: line_to(3, zone.way[-1]) for zone in (FROM_THE_RIGHT, TURNS_IN)}
+
+
+def planner_on(*npcs, ways=(), sight=None):
+    """A planner whose ego has driven 60 m from the south, among vehicles at x, y, heading, speed."""
+    road = Road(WORLD.network, np_random=np.random.default_rng(0))
+    cars = [Car(road, place[:2], *place[2:]) for place in ((2.0, HALF - 60.0, -math.pi / 2, 10.0), *npcs)]
+    road.vehicles = cars
+    network = WORLD.road
+    seen = None if sight is None else PlannerSight(sight, 7, 15, None)
+    starts = [network.start + row * 20.0 for row in (-1, 0, 1)]
+    return RoadPlanner(lambda _: (0.0, 0.0), road, network, cars[0], 15, 3, starts=starts, ways=ways, sight=seen)
+
+
+EAST = (HALF - 90.0, -2.0, math.pi, 8.0)
+"""Who has driven 90 m from the east towards the west."""
+
+
+def test_a_vehicle_that_crosses_is_seen_on_its_own_way():
+    planner = planner_on((2.0, HALF - 75.0, -math.pi / 2, 9.0), EAST, ways=[None, (FROM_THE_RIGHT, LINES["o3>o1"])])
+    seen = planner.observe(0)
+    assert seen.ids == (0,)
+    assert [other.x - seen.ego.x for other in seen.others] == pytest.approx([15.0])
+    (crossing,) = seen.crossing
+    assert crossing.zone is FROM_THE_RIGHT
+    assert crossing._replace(zone=None) == pytest.approx(
+        (1, None, 18.0, 43.0, HALF - 60.0 + 2.0, HALF - 92.0, -math.pi / 2, 8.0, 5.0, 2.0), abs=0.05
+    )
+
+
+def test_who_has_merged_is_one_of_the_others():
+    ways = [(TURNS_IN, LINES["o3>o2"])]
+    before = planner_on((HALF - 99.0, -2.0, math.pi, 6.0), ways=ways).observe(0)
+    assert (len(before.others), [each.is_inside for each in before.crossing]) == (0, [True])
+    assert before.crossing[0].to_leave == pytest.approx(23.0, abs=0.05)
+    after = planner_on((2.2, -30.0, -math.pi / 2 - 0.1, 6.0), ways=ways).observe(0)
+    assert ([other.x - after.ego.x for other in after.others], after.crossing) == (pytest.approx([81.0], abs=0.2), ())
+
+
+@pytest.mark.parametrize(
+    ("sight", "is_seen"), [({"range": 50.0}, False), ({"range": 60.0}, True), ({"dropout": 1.0}, False)]
+)
+def test_an_imperfect_sight_hides_who_crosses(sight, is_seen):
+    seen = planner_on(EAST, ways=[(FROM_THE_RIGHT, LINES["o3>o1"])], sight=Sight(**sight)).observe(0)
+    assert bool(seen.crossing) is is_seen
+
+
+def test_who_crosses_is_seen_late_and_with_errors():
+    ways = [(FROM_THE_RIGHT, LINES["o3>o1"])]
+    planner = planner_on(EAST, ways=ways, sight=Sight(latency=0.2))
+    (was,) = planner.observe(0).crossing
+    for _ in range(3):
+        planner.apply(Drive(lane=0, speed=10.0))
+        planner.actuate()
+        for car in planner.road.vehicles:
+            car.step(1 / 15)
+    (now,) = planner.observe(3).crossing
+    assert (now.distance, now.ahead - was.ahead) == pytest.approx((was.distance, -2.0), abs=1e-6)
+    assert was.ego_distance - now.ego_distance == pytest.approx(2.0, abs=1e-6)
+    (noisy,) = planner_on(EAST, ways=ways, sight=Sight(noise={"position": 1.0, "speed": 1.0})).observe(0).crossing
+    assert noisy.distance - was.distance == pytest.approx(noisy.right - was.right, abs=0.01)
+    assert noisy.ahead != was.ahead
+    assert noisy.speed != was.speed
+
+
+def scenario_of(world):
+    lane, speed = world.start
+    npcs = [[PositionInstruction(2, 5.0)]]
+    return Scenario(npcs=npcs, ego_lane=lane, ego_speed=speed, gene_seconds=10.0)
+
+
+def follows():
+    return lambda seen: Drive(
+        lane=seen.ego.lane, speed=max(min([8.0, *(each.speed - 1.0 for each in seen.others)]), 0.0)
+    )
+
+
+@pytest.mark.parametrize("env_id", ["intersection-v0", "roundabout-v0"])
+@pytest.mark.parametrize("sight", [{}, {"latency": 0.4, "noise": {"position": 0.2}}])
+def test_a_planner_drives_the_same_in_an_environment_and_by_its_own_steps(env_id, sight):
+    world = World(env_id, planner_hz=5)
+    ads = Perception(follows, **sight)
+    runs = [roll(scenario_of(world), ads) for roll in (world.rollout, world.rollout_in_gym)]
+    assert runs[0].error is None
+    assert len(runs[0].actions) == math.ceil(runs[0].ticks / 3)
+    assert runs[0].states.tobytes() == runs[1].states.tobytes()
+
+
+def test_a_file_has_how_often_a_planner_decides():
+    assert from_dict(WORLD.to_dict()).planner_hz == 5
+    assert "planner_hz" not in World("intersection-v0").to_dict()
+    assert (WORLD.observation_space, WORLD.ads_hz) == (None, 5)
+
+
+def test_a_world_for_planners_refuses_what_is_for_policies():
+    with pytest.raises(WorldError, match="planner_hz: expected"):
+        World("intersection-v0", planner_hz=0)
+    with pytest.raises(WorldError, match="planner_hz"):
+        World("intersection-v0", planner_hz=4).check()
+    with pytest.raises(WorldError, match="wrappers: expected none around"):
+        World("intersection-v0", planner_hz=5, wrappers=[gymnasium.wrappers.FlattenObservation])
+    with pytest.raises(AdsFactoryError, match="without a parameter `env`"):
+        WORLD.rollout(scenario_of(WORLD), lambda env: SimpleNamespace())
