@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
@@ -20,6 +21,7 @@ from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.protocol import FirstDecision, decision_asked
 from pytest_pafot.world.reference_drivers import REFERENCES, TAKING_OVER, ReferenceDriver
+from pytest_pafot.world.roads.junction import Junction
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
@@ -120,6 +122,11 @@ class BuiltInWorld(ABC):
         return self.rules.duration
 
     @property
+    def crossings(self) -> Crossings | None:
+        """The ways of other traffic that meet the ego's; None where there are none."""
+        return self.rules.crossings
+
+    @property
     def reference_drivers(self) -> tuple[str, ...]:
         """Names of the reference drivers (:mod:`pytest_pafot.world.reference_drivers`)."""
         return tuple(REFERENCES)
@@ -210,7 +217,15 @@ class BuiltInWorld(ABC):
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
 
-    def _rules_on(self, road: StraightRoad | NetworkRoad, *, physics_hz: int, ads_hz: int, duration: float) -> Rules:
+    def _rules_on(
+        self,
+        road: StraightRoad | NetworkRoad,
+        *,
+        physics_hz: int,
+        ads_hz: int,
+        duration: float,
+        junction: Junction | None = None,
+    ) -> Rules:
         return Rules(
             road=road,
             physics_hz=physics_hz,
@@ -220,6 +235,7 @@ class BuiltInWorld(ABC):
             headway=self.headway,
             limits=self.limits,
             hang_limit=self.hang_limit,
+            junction=junction,
         )
 
 

@@ -285,14 +285,19 @@ class World(BuiltInWorld):
         duration = self._wanted
         check_ticks(duration, physics_hz)
         road: StraightRoad | NetworkRoad | None = self.environment.straight_road
+        junction = None
         if road is None:
+            from pytest_pafot.world.roads.junction import junction_of  # noqa: PLC0415  (only where a road is not straight)
             from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only where a road is not straight)
 
             duration = min(duration, self._longest)
             road = survey(env, self.env_id, self.limits, ahead=duration * TOP_SPEED)
+            junction = junction_of(env, road, self.limits)
+            if junction is not None:
+                road = replace(road, start=junction.crossings.ego_start)
             if road.ego_speed > 0:  # a run ends where the ego, at its first speed, comes to the end of the road
                 duration = min(duration, (road.end - road.start) / road.ego_speed)
-        return self._rules_on(road, physics_hz=physics_hz, ads_hz=ads_hz, duration=duration)
+        return self._rules_on(road, physics_hz=physics_hz, ads_hz=ads_hz, duration=duration, junction=junction)
 
     @property
     def _wanted(self) -> float:

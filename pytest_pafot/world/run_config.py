@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.scenario import (
+    LARGEST_SLOT,
+    SLOT_STEPS_PER_SECOND,
+    CrossingInstruction,
+    LaneInstruction,
+    Scenario,
+    ScenarioError,
+)
 from pytest_pafot.support.errors import WorldError
+from pytest_pafot.world.driving.junction_director import JunctionDirector
 from pytest_pafot.world.driving.network_director import NetworkDirector
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
+from pytest_pafot.world.roads.junction import Junction
 from pytest_pafot.world.roads.network import BEND_SHARE, NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 
@@ -27,6 +37,7 @@ class Rules:
         clearance: gap between the ego and the cells ahead and behind [m].
         headway: of NPCs that start ahead or behind [s].
         hang_limit: longest decision of the ADS in wall-clock time [s].
+        junction: the ways on which other traffic meets the ego's way; None where there are none.
     """
 
     road: StraightRoad | NetworkRoad
@@ -37,6 +48,12 @@ class Rules:
     headway: float
     limits: NpcLimits
     hang_limit: float
+    junction: Junction | None = None
+
+    @property
+    def crossings(self) -> Crossings | None:
+        """What a search may draw Crossing-Instructions from; None where no way of others meets the ego's."""
+        return None if self.junction is None else self.junction.crossings
 
     @property
     def ego_start(self) -> float:
@@ -66,30 +83,41 @@ class Rules:
             return self.road.cells(self.road.start, scenario.ego_lane, self.start_distance(scenario, ego_length))
         return self.road.cells(scenario.ego_lane)
 
-    def director(self, scenario: Scenario, ego_length: float) -> Director:
+    def director(self, scenario: Scenario, ego_length: float) -> Director | JunctionDirector:
         """Who drives the NPCs of one run around an ego of a length [m]."""
         common: dict[str, Any] = {"clearance": self.clearance, "physics_hz": self.physics_hz}
         common |= {"ego_length": ego_length, "length": NPC_LENGTH, "width": NPC_WIDTH}
         if isinstance(self.road, StraightRoad):
             return Director(scenario, self.road, self.limits, **common)
-        cells = self.start_cells(scenario, ego_length)
-        return NetworkDirector(scenario, self.road, self.limits, start_cells=cells, **common)
+        grid, cells = None, self.start_cells(scenario, ego_length)
+        if not scenario.crossings or self.junction is None:
+            return NetworkDirector(scenario, self.road, self.limits, start_cells=cells, **common)
+        if scenario.positions:
+            positions = replace(scenario, npcs=scenario.positions)
+            grid = NetworkDirector(positions, self.road, self.limits, start_cells=cells, **common)
+        del common["clearance"], common["ego_length"]
+        top_speed = self.limits.top_speed(self.road.speed_limit)
+        return JunctionDirector(scenario, self.junction, self.limits, top_speed=top_speed, grid=grid, **common)
 
     def check_fits(self, scenario: Scenario) -> None:
         """Refuse a scenario that does not fit, as for Lane-Instructions on a road that is not straight."""
         if not isinstance(scenario, Scenario):
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
-        if not isinstance(self.road, StraightRoad) and not scenario.positions:
+        if not isinstance(self.road, StraightRoad) and isinstance(scenario.npcs[0][0], LaneInstruction):
             expected = "Position-Instructions on a road that is not straight"
             received = "Lane-Instructions, which know no lanes that begin and end"
             fix = "give NPCs PositionInstruction(cell, speed), or take a straight road such as pafot.Highway()"
             raise WorldError(field="scenario", expected=expected, received=received, fix=fix)
         self._check_lane(scenario.ego_lane)
-        cells = self.start_cells(scenario)
-        if len(scenario.npcs) > len(cells):
-            expected = f"at most {len(cells)} NPCs, one per cell that exists beside lane {scenario.ego_lane}"
-            raise ScenarioError(field="npcs", expected=expected, received=str(len(scenario.npcs)))
+        cells, on_grid = self.start_cells(scenario), len(scenario.npcs) - sum(map(bool, scenario.crossings))
+        if on_grid > len(cells):
+            kind = " on the grid" if scenario.crossings else ""
+            expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists beside lane {scenario.ego_lane}"
+            raise ScenarioError(field="npcs", expected=expected, received=str(on_grid))
         self._check_speeds(scenario)
+        for npc, instruction in enumerate(scenario.crossings):
+            if instruction is not None:
+                self._check_crossing(f"npcs[{npc}][0]", instruction)
         ticks = scenario.gene_seconds * self.physics_hz
         if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
             expected = f"a whole number of ticks of 1/{self.physics_hz} s"
@@ -107,6 +135,29 @@ class Rules:
             fix = "lanes are counted from 0 at the left over all of the ego's way"
         if not does_exist:
             raise ScenarioError(field="ego_lane", expected=expected, received=str(lane), fix=fix)
+
+    def _check_crossing(self, place: str, instruction: CrossingInstruction) -> None:
+        crossings = self.crossings
+        if crossings is None:
+            expected = "Position-Instructions on a road on which no way of other traffic meets the ego's"
+            fix = (
+                'give NPCs PositionInstruction(cell, speed), or take a world with crossings, such as "intersection-v0"'
+            )
+            raise ScenarioError(field=place, expected=expected, received=instruction.goal, fix=fix)
+        if instruction.zone not in crossings.ways:
+            expected = f"one of {', '.join(zone.way for zone in crossings.zones)}"
+            fix = "ways that start where the ego's does, or do not meet it, have no zone"
+            raise ScenarioError(field=f"{place}.zone", expected=expected, received=instruction.zone, fix=fix)
+        enters, start = crossings.ways[instruction.zone].zone.npc[0], crossings.start(instruction)
+        if 0.0 <= start < enters:
+            return
+        most = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
+        slots = [slot / SLOT_STEPS_PER_SECOND for slot in range(-most, most + 1)]
+        slots = [slot for slot in slots if 0.0 <= crossings.start(replace(instruction, slot=slot)) < enters]
+        fits = f"a slot from {min(slots):g} to {max(slots):g} s" if slots else "another zone or speed"
+        expected = f"{fits} for {instruction.zone} at {instruction.speed:g} m/s, so that the NPC starts on its way"
+        received = f"{instruction.slot:g} s, for which it would start at {start:.0f} m of its way"
+        raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
     def _check_speeds(self, scenario: Scenario) -> None:
         limit = self.road.speed_limit
@@ -165,3 +216,20 @@ def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_
         min(scenario.ego_speed, road.speed_at(lane, along), fastest)
         for (along, lane), fastest in zip(places, turning, strict=True)
     ]
+
+
+def starts_of(
+    rules: Rules, scenario: Scenario, director: Director | JunctionDirector, ego_length: float
+) -> tuple[list[float], list[tuple[float, float, float, float]]]:
+    """Return where along its way everybody is at tick 0, the ego first [m]; x, y, heading, speed of each NPC there."""
+    cells = director.first_cells()
+    places = [along for along, _ in start_places(rules, scenario, cells, ego_length)]
+    _, *poses = start_positions(rules, scenario, cells, ego_length)
+    speeds = start_speeds(rules, scenario, cells, ego_length)
+    starts = [(*pose, speed) for pose, speed in zip(poses, speeds, strict=True)]
+    if isinstance(director, JunctionDirector):
+        own, *others = places
+        grid = iter(zip(others, starts, strict=True))
+        both = [start if isinstance(start := npc, tuple) else next(grid) for npc in director.starts()]
+        return [own, *(place for place, _ in both)], [start for _, start in both]
+    return places, starts

@@ -55,6 +55,7 @@ def circle():
         lanes=lanes,
         columns=columns,
         sections=frozenset(),
+        route=(),
         others=(),
         line=line,
         lane_width=LANE_WIDTH,

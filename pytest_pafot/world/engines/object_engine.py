@@ -14,6 +14,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.driving.ads import AskedDriver, EgoDriver, Planner, SelfDriving, is_vehicle_class
+from pytest_pafot.world.driving.junction_director import JunctionDirector
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.road_planner import RoadPlanner
 from pytest_pafot.world.driving.seeing import planner_sight
@@ -22,8 +23,9 @@ from pytest_pafot.world.engines.record import Record
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box, overlap
+from pytest_pafot.world.roads.junction import JunctionFrame
 from pytest_pafot.world.roads.network import NetworkFrame, NetworkRoad, State, StraightFrame
-from pytest_pafot.world.run_config import Rules, start_places, start_positions, start_speeds
+from pytest_pafot.world.run_config import Rules, starts_of
 from pytest_pafot.world.stock import Road, RoadNetwork
 
 
@@ -192,16 +194,20 @@ class VehiclesOfRun:
         length = float(ego.LENGTH)
         self.driver = driver
         self._director = director = rules.director(scenario, length)
-        cells = director.first_cells()
-        _, *starts = start_positions(rules, scenario, cells, length)
-        speeds = start_speeds(rules, scenario, cells, length)
-        self._npcs = [make_npc(*start, speed) for start, speed in zip(starts, speeds, strict=True)]
+        places, starts = starts_of(rules, scenario, director, length)
+        self._npcs = [make_npc(*start) for start in starts]
         self.vehicles = [ego, *self._npcs]  # in the order of the record
         self._by_floats = isinstance(ego, Car)
         self._bodies = [Body(length, float(ego.WIDTH)), *director.npcs]
-        frame = None
-        if isinstance(rules.road, NetworkRoad):
-            places = [along for along, _ in start_places(rules, scenario, cells, length)]
+        frame: NetworkFrame | None = None
+        if (
+            isinstance(director, JunctionDirector)
+            and isinstance(rules.road, NetworkRoad)
+            and rules.junction is not None
+        ):
+            ways = [None if each is None else each.zone for each in scenario.crossings]
+            frame = JunctionFrame(rules.road, ego.road.network, places, rules.junction, ways)
+        elif isinstance(rules.road, NetworkRoad):
             frame = NetworkFrame(rules.road, ego.road.network, places)
         self._frame = frame or StraightFrame(rules.straight)
         sizes, rows = [(body.length, body.width) for body in self._bodies], array("d")

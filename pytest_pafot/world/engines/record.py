@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.criticality import RelativePositions
+from pytest_pafot.model.crossings import Zone
+from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.world.driving.junction_director import JunctionDirector
 from pytest_pafot.world.kernel.bodies import Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.observation import COLUMNS
+from pytest_pafot.world.roads.junction import JunctionFrame
 from pytest_pafot.world.roads.network import NetworkFrame
 from pytest_pafot.world.run_config import Rules
 
@@ -32,7 +36,7 @@ class Record:
 
     rules: Rules
     scenario: Scenario
-    director: Director
+    director: Director | JunctionDirector
     sizes: list[tuple[float, float]]
     rows: array[float]
     tick: int = 0
@@ -69,8 +73,16 @@ class Record:
             off_road_tick=off_road_tick,
             max_decision_seconds=self.slowest,
             track=track,
+            zones=self._zones,
+            on_way=self.frame.on_way() if isinstance(self.frame, JunctionFrame) else None,
             driven=self.director.driven,
         )
+
+    @property
+    def _zones(self) -> tuple[Zone | None, ...]:
+        told = self.scenario.crossings
+        ways = self.rules.crossings.ways if told and self.rules.crossings is not None else {}
+        return tuple(None if each is None else ways[each.zone].zone for each in told)
 
     def _collision(self, states: FloatArray, track: FloatArray | None) -> Collision:
         now = self._boxes(states[-1])
@@ -87,11 +99,21 @@ class Record:
             time=self.tick / self.rules.physics_hz,
             npc=npc,
             side=side_hit(before[0], before[npc + 1]),
-            cell=positions.last_cell(npc, self.tick) or self.director.first_cells()[npc],
+            cell=self._cell(npc, positions, track),
             ego_speed=float(ego[SPEED]),
             npc_speed=float(other[SPEED]),
             closing_speed=float(np.hypot(*(velocity[:, 0] - velocity[:, 1]))),
         )
+
+    def _cell(self, npc: int, positions: RelativePositions, track: FloatArray | None) -> Cell | None:
+        """Return the cell of an NPC that the ego has touched; None where it was not on the ego's way."""
+        if track is not None and np.isnan(track[-1, npc + 1, 0]):
+            return None
+        cell = positions.last_cell(npc, self.tick)
+        crossings = self.scenario.crossings[: npc + 1]
+        if cell is not None or (crossings and crossings[-1] is not None):
+            return cell
+        return self.director.first_cells()[npc - sum(each is not None for each in crossings)]
 
     def _boxes(self, row: FloatArray) -> list[Box]:
         poses = row[:, :3].tolist()

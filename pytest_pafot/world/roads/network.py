@@ -135,6 +135,7 @@ class NetworkRoad:
         lanes: all lanes, as a trace has them: first those of the way from the left, then the others of the network.
         columns: the lanes of the way, from the left.
         sections: of the way, as pairs of highway-env's nodes.
+        route: the lanes of the way in driving order, by the numbers that ``line.piece`` has.
         others: highway-env's indices of the lanes that are in no section of the way, the last of ``lanes``.
         lane_width: of the ego's lane at the start [m].
         speed_limit: of the fastest lane of the way, or the ego's first speed where that is more [m/s].
@@ -144,6 +145,7 @@ class NetworkRoad:
     lanes: tuple[Lane, ...]
     columns: tuple[Column, ...]
     sections: frozenset[tuple[str, str]]
+    route: tuple[LaneIndex, ...]
     others: tuple[LaneIndex, ...]
     line: Line
     lane_width: float

@@ -98,7 +98,7 @@ def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
         lane = network.get_lane((node, end, chosen))
         begin = min(max(float(lane.local_coordinates(point)[0]), 0.0), float(lane.length))
         piece = Piece((node, end, chosen), lane, begin, float(lane.length))
-        if piece.end - piece.begin > STEP and _is_drivable(last, piece):
+        if piece.end - piece.begin > STEP and is_drivable(last, piece):
             found.append((float(distance), piece))
     return min(found, key=lambda each: each[0])[1] if found else None
 
@@ -108,11 +108,12 @@ def _predecessor(network: Any, piece: Piece) -> Piece | None:
     point = np.asarray(piece.lane.position(0, 0))
     lanes = network.lanes_dict().items()
     leading = (Piece(index, lane, 0.0, float(lane.length)) for index, lane in lanes if index[1] == piece.index[0])
-    found = [each for each in leading if each.end > STEP and _is_drivable(each, piece)]
+    found = [each for each in leading if each.end > STEP and is_drivable(each, piece)]
     return min(found, key=lambda each: np.linalg.norm(each.lane.position(each.end, 0) - point), default=None)
 
 
-def _is_drivable(last: Piece, piece: Piece) -> bool:
+def is_drivable(last: Piece, piece: Piece) -> bool:
+    """Return whether a vehicle can drive from the end of one lane on to the beginning of another."""
     step = np.asarray(piece.lane.position(piece.begin, 0)) - np.asarray(last.lane.position(last.end, 0))
     turn = piece.lane.heading_at(piece.begin) - last.lane.heading_at(last.end)
     return float(np.hypot(*step)) <= WIDEST_GAP and abs(wrapped(float(turn))) <= SHARPEST_BEND

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -64,7 +65,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     pieces, first = way(network, index, at, getattr(ego, "route", None), ahead=ahead, behind=ROOM_BEHIND)
     line, speed = line_of(pieces), float(ego.speed)
     strips = _strips(network, pieces, line, speed)
-    curvature = _curvature(line.heading, np.arange(len(line.x), dtype=np.float64) * STEP)
+    curvature = curvature_of(line)
     worst = int(np.abs(curvature).argmax())
     if abs(curvature[worst]) > TIGHTEST:
         raise WorldError(
@@ -81,6 +82,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
         lanes=(*lanes, *(_other_lane(lane, speed) for lane in others.values())),
         columns=columns,
         sections=sections,
+        route=tuple(piece.index for piece in pieces),
         others=tuple(others),
         line=line,
         lane_width=float(strips[0].width[round(start / STEP)]),
@@ -223,6 +225,21 @@ def _course(
     direction = heading + (turned + np.pi) % (2 * np.pi) - np.pi  # not wrapped(turned): other rounding, other runs
     lengths = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
     return x, y, direction, lengths
+
+
+def curvature_of(line: Line) -> FloatArray:
+    """Return the curvature of a line at each of its points [1/m]."""
+    return _curvature(line.heading, np.arange(len(line.x), dtype=np.float64) * STEP)
+
+
+def lone_column(line: Line, pieces: Sequence[Piece], limits: NpcLimits, ego_speed: float, parts: list[int]) -> Column:
+    """Return the lane that a line of pieces makes, of which each point is in a part of it."""
+    strip = _Strip(len(line.x))
+    strip.exists[:] = True
+    for number, piece in enumerate(pieces):
+        strip.limit[line.piece == number] = max(piece.lane.speed_limit or 0.0, ego_speed)
+    ((column,), _) = _columns(line, {0: strip}, limits)
+    return replace(column, part=parts)
 
 
 def _curvature(direction: FloatArray, lengths: FloatArray) -> FloatArray:

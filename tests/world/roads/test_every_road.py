@@ -153,7 +153,7 @@ def test_cells_are_those_whose_centre_is_on_a_lane_in_the_egos_direction():
     roundabout = world_of("roundabout-v1").road
     assert roundabout.start_lanes == (1,)
     assert roundabout.cells(roundabout.start, 1, 8.0) == {2, 6}  # before the circle there is one lane
-    in_the_circle = roundabout.start + 45
+    in_the_circle = 170.0
     assert roundabout.cells(in_the_circle, 1, 8.0) == {1, 2, 6, 7, 8}  # the inner lane is to the left
     merge = world_of("merge-v1").road
     assert merge.cells(merge.start, 1, 8.0) == {1, 2, 6, 7, 8}

@@ -1,0 +1,522 @@
+"""Ways of other traffic through a network, and the zones in which they meet the ego's way and each other.
+
+A way leads from a section that nothing leads on to, through sections that can be driven one after the other, to one
+that leads no further. Ways that start where the ego's does are none: who comes from there drives on the grid.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot.model.crossings import Crossings, Holder, Kind, Origin, Stretch, Way, Zone
+from pytest_pafot.model.trace import FloatArray, Outcome
+from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
+from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.roads.network import Column, NetworkFrame, NetworkRoad, State
+from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, way, wrapped
+from pytest_pafot.world.roads.survey import TIGHTEST, curvature_of, lone_column
+
+IntArray = npt.NDArray[np.intp]
+Flags = npt.NDArray[np.bool_]
+Section = tuple[str, str]
+
+EGOS = ""
+"""The name of the ego's way among those of the others, which have a ``>`` in theirs."""
+WIDER = 1.0
+"""How much wider the boxes of both are taken in a zone [m]: an ego that cuts corners is up to 0.74 m beside its way."""
+ONE_LANE, ONE_DIRECTION = 0.5, 0.1
+"""How far apart two ways are that lie in one lane, and their angle, at most [m, rad]."""
+BESIDE, ALIGNED = 1.0, 0.3
+"""Who is not farther from a way, and at no larger angle to it, is in the way of who drives there [m, rad]."""
+APPROACH = 20.0
+"""How far before the zone both are where the ego sees from where the other comes [m]."""
+OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
+"""Directions of two that come towards each other there differ by more than the first, of two side by side by less than
+the second [rad]. In a roundabout who circulates is turned by three quarters of pi, and comes from the left."""
+OFF_WAY = (math.nan, math.nan, math.nan, math.nan, math.nan)
+"""The row of the track of who is not on the ego's way."""
+NOT_ON_WAY = 0.5
+"""Who is turned to the ego's way by more is not on it [rad]."""
+STRAIGHTER = 0.2
+"""Who turns by so much less than the other in a merging zone is on the main lane [rad]."""
+LEAD = 6.0
+"""How long before its first zone an ego starts that keeps its speed, as far as its lane goes back [s]."""
+MOST_WAYS = 64
+"""Of a network; the shortest ones. A city of blocks has more paths than anybody could count."""
+COARSE = 4
+"""Points that are looked at together where two ways are compared."""
+
+
+class Course(NamedTuple):
+    """Where the centre of a vehicle that follows a way is, and how it is turned, at each point [m, m, rad]."""
+
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CrossingWay:
+    """A way of other traffic as it is driven.
+
+    Attributes:
+        way: its zone and its speeds.
+        line: the points of its centre line, from the entry to the exit.
+        column: its lane at each point; ``part`` is the index of the lane in ``Trace.lanes``.
+    """
+
+    way: Way
+    line: Line
+    column: Column
+
+    @cached_property
+    def _points(self) -> list[tuple[float, float, float]]:
+        return list(zip(self.line.x.tolist(), self.line.y.tolist(), self.line.heading.tolist(), strict=True))
+
+    def reference(self, along: float) -> tuple[float, float, float]:
+        """Return world x [m], y [m] and direction [rad] of the centre line; straight on beyond its ends."""
+        index = min(max(int(along / STEP), 0), len(self._points) - 2)
+        share = along / STEP - index
+        (x0, y0, heading0), (x1, y1, heading1) = self._points[index], self._points[index + 1]
+        turned = min(max(share, 0.0), 1.0) * (heading1 - heading0)
+        return x0 + share * (x1 - x0), y0 + share * (y1 - y0), heading0 + turned
+
+    def value(self, values: Sequence[float], along: float) -> float:
+        """Return what one of the column's lists has at a place; as at the ends beyond them."""
+        index = min(max(int(along / STEP), 0), len(values) - 2)
+        share = min(max(along / STEP - index, 0.0), 1.0)
+        return values[index] + share * (values[index + 1] - values[index])
+
+    def place(self, x: float, y: float, near: float) -> tuple[float, float, float]:
+        """Return how far along and to the right of the way somebody is near a place, and the direction there."""
+        along = near
+        for _ in range(4):
+            x0, y0, heading = self.reference(along)
+            cos, sin = math.cos(heading), math.sin(heading)
+            ahead = (x - x0) * cos + (y - y0) * sin
+            along += ahead
+            if abs(ahead) < 1e-6:
+                break
+        return along, (y - y0) * cos - (x - x0) * sin, heading
+
+    def start(self, along: float) -> tuple[float, float, float]:
+        """Return world x [m], y [m] and heading [rad] of a vehicle that follows the way."""
+        x, y, heading = self.reference(along)
+        return x, y, heading + self.value(self.column.lean, along)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Junction:
+    """The ways of a network on which other traffic meets the ego's way.
+
+    Attributes:
+        crossings: what a search draws from.
+        ways: by their names.
+        shared: for the names of two ways, where along the first one somebody is who is at each point of the second [m];
+            NaN where that is beside the first one. The ego's way is called ``""``. Ways that share nothing are absent.
+        along_ego: for each way, where along the ego's way its points are that lie near to it and lead where it leads
+            [m]; NaN for all others.
+    """
+
+    crossings: Crossings
+    ways: Mapping[str, CrossingWay]
+    shared: Mapping[tuple[str, str], list[float]]
+    along_ego: Mapping[str, list[float]]
+
+    def __deepcopy__(self, _: dict[int, object]) -> Junction:
+        """Itself, as nothing in it changes: highway-env copies vehicles with all that hangs on them to predict them."""
+        return self
+
+
+def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | None:
+    """Return the ways on which other traffic meets the ego's way in an environment; None where there is none."""
+    own = _course(road.line, road.columns[road.ego_lane])
+    ways = _ways(env.road.network, road, own, limits)
+    if not ways:
+        return None
+    first = min(each.way.zone.ego[0] for each in ways.values())
+    lane_begins = float(np.flatnonzero(road.line.piece == road.line.piece[road.point(road.start)])[0]) * STEP
+    courses = {name: _course(each.line, each.column) for name, each in sorted(ways.items())}
+    shared: dict[tuple[str, str], list[float]] = {}
+    along_ego: dict[str, list[float]] = {}
+    meetings: dict[tuple[str, str], tuple[Stretch, Stretch]] = {}
+    for (one, a), (other, b) in combinations([(EGOS, own), *courses.items()], 2):
+        pairs = near_pairs(a, b)
+        for mine, theirs, places in (
+            (one, other, _places(a, b, pairs, BESIDE, ALIGNED)),
+            (other, one, _places(b, a, pairs[::-1], BESIDE, ALIGNED)),
+        ):
+            if any(not math.isnan(place) for place in places):
+                shared[mine, theirs] = places
+        if one == EGOS:
+            along_ego[other] = _places(a, b, pairs, road.lane_width, NOT_ON_WAY)
+        elif (meeting := meeting_of(a, b, pairs)) is not None:
+            meetings[one, other] = meeting.stretches
+    crossings = Crossings(
+        ways={name: each.way for name, each in ways.items()},
+        meetings=meetings,
+        ego_start=min(road.start, max(first - LEAD * road.ego_speed, lane_begins)),
+        ego_speed=road.ego_speed,
+    )
+    return Junction(crossings=crossings, ways=ways, shared=shared, along_ego=along_ego)
+
+
+def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> dict[str, CrossingWay]:
+    """Return the ways that meet the ego's ahead of where it starts, by their names; the shortest one of each name."""
+    ways: dict[str, CrossingWay] = {}
+    for path in _paths(network):
+        name = f"{path[0][0]}>{path[-1][1]}"
+        if path[0] in road.sections or name in ways:
+            continue
+        pieces = _pieces(network, path)
+        line = line_of(pieces)
+        if np.abs(curvature_of(line)).max() > TIGHTEST:
+            continue  # a jump from lane to lane, such as that of the ramp of merge-v0
+        column = lone_column(line, pieces, limits, road.ego_speed, _parts(road, pieces, line))
+        zone = _zone(name, road, own, line, column, [piece.index for piece in pieces], network)
+        if zone is not None and zone.ego[0] > road.start:
+            ways[name] = CrossingWay(way=Way(zone=zone, speeds=np.array(column.speed)), line=line, column=column)
+    return ways
+
+
+# Ways: sections of the network one after the other.
+
+
+def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
+    """Yield all ways through a network as sections, the shortest first, none of which comes twice to a node."""
+    follow: dict[Section, list[Section]] = {(a, b): [] for a, ends in network.graph.items() for b in ends}
+    for section, following in follow.items():
+        lasts = [Piece((*section, 0), lane, 0.0, float(lane.length)) for lane in network.graph[section[0]][section[1]]]
+        for end, lanes in network.graph.get(section[1], {}).items():
+            nexts = [Piece((section[1], end, 0), lane, 0.0, float(lane.length)) for lane in lanes]
+            if any(is_drivable(last, each) for last in lasts for each in nexts):
+                following.append((section[1], end))
+    led_to = {section for following in follow.values() for section in following}
+    queue: deque[tuple[Section, ...]] = deque((section,) for section in follow if section not in led_to)
+    found = 0
+    while queue and found < MOST_WAYS and len(queue) < MOST_WAYS**2:
+        path = queue.popleft()
+        nodes = {path[0][0], *(end for _, end in path)}
+        if not follow[path[-1]]:
+            found += 1
+            yield path
+        queue.extend((*path, section) for section in follow[path[-1]] if section[1] not in nodes)
+
+
+def _pieces(network: Any, path: Sequence[Section]) -> tuple[Piece, ...]:
+    """Return the lanes of a way, of the rightmost lane at its entry on."""
+    (origin, end), *_ = path
+    index: LaneIndex = (origin, end, len(network.graph[origin][end]) - 1)
+    pieces, _ = way(network, index, 0.0, [(*section, None) for section in path], ahead=math.inf, behind=0.0)
+    return pieces
+
+
+def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
+    """Return the index in ``Trace.lanes`` of the lane at each point of a way."""
+    others = {index: len(road.lanes) - len(road.others) + place for place, index in enumerate(road.others)}
+    parts = np.full(len(line.x), -1)
+    for number, piece in enumerate(pieces):
+        points = np.flatnonzero(line.piece == number)
+        if piece.index in others:
+            parts[points] = others[piece.index]
+        elif points.size:
+            parts[points] = _parts_of_way(road, line, points)
+    return [int(part) for part in parts]
+
+
+def _parts_of_way(road: NetworkRoad, line: Line, points: IntArray) -> list[int]:
+    """Return the index in ``Trace.lanes`` of the lane of the ego's way at some points that lie in one of its lanes."""
+    x, y = line.x[points, None] - road.line.x, line.y[points, None] - road.line.y
+    near = (x * x + y * y).argmin(axis=1)
+    middle = len(points) // 2
+    place = int(points[middle])
+    spot = road.spot(float(line.x[place]), float(line.y[place]), float(line.heading[place]), float(near[middle]) * STEP)
+    return [road.columns[spot.lane].part[int(point)] for point in near]
+
+
+# Where two ways meet.
+
+
+def _course(line: Line, column: Column) -> Course:
+    return Course(line.x, line.y, np.array(column.direction) + np.array(column.lean))
+
+
+def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
+    """Return the points of two courses, one of each, at which wide boxes might touch, in the order of the second."""
+    reach = math.hypot(NPC_LENGTH, NPC_WIDTH + WIDER)
+    wide = reach + 2 * STEP * COARSE
+    x = a.x[::COARSE, None] - b.x[::COARSE]
+    y = a.y[::COARSE, None] - b.y[::COARSE]
+    i, j = np.nonzero(x * x + y * y < wide * wide)
+    step = np.arange(COARSE)
+    i = (i[:, None, None] * COARSE + step[:, None]).repeat(COARSE, axis=2).ravel()
+    j = (j[:, None, None] * COARSE + step).repeat(COARSE, axis=1).ravel()
+    exists = (i < len(a.x)) & (j < len(b.x))
+    i, j = i[exists], j[exists]
+    x, y = a.x[i] - b.x[j], a.y[i] - b.y[j]
+    is_near = x * x + y * y < reach * reach
+    i, j = i[is_near], j[is_near]
+    order = np.lexsort((i, j))
+    return i[order], j[order]
+
+
+def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: float) -> Flags:
+    """Return for pairs of points whether boxes of vehicles there touch, each wider by so much [m] (separating axes)."""
+    i, j = pairs
+    length, width = NPC_LENGTH, NPC_WIDTH + wider
+    x, y, turn = b.x[j] - a.x[i], b.y[j] - a.y[i], b.heading[j] - a.heading[i]
+    along = (length + length * np.abs(np.cos(turn)) + width * np.abs(np.sin(turn))) / 2
+    across = (width + length * np.abs(np.sin(turn)) + width * np.abs(np.cos(turn))) / 2
+    touches = np.ones(len(i), dtype=bool)
+    for heading in (a.heading[i], b.heading[j]):
+        cos, sin = np.cos(heading), np.sin(heading)
+        touches &= (np.abs(x * cos + y * sin) < along) & (np.abs(y * cos - x * sin) < across)
+    return touches
+
+
+class Meeting(NamedTuple):
+    """How two ways meet.
+
+    Attributes:
+        stretches: of both, in which wide boxes can touch [m].
+        closest: the points of both at which they are nearest; in a merging zone the first ones in one lane.
+        merges: whether both lead on in one lane.
+    """
+
+    stretches: tuple[Stretch, Stretch]
+    closest: tuple[int, int]
+    merges: bool
+
+
+def meeting_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Meeting | None:
+    """Return the first place along the second of two ways at which it meets the first one; None without.
+
+    Two ways that lead on in one lane meet up to a vehicle's length after they have come together, and two that part
+    from one lane meet from a vehicle's length before that on. Ways side by side, whose boxes touch only because they
+    are taken wider, do not meet.
+    """
+    wide = boxes_touch(a, b, pairs, WIDER)
+    i, j = pairs[0][wide], pairs[1][wide]
+    for run in np.split(np.arange(len(j)), np.flatnonzero(np.diff(j) > 1) + 1):
+        here, there = _same_place(i[run], j[run])
+        if boxes_touch(a, b, (here, there), 0.0).any():
+            return _meeting(a, b, here, there)
+    return None
+
+
+def _same_place(i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
+    """Return those of the pairs of a run along the second way that are one run along the first one, too."""
+    known = np.unique(i)
+    runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
+    own = next((run for run in runs if i.size and run[0] <= i[0] <= run[-1]), known)
+    belongs = np.isin(i, own)
+    return i[belongs], j[belongs]
+
+
+def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
+    x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
+    cos, sin = np.cos(a.heading[i]), np.sin(a.heading[i])
+    turned = np.abs(wrapped(b.heading[j] - a.heading[i]))
+    together = (np.abs(x * cos + y * sin) <= STEP / 2 + 1e-9) & (np.abs(y * cos - x * sin) < ONE_LANE)
+    together &= turned < ONE_DIRECTION
+    nearest = int(np.argmin(x * x + y * y))
+    first, last = (int(i.min()), int(j.min())), (int(i.max()), int(j.max()))
+    length = round(NPC_LENGTH / STEP)
+    if together.any():
+        begins, ends = np.flatnonzero(together)[[0, -1]]
+        if min(int(i[begins]) - first[0], int(j[begins]) - first[1]) > 2:  # they come together
+            nearest = int(begins)
+            last = int(i[begins]) + length, int(j[begins]) + length
+            merges = True
+        else:
+            first = int(i[ends]) - length, int(j[ends]) - length
+            merges = False
+    else:
+        merges = False
+    stretches = tuple(
+        (max(since - 1, 0) * STEP, min(until + 1, len(course.x) - 1) * STEP)
+        for since, until, course in zip(first, last, (a, b), strict=True)
+    )
+    return Meeting((stretches[0], stretches[1]), (int(i[nearest]), int(j[nearest])), merges)
+
+
+def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float) -> list[float]:
+    """Return where along one way somebody is who is at each point of another [m].
+
+    NaN for points that are farther from the first way, or turned more to it.
+    """
+    i, j = pairs
+    x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
+    cos, sin = np.cos(a.heading[i]), np.sin(a.heading[i])
+    ahead, aside = x * cos + y * sin, np.abs(y * cos - x * sin)
+    fits = (aside < beside) & (np.abs(wrapped(b.heading[j] - a.heading[i])) < turned) & (np.abs(ahead) <= STEP)
+    order = np.argsort(-np.abs(ahead[fits]), kind="stable")  # the nearest one is written last
+    places = np.full(len(b.x), np.nan)
+    places[j[fits][order]] = (i[fits] * STEP + ahead[fits])[order]
+    listed: list[float] = places.tolist()
+    return listed
+
+
+def _zone(
+    name: str,
+    road: NetworkRoad,
+    own: Course,
+    line: Line,
+    column: Column,
+    lanes: Sequence[LaneIndex],
+    network: Any,
+) -> Zone | None:
+    """Return where a way first meets the ego's; None where it does not, or where it has come along the ego's way."""
+    course = _course(line, column)
+    met = meeting_of(own, course, near_pairs(own, course))
+    if met is None:
+        return None
+    ego, npc = met.stretches
+    here, there = (max(int((enters - APPROACH) / STEP), 0) for enters, _ in met.stretches)
+    origin = _origin(wrapped(float(line.heading[there] - road.line.heading[here])))
+    kind: Kind = "merging" if met.merges else "oncoming" if origin == "ahead" else "crossing"
+    return Zone(
+        way=name,
+        kind=kind,
+        origin=origin,
+        ego=ego,
+        npc=npc,
+        priority=_holder(network, (road.line, road.route), (line, lanes), met),
+    )
+
+
+def _origin(turned: float) -> Origin:
+    """Return from where somebody comes whose direction is turned to the right of the ego's by an angle [rad]."""
+    if abs(turned) > OPPOSITE:
+        return "ahead"
+    if abs(turned) < ALONGSIDE:
+        return "behind"
+    return "left" if turned > 0 else "right"
+
+
+def _holder(
+    network: Any, ego: tuple[Line, Sequence[LaneIndex]], npc: tuple[Line, Sequence[LaneIndex]], met: Meeting
+) -> Holder:
+    """Return who has priority where two ways meet, by the lanes on which they come there.
+
+    highway-env's priorities count in a network that has some. In others, who circulates has priority over who enters,
+    and in a merging zone who is on the main lane, which turns less, over who joins it.
+    """
+    own, other = (
+        _lane_before(line, lanes, point, {index[:2] for index in others})
+        for (line, lanes), (_, others), point in zip((ego, npc), (npc, ego), met.closest, strict=True)
+    )
+    priorities = {getattr(lane, "priority", 0) for lane in network.lanes_list()}
+    if len(priorities) > 1:
+        mine, theirs = (getattr(network.get_lane(index), "priority", 0) for index in (own, other))
+    else:
+        mine, theirs = _circulates(network, own), _circulates(network, other)
+        if mine == theirs and met.merges:
+            bends = [_turned(line, stretch) for (line, _), stretch in zip((ego, npc), met.stretches, strict=True)]
+            mine, theirs = bends[0] + STRAIGHTER < bends[1], bends[1] + STRAIGHTER < bends[0]
+    return "none" if mine == theirs else "ego" if mine > theirs else "npc"
+
+
+def _lane_before(line: Line, lanes: Sequence[LaneIndex], point: int, others: set[Section]) -> LaneIndex:
+    """Return the lane of a way at a point, or the last one before that which the other way does not have."""
+    number = int(line.piece[point])
+    while number > 0 and lanes[number][:2] in others:
+        number -= 1
+    return lanes[number]
+
+
+def _circulates(network: Any, lane: LaneIndex) -> bool:
+    """Return whether the road leads from the end of a lane back to its beginning."""
+    seen, queue = {lane[1]}, deque([lane[1]])
+    while queue:
+        for end in network.graph.get(queue.popleft(), {}):
+            if end == lane[0]:
+                return True
+            if end not in seen:
+                seen.add(end)
+                queue.append(end)
+    return False
+
+
+def _turned(line: Line, stretch: Stretch) -> float:
+    first, last = (int(place / STEP) for place in stretch)
+    return abs(float(line.heading[last] - line.heading[first]))
+
+
+# Where the vehicles of one run are, where some of them are not on the ego's way.
+
+
+class JunctionFrame(NetworkFrame):
+    """Follows those on the ego's way along it, and each who crosses along its own way."""
+
+    def __init__(
+        self, road: NetworkRoad, network: Any, starts: Sequence[float], junction: Junction, ways: Sequence[str | None]
+    ) -> None:
+        """``starts`` is where along its way each vehicle starts [m], the ego first; ``ways`` are those of the NPCs."""
+        names = [None, *ways]
+        super().__init__(road, network, [start for start, name in zip(starts, names, strict=True) if name is None])
+        self._names = names
+        self._ways = [None if name is None else junction.ways[name] for name in names]
+        self._near = [None if name is None else junction.along_ego[name] for name in names]
+        self._places = list(starts)
+        self._crossing = array("d")  # of each who crosses its place on its own way, then its row of the track
+
+    def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
+        """Put bodies where the vehicles are on their ways; the lane of each, and how the run leaves the road.
+
+        Who crosses has its place along its own way, how far to its right it is, and its angle to it.
+        """
+        on_grid = [number for number, way in enumerate(self._ways) if way is None]
+        found, left = super().see([states[number] for number in on_grid], [bodies[number] for number in on_grid])
+        lanes = dict(zip(on_grid, found, strict=True))
+        for number, (own, near) in enumerate(zip(self._ways, self._near, strict=True)):
+            if own is None or near is None:
+                continue
+            x, y, heading, speed = states[number]
+            along, across, direction = own.place(x, y, self._places[number])
+            self._places[number] = along
+            bodies[number].place(along, across, wrapped(heading - direction), speed)
+            point = min(max(round(along / STEP), 0), len(near) - 1)
+            lanes[number] = own.column.part[point] if 0 <= along <= own.way.length else -1
+            self._crossing.append(along)
+            self._crossing.extend(self._row(x, y, heading, near[point] if along >= own.way.zone.npc[0] else math.nan))
+        return [lanes[number] for number in range(len(states))], left
+
+    def _row(self, x: float, y: float, heading: float, near: float) -> tuple[float, float, float, float, float]:
+        """Return the row of the track of somebody who may be on the ego's way near a place; NaN where it is not."""
+        road = self._road
+        if not math.isnan(near):
+            spot = road.spot(x, y, heading, near)
+            if road.part(spot) >= 0 and abs(spot.angle) < NOT_ON_WAY:
+                return *spot[:3], spot.offset, road.stretch(spot.along, spot.across)
+        return OFF_WAY
+
+    def track(self) -> FloatArray:
+        """Return where all were on the ego's way at every tick, as :attr:`pytest_pafot.Trace.track` has it."""
+        own, others = super().track(), self._recorded
+        track = np.empty((len(own), len(self._names), own.shape[2]))
+        track[:, [name is None for name in self._names]] = own
+        track[:, [name is not None for name in self._names]] = others[..., 1:]
+        return track
+
+    def on_way(self) -> FloatArray:
+        """Return where all NPCs were on their own ways, as :attr:`pytest_pafot.Trace.on_way` has it."""
+        others = self._recorded
+        places = np.full((len(others), len(self._names) - 1), np.nan)
+        places[:, [name is not None for name in self._names[1:]]] = others[..., 0]
+        return places
+
+    @property
+    def _recorded(self) -> FloatArray:
+        crossing = sum(name is not None for name in self._names)
+        return np.array(self._crossing).reshape(-1, crossing, 1 + len(OFF_WAY))
