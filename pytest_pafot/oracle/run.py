@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,6 +16,7 @@ from pytest_pafot import criticality
 from pytest_pafot.attribution.last_chance import LastChance, TakeOver, last_chance
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import What, responsible_sentence
+from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
     BY_NAME,
     EgoLaneChange,
@@ -26,8 +28,9 @@ from pytest_pafot.criticality.signals import (
     ego_lane_changes,
     leader,
 )
+from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import CrossingInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, AdsError, Collision, FloatArray, Outcome, Trace
 from pytest_pafot.support.shown import Drawn
 from pytest_pafot.support.text import ascii_text
@@ -55,7 +58,7 @@ class Moment:
         tick: physics tick.
         time: of that tick [s].
         cell: that the NPC's centre is in, or the last one before where it is in the ego's own; None if it never
-            was in another.
+            was in another, and for an NPC that crosses while it is not on the ego's way.
     """
 
     npc: int
@@ -233,6 +236,15 @@ class Run(Drawn):
         """The ego's lane changes: when, from and to which lane, and the gaps ahead and behind there."""
         return ego_lane_changes(self.trace)
 
+    @cached_property
+    def passages(self) -> tuple[Passage, ...]:
+        """When the ego and each NPC that crosses were in the zone in which their ways meet; empty without any.
+
+        ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` is how narrowly the ego and
+        crossing traffic missed each other.
+        """
+        return tuple(filter(None, passages(self.trace)))
+
     def signal(self, measure: Measure, npc: int | None = None) -> Signal:
         """A measure of your own as a signal; of one NPC where it gives a value of each.
 
@@ -362,9 +374,23 @@ class Run(Drawn):
 
     @property
     def event_cell(self) -> Cell | None:
-        """The cell that :attr:`event_npc` was in at that moment."""
+        """The cell that :attr:`event_npc` was in at that moment; None where it crossed the ego's way."""
         event = self.collision or self.worst_ttc
         return None if event is None else event.cell
+
+    def place_of(self, event: Collision | Moment) -> str:
+        """Where the NPC of an event was, in words; empty where it never left the ego's own cell.
+
+        Such as ``in cell 2 (front)``, or off the ego's way ``from the left in the zone o1>o3``.
+        """
+        if event.cell is not None:
+            return f"in cell {int(event.cell)} ({event.cell.label})"
+        zone = self.npcs[event.npc].zone
+        if zone is None or self.trace.on_way is None:
+            return ""
+        along, (enters, leaves) = self.trace.on_way[event.tick, event.npc], zone.npc
+        where = "before" if along < enters else "past" if along > leaves else "in"
+        return f"{zone.whence} {where} the zone {zone.way}"
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -380,7 +406,8 @@ class Run(Drawn):
         names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
         names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
         names += filter(None, [self.scenario.traffic.described])
-        lines += [*_gene_table(self.trace), f"  {', '.join(names)}"]
+        crossing = _crossing_lines(self.trace)
+        lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
 
@@ -407,10 +434,8 @@ class Run(Drawn):
     def _headline(self) -> str:
         hit = self.collision
         if hit is not None:
-            return (
-                f"collision after {hit.time:.1f} s: NPC {hit.npc} in cell {int(hit.cell)} ({hit.cell.label}) "
-                f"against the ego's {hit.side}"
-            )
+            place = f"{self.place_of(hit)} ".lstrip()
+            return f"collision after {hit.time:.1f} s: NPC {hit.npc} {place}against the ego's {hit.side}"
         if self.ads_error is not None:
             kind = "ADS hangs" if self.outcome is Outcome.HANG else "ADS error"
             return f"{kind} after {self.event_time:.1f} s: {self.ads_error.kind}: {self.ads_error.message}"
@@ -427,7 +452,7 @@ class Run(Drawn):
             return [f"  at the impact: {speeds}", f"  {brake}"]
         lines, worst = [], self.worst_ttc
         if worst is not None:
-            place = "" if worst.cell is None else f" in cell {int(worst.cell)} ({worst.cell.label})"
+            place = f" {self.place_of(worst)}".rstrip()
             lines.append(f"  least time to contact: {self.min_ttc:.2f} s, NPC {worst.npc}{place} at {worst.time:.1f} s")
         lines.append(f"  closest at {self.closest_time:.1f} s: {self.min_distance:.2f} m between the boxes; {brake}")
         return lines
@@ -453,18 +478,52 @@ def _no_world(name: str, argument: str) -> NoReferenceDriversError:
     )
 
 
-def _gene_table(trace: Trace) -> list[str]:
+def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
+    """What an NPC that crosses is told, in words: ``from the left, 0.5 s after the ego leaves, 8.6 m/s``."""
+    whence = "" if zone is None else zone.whence
+    return ", ".join(filter(None, (whence, instruction.when, f"{instruction.speed:.1f} m/s", instruction.deed)))
+
+
+def _crossing_lines(trace: Trace) -> list[str]:
+    """A line for each NPC that crosses: where to, what it was told, and how it passed the zone."""
+    told = [(npc, each) for npc, each in enumerate(trace.executed.crossings) if each is not None]
+    shown = told[: MAX_GENE_ROWS - (2 if trace.executed.positions else 0)]
+    zones, passed = trace.zones or (None,) * len(trace.executed.npcs), passages(trace)
+    lines = [
+        f"  NPC {npc}: {instruction.zone} {crossing_text(instruction, zones[npc])}{_passed(passed[npc])}"
+        for npc, instruction in shown
+    ]
+    return lines if len(shown) == len(told) else [*lines, f"  ... and {len(told) - len(shown)} more that cross"]
+
+
+def _passed(passage: Passage | None) -> str:
+    """How an NPC passed its zone, in words: ``; came 0.1 s after it (5.6 s)``."""
+    if passage is None:
+        return ""
+    if passage.npc_enters == math.inf:
+        return "; never came"
+    if passage.ego_enters == math.inf:
+        return f"; came at {passage.npc_enters:.1f} s"
+    gap = passage.post_encroachment_time
+    if gap and passage.npc_leaves <= passage.ego_enters:
+        return f"; left {gap:.1f} s before it ({passage.npc_leaves:.1f} s)"
+    return f"; came {f'{gap:.1f} s after it' if gap else 'together with it'} ({passage.npc_enters:.1f} s)"
+
+
+def _gene_table(trace: Trace, room: int) -> list[str]:
     """The Position-Instructions that the run started: a row per gene, a column per NPC, times in seconds."""
     scenario = trace.executed
+    npcs = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], CrossingInstruction)]
+    if not npcs:
+        return []
     started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)
-    reached = {1: "reached at ", 2: "reached "}.get(len(scenario.npcs), "")  # as many words as there is room for
-    npcs = range(len(scenario.npcs))
+    reached = {1: "reached at ", 2: "reached "}.get(len(npcs), "")  # as many words as there is room for
     header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
     rows = [
         [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, reached) for npc in npcs)]
         for gene in range(started)
     ]
-    shown = rows[-MAX_GENE_ROWS:]
+    shown = rows[-max(room, 1) :]
     widths = [max(len(row[column]) for row in [header, *shown]) for column in range(len(header))]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in [header, *shown]]
     if len(rows) > len(shown):

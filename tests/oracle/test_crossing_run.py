@@ -1,0 +1,136 @@
+"""What a run says of NPCs that cross the ego's way: where they were, what they were told, and what came of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import ACTS, CrossingInstruction
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.run import Run, crossing_text
+from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
+from tests.helpers.tables import table
+from tests.helpers.traces import collision_at
+
+
+def crash(**more):
+    """The ego hits an NPC from the left in the middle of the zone."""
+    return Run(junction_trace((CROSSES, 10.0), hits=0, seconds=4.8, **more))
+
+
+def lines_of(*npcs, **more):
+    return Run(junction_trace(*npcs, **more)).explain().splitlines()
+
+
+def test_the_headline_says_at_which_zone_and_from_where_the_npc_came():
+    run = crash()
+    assert run.explain().splitlines()[0] == (
+        "collision after 4.8 s: NPC 0 from the left in the zone o3>o1 against the ego's front"
+    )
+    assert run.event_cell is None
+    assert run.place_of(run.collision) == "from the left in the zone o3>o1"
+
+
+@table(("start", "where"), [(-10.0, "from the left before"), (10.0, "from the left in"), (25.0, "from the left past")])
+def test_the_place_of_a_moment_is_before_in_or_past_the_zone(start, where):
+    run = Run(junction_trace((CROSSES, start), seconds=5.0))
+    assert run.place_of(replace(run.closest_approach, tick=75)) == f"{where} the zone o3>o1"
+
+
+def test_after_a_merge_the_place_is_a_cell_again():
+    run = Run(junction_trace((MERGES, 0.0)))
+    assert run.place_of(run.closest_approach) == "in cell 2 (front)"
+    before = Run(junction_trace((MERGES, 0.0), seconds=4.0))
+    assert before.place_of(before.closest_approach) == "from the right in the zone o2>o4"
+
+
+def test_the_place_of_a_collision_that_nobody_recorded_is_left_out():
+    """A world of the user's own may have such a track, and no zones."""
+    trace = replace(crash().trace, zones=(), on_way=None)
+    assert Run(trace).explain().startswith("collision after 4.8 s: NPC 0 against the ego's front\n")
+
+
+def test_the_moments_of_a_run_are_found_with_who_crosses():
+    run = Run(junction_trace((CROSSES, 5.0), (None, 40.0)))
+    assert (run.closest_approach.npc, run.closest_approach.cell) == (0, None)
+    assert run.closest_time == pytest.approx(5.0, abs=0.5)
+
+
+@table(
+    ("npc", "came"),
+    [
+        ((CROSSES, 0.0), "; came 0.1 s after it (5.6 s)"),
+        ((CROSSES, 10.0), "; came together with it (4.6 s)"),
+        ((CROSSES, 25.0), "; left 0.6 s before it (4.0 s)"),
+        ((CROSSES, -60.0), "; never came"),
+    ],
+)
+def test_an_explanation_says_what_who_crosses_was_told_and_when_it_came(npc, came):
+    told = "  NPC 0: o3>o1 from the left, 0.5 s after the ego leaves, 10.0 m/s"
+    assert told + came in lines_of(npc)
+
+
+def test_who_comes_to_a_zone_that_the_ego_never_reaches_has_its_time_alone():
+    assert lines_of((CROSSES, 0.0), ego_speed=2.0)[-2].endswith("10.0 m/s; came at 5.6 s")
+
+
+def test_npcs_on_the_grid_keep_their_table_beside_those_that_cross():
+    lines = lines_of((CROSSES, 0.0), (None, 20.0), (MERGES, 0.0))
+    assert lines[-5].startswith("  NPC 0: o3>o1 from the left, ")
+    assert lines[-4].startswith("  NPC 2: o2>o4 from the right, ")
+    assert lines[-3] == "  from [s]  NPC 1"
+    assert lines[-2] == "       0.0  2 front 10.0 m/s not reached"
+
+
+@table("others", [(), ((None, 60.0),)])
+@table("count", [1, 4, 5, 6, 7])
+def test_explanations_stay_short_however_many_cross(count, others):
+    npcs = [(CROSSES, -7.0 * number) for number in range(count)]
+    for hits in (None, 0):
+        lines = lines_of(*npcs, *others, hits=hits)
+        assert len(lines) < 15
+        assert all(len(line) < 100 and line.isascii() for line in lines)
+    told = [line for line in lines if line.startswith("  NPC ")]
+    left_out = count - len(told)
+    assert (f"  ... and {left_out} more that cross" in lines) is (left_out > 0)
+
+
+@table("act", ACTS)
+def test_the_words_of_an_instruction_have_its_slot_speed_and_act(act):
+    words = {
+        "pass": "from the left, 0.5 s after the ego leaves, 8.6 m/s",
+        "hold": "from the left, 1 s before the ego enters, 8.6 m/s, holds at the line",
+        "stop": "from the left, together with the ego, 8.6 m/s, stops there",
+        "late": "5 s after the ego leaves, 8.6 m/s, starts late",
+    }
+    slot = {"pass": 0.5, "hold": -1.0, "stop": 0.0, "late": 5.0}[act]
+    zone = None if act == "late" else ZONES[CROSSES]
+    assert crossing_text(CrossingInstruction(CROSSES, slot, 8.6, act), zone) == words[act]
+
+
+def test_a_run_has_the_passages_of_its_zones():
+    run = Run(junction_trace((CROSSES, 0.0), (None, 20.0), (MERGES, 0.0)))
+    assert [each.npc for each in run.passages] == [0, 2]
+    assert run.npcs[2].passage == run.passages[1]
+    assert min(each.post_encroachment_time for each in run.passages) == pytest.approx(0.1, abs=0.05)
+    assert Run(junction_trace((None, 20.0))).passages == ()
+
+
+def test_a_data_frame_has_the_signals_of_who_crosses():
+    pytest.importorskip("pandas")
+    frame = Run(junction_trace((CROSSES, 0.0), (None, 20.0))).to_pandas()
+    assert np.isnan(frame["npcs[0].ahead"]).all()
+    assert np.isfinite(frame["npcs[0].time_advantage"]).all()
+    assert "npcs[1].time_advantage" not in frame
+
+
+def test_a_run_that_ends_otherwise_is_told_with_who_crosses():
+    trace = replace(junction_trace((CROSSES, 0.0)), outcome=Outcome.LEFT_ROUTE)
+    assert Run(trace).explain().splitlines()[0] == "no collision in 8.0 s, when the ego left its route"
+
+
+def test_a_collision_on_the_way_keeps_its_cell():
+    hit = collision_at(72, cell=Cell.FRONT)
+    run = crash(outcome=Outcome.COLLISION, collision=hit)
+    assert "NPC 0 in cell 2 (front)" in run.explain()
