@@ -1,4 +1,4 @@
-"""Commands beside pytest: ``python -m pytest_pafot compare``, ``rate``, ``export`` and ``corpus``."""
+"""Commands beside pytest: ``python -m pytest_pafot search``, ``compare``, ``rate``, ``export`` and ``corpus``."""
 
 from __future__ import annotations
 
@@ -14,11 +14,20 @@ def main(arguments: list[str] | None = None) -> int:
     from pytest_pafot.corpus import corpus_command as corpus  # noqa: PLC0415
     from pytest_pafot.episodes import rate_command as rating  # noqa: PLC0415
     from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
+    from pytest_pafot.plugin import search_command as searching  # noqa: PLC0415
 
     given = sys.argv[1:] if arguments is None else arguments
     about = "Commands of pytest-pafot beside pytest."
     parser = argparse.ArgumentParser(prog="python -m pytest_pafot", description=about)
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
+    search = commands.add_parser(
+        "search",
+        help="search for traffic in which a policy crashes, without a test",
+        description="Search for traffic in which a policy crashes. Findings are saved, explained and shown on a page, "
+        "as those of a test are; --write-test makes it one.",
+    )
+    searching.add_arguments(search)
+    search.set_defaults(run=searching.run)
     compare = commands.add_parser(
         "compare",
         help="compare search algorithms on a policy",

@@ -77,6 +77,11 @@ def identity(reference: str) -> str:
     return OF_FILE + ("" if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest())
 
 
+def module_of(reference: str) -> str:
+    """The module that a name stands for, as it can be imported; only of a name that :func:`ads_factory` accepts."""
+    return _imported(_module_name(reference)).__name__
+
+
 def caution(references: Iterable[str]) -> str:
     """What to mind of policies of which only the file of the module is known to be the same; empty for nothing."""
     names = [each for each in references if identity(each).startswith(OF_FILE)]

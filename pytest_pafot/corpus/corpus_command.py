@@ -1,27 +1,34 @@
 """``python -m pytest_pafot corpus``: which saved scenarios lie in folders, told to people or to programs.
 
-What it changes are files of one kind in one folder, of which ``join --write`` keeps one.
+What it changes are files of one kind in one folder, of which ``join --write`` keeps one, and the line of a file that
+``accept`` writes.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.corpus.layout import files_in, folders_below, link_below
+from pytest_pafot.corpus.file_format import text_of
+from pytest_pafot.corpus.layout import SUFFIX, files_in, folders_below, link_below
+from pytest_pafot.corpus.reader import content_of, parsed
 from pytest_pafot.corpus.saved import Saved, of_one_kind, read_saved_file, refusal
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import size_of, sort_key
-from pytest_pafot.support.files import way_out
+from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import ascii_text, plural, quiet_json, visible
 
-MARKS = ("flaky", "xfail", "xfail_until")
-"""What a line tells of a file where it has it."""
+XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)
+"""The line of a file in which its failure is accepted, or the hint that stands in its place."""
 
 NO_FOLDER = 2
 """Exit code where a folder is none, as for wrong arguments."""
@@ -39,16 +46,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     joining = kinds.add_parser("join", help=about, description=about.capitalize())
     joining.add_argument("--write", action="store_true", help="remove the others; without, it only says which")
     joining.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
+    about = "accept the failure of a saved scenario: it is expected to fail, up to a day"
+    accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
+    accepting.add_argument("id", metavar="ID", help="of a scenario that is saved here or below, or a file")
+    accepting.add_argument("--reason", required=True, metavar="TEXT", help="why, such as the number of an issue")
+    accepting.add_argument("--until", type=_day, metavar="YYYY-MM-DD", help="the last day (default: for good)")
+    accepting.set_defaults(folders=[Path()])
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Tell what lies in the folders, or join it; the exit code, which is 1 where a file cannot be read or joined."""
+    """Tell what lies in the folders, join it, or accept a failure; the exit code.
+
+    It is 1 where a file cannot be read or written, or something cannot be joined.
+    """
     for folder in arguments.folders:
         if not folder.is_dir():
             sys.stderr.write(f"corpus: expected a folder, received {visible(str(folder))}; give one that exists\n")
             return NO_FOLDER
         link = None if folder.is_absolute() else link_below(Path.cwd(), Path.cwd() / folder)
-        if arguments.what == "join" and link is not None:
+        if arguments.what in ("join", "accept") and link is not None:
             sys.stderr.write(f"corpus: {visible(refusal(link))}\n")
             return NO_FOLDER
     below = {below.resolve(): below for folder in arguments.folders for below in folders_below(folder)}
@@ -58,6 +74,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         sys.stdout.write("".join(f"{line}\n" for line in told))
         return int(any(failed for _, failed in joined))
     files = [file for folder in sorted(below.values()) for file in files_in(folder)]  # each once, however it is reached
+    if arguments.what == "accept":
+        return _accept(files, arguments)
     rows = [_row(read_saved_file(file)) for file in files]
     shown: Any = rows if arguments.what == "list" else _counts(rows)
     lines = [quiet_json(json.dumps(shown, indent=2))] if arguments.json else _lines(shown)
@@ -103,6 +121,43 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
 
 def _order(finding: Finding) -> tuple[bool, bool, tuple[int, ...], str]:
     return finding.xfail is None, finding.flaky is not None, sort_key(finding.scenario), finding.id
+
+
+def _day(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a day such as 2027-01-31, received {text!r:.50}") from None
+
+
+def _accept(files: Sequence[Path], arguments: argparse.Namespace) -> int:
+    """Write the line in which the failure of one file is accepted; the rest of the file stays as it is."""
+    asked = Path(arguments.id)
+    named = [asked] if asked.is_file() else [each for each in files if each.name == f"{asked.name}{SUFFIX}"]
+    try:
+        if len(named) != 1:
+            received = f"{len(named)} of this name: {', '.join(map(str, named))}" if named else "none"
+            fix = "`corpus list` tells the names; give the file where two have one name"
+            raise ValueError(f"expected one saved scenario {asked.name}, received {received}; {fix}")
+        path, content = named[0], content_of(named[0])
+        finding = replace(parsed(path, content), xfail=arguments.reason, xfail_until=arguments.until)
+        line = text_of(finding).rstrip().rpartition("\n")[2].encode()
+        is_there = XFAIL_LINE.search(content) is not None
+        accepted = (
+            XFAIL_LINE.sub(lambda _: line, content, count=1) if is_there else content.rstrip() + b"\n" + line + b"\n"
+        )
+        if parsed(path, accepted) != finding:
+            raise ValueError(f"{path}: expected one line `xfail:`, received more; write `{line.decode()}` by hand")
+        write_whole(path, accepted)
+    except (CorpusError, OSError, ValueError) as error:
+        sys.stderr.write(f"corpus: {visible(str(error))}\n")
+        return 1
+    sys.stdout.write(f"{ascii_text(f'{path}: {_accepted(finding.xfail, arguments.until)}')}\n")
+    return 0
+
+
+def _accepted(reason: str | None, until: object) -> str:
+    return f"accepted {'for good' if until is None else f'until {until}'}: {reason}"
 
 
 def _removed(path: Path) -> str:
@@ -157,7 +212,8 @@ def _lines(told: list[dict[str, Any]] | dict[str, Any]) -> Iterator[str]:
     """The same for people."""
     if isinstance(told, list):
         for row in told:
-            marks = "".join(f", {name.replace('_', ' ')}: {row[name]}" for name in MARKS if row.get(name))
+            marks = f", flaky: {row['flaky']}" if row.get("flaky") else ""
+            marks += f", {_accepted(row['xfail'], row['xfail_until'])}" if row.get("xfail") else ""
             rest = row.get("error") or f"{row['outcome']} at {row['time']:.1f} s, {row['size']}{marks}"
             yield ascii_text(f"{row['file']}: {rest}")
         return

@@ -29,7 +29,7 @@ def test_the_list_has_a_line_for_each_file(folder, capsys):
     assert main(["corpus", "list", str(folder)]) == 0
     one, other = capsys.readouterr().out.splitlines()
     assert "a-111111.pafot.yaml: collision at " in one
-    assert other.endswith(", xfail: issue 12, xfail until: 2027-01-31")
+    assert other.endswith(", accepted until 2027-01-31: issue 12")
 
 
 def test_the_list_for_programs_says_the_same_and_each_file_once(folder, capsys):
@@ -162,3 +162,55 @@ def test_join_tells_of_a_file_that_cannot_be_removed(tmp_path, capsys, monkeypat
     assert (code, names(tmp_path)) == (1, ["a", "b"])
     assert line.startswith("not removed: b.pafot.yaml: ")
     assert line.endswith("mount it so that it can be written, then join again")
+
+
+def accept(*arguments):
+    return main(["corpus", "accept", *arguments, "--reason", "TICKET-7"])
+
+
+def test_an_accepted_failure_is_one_changed_line_that_the_list_tells(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
+    before = file.read_text().replace("scenario:", "# ours\nscenario:")
+    file.write_text(before)
+    assert accept("a-111111", "--until", "2027-01-31") == 0
+    line = 'xfail: {reason: "TICKET-7", until: 2027-01-31}'
+    assert file.read_text() == before.replace('# xfail: "reason"', line)
+    assert accept(str(file)) == 0
+    assert file.read_text() == before.replace('# xfail: "reason"', 'xfail: "TICKET-7"')
+    capsys.readouterr()
+    assert main(["corpus", "list", str(folder)]) == 0
+    told = capsys.readouterr().out.splitlines()[0]
+    assert told.endswith(", accepted for good: TICKET-7")
+
+
+def test_without_the_hint_it_is_written_at_the_end_and_over_lines_left_to_a_person(
+    folder, capsys, monkeypatch
+):
+    monkeypatch.chdir(folder)
+    file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
+    bare = file.read_text().replace('# xfail: "reason"\n', "")
+    file.write_text(bare)
+    assert accept("a-111111") == 0
+    assert file.read_text() == bare + 'xfail: "TICKET-7"\n'
+    over_lines = bare + "xfail:\n  {reason: x}\n"
+    file.write_text(over_lines)
+    assert accept("a-111111") == 1
+    assert f"corpus: {file.relative_to(folder)}:" in capsys.readouterr().err
+    assert file.read_text() == over_lines
+
+
+def test_a_day_that_is_none_is_told(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        accept("a-111111", "--until", "soon")
+    assert "expected a day such as 2027-01-31, received 'soon'" in capsys.readouterr().err
+
+
+def test_of_two_files_of_one_name_the_one_that_is_given_is_accepted(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))
+    assert accept("a-111111") == 1
+    assert "received 2 of this name" in capsys.readouterr().err
+    assert accept("test_it/test_y/a-111111.pafot.yaml") == 0
+    assert accept("c-333333") == 1
+    assert "expected one saved scenario c-333333, received none" in capsys.readouterr().err

@@ -1,0 +1,82 @@
+"""`python -m pytest_pafot search`: a finding without a test file, and the test file for who wants to keep it."""
+
+import subprocess
+import sys
+
+import pytest
+
+from pytest_pafot.__main__ import main
+
+POLICY = """\
+import pytest_pafot as pafot
+
+
+class Planner:
+    def __call__(self, observation):
+        return 0.0, 0.0
+
+
+def make(name):
+    assert name == "fast"
+    return Planner()
+
+
+def keeps_moving(run):
+    pafot.check(run.ego.speed, name="speed", at_least=30.0)
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    (tmp_path / "a_planner.py").write_text(POLICY)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+def python(*arguments):
+    done = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, check=False, timeout=120)
+    return done.returncode, done.stdout
+
+
+def test_it_finds_saves_shows_and_becomes_a_test_that_replays_the_find(here):
+    code, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2")
+    assert code == 1
+    assert "leader-unanswered" in told
+    assert (here / "pafot.html").exists()
+    assert not (here / "conftest.py").exists()
+    assert told.rstrip().splitlines()[-1].startswith("keep it as a test: python -m pytest_pafot search a_planner:Pl")
+
+    assert main(["search", "a_planner:Planner", "--write-test"]) == 0
+    code, told = python("pytest", "-q", "--pafot-generations=0")
+    assert code == 1
+    assert "replayed 1 saved scenario: 1 still failing" in told
+
+
+def test_nothing_found_is_exit_code_0_and_a_world_and_a_check_are_those_asked_for(here):
+    arguments = ["search", "a_planner:make:fast", "--blame", "any", "--check", "a_planner:keeps_moving"]
+    assert main([*arguments, "--world", "highway-v0", "--write-test"]) == 0
+    test = (here / "test_safety.py").read_text()
+    assert (
+        "@pafot.search(world=pafot.World('highway-v0'))\ndef test_keeps_moving(run):\n    keeps_moving(run)\n" in test
+    )
+    assert 'return lambda: make("fast")' in (here / "conftest.py").read_text().replace("'", '"')
+    code, told = python("pytest_pafot", "search", "example_ads.idm_mobil:make", "--runs", "2", "--seed", "0")
+    assert code == 0, told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["a_planner:Nobody"], "search: ADS: expected a factory in a_planner"),
+        (["no_such_module:Nobody"], "search: ADS: expected a module that can be imported"),
+        (["a_planner:Planner", "--check", "a_planner:nothing"], "search: --check: expected a factory"),
+        (["a_planner:Planner", "--write-test"], "search: --write-test: expected a folder without conftest.py"),
+    ],
+)
+def test_what_cannot_be_searched_is_told_and_nothing_is_written(here, capsys, arguments, told):
+    (here / "conftest.py").write_text("# the user's\n")
+    assert main(["search", *arguments]) == 2
+    assert told in capsys.readouterr().err
+    assert (here / "conftest.py").read_text() == "# the user's\n"
+    assert not (here / "test_safety.py").exists()
