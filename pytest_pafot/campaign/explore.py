@@ -16,7 +16,7 @@ from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Opt
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
-from pytest_pafot.campaign.search import Search, SearchResult, prepared, time_limit
+from pytest_pafot.campaign.search import Search, prepared, time_limit
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding
@@ -97,7 +97,7 @@ def explore(  # noqa: PLR0913  (what most searches differ in)
         Exception: where every run of the first generation ends in the same error, that error, with a note.
     """
     budget = PROFILES[LOCAL] if runs is None and generations is None else {"runs": runs, "generations": generations}
-    request = _request({"ads": ads, "world": world, "seed": seed, **budget, **settings})
+    request = request_of({"ads": ads, "world": world, "seed": seed, **budget, **settings})
     name = node_id or f"explore.py::{getattr(holds, '__name__', 'holds')}"
     events: list[SearchEvent] = []
 
@@ -108,14 +108,23 @@ def explore(  # noqa: PLR0913  (what most searches differ in)
             on_event(event)
 
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
-        result = _searched(request, holds, name, Path(scratch), listen, executor)
+        replays, now = replays_of(request, holds, name, Path(scratch), executor), time.monotonic()
+        with prepared(replays.harness, listen) as sessions:
+            limit = time_limit(request.settings, now=now, began=now, left=1)
+            search = Search(node_id=name, sessions=sessions, replays=replays, limit=limit, progress_seconds=0.5)
+            result = search.run()
     if result.fault is not None:
         raise result.fault
     findings = tuple(replace(kept.finding, trace=None if kept.run is None else kept.run.trace) for kept in result.kept)
     return Exploration(findings=findings, summary=result.summary, events=tuple(events))
 
 
-def _request(given: dict[str, Any]) -> Request:
+def request_of(given: dict[str, Any]) -> Request:
+    """Return the request that arguments of :func:`explore` make, ``ads`` among them.
+
+    Raises:
+        RequestError: on the first wrong argument.
+    """
     for name in OF_TESTS:
         if name in given:
             raise RequestError(f"{PLACE}({name}=...): expected arguments of the search, received one of its test")
@@ -130,14 +139,14 @@ def _request(given: dict[str, Any]) -> Request:
     return checked_request(given, Settings(**values), place=PLACE)
 
 
-def _searched(
-    request: Request,
-    holds: Callable[[Run], None],
-    node_id: str,
-    scratch: Path,
-    listener: Listener,
-    executor: Executor | None,
-) -> SearchResult:
+def replays_of(
+    request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path, executor: Executor | None = None
+) -> Replays:
+    """Return how saved scenarios are run without pytest, with the harness of a search that is asked for.
+
+    Raises:
+        RequestError: for what no search can be run with.
+    """
     if isinstance(request.ads, str):
         raise request.error("ads", f"expected a factory such as `lambda: MyPlanner()`, received {request.ads!r}")
     settings, (module, _, test) = request.settings, node_id.partition("::")
@@ -168,15 +177,7 @@ def _searched(
         executor=executor,
         states=None if settings.resume is None else Path.cwd() / settings.resume,
     )
-    now = time.monotonic()
-    with prepared(harness, listener) as sessions:
-        return Search(
-            node_id=node_id,
-            sessions=sessions,
-            replays=Replays(harness=harness, in_own_session=_no_session),
-            limit=time_limit(settings, now=now, began=now, left=1),
-            progress_seconds=0.5,
-        ).run()
+    return Replays(harness=harness, in_own_session=_no_session)
 
 
 def _no_session(file: Path, *what: object) -> NoReturn:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -16,8 +14,7 @@ from pytest_pafot.attribution.responsibility import is_ego_responsible, position
 from pytest_pafot.commands.policy_reference import PlanError, ads_factory, caution
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, claim, run_job
 from pytest_pafot.comparison.plan import DIFFERENT, Plan
-from pytest_pafot.execution.runner import Runner, runner_for
-from pytest_pafot.execution.scenario_pool import Job
+from pytest_pafot.execution.runner import runner_here
 from pytest_pafot.findings.finding import ads_failure, first_decision_cause, of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.scenario import Scenario
@@ -132,7 +129,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     generations = plan.generations or UNBOUNDED
     seconds = 0.0
 
-    with _runner(world, factory) as runner:
+    with runner_here(world, factory) as runner:
 
         def evaluate(scenario: Scenario) -> Evaluation:
             nonlocal seconds
@@ -159,15 +156,6 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
                 tick(max(event.generation / generations, seconds / budget))
                 yield row_of(event, algorithm=algorithm, run=run, seed=seed, clock=seconds)
     tick(1.0)
-
-
-@contextmanager
-def _runner(world: WorldLike, factory: Callable[..., Any]) -> Iterator[Runner]:
-    """Who makes the runs of a policy; crash records are of no use where each run of an algorithm is done anew."""
-    with tempfile.TemporaryDirectory(prefix="pafot-") as records:
-        job = Job(world=world, ads=factory, records=Path(records), owner="compare")
-        with job.crash_record() as record, runner_for(job, record) as runner:
-            yield runner
 
 
 def evaluated(trace: Trace, fitness: Fitness, blame: str, world: WorldLike) -> Evaluation:

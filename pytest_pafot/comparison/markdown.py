@@ -24,6 +24,7 @@ from pytest_pafot.comparison.run_measures import (
     first_failures,
     of,
 )
+from pytest_pafot.support.proportions import holm
 from pytest_pafot.support.text import markdown_table
 from pytest_pafot.support.versions import installed_versions
 
@@ -303,7 +304,7 @@ def _tests(results: Results) -> str:
     found = comparisons(whole, results.equal, results.plan.names)
     if not found:
         return "## Statistics\n\nOne algorithm alone, so that nothing is compared."
-    adjusted = statistics.holm([each.p for each in found])
+    adjusted = holm([each.p for each in found])
     rows = [
         [
             *(each.measure, each.at, each.first, each.second),

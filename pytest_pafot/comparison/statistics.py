@@ -96,13 +96,5 @@ def log_rank(
     return 1.0 if np.isnan(result.pvalue) else float(result.pvalue)
 
 
-def holm(p_values: Sequence[float]) -> list[float]:
-    """P-values adjusted for their number (Holm, "A simple sequentially rejective multiple test procedure", 1979)."""
-    values = np.asarray(p_values, dtype=float)
-    order = np.argsort(values, kind="stable")
-    stepped = np.maximum.accumulate(np.minimum(1.0, values[order] * np.arange(len(values), 0, -1)))
-    return [float(p) for p in stepped[np.argsort(order)]]
-
-
 def _censored(times: Sequence[float], is_censored: Sequence[bool]) -> scipy.stats.CensoredData:
     return scipy.stats.CensoredData.right_censored(np.asarray(times, dtype=float), np.asarray(is_censored, dtype=bool))

@@ -6,11 +6,14 @@ another process. Nothing but the time depends on it. :func:`runner_for` puts tog
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Self
 
 from pytest_pafot.execution.crash_records import CrashRecord
@@ -20,7 +23,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.evaluation_cache import Chains, plain_chains
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
-from pytest_pafot.world.protocol import lock_stepping, resumable
+from pytest_pafot.world.protocol import WorldLike, lock_stepping, resumable
 
 # What an ADS decided in earlier runs, for runs that begin alike.
 
@@ -133,6 +136,15 @@ def runner_for(
         can_resume=not times_decisions and resumable(job.world) is not None,
         clock=clock,
     )
+
+
+@contextmanager
+def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
+    """Give who makes the runs of a command in this process, whose crash records are of no use to a later one."""
+    with tempfile.TemporaryDirectory(prefix="pafot-") as records:
+        job = Job(world=world, ads=ads, records=Path(records), owner="command")
+        with job.crash_record() as record, runner_for(job, record) as runner:
+            yield runner
 
 
 @dataclass(eq=False, kw_only=True)

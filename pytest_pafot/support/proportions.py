@@ -2,12 +2,14 @@
 
 Sources: Clopper, Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
 Biometrika 26(4), 1934; McNemar, "Note on the sampling error of the difference between correlated proportions or
-percentages", Psychometrika 12(2), 1947, in its exact form.
+percentages", Psychometrika 12(2), 1947, in its exact form; Holm, "A simple sequentially rejective multiple test
+procedure", Scandinavian Journal of Statistics 6(2), 1979.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 CONFIDENCE = 0.95
 
@@ -39,6 +41,23 @@ def mcnemar(first_only: int, second_only: int) -> float:
     """Two-sided p of trials that only the first hit, and only the second, of two on the same trials."""
     trials = first_only + second_only
     return 1.0 if trials == 0 else min(1.0, 2 * _at_most(min(first_only, second_only), trials, 0.5))
+
+
+def difference(first_only: int, second_only: int, trials: int) -> tuple[float, float]:
+    """Return an interval of the first's share less the second's, which covers the true one with at least 95 %.
+
+    Each of the two shares of trials that tell them apart is in its own interval with 97.5 %.
+    """
+    one, other = (interval(hits, trials, (1 + CONFIDENCE) / 2) for hits in (first_only, second_only))
+    return one[0] - other[1], one[1] - other[0]
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values adjusted for their number, so that one test of many is no more likely to err than one alone."""
+    adjusted, least = [0.0] * len(p_values), 0.0
+    for rank, place in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
+        least = adjusted[place] = max(least, min(1.0, (len(p_values) - rank) * p_values[place]))
+    return adjusted
 
 
 def _at_most(hits: int, trials: int, share: float) -> float:

@@ -1,7 +1,7 @@
 """Statistics against examples by hand, other implementations and simulated samples."""
 
 import math
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.comparison.statistics import a12, a12_interval, compared, found_in, holm, log_rank, survival
+from pytest_pafot.comparison.statistics import a12, a12_interval, compared, found_in, log_rank, survival
 
 samples = st.lists(st.integers(0, 9).map(float), min_size=1, max_size=12)
 
@@ -124,15 +124,3 @@ class TestSurvival:
 
     def test_where_nobody_found_anything_nothing_differs(self):
         assert log_rank([5, 5], [True, True], [6, 6], [True, True]) == 1.0
-
-
-class TestHolm:
-    def test_by_hand(self):
-        assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
-
-    @given(st.lists(st.floats(0, 1), min_size=1, max_size=10))
-    def test_adjusted_values_are_larger_at_most_one_and_in_the_same_order(self, values):
-        adjusted = holm(values)
-        assert all(p <= q <= 1 for p, q in zip(values, adjusted, strict=True))
-        for (p, q), (r, s) in product(zip(values, adjusted, strict=True), repeat=2):
-            assert q <= s or p >= r

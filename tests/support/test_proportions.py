@@ -1,9 +1,13 @@
 """Exact intervals and tests of shares, against scipy's."""
 
+from itertools import product
+
 import pytest
 import scipy
+from hypothesis import given
+from hypothesis import strategies as st
 
-from pytest_pafot.support.proportions import interval, interval_text, mcnemar, percent, upper_bound
+from pytest_pafot.support.proportions import difference, holm, interval, interval_text, mcnemar, percent, upper_bound
 from tests.helpers.tables import table
 
 
@@ -30,3 +34,21 @@ def test_a_share_is_told_with_its_interval_and_none_with_an_upper_bound():
     assert interval_text(38, 1000) == "3.8 % (95 %: 2.7 to 5.2 %)"
     assert interval_text(0, 378) == "0 % (95 %: at most 0.97 %)"
     assert [percent(share) for share in (0.0, 0.0012, 0.5, 1.0)] == ["0 %", "0.12 %", "50.0 %", "100 %"]
+
+
+def test_a_difference_of_shares_lies_between_the_farthest_ends_of_their_intervals():
+    one, other = (scipy.stats.binomtest(hits, 200).proportion_ci(0.975, method="exact") for hits in (8, 31))
+    assert difference(8, 31, 200) == pytest.approx((one.low - other.high, one.high - other.low), abs=1e-12)
+
+
+def test_p_values_are_adjusted_by_hand():
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([]) == []
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=10))
+def test_adjusted_p_values_are_larger_at_most_one_and_in_the_same_order(values):
+    adjusted = holm(values)
+    assert all(p <= q <= 1 for p, q in zip(values, adjusted, strict=True))
+    for (p, q), (r, s) in product(zip(values, adjusted, strict=True), repeat=2):
+        assert q <= s or p >= r
