@@ -23,13 +23,21 @@ from pytest_pafot.attribution.lane_changes import DRIFTING, LanePlaces
 from pytest_pafot.attribution.needless_braking import (
     HARD_BRAKING,
     HARD_SECONDS,
+    NEAR_SECONDS,
     REASON_SECONDS,
     braking,
     hard_braking,
     reasons,
 )
 from pytest_pafot.attribution.responses import DISTANCES
-from pytest_pafot.criticality import RoadFrame, RssRules, longitudinal_gap
+from pytest_pafot.criticality import (
+    Encounters,
+    RoadFrame,
+    RssRules,
+    longitudinal_gap,
+    still_to_pass,
+    time_advantage,
+)
 from pytest_pafot.criticality.signals import Signal
 from pytest_pafot.model.trace import LANE, OFFSET, FloatArray, X, Y
 from pytest_pafot.oracle.checks import check
@@ -37,8 +45,8 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import checked_number
 
 __all__ = [
-    "answers_cut_ins", "brakes_for_a_reason", "comfort", "keeps_up", "lane_change_gaps", "no_fault", "rss_distance",
-    "stays_on_road",
+    "answers_cut_ins", "brakes_for_a_reason", "comfort", "gives_way", "keeps_up", "lane_change_gaps", "no_fault",
+    "rss_distance", "stays_on_road",
 ]  # fmt: skip
 
 __tracebackhide__ = True  # by pytest: the line of the test function is the last one then
@@ -70,14 +78,14 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default with the numbers of attribution, a
     choice by which two seconds are always enough; ``pytest_pafot.criticality.RssRules()`` has those that Intel
-    suggests (read).
+    suggests (read). An NPC that crosses is not judged before it is on the ego's way; see :func:`gives_way`.
     """
     if not isinstance(rules, RssRules):
         raise TypeError(f"rss_distance: expected rules= as RssRules(...) of criticality, received {rules!r:.80}")
     frame = RoadFrame(run.trace)
     along, across = frame.gap_along - frame.safe_along(rules), frame.gap_across - frame.safe_across(rules)
     beyond = np.where(frame.gap_along <= 0, across, np.where(across < 0, along, np.maximum(along, across))).T
-    is_judged = ~(frame.ahead < 0) | (frame.gap_along.T <= 0)
+    is_judged = (~(frame.ahead < 0) | (frame.gap_along.T <= 0)) & frame.is_on_way
     _check_worst(run, np.where(is_judged, beyond, np.inf), name="RSS margin", at_least=0.0)
 
 
@@ -121,6 +129,23 @@ def comfort(
         check(abs(mean), name="lateral jerk", at_most=lateral_jerk, unit="m/s^3")
 
 
+def gives_way(run: Run, *, seconds: float = 1.0) -> None:
+    """The ego enters a zone in which somebody has priority only if so many seconds are left between the two [s].
+
+    What is checked is ``run.npcs[...].time_advantage`` of each NPC that crosses with priority and has not passed, at
+    the tick at which the ego enters the zone: from when the ego will have left it until the NPC comes, if both keep
+    their speed. So nobody counts who starts only then. A run in which the ego never enters is not judged.
+
+    Source: Laureshyn and others 2010 for the measure (second hand); 1 s is a choice.
+    """
+    _refuse_odd("gives_way", seconds=seconds)
+    for passage in run.passages:
+        if passage.zone.priority == "npc" and passage.ego_enters < passage.npc_leaves:
+            at, npc = passage.ego_enters, passage.npc
+            left = run.npcs[npc].time_advantage[round(at * run.trace.physics_hz)]
+            check(left, name="gap at a zone", at_least=seconds, unit="s", at=at, npc=npc, scale=1.0)
+
+
 def stays_on_road(run: Run) -> None:
     """The ego's centre stays on the road: its way to the nearer edge [m] is at least 0. The same as ``run.off_road``.
 
@@ -151,8 +176,8 @@ def keeps_up(
 
     What is checked is the ego's highest speed of the last ``seconds`` over that speed, the limit of its lane unless
     given [m/s], as a number or one a tick. Nobody is ahead where the gap to the leader in the ego's lane is at least
-    what it would drive in ``headway`` [s] with the speed that is asked. Where that is 0 nothing is asked. Shorter
-    runs are not judged.
+    what it would drive in ``headway`` [s] with the speed that is asked, and where of each NPC that crosses and the ego
+    one has left the zone of both. Where that speed is 0 nothing is asked. Shorter runs are not judged.
 
     Raises:
         ValueError: for what is no finite number of at least 0, and for speeds that are not one for each tick.
@@ -172,7 +197,7 @@ def keeps_up(
     full = np.broadcast_to(full, limits.shape)
     ahead, ticks = run.leader, np.arange(len(full))
     gaps = np.column_stack((longitudinal_gap(run.trace), np.full(len(full), np.inf)))[ticks, ahead]  # -1: nobody
-    is_free = (full > 0) & (gaps >= headway * share * full)
+    is_free = (full > 0) & (gaps >= headway * share * full) & ~still_to_pass(run.trace).any(axis=1)
     paces = np.where(is_free, np.asarray(run.ego.speed) / np.where(full > 0, full, 1.0), np.inf)
     window = round(seconds * run.trace.physics_hz)
     held = np.lib.stride_tricks.sliding_window_view(np.concatenate((np.full(window, np.inf), paces)), window + 1)
@@ -184,15 +209,15 @@ def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> No
     """The ego changes lanes only into gaps of so many seconds [s], of whoever is behind in them.
 
     When its centre comes into the other lane: ahead, the gap to each NPC in that lane over the ego's speed; behind,
-    over that NPC's speed. 0 side by side. A run without a lane change is not judged.
+    over that NPC's speed. 0 side by side. A run without a lane change is not judged, and nor is an NPC that crosses.
 
     Source: 1 s is what UN R79, 5.6.4.7, leaves the one behind (formula read); that of the one ahead is a choice.
     """
     _refuse_odd("lane_change_gaps", ahead=ahead, behind=behind)
-    gaps = longitudinal_gap(run.trace)
+    gaps, is_on_way = longitudinal_gap(run.trace), Encounters(run.trace).is_on_way
     for change in run.lane_changes:
         for index, npc in enumerate(run.npcs):
-            if npc.lane[change.tick] != change.to_lane:
+            if npc.lane[change.tick] != change.to_lane or not is_on_way[index, change.tick]:
                 continue
             follows = not npc.ahead[change.tick] < 0
             speed, gap = (run.ego if follows else npc).speed[change.tick], gaps[change.tick, index]
@@ -208,7 +233,7 @@ def brakes_for_a_reason(run: Run) -> None:
 
     What is checked is the deceleration that lasts for 0.4 s from a tick on [m/s^2], 0 where there is a reason, at most
     5. A reason of docs/explanation/verdicts.md, rule 7, must be there when the braking began, up to 1.6 s before, or
-    0.4 s after.
+    0.4 s after; or an NPC that crosses, with which the ego would be in the zone of both within four seconds.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """
@@ -220,7 +245,8 @@ def brakes_for_a_reason(run: Run) -> None:
     bounds = [0, *(np.flatnonzero(np.diff(trace.ego[:, LANE])) + 1).tolist(), trace.ticks + 1]
     parts, frame = (slice(first, end) for first, end in pairwise(bounds)), RoadFrame(trace)
     by_lane = [reasons(trace, frame, DISTANCES, 0, part) for part in parts]
-    reason = np.concatenate((np.zeros(back, dtype=np.bool_), *by_lane, np.zeros(lasts, dtype=np.bool_)))
+    meets = (still_to_pass(trace) & (time_advantage(trace) < NEAR_SECONDS)).any(axis=1)
+    reason = np.pad(np.concatenate(by_lane) | meets, (back, lasts))
     excused = np.asarray(np.lib.stride_tricks.sliding_window_view(reason, back + lasts + 1).any(axis=1))
     stop = hard_braking(trace, 0, 0, trace.ticks)
     while stop is not None:
@@ -241,7 +267,8 @@ def answers_cut_ins(run: Run) -> None:
     matter of the cut-in. A run without such a cut-in is not judged.
 
     Source: UN R157, 5.2.5.2 (formula read), for an NPC that keeps its speed. Choices are: up to that lower speed, half
-    the NPC's width beside its centre in place of the tyre, visible once it moves sideways with 0.3 m/s, 0.1 m.
+    the NPC's width beside its centre in place of the tyre, visible once it moves sideways with 0.3 m/s, 0.1 m. Who
+    merges from a way of its own, as at a junction, cuts in nowhere.
     """
     trace, frame = run.trace, RoadFrame(run.trace)
     lane = trace.ego[:, LANE].astype(np.intp)
@@ -255,7 +282,7 @@ def answers_cut_ins(run: Run) -> None:
     for each, before in zip(*np.nonzero(is_in[:, 1:] & ~is_in[:, :-1] & keeps), strict=True):
         npc, tick = int(each), int(before) + 1
         towards = -np.sign(beside[npc, tick]) * frame.drift[npc + 1, : tick + 1]
-        began = int(np.flatnonzero(np.append(True, towards[1:] < DRIFTING))[-1])
+        began = int(np.flatnonzero(np.append(True, ~(towards[1:] >= DRIFTING)))[-1])  # NaN before it was on the way
         slower = np.maximum(frame.speed[0, tick] - frame.speed[npc + 1, tick:], 0.0)
         is_asked = gaps[npc, tick] > slower * (slower / (2 * 6.0) + 0.35)
         if tick - began >= VISIBLE * trace.physics_hz and slower[0] > 0 and is_asked[0]:

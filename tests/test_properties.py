@@ -1,4 +1,5 @@
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ import pytest_pafot as pafot
 from pytest_pafot import properties
 from pytest_pafot.attribution.needless_braking import braking, reasons
 from pytest_pafot.attribution.responses import DISTANCES
-from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, AdsError, Outcome
+from pytest_pafot.criticality import Encounters, RoadFrame, RssRules
+from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, AdsError, Outcome, X
 from pytest_pafot.oracle.checks import Recording, recorded
 from pytest_pafot.searching.space import SearchSpace, sample
+from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
 from tests.helpers.drives import HZ, bent
 from tests.helpers.situations import FAR, LEFT, OWN, RIGHT, SITUATIONS, at_ramp, driven, hit, in_bend
 from tests.helpers.tables import table
@@ -530,3 +532,105 @@ def test_what_is_no_finite_number_of_at_least_0_is_refused_whatever_the_run(hold
 def test_rules_of_another_kind_are_refused():
     with pytest.raises(TypeError, match=r"expected rules= as RssRules\(\.\.\.\) of criticality, received 2\.0"):
         properties.rss_distance(pafot.Run(following(100.0)), rules=2.0)
+
+
+# With NPCs that cross, or merge, at a junction.
+
+
+def slowed(trace, deceleration, *, since):
+    """The run with an ego that brakes from a time on [m/s^2], [s]."""
+    states, track = trace.states.copy(), trace.track.copy()
+    braking_for = np.maximum(trace.times - since, 0.0)
+    speed = np.maximum(states[:, 0, SPEED] - deceleration * braking_for, 0.0)
+    driven = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * trace.dt)))
+    states[:, 0, SPEED], states[:, 0, X], track[:, 0, ALONG] = speed, driven, driven
+    return replace(trace, states=states, track=track)
+
+
+JUNCTIONS = (
+    junction_trace((CROSSES, 0.0)),
+    junction_trace((CROSSES, 10.0), seconds=4.5),
+    junction_trace((MERGES, 0.0)),
+    junction_trace((MERGES, 0.0), ego_speed=14.0),
+    junction_trace((CROSSES, 20.0), (MERGES, -20.0), (None, 60.0)),
+)
+
+
+@table("name", sorted(set(properties.__all__) - {"rss_distance", "gives_way", "no_fault"}))
+@table("trace", JUNCTIONS)
+def test_a_steady_ego_breaks_nothing_by_somebody_who_is_not_on_its_way(name, trace):
+    assert all(made.holds for made in judged(getattr(properties, name), trace))
+
+
+def test_the_distance_of_rss_is_of_who_is_on_the_ego_s_way():
+    assert judged(properties.rss_distance, junction_trace((CROSSES, 10.0), seconds=4.5)) == []
+    made = only(properties.rss_distance, junction_trace((CROSSES, 0.0), (MERGES, 0.0)))
+    assert made.npc == 1
+    assert made.time >= 62 / HZ
+    behind = only(properties.rss_distance, junction_trace((CROSSES, 0.0), (None, 20.0)))
+    assert (behind.npc, behind.value) == (1, pytest.approx(15.0 - (10 + 100 / 12 - 100 / 16)))
+
+
+def test_an_ego_that_waits_at_a_junction_still_keeps_up():
+    waiting = slowed(junction_trace((CROSSES, -110.0), seconds=12.0), 3.0, since=0.0)
+    assert judged(properties.keeps_up, waiting, speed=10.0) == []
+    alone = slowed(junction_trace((CROSSES, 110.0), seconds=12.0), 3.0, since=0.0)
+    assert not only(properties.keeps_up, alone, speed=10.0).holds
+
+
+def test_the_gaps_of_a_lane_change_are_to_those_in_the_lane_and_not_to_who_crosses_it():
+    trace = junction_trace((CROSSES, 0.0), (None, -8.0))
+    states = trace.states.copy()
+    states[30:, :, LANE] = 1
+    made = only(properties.lane_change_gaps, replace(trace, states=states))
+    assert (made.npc, made.name) == (1, "lane change gap behind")
+
+
+@table(("start", "holds"), [(5.0, True), (-110.0, False), (70.0, False)])
+def test_who_comes_to_the_same_zone_within_four_seconds_is_a_reason_to_brake(start, holds):
+    braked = slowed(junction_trace((CROSSES, start), seconds=5.0), 6.0, since=2.0)
+    assert only(properties.brakes_for_a_reason, braked).holds is holds
+
+
+def test_who_merges_from_a_way_of_its_own_cuts_in_nowhere():
+    """At 20 m/s the ego reaches the NPC, which is in its lane at once when it is on its way at all."""
+    trace = junction_trace((MERGES, 12.0), ego_speed=20.0, seconds=4.0)
+    assert (Encounters(trace).gap == 0).any()
+    assert judged(properties.answers_cut_ins, trace) == []
+
+
+# Giving way.
+
+
+@table(
+    ("start", "left", "holds"),
+    [
+        (-10.0, 1.1, True),  # 10 m later than the ego
+        (0.0, 0.1, False),
+        (10.0, 0.0, False),  # both are there
+    ],
+)
+def test_the_ego_gives_way_to_who_would_come_soon_after_it(start, left, holds):
+    made = only(properties.gives_way, junction_trace((CROSSES, start)))
+    assert made.value == pytest.approx(left, abs=0.1)
+    assert (made.holds, made.npc, made.unit) == (holds, 0, "s")
+    assert made.time == pytest.approx(4.6)
+
+
+def test_who_has_passed_or_has_no_priority_or_stands_is_given_way_to():
+    passed, merging = junction_trace((CROSSES, 25.0)), junction_trace((MERGES, 0.0))
+    assert judged(properties.gives_way, passed) == judged(properties.gives_way, merging) == []
+    never = junction_trace((CROSSES, 0.0), seconds=4.0)
+    assert judged(properties.gives_way, never) == []
+    trace = junction_trace((CROSSES, 0.0))
+    states, on_way = trace.states.copy(), trace.on_way.copy()
+    states[45:, 1, SPEED], on_way[45:] = 0.0, on_way[45]
+    assert only(properties.gives_way, replace(trace, states=states, on_way=on_way)).value == np.inf
+
+
+def test_other_seconds_can_be_asked_for():
+    trace = junction_trace((CROSSES, -10.0))
+    assert ZONES[CROSSES].priority == "npc"
+    assert not only(properties.gives_way, trace, seconds=1.5).holds
+    with pytest.raises(ValueError, match="seconds= as a finite number"):
+        properties.gives_way(pafot.Run(trace), seconds=-1.0)

@@ -41,12 +41,12 @@ from pytest_pafot.criticality.rss import (
     rss_lateral,
     rss_longitudinal,
 )
-from pytest_pafot.criticality.zones import Passage, passages, time_advantage
+from pytest_pafot.criticality.zones import Passage, passages, still_to_pass, time_advantage
 
 __all__ = [
     "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "centre_distance", "ego_follows", "ettc",
     "execution_time", "gap", "hardest_brake", "lateral_gap", "longitudinal_gap", "max_safety_shortfall", "mettc",
     "min_centre_distance", "min_gap", "min_safety_distance", "min_ttc", "passages", "planned_duration",
     "post_encroachment_time", "required_deceleration", "rss_lateral", "rss_longitudinal", "safety_distance",
-    "safety_shortfall", "time_advantage", "ttc",
+    "safety_shortfall", "still_to_pass", "time_advantage", "ttc",
 ]  # fmt: skip

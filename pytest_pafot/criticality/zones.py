@@ -14,9 +14,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from pytest_pafot.model.crossings import Stretch, Zone
 from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Trace
+
+ROUNDING = 1e-6
+"""Of a time in ticks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,6 +77,13 @@ def time_advantage(trace: Trace) -> FloatArray:
         is_alone = np.isposinf(ego[0]) | np.isposinf(other[0])
         advantage[:, npc] = np.where(is_alone, np.inf, np.maximum(gap, 0.0))
     return advantage
+
+
+def still_to_pass(trace: Trace) -> npt.NDArray[np.bool_]:
+    """Whether neither the ego nor an NPC has left the zone of both, shape [ticks + 1, NPCs]; False without a zone."""
+    ticks = np.arange(trace.ticks + 1)[:, None]
+    left = [0.0 if each is None else min(each.ego_leaves, each.npc_leaves) for each in passages(trace)]
+    return np.asarray(ticks < np.multiply(left, trace.physics_hz) - ROUNDING)
 
 
 def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:

@@ -129,7 +129,9 @@ def line_of(observation: Any, *, reset: bool) -> bytes:
         values |= {name: getattr(observation, name) for name in SEEN}
         values["ego"] = observation.ego._asdict()
         values["others"] = [other._asdict() for other in observation.others]
-        values["crossing"] = [{**each._asdict(), "zone": asdict(replace(each.zone, line=()))} for each in observation.crossing]
+        values["crossing"] = [
+            {**each._asdict(), "zone": asdict(replace(each.zone, line=()))} for each in observation.crossing
+        ]
     else:
         values["observation"] = observation
     return json.dumps(values, default=lambda array: array.tolist()).encode() + b"\n"

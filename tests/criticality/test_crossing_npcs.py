@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot import criticality
-from pytest_pafot.criticality import Encounters, RoadFrame, passages, time_advantage
+from pytest_pafot.criticality import Encounters, RoadFrame, passages, still_to_pass, time_advantage
 from pytest_pafot.criticality.signals import MEASURES, Signals, ego_lane_changes, leader
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import LANE, SPEED, Y
@@ -25,7 +25,8 @@ IN_ONE_LANE = ("ego_follows", "required_deceleration", "safety_shortfall")
 """They are False, or 0, for whoever is not in the ego's lane."""
 OTHERS = {
     "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "execution_time", "hardest_brake",
-    "max_safety_shortfall", "min_safety_distance", "passages", "planned_duration", "time_advantage",
+    "max_safety_shortfall", "min_safety_distance", "passages", "planned_duration", "still_to_pass",
+    "time_advantage",
 }  # fmt: skip
 
 MERGED = 62
@@ -224,6 +225,14 @@ def test_a_place_that_nobody_recorded_makes_the_times_at_a_zone_nan():
     (passage,) = passages(broken)
     assert math.isnan(passage.post_encroachment_time)
     assert math.isnan(time_advantage(broken)[20, 0])
+
+
+def test_a_zone_is_still_to_be_passed_until_one_of_the_two_has_left_it():
+    trace = mixed()
+    first, second, _ = passages(trace)
+    assert (first.ego_leaves, second.npc_leaves) == (82 / HZ, 81 / HZ)
+    assert still_to_pass(trace).sum(axis=0).tolist() == [82, 81, 0]
+    assert still_to_pass(trace)[81].tolist() == [True, False, False]
 
 
 # As signals.
