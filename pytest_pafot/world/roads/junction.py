@@ -55,6 +55,8 @@ MOST_WAYS = 64
 """Of a network; the shortest ones. A city of blocks has more paths than anybody could count."""
 COARSE = 4
 """Points that are looked at together where two ways are compared."""
+DRAWN = 4
+"""One point of so many is enough for pictures of a way."""
 
 
 class Course(NamedTuple):
@@ -392,6 +394,7 @@ def _zone(
         ego=ego,
         npc=npc,
         priority=_holder(network, (road.line, road.route), (line, lanes), met),
+        line=tuple(zip(line.x[::DRAWN].round(2).tolist(), line.y[::DRAWN].round(2).tolist(), strict=True)),
     )
 
 
