@@ -19,7 +19,7 @@ from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.world.codec import OWN, described, from_dict, is_code
 from pytest_pafot.world.kernel.bodies import Box, overlap
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.protocol import hang_limit, missing, road_start
+from pytest_pafot.world.protocol import crossings, hang_limit, missing, road_start
 
 Ads = Callable[[], Callable[[Any], Any]]
 
@@ -52,7 +52,8 @@ def check_world(
         AssertionError: naming the promise that is broken.
     """
     _promise(not (lacking := missing(world)), "a world has what a search needs", f"no {', '.join(lacking)}")
-    random, within = np.random.default_rng(seed), space_on(world, space, road_start(world))
+    ways = {} if (found := crossings(world)) is None else {"crossings": found}
+    random, within = np.random.default_rng(seed), space_on(world, {**ways, **space}, road_start(world))
     done = [(scenario, _rollout(world, scenario, ads)) for scenario in (sample(within, random) for _ in range(runs))]
     for scenario, trace in done:
         _check_form(world, scenario, trace)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypedDict
 
@@ -11,23 +11,26 @@ import numpy as np
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.model.driving_style import Traffic
-from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
-from pytest_pafot.searching.space import SearchSpace, sample, space_on
+from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample, space_on
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.text import shown
 from pytest_pafot.world import Highway, WorldError, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
-SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic")
+SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts")
 NPCS = 4
 """In a scenario, where neither the algorithm nor the mark says otherwise: beside the ego in any lane of a Highway."""
 MOST_NPCS = 6
 """Where their number is drawn; fewer in the outer lanes, so that a cell is left to go to."""
+MOST_CROSSING = 4
+"""NPCs where ways of other traffic meet the ego's: enough to hide one behind another."""
 GENE_DURATIONS = (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
 """Of which that of a scenario's genes is drawn [s]."""
 SLOWEST_START = 12.0
@@ -52,6 +55,7 @@ class SearchArguments(TypedDict, total=False):
     ego_lane: int
     ego_speed: float
     traffic: str | Traffic
+    acts: Sequence[str]
     ads: Any
     arg: str
     fitness: str | Weights | Callable[[Trace], float]
@@ -224,13 +228,13 @@ def build_space(request: Request, world: Any) -> SearchSpace:
 def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments of the space of an algorithm that need not have the paper's, where they are not given.
 
-    NPCs are attentive. All else is for a straight road, and the start is drawn on a Highway alone: an environment says
-    how its ego starts.
+    NPCs are attentive, and where ways of other traffic meet the ego's most of them come from there. All else is for a
+    straight road, and the start is drawn on a Highway alone: an environment says how its ego starts.
     """
     drawn: dict[str, Any] = {"traffic": given.get("traffic", Traffic().style)}
     road = protocol.straight_road(world)
     if road is None:
-        return drawn
+        return drawn | _crossing_space(world, given)
     drawn["patterns"] = True
     npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
     draws_lane = isinstance(world, Highway) and "ego_lane" not in given
@@ -249,6 +253,29 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         slowest = max(min(SLOWEST_START, limit / 2), Traffic.of(drawn["traffic"]).least_speed(limit))
         drawn |= {"ego_speed": min(EGO_SPEED, limit), "ego_speeds": (slowest, limit)}
     return drawn
+
+
+def _crossing_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of the space of a world with ways that meet the ego's; none without."""
+    crossings = protocol.crossings(world)
+    if crossings is None:
+        return {}
+    counts = (count for count in range(MOST_ON_GRID, 0, -1) if _fit_on_grid(world, count))
+    drawn: dict[str, Any] = {"crossings": crossings, "most_on_grid": next(counts, 0)}
+    return drawn if "npcs" in given else drawn | {"most_npcs": (MOST_CROSSING,)}
+
+
+def _fit_on_grid(world: Any, npcs: int) -> bool:
+    """Return whether there are cells for so many NPCs where the road of a world has the ego start."""
+    start = protocol.road_start(world)
+    chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
+    try:
+        if start is not None:
+            scenario = Scenario(npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=1.0)
+            protocol.check_fits(world, scenario)
+    except ScenarioError:
+        return False
+    return True
 
 
 def _checked_world(request: Request, world: Any, origin: str) -> Any:

@@ -331,7 +331,7 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
         "test": harness.node_id,
         "seed": request.settings.seed,
         "algorithm": {"name": algorithm.name, **{name: getattr(algorithm, name) for name in names if name != "space"}},
-        "space": asdict(space),
+        "space": space.plain,
         "world": codec.described(harness.world),
         "blame": request.blame,
         "fitness": request.fitness,

@@ -361,7 +361,8 @@ class Search:
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         finds = [kept.find for kept in loop.recorder.kept.values()]
         notes = (loop.doubt, loop.known_alone, self._unused, loading_hint(self.harness.ads) if loop.runs else "")
-        beginning = self.sessions.beginning
+        beginning, crossings = self.sessions.beginning, None if loop.space is None else loop.space.crossings
+        ways = [] if crossings is None else [zone.way for zone in crossings.zones]
         # An error says nothing of the ego, and random scenarios that end with the first failure say too much.
         is_cut_short = reason == "error" or (reason == "enough findings" and not beginning.is_whole)
         return SearchSummary(
@@ -394,14 +395,15 @@ class Search:
             random=(0, 0) if is_cut_short else (beginning.at_fault, beginning.runs),
             random_otherwise=0 if is_cut_short else beginning.otherwise,
             drawn="" if self.loop.space is None else self.loop.space.described,
-            coverage=health.coverage.describe(float(self.harness.world.speed_limit)) if loop.runs else "",
+            coverage=health.coverage.describe(float(self.harness.world.speed_limit), ways) if loop.runs else "",
         )
 
     @property
     def _unused(self) -> str:
         """Say what no scenario of the search has, since nobody drives on the roads that meet the ego's way."""
         world, unused = self.harness.world, protocol.unused_roads(self.harness.world)
-        if not unused or not self.loop.runs:
+        crosses = self.loop.space is not None and self.loop.space.crossings is not None
+        if not unused or not self.loop.runs or crosses:
             return ""
         verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}
         none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)

@@ -6,7 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -127,7 +127,7 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         PlanError: for a value that no world or space takes.
     """
     world = _world(arguments)
-    given = {name: value for name in SPACE_ARGUMENTS if (value := getattr(arguments, name)) is not None}
+    given = {name: value for name in SPACE_ARGUMENTS if (value := getattr(arguments, name, None)) is not None}
     try:
         space = space_on(world, given, road_start(world))
     except ValueError as error:
@@ -146,8 +146,8 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         fitness=arguments.fitness,
         parameters={} if arguments.population is None else {"population": arguments.population},
         world=world.to_dict(),
-        space=asdict(space),
-        drawn=drawn_space(world, given),
+        space=space.plain,
+        drawn={name: value for name, value in drawn_space(world, given).items() if name != "crossings"},
     )
 
 

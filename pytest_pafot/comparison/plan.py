@@ -18,7 +18,7 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world import from_dict as world_from_dict
-from pytest_pafot.world.protocol import WorldLike, road_start
+from pytest_pafot.world.protocol import WorldLike, crossings, road_start
 
 DIFFERENT = (
     "the algorithms have different scenarios, so that what differs between these groups may be due to the scenarios; "
@@ -89,7 +89,7 @@ class Plan:
     # of the algorithms, such as ``{"population": 8}``; each must take all of them
     parameters: Mapping[str, Any] = field(default_factory=dict)
     world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())  # as a corpus file has it
-    space: Mapping[str, Any] = field(default_factory=lambda: asdict(SearchSpace()))  # fields of a SearchSpace
+    space: Mapping[str, Any] = field(default_factory=lambda: SearchSpace().plain)  # fields of a SearchSpace
     drawn: Mapping[str, Any] = field(default_factory=dict)  # those that algorithms without the paper's scenarios have
 
     @property
@@ -119,11 +119,11 @@ class Plan:
         Genes of runs of another length share it evenly, in whole ticks, and last no longer than the plan's. Where their
         duration is drawn, it stays so.
         """
-        entrant = self.entrant(name)
-        space = SearchSpace(**(self.space if entrant.has_papers_scenarios else {**self.space, **self.drawn}))
-        seconds = entrant.seconds
+        entrant, seconds, own = self.entrant(name), self.entrant(name).seconds, world_of(self)
+        drawn = {} if entrant.has_papers_scenarios else {**self.drawn, "crossings": crossings(own)}
+        space = SearchSpace(**{**self.space, **drawn})
         if seconds is None:
-            return world_of(self), space
+            return own, space
         world: Any = world_from_dict({**self.world, "duration": seconds})
         ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations
 from typing import Literal, NamedTuple
 
@@ -141,15 +141,20 @@ class Way:
         """From the entry to the exit [m]."""
         return (len(self.speeds) - 1) * STEP
 
+    @lru_cache(maxsize=2048)  # noqa: B019  (a search asks hundreds of times a scenario; a world keeps its ways anyway)
     def times(self, speed: float) -> FloatArray:
         """Return when a vehicle of a speed [m/s], or slower in bends, that starts at the entry is at each point [s]."""
         driven = np.minimum(self.speeds, speed)
         steps = 2 * STEP / np.maximum(driven[1:] + driven[:-1], 1e-3)
-        return np.concatenate(([0.0], np.cumsum(steps)))
+        times: FloatArray = np.concatenate(([0.0], np.cumsum(steps)))
+        times.flags.writeable = False
+        return times
 
     def time_at(self, along: float, speed: float) -> float:
         """Return when a vehicle of a speed [m/s] that starts at the entry is at a place [s]."""
-        return float(np.interp(along, np.arange(len(self.speeds)) * STEP, self.times(speed)))
+        times, point = self.times(speed), min(max(along / STEP, 0.0), len(self.speeds) - 1.0)
+        before = min(int(point), len(times) - 2)
+        return float(times[before] + (times[before + 1] - times[before]) * (point - before))
 
     def speed_at(self, along: float) -> float:
         """Return the highest speed at a place [m/s]."""
@@ -216,7 +221,7 @@ class Crossings:
             return False
         waits = instruction.act in ("hold", "late")
         room = BEFORE_LINE + instruction.speed**2 / (2 * STOPPING) if waits else 0.0
-        return 0 <= self.start(instruction) <= way.zone.npc[0] - room
+        return 0 <= self.start(instruction) < way.zone.npc[0] - room
 
     def windows(self, instruction: CrossingInstruction, stretch: Stretch) -> Stretch:
         """Return from when to when an NPC is planned to be in a stretch of its way [s]."""

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
+from pytest_pafot.model.crossings import SLOTS
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT
 from pytest_pafot.report.page_data import CampaignView, CoverageRow, GenerationView
@@ -55,6 +56,7 @@ def campaign_view(
         cells=_rows(coverage, ((f"{int(cell)} {cell.label}", key) for cell, key in zip(Cell, CELLS, strict=True))),
         steps=_rows(coverage, ((" to ".join(map(str, key[1:])), key) for key in STEPS)),
         speeds=_rows(coverage, _speed_labels(speed_limit)),
+        zones=_rows(coverage, _zone_labels(coverage)),
         warnings=tuple(health.warnings()),
     )
 
@@ -92,6 +94,12 @@ def _speed_labels(speed_limit: float) -> Iterable[tuple[str, Key]]:
     for number, key in enumerate(keys):
         top = speed_limit if key == keys[-1] else (number + 1) * SPEED_BIN
         yield f"{number * SPEED_BIN:g} to {top:g} m/s", key
+
+
+def _zone_labels(coverage: Coverage) -> Iterable[tuple[str, Key]]:
+    """Of each zone that anybody was sent to all five slots, under the name of the NPC's way."""
+    for zone in sorted({str(key[1]) for key in coverage.requested if key[0] == "zone"}):
+        yield from ((f"{zone} {slot}", ("zone", zone, slot)) for slot in SLOTS)
 
 
 def _by_count(names: Iterable[str]) -> tuple[tuple[str, int], ...]:

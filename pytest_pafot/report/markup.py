@@ -278,6 +278,7 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
         '<p class="note">Requested: in the scenarios as the search asked for them. Driven: as far as the runs came, '
         'after repair. Reached: the NPC arrived in its cell.</p><div class="columns">'
         f"{_coverage('Cells', 'cell', view.cells)}{_coverage('Target speeds', 'speed', view.speeds)}"
+        f"{_coverage('Slots at zones', 'zone and slot', view.zones) if view.zones else ''}"
         f"{_ring(view.steps)}</div></details></article>"
     )
 

@@ -315,6 +315,7 @@ class CampaignView:
         steps: twenty-four rows: from each cell, holding it, then one step clockwise, then one anticlockwise.
         speeds: a row per bin of target speeds, slowest first.
         warnings: of the search's health.
+        zones: five rows of each zone that NPCs were sent to, a row per slot; empty where nobody crosses.
     """
 
     node_id: str
@@ -331,6 +332,7 @@ class CampaignView:
     steps: tuple[CoverageRow, ...]
     speeds: tuple[CoverageRow, ...]
     warnings: tuple[str, ...] = ()
+    zones: tuple[CoverageRow, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

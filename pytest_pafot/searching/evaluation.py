@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from pytest_pafot.criticality import Encounters, sweep
+from pytest_pafot.criticality import Encounters, passages, sweep, time_advantage
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_cells
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
@@ -66,6 +66,7 @@ class Evaluation:
         driven: per NPC and gene that was started, the cell that it drove to, where ``executed`` cannot say so.
         collision: of the run; None without one.
         demand: what the ego was made to do, see :func:`demand_of`.
+        crossing: index of the NPC that crosses and came nearest to the ego, see :func:`nearest_crossing`.
         note: whatever the evaluator wants to have back with the evaluation, also where it is used again.
     """
 
@@ -88,6 +89,7 @@ class Evaluation:
     driven: tuple[tuple[Cell, ...], ...] = ()
     collision: Collision | None = None
     demand: Demand = (0, 0, False)
+    crossing: int | None = None
     note: Any = field(default=None, compare=False, repr=False)
     _measured: float | None = field(init=False, repr=False)  # compared for fitness: NaN equals nothing, not even itself
 
@@ -131,6 +133,7 @@ class Evaluation:
             driven=trace.driven,
             collision=trace.collision,
             demand=demand_of(trace),
+            crossing=nearest_crossing(trace),
         )
 
     @property
@@ -178,8 +181,11 @@ def interaction_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]
 
 
 def interacted(trace: Trace) -> bool:
-    """Whether the ego collided, or shared its lane with an NPC at a headway below 1.5 s or a gap below 2 m."""
-    if trace.outcome is Outcome.COLLISION:
+    """Whether the ego collided, or shared its lane with an NPC at a headway below 1.5 s or a gap below 2 m.
+
+    Or whether it and an NPC that crosses were about to be in their zone within 1.5 s of each other.
+    """
+    if trace.outcome is Outcome.COLLISION or np.any(time_advantage(trace) < INTERACTION_HEADWAY):
         return True
     ahead = _longitudinal(trace)
     gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, 0]) / 2
@@ -189,8 +195,23 @@ def interacted(trace: Trace) -> bool:
     return bool(np.any(same_lane & close))
 
 
+def nearest_crossing(trace: Trace) -> int | None:
+    """Return which of the NPCs that cross came nearest to being in its zone with the ego; None where nobody crosses.
+
+    The one that it hit, else the one with the least post-encroachment time, or of those where one of the two never came
+    with the least that was to be expected.
+    """
+    times = {each.npc: each.post_encroachment_time for each in passages(trace) if each is not None}
+    if trace.collision is not None and trace.collision.npc in times:
+        return trace.collision.npc
+    if not times:
+        return None
+    expected = time_advantage(trace).min(axis=0)
+    return min(times, key=lambda npc: (times[npc], expected[npc]))
+
+
 def outran(trace: Trace) -> bool:
-    """Whether all NPCs were more than 100 m behind the ego for at least half of the run."""
+    """Whether all NPCs were more than 100 m behind the ego for at least half of the run; who crosses never is."""
     alone = np.all(_longitudinal(trace) < -FAR_BEHIND, axis=1)
     return bool(np.mean(alone) >= 0.5)
 

@@ -7,11 +7,18 @@ from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice
 
-from pytest_pafot.model.scenario import SHIFTS, Gene, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import (
+    SHIFTS,
+    CrossingInstruction,
+    Gene,
+    LaneInstruction,
+    PositionInstruction,
+    Scenario,
+)
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.space import repaired
 
-Chains = tuple[tuple[float, ...], ...]  # one number for each gene
+Chains = tuple[tuple[float | CrossingInstruction, ...], ...]  # one number for each gene, or what has more to say
 _Key = tuple[object, ...]
 _Place = tuple[_Key, int | None]  # a key, and the seed where it matters
 
@@ -86,7 +93,8 @@ class EvaluationCache:
         if evaluation.executed is not evaluation.scenario:
             driven = plain_chains(evaluation.executed)
         # Where NPCs with Lane-Instructions start is repaired by the seed, which no chain as driven tells.
-        seed = None if evaluation.scenario.positions and not self._seeds_matter else evaluation.scenario.seed
+        has_lanes = isinstance(evaluation.scenario.npcs[0][0], LaneInstruction)
+        seed = evaluation.scenario.seed if has_lanes or self._seeds_matter else None
         keys = [(driven, seed)] if asked == driven else [(driven, seed), (asked, evaluation.scenario.seed)]
         return [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
 
@@ -121,11 +129,13 @@ class EvaluationCache:
 
 def plain_chains(scenario: Scenario) -> Chains:
     """One number for each gene, which is hashed and compared sooner than the gene; speeds are at most 1000 m/s."""
-    return tuple([tuple([10_000 * _code(gene) + gene.speed for gene in chain]) for chain in scenario.npcs])
+    return tuple([tuple([_code(gene) for gene in chain]) for chain in scenario.npcs])
 
 
-def _code(gene: Gene) -> int:
-    return gene.cell if isinstance(gene, PositionInstruction) else 9 + SHIFTS.index(gene.lane)
+def _code(gene: Gene) -> float | CrossingInstruction:
+    if isinstance(gene, PositionInstruction):
+        return 10_000 * gene.cell + gene.speed
+    return gene if isinstance(gene, CrossingInstruction) else 10_000 * (9 + SHIFTS.index(gene.lane)) + gene.speed
 
 
 def _key(scenario: Scenario, chains: Chains, depth: int) -> _Key:

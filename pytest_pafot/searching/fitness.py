@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.criticality import Encounters, RoadFrame, execution_time, planned_duration
+from pytest_pafot.criticality import Encounters, RoadFrame, execution_time, passages, planned_duration
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.criticality.signals import MEASURES
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Outcome, Trace
@@ -74,7 +74,8 @@ class Weights:
     Attributes:
         ttc: of the risk 1 / (1 + TTC / tau), with the smallest time to contact of the boxes.
         gap: of the risk 1 / (1 + gap / 1 m), with the smallest distance between the boxes.
-        shortfall: of the largest shortfall of the safety distance, 0 to 1.
+        shortfall: of the largest shortfall of the safety distance, 0 to 1; or of the risk 1 / (1 + PET / 1 s) of an NPC
+            that crosses, with the post-encroachment time at its zone, where that is larger.
         time: of the risk 1 - ET / planned duration; 0 without a collision.
         tau: the TTC at which that risk is one half [s]; 1.5 s is the usual threshold between normal and critical
             (van der Horst 1990).
@@ -107,7 +108,8 @@ def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
     measures are those of the paper in forms that a search can climb: the time to contact of the boxes instead of
     METTC, which ignores when the NPC gets to the crossing point and is infinite at nearly every tick of a
     straight road; the gap between the boxes instead of MD between the centres, which is smallest when driving
-    harmlessly alongside; the shortfall of the safety distance instead of SD, least where a leader pulls away.
+    harmlessly alongside; the shortfall of the safety distance instead of SD, least where a leader pulls away. An NPC
+    that crosses is no leader, and is measured by how soon one of the two came to the zone after the other.
     """
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK
@@ -115,11 +117,17 @@ def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
     total = (
         weights.ttc / (1 + encounters.min_ttc / weights.tau)
         + weights.gap / (1 + encounters.min_gap)
-        + weights.shortfall * encounters.max_safety_shortfall
+        + weights.shortfall * max(encounters.max_safety_shortfall, 1 / (1 + _least_encroachment(trace)))
         + weights.time * (1 - _time_to_collision(trace) / planned_duration(trace))
     )
     mean = total / (weights.ttc + weights.gap + weights.shortfall + weights.time)
     return _never_nan(mean + (trace.outcome == Outcome.COLLISION))
+
+
+def _least_encroachment(trace: Trace) -> float:
+    """The smallest post-encroachment time at the zones of NPCs that cross [s]; infinite where nobody came."""
+    times = (each.post_encroachment_time for each in passages(trace) if each is not None)
+    return min((time for time in times if not math.isnan(time)), default=math.inf)
 
 
 def paper(trace: Trace) -> float:
@@ -168,12 +176,12 @@ def av_fuzzer(trace: Trace) -> float:
     samples = [round(sample * trace.physics_hz / SAMPLES_PER_SECOND) for sample in range(count)]
     hit = [] if trace.collision is None else [trace.collision.tick]
     ticks = sorted({min(tick, trace.ticks) for tick in (*samples, *hit)})
-    frame = RoadFrame(trace)
+    frame, encounters = RoadFrame(trace), Encounters(trace)
     ahead, right = frame.ahead[:, ticks], frame.right[:, ticks]
-    cos, sin = Encounters(trace).road
+    cos, sin = encounters.road
     heading = trace.ego[:, HEADING]
     turns = np.abs(np.sin(heading) * cos[0] - np.cos(heading) * sin[0])[ticks] > math.sin(TURNING)
-    distance = np.hypot(ahead, right)
+    distance = np.where(frame.is_on_way[:, ticks], np.hypot(ahead, right), encounters.centre_distance[:, ticks])
     beside = np.abs(right) < BESIDE
     in_front = beside & (ahead > CAR_LENGTH) & (ahead < NEAR)
     cut_off = beside & (ahead < -CAR_LENGTH) & (ahead > -NEAR) & turns
@@ -269,6 +277,7 @@ def before_impact(trace: Trace) -> Trace:
         ),
         off_road_tick=trace.off_road_tick if off_road else None,
         track=None if trace.track is None else trace.track[: last + 1],
+        on_way=None if trace.on_way is None else trace.on_way[: last + 1],
     )
 
 

@@ -8,18 +8,21 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import chain, compress, pairwise
 
+from pytest_pafot.model.crossings import SLOTS, slot_name
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Chromosome, PositionInstruction
+from pytest_pafot.model.scenario import Chromosome, CrossingInstruction, PositionInstruction
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
 from pytest_pafot.searching.events import Evaluated, Event
 
-# Which instructions a search asked for, had driven, and saw reached: cells, steps on the ring, target speeds.
+# Which instructions a search asked for, had driven, and saw reached: cells, steps on the ring, target speeds, and zones
+# with slots.
 
 SPEED_BIN = 5.0  # width of a bin of target speeds [m/s]
 
-Key = tuple[str, int] | tuple[str, int, int]
-"""``("cell", 2)``, ``("step", 1, 2)`` from cell to cell, or ``("bin", 4)`` of target speeds, from 0."""
+Key = tuple[str, int] | tuple[str, int, int] | tuple[str, str, str]
+"""``("cell", 2)``, ``("step", 1, 2)`` from cell to cell, ``("bin", 4)`` of target speeds, from 0, or
+``("zone", "o1>o3", "just after")`` of an NPC that crosses."""
 
 CELLS: tuple[Key, ...] = tuple(("cell", int(cell)) for cell in Cell)  # the eight, cell 1 first
 
@@ -36,12 +39,12 @@ def speed_bins(speed_limit: float) -> tuple[Key, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """How often simulated runs did what. Lane-Instructions have speeds, and neither cells nor steps."""
+    """How often simulated runs did what. Only Position-Instructions have cells and steps; all have speeds."""
 
     requested: Counter[Key] = field(default_factory=Counter)  # asked for by the scenarios
     # by the genes that the runs came to, after the repair inside the run
     driven: Counter[Key] = field(default_factory=Counter)
-    reached: Counter[Key] = field(default_factory=Counter)  # those driven whose cell, or lane, was reached
+    reached: Counter[Key] = field(default_factory=Counter)  # those driven whose cell, lane or zone was reached
 
     def counted(self, evaluation: Evaluation) -> Coverage:
         """With one more run."""
@@ -56,9 +59,14 @@ class Coverage:
             reached=_added(self.reached, chain.from_iterable([compress(*each) for each in arrived])),
         )
 
-    def describe(self, speed_limit: float) -> str:
-        """One line for a summary: what was reached, and what was asked for; the limit [m/s] says which bins exist."""
-        groups = (("cells", CELLS), ("ring steps", STEPS), ("speed bins", speed_bins(speed_limit)))
+    def describe(self, speed_limit: float, zones: Iterable[str] = ()) -> str:
+        """One line for a summary: what was reached, and what was asked for.
+
+        The limit [m/s] says which bins exist; zones are those of the world, by the names of their ways.
+        """
+        meetings: tuple[Key, ...] = tuple(("zone", zone, slot) for zone in zones for slot in SLOTS)
+        groups = [("cells", CELLS), ("ring steps", STEPS), ("speed bins", speed_bins(speed_limit))]
+        groups += [("slots at zones", meetings)] if meetings else []
         requested, reached = (
             [f"{sum(count[key] > 0 for key in keys)}/{len(keys)}" for _, keys in groups]
             for count in (self.requested, self.reached)
@@ -77,6 +85,8 @@ def _added(counts: Counter[Key], genes: Iterable[Iterable[Key]]) -> Counter[Key]
 def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
     """Of each gene of a chain; a step belongs to the gene that it leads to."""
     bins: list[Key] = [("bin", int(gene.speed // SPEED_BIN)) for gene in genes]
+    if isinstance(genes[0], CrossingInstruction):
+        return [(bins[0], ("zone", genes[0].zone, slot_name(genes[0].slot)))]
     cells = [gene.target for gene in genes if isinstance(gene, PositionInstruction)]
     if not cells:
         return [(each,) for each in bins]
@@ -197,10 +207,12 @@ class Health:
                 f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash between NPCs and "
                 "tested nothing, which should be at most 25 %; use fewer NPCs or more lanes"
             )
+        crosses = any(key[0] == "zone" for key in self.coverage.requested)
+        goal, instructions = ("cell or zone", "instructions") if crosses else ("cell", "Position-Instructions")
         if self.genes_started and self.reached_share < MIN_REACHED_SHARE:
             found.append(
-                f"NPCs reached the cell of only {_percent(self.genes_reached, self.genes_started)} "
-                "Position-Instructions that they began; give them more time (gene_seconds) or a higher speed_limit "
+                f"NPCs reached the {goal} of only {_percent(self.genes_reached, self.genes_started)} {instructions} "
+                "that they began; give them more time (gene_seconds) or a higher speed_limit "
                 "than the ego's speed"
             )
         useless = (self.no_interaction, self.outran, self.barely_moved, self.immediate)

@@ -13,7 +13,8 @@ from dataclasses import replace
 from numpy.random import Generator
 
 from pytest_pafot.model.grid import is_adjacent
-from pytest_pafot.model.scenario import Chromosome, PositionInstruction, Scenario, retimed
+from pytest_pafot.model.scenario import Chromosome, CrossingInstruction, PositionInstruction, Scenario, retimed
+from pytest_pafot.searching.crossing_traffic import CrossingTraffic, mixed
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction, repaired, sample
@@ -27,20 +28,31 @@ SIZES = 0.1
 
 
 def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
-    """Swap two whole NPCs, one chosen at random from each scenario, then repair (section 3.4.1)."""
-    in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
-    return (
-        _child(a, with_chain(a.npcs, in_a, _taken(b, in_b, a)), rng),
-        _child(b, with_chain(b.npcs, in_b, _taken(a, in_a, b)), rng),
-    )
+    """Swap two whole NPCs, one chosen at random from each scenario, then repair (section 3.4.1).
+
+    Two that cross in the same zone swap their slots, speeds and acts, each or not. Whether NPCs clash there is left to
+    who knows the ways: a mutation sees to it, and :func:`varied`.
+    """
+    (in_a, for_a), (in_b, for_b) = _swapped(a, b, rng)
+    return _child(a, with_chain(a.npcs, in_a, for_a), rng), _child(b, with_chain(b.npcs, in_b, for_b), rng)
 
 
 def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
     """The first child of a :func:`crossover` alone, after as many draws: to repair the other takes as long."""
-    in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
-    child = _child(a, with_chain(a.npcs, in_a, _taken(b, in_b, a)), rng)
+    (in_a, for_a), _ = _swapped(a, b, rng)
+    child = _child(a, with_chain(a.npcs, in_a, for_a), rng)
     fresh_seed(rng)
     return child
+
+
+def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[tuple[int, Chromosome], tuple[int, Chromosome]]:
+    """An NPC of each scenario, with the chain that a crossover gives it."""
+    in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
+    one, other = a.npcs[in_a][0], b.npcs[in_b][0]
+    if isinstance(one, CrossingInstruction) and isinstance(other, CrossingInstruction) and one.zone == other.zone:
+        first, second = mixed(one, other, rng)
+        return (in_a, (first,)), (in_b, (second,))
+    return (in_a, _taken(b, in_b, a)), (in_b, _taken(a, in_a, b))
 
 
 def _taken(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
@@ -58,8 +70,19 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     it instead would rewrite the rest of the chain and lose what the parent was selected for.
 
     Where the space has several starts, a tenth of the mutations draws one anew; where it has patterns, a third puts one
-    into a chain.
+    into a chain. Each NPC that crosses is mutated as often as any other: half of the time its slot is moved, else it
+    has another speed or act, or another instruction. One that clashes with another NPC is drawn anew.
     """
+    child, crossing = _mutated(scenario, space, rng), space.crossing_traffic
+    return child if crossing is None else _cleared(child, crossing, rng)
+
+
+def _cleared(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
+    npcs = crossing.cleared(scenario.npcs, rng)
+    return scenario if npcs == scenario.npcs else replace(scenario, npcs=npcs)
+
+
+def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     starts = STARTS if len(space.ego_lanes) > 1 or space.has_speeds else 0.0
     sizes = SIZES if space.most_npcs or len(space.gene_durations) > 1 else 0.0
     draw = rng.random() if starts or sizes or space.patterns else 1.0
@@ -67,16 +90,33 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
         return _started_anew(scenario, space, rng)
     if draw < starts + sizes:
         return _of_another_size(scenario, space, rng)
+    chains, crossing = scenario.positions, space.crossing_traffic
+    if crossing is not None and rng.random() * len(scenario.npcs) >= len(chains):
+        return _crossing_otherwise(scenario, crossing, rng)
     if space.patterns and draw < starts + sizes + PATTERNS:
         return _with_pattern(scenario, space, rng)
-    chains = scenario.positions
     places = [(npc, gene) for npc, chain in enumerate(chains) for gene in range(len(chain))]
     npc, gene = places[int(rng.integers(len(places)))]
     chain = chains[npc]
     new = chain[gene]
     while new == chain[gene]:
         new = _fitted(chains, npc, gene, random_instruction(space, rng), bool(rng.integers(2)))
-    return _child(scenario, with_chain(chains, npc, (*chain[:gene], new, *chain[gene + 1 :])), rng)
+    return _with_chain_on_grid(scenario, npc, (*chain[:gene], new, *chain[gene + 1 :]), rng)
+
+
+def _with_chain_on_grid(scenario: Scenario, npc: int, chain: Chromosome, rng: Generator) -> Scenario:
+    """The scenario with another chain for one of those NPCs that are on the grid."""
+    numbers = [each for each, chain in enumerate(scenario.npcs) if isinstance(chain[0], PositionInstruction)]
+    return _child(scenario, with_chain(scenario.npcs, numbers[npc], chain), rng)
+
+
+def _crossing_otherwise(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
+    """The scenario with another instruction for one of those NPCs that cross, which makes room for itself."""
+    told = [(npc, each) for npc, each in enumerate(scenario.crossings) if each is not None]
+    npc, instruction = told[int(rng.integers(len(told)))]
+    others = [each for number, each in told if number != npc]
+    new = crossing.beside(others, lambda: crossing.varied(instruction, rng)) or crossing.drawn(rng)
+    return _child(scenario, with_chain(scenario.npcs, npc, (new,)), rng)
 
 
 def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
@@ -119,7 +159,7 @@ def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
     chain = chains[npc]
     before = chain[: int(rng.integers(len(chain)))]
     new = followed_by_pattern(before, scenario.ego_speed, (space.low_step, space.top_step), rng)
-    return _child(scenario, with_chain(chains, npc, (*new, *chain[len(new) :])[: len(chain)]), rng)
+    return _with_chain_on_grid(scenario, npc, (*new, *chain[len(new) :])[: len(chain)], rng)
 
 
 def _fitted(
@@ -189,6 +229,8 @@ def varied(
     a, b = pair
     if rng.random() < crossover_rate:
         a, b = crossover(a, b, rng)
+        if (crossing := space.crossing_traffic) is not None:
+            a, b = (_cleared(child, crossing, rng) for child in (a, b))
     first, second = (mutate(child, space, rng) if rng.random() < mutation_rate else child for child in (a, b))
     return first, second
 

@@ -4,34 +4,44 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
+from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell, is_adjacent, repair_chains
 from pytest_pafot.model.scenario import (
+    ACTS,
     EGO_LANE,
     EGO_SPEED,
     GENE_SECONDS,
     PAPER_SPEED_LIMIT,
     SHIFTS,
     SPEED_STEPS_PER_MPS,
+    Act,
+    Chromosome,
     Gene,
     LaneInstruction,
     PositionInstruction,
     Scenario,
     positions_of,
 )
+from pytest_pafot.searching import crossing_traffic
+from pytest_pafot.searching.crossing_traffic import CrossingTraffic
 from pytest_pafot.searching.patterns import chain_of_patterns
 from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
 from pytest_pafot.support.text import plural
 
 LEAST_GENES = 3
 """Of a chain on a road that is not straight, however short its runs are: to approach, to cut in, to brake."""
+CROSSING = 0.75
+"""Share of the NPCs that cross the ego's way, turn across it or join it, where ways of other traffic do."""
+MOST_ON_GRID = 2
+"""NPCs on the grid beside them: ahead of the ego and behind it, on a road of one lane."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +64,10 @@ class SearchSpace:
         most_npcs: for each of the ``ego_lanes``, the largest number of NPCs, which is drawn from 1 on; none where there
             are ``npcs``.
         gene_durations: from which that of a scenario's genes is drawn [s]; none where it is ``gene_seconds``.
+        crossings: the ways on which other traffic meets the ego's, as ``world.crossings`` gives them: three quarters of
+            all NPCs then drive there. None where all NPCs are on the grid.
+        acts: what NPCs do that meet the ego there, of ``pass``, ``hold``, ``stop`` and ``late``.
+        most_on_grid: NPCs on the grid where others cross, at most; each needs a cell to start in.
     """
 
     npcs: int = 2
@@ -68,6 +82,9 @@ class SearchSpace:
     traffic: Traffic = PAPERS
     most_npcs: tuple[int, ...] = ()
     gene_durations: tuple[float, ...] = ()
+    crossings: Crossings | None = None
+    acts: tuple[Act, ...] = crossing_traffic.ACTS
+    most_on_grid: int = MOST_ON_GRID
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -78,12 +95,23 @@ class SearchSpace:
         checked_number(self.speed_limit, "speed_limit", "a finite speed in m/s, at least 0", least=0.0)
 
         object.__setattr__(self, "traffic", Traffic.of(self.traffic))
+        acts = (self.acts,) if isinstance(self.acts, str) else tuple(self.acts)
+        if not acts or not set(acts) <= set(ACTS):
+            raise ValueError(f"acts: expected one or more of {', '.join(ACTS)}, received {self.acts!r}")
+        object.__setattr__(self, "acts", acts)
         if self.ego_speeds is not None and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf:
             raise ValueError(f"ego_speeds: expected the lowest and the highest in m/s, received {self.ego_speeds!r}")
 
     def sliced(self, slices: int) -> SearchSpace:
         """The same with so many genes, which together last as long."""
         return replace(self, genes=slices, gene_seconds=self.genes * self.gene_seconds / slices)
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """All fields but the ways, which are the world's, as plain data; what is for these only where it is unusual."""
+        data = asdict(replace(self, crossings=None))
+        usual = {"crossings": None, "acts": crossing_traffic.ACTS, "most_on_grid": MOST_ON_GRID}
+        return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 
     @property
     def top_step(self) -> int:
@@ -103,7 +131,17 @@ class SearchSpace:
         lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
         npcs = f"1 to {max(self.most_npcs)} NPCs" if self.most_npcs else plural(self.npcs, "NPC")
         traffic = f" in {self.traffic.described}" if self.traffic.described else ""
-        return f"{npcs}{traffic}; the ego starts at {speed} m/s in {lane}"
+        count = 0 if self.crossings is None else len(self.crossings.ways)
+        ways = f", most of them on {count} ways that meet the ego's" if count else ""
+        return f"{npcs}{traffic}{ways}; the ego starts at {speed} m/s in {lane}"
+
+    @property
+    def crossing_traffic(self) -> CrossingTraffic | None:
+        """What instructions at zones are drawn from; None where all NPCs are on the grid."""
+        if self.crossings is None:
+            return None
+        low, high = self.low_step / SPEED_STEPS_PER_MPS, self.top_step / SPEED_STEPS_PER_MPS
+        return CrossingTraffic(self.crossings, self.acts, low, high, self.most_on_grid)
 
     @property
     def draws_start(self) -> bool:
@@ -187,8 +225,13 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     are any distinct ones; then each NPC walks on the ring, with equal chances of holding its cell and of a step to
     either side. A step into a cell that another NPC holds is repaired. Speeds are uniform over the steps of 0.1 m/s up
     to the limit. Where the space has patterns, half of the scenarios are made of these instead, repaired likewise.
+
+    Where ways cross, most NPCs have an instruction at a zone instead; one that clashes with another is drawn anew.
     """
     space = space.drawn(rng)
+    crossing = space.crossing_traffic
+    if crossing is not None:
+        return _sample_crossing(space, crossing, rng)
     if space.patterns and rng.integers(2):
         bounds = space.low_step, space.top_step
         chains = [chain_of_patterns(space.genes, space.ego_speed, bounds, rng) for _ in range(space.npcs)]
@@ -198,6 +241,15 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
     speeds = rng.integers(space.low_step, space.top_step + 1, size=(space.npcs, space.genes)).tolist()
     return repaired(chains_of(walks, speeds), fresh_seed(rng), space)
+
+
+def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generator) -> Scenario:
+    count = max(int(rng.binomial(space.npcs, CROSSING)), space.npcs - space.most_on_grid)
+    on_cells: tuple[Chromosome, ...] = ()
+    if count < space.npcs:
+        on_cells = sample(replace(space, crossings=None, npcs=space.npcs - count), rng).npcs
+    chains = (*on_cells, *((crossing.drawn(rng),) for _ in range(count)))
+    return repaired(crossing.cleared(chains, rng), fresh_seed(rng), space)
 
 
 def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
@@ -233,11 +285,16 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
     cells = [[gene.cell for gene in chain] for chain in positions]
     npcs = tuple(map(tuple, chains))
     if not _is_valid(cells):
-        npcs = tuple(
-            # A gene that keeps its cell is kept, which is faster than to make and check it again.
-            tuple(g if g.cell == cell else PositionInstruction(cell, g.speed) for g, cell in zip(*each, strict=True))
-            for each in zip(positions, repair_chains(cells, seed), strict=True)
+        fitting = iter(
+            [
+                # A gene that keeps its cell is kept, which is faster than to make and check it again.
+                tuple(
+                    g if g.cell == cell else PositionInstruction(cell, g.speed) for g, cell in zip(*each, strict=True)
+                )
+                for each in zip(positions, repair_chains(cells, seed), strict=True)
+            ]
         )
+        npcs = tuple(next(fitting) if isinstance(chain[0], PositionInstruction) else chain for chain in npcs)
     make = Scenario.trusted if isinstance(start, Scenario) else Scenario  # a space is what somebody asked for
     return make(
         npcs=npcs,

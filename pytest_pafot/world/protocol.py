@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
+from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import ReferenceWorld
@@ -145,6 +146,12 @@ def unused_roads(world: Any) -> frozenset[Meeting]:
     What it inherits does not count: a class that derives from a world may have anybody drive anywhere.
     """
     return world.unused_roads if "unused_roads" in vars(type(world)) else frozenset()
+
+
+def crossings(world: Any) -> Crossings | None:
+    """Return the ways of a world on which other traffic meets the ego's, where it says so; None without."""
+    found: Crossings | None = getattr(world, "crossings", None)
+    return found
 
 
 def straight_road(world: Any) -> StraightRoad | None:

@@ -17,7 +17,9 @@ from typing import Any, ClassVar
 
 from numpy.random import Generator
 
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.crossings import SLOTS, Crossings, slot_name
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import CrossingInstruction, Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, GenerationStateT, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.operators import first_crossed, improves, mutate, tournament
@@ -67,7 +69,9 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last one, which has no upper end
 
-Niche = tuple[int, int]  # the cell of an impact and the index of its closing speed; 0 and what the ego was made to do
+# The cell of an impact and the index of its closing speed; 0 and what the ego was made to do. Of an NPC that crosses
+# its zone and slot stand for the cell, with numbers beyond those of cells, and below 0 without an impact.
+Niche = tuple[int, int]
 Elites = tuple[tuple[Niche, Evaluation], ...]  # the best of each niche, in their order
 
 
@@ -90,7 +94,8 @@ class DistinctSearch(NicheSearch[DistinctState]):
     1. The first scenarios are random, as the paper's first generation is.
     2. After them a third of the scenarios is random again, and the others are children. The worst run of every niche
        may have some: of every impact cell and closing speed, and without an impact of everything that the ego was made
-       to do (:func:`~pytest_pafot.searching.evaluation.demand_of`), so that no kind of run displaces the others.
+       to do (:func:`~pytest_pafot.searching.evaluation.demand_of`), so that no kind of run displaces the others. Where
+       an NPC crosses, its zone and slot stand for its cell, and without an impact for what the ego was made to do.
        For each check (:attr:`~pytest_pafot.searching.Evaluation.margins`) that has not failed yet the niches are held
        once more, by its worst margin in place of the fitness: every check is an objective, without a weight. These
        groups are drawn equally often, and parents of a group by binary tournament on the fitness. A child has one to
@@ -152,18 +157,34 @@ class DistinctSearch(NicheSearch[DistinctState]):
             state,
             kinds=kinds,
             mistakes=mistakes,
-            elites=_elites([*(each for _, each in state.elites), *evaluations], kinds),
-            strained=_strained(state.strained, evaluations, kinds, mistakes),
+            elites=_elites([*(each for _, each in state.elites), *evaluations], kinds, self.space.crossings),
+            strained=_strained(state.strained, evaluations, kinds, mistakes, self.space.crossings),
         )
 
 
-def niche(evaluation: Evaluation) -> Niche:
-    """Where an evaluation competes."""
-    hit = evaluation.collision
-    if hit is None:
-        braking, changes, has_stood = evaluation.demand
-        return 0, 6 * braking + 2 * changes + has_stood
-    return int(hit.cell), min(int(hit.closing_speed / SPEED_NICHE), FASTEST_NICHE)
+def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> Niche:
+    """Where an evaluation competes, in a world with some ways that meet the ego's."""
+    hit, place = evaluation.collision, meeting_place(evaluation, crossings)
+    speed = 0 if hit is None else min(int(hit.closing_speed / SPEED_NICHE), FASTEST_NICHE)
+    if hit is not None and hit.cell is not None and hit.npc != evaluation.crossing:
+        return int(hit.cell), speed
+    if place is not None:
+        return (-1 - place, 0) if hit is None else (1 + len(Cell) + place, speed)
+    braking, changes, has_stood = evaluation.demand
+    return 0, 6 * braking + 2 * changes + has_stood
+
+
+def meeting_place(evaluation: Evaluation, crossings: Crossings | None) -> int | None:
+    """Return a number for the zone and slot of the NPC that crosses and came nearest; None where nobody does.
+
+    Zones are counted in the order in which the ego comes to them.
+    """
+    npc = evaluation.crossing
+    instruction = None if npc is None else evaluation.scenario.npcs[npc][0]
+    if crossings is None or not isinstance(instruction, CrossingInstruction):
+        return None
+    zone = [each.way for each in crossings.zones].index(instruction.zone)
+    return len(SLOTS) * zone + list(SLOTS).index(slot_name(instruction.slot))
 
 
 def _parent(groups: Sequence[Sequence[Evaluation]], rng: Generator) -> Evaluation:
@@ -171,21 +192,25 @@ def _parent(groups: Sequence[Sequence[Evaluation]], rng: Generator) -> Evaluatio
 
 
 def _strained(
-    before: Mapping[str, Elites], evaluations: Sequence[Evaluation], kinds: frozenset[Hashable], failed: frozenset[str]
+    before: Mapping[str, Elites],
+    evaluations: Sequence[Evaluation],
+    kinds: frozenset[Hashable],
+    failed: frozenset[str],
+    crossings: Crossings | None,
 ) -> dict[str, Elites]:
     """For each check that has not failed, in the order of the names, the elites by its margin alone."""
     judged: dict[str, list[Evaluation]] = {name: [each for _, each in elites] for name, elites in before.items()}
     for each in evaluations:
         for name, margin in each.margins:
             judged.setdefault(name, []).append(replace(each, fitness=-margin))
-    return {name: _elites(judged[name], kinds) for name in sorted(judged) if name not in failed}
+    return {name: _elites(judged[name], kinds, crossings) for name in sorted(judged) if name not in failed}
 
 
-def _elites(evaluations: Sequence[Evaluation], kinds: frozenset[Hashable]) -> Elites:
+def _elites(evaluations: Sequence[Evaluation], kinds: frozenset[Hashable], crossings: Crossings | None) -> Elites:
     """The best ranked of each niche, the first of equals."""
     best: dict[Niche, Evaluation] = {}
     for each in evaluations:
         is_known = each.failing and each.kind in kinds
-        if not is_known and improves(each, best.get(niche(each))):
-            best[niche(each)] = each
+        if not is_known and improves(each, best.get(niche(each, crossings))):
+            best[niche(each, crossings)] = each
     return tuple(sorted(best.items()))

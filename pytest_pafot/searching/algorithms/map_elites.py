@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.random import Generator
 
+from pytest_pafot.model.crossings import SLOTS, Crossings
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.searching.algorithms.distinct import NicheSearch
+from pytest_pafot.searching.algorithms.distinct import NicheSearch, meeting_place
 from pytest_pafot.searching.ask_tell import GenerationState
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.operators import first_crossed, mutate
@@ -40,7 +41,7 @@ class MapElitesState(GenerationState):
 
 @dataclass(frozen=True, slots=True)
 class MapElitesSearch(NicheSearch[MapElitesState]):
-    """MAP-Elites over chains of Position-Instructions; niches are the impact cell and the closing speed."""
+    """MAP-Elites over scenarios; niches are the impact cell, or the zone and slot, and the closing speed."""
 
     name: ClassVar[str] = "map-elites"
     library: ClassVar[str] = "ribs"
@@ -49,8 +50,9 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
         """The state before the first generation: an empty archive."""
         from ribs.archives import GridArchive  # noqa: PLC0415  (slow to import)
 
-        ranges = ((-0.5, 8.5), (0.0, TOP_CLOSING_SPEED))
-        return MapElitesState(archive=GridArchive(solution_dim=1, dims=(9, CLOSING_SPEED_NICHES), ranges=ranges))
+        places = 9 if self.space.crossings is None else 9 + len(SLOTS) * len(self.space.crossings.zones)
+        ranges = ((-0.5, places - 0.5), (0.0, TOP_CLOSING_SPEED))
+        return MapElitesState(archive=GridArchive(solution_dim=1, dims=(places, CLOSING_SPEED_NICHES), ranges=ranges))
 
     def parents(self, state: MapElitesState) -> list[Evaluation]:
         """The elites in the order of the niches, so that the same draws give the same ones."""
@@ -74,12 +76,18 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
         archive.add(
             solution=np.arange(first, first + len(eligible), dtype=np.float64)[:, None],
             objective=np.array([each.fitness for each in eligible]),
-            measures=np.array([niche(each) for each in eligible]),
+            measures=np.array([niche(each, self.space.crossings) for each in eligible]),
         )
         return replace(state, archive=archive, evaluations=(*state.evaluations, *eligible))
 
 
-def niche(evaluation: Evaluation) -> tuple[float, float]:
-    """The cell of the impact, 0 without one, and the closing speed [m/s]."""
+def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> tuple[float, float]:
+    """The cell of the impact, 0 without one, and the closing speed [m/s].
+
+    Beyond the cells are the zones and slots of NPCs that cross.
+    """
     hit = evaluation.collision
-    return (NO_IMPACT, 0.0) if hit is None else (float(hit.cell), hit.closing_speed)
+    if hit is None:
+        return NO_IMPACT, 0.0
+    place = meeting_place(evaluation, crossings) if hit.npc == evaluation.crossing else None
+    return float(hit.cell or NO_IMPACT) if place is None else 9.0 + place, hit.closing_speed

@@ -14,7 +14,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.random import Generator
 
-from pytest_pafot.model.scenario import Scenario, positions_of, retimed
+from pytest_pafot.model.crossings import slot_name
+from pytest_pafot.model.scenario import CrossingInstruction, Gene, PositionInstruction, Scenario, retimed
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
@@ -33,7 +34,7 @@ class Nsga2State(GenerationState):
 
 @dataclass(frozen=True, slots=True)
 class Nsga2Search(GenerationalSearch[Nsga2State]):
-    """NSGA-II over chains of Position-Instructions. Its first generation is random.
+    """NSGA-II over scenarios. Its first generation is random.
 
     Attributes:
         population: survivors, and children in a generation.
@@ -95,7 +96,8 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
     """To be minimised, shape [evaluations, 3 + checks]: minus fitness, closing speed at the impact [m/s] and novelty.
 
     Then the margin of each check that any of the runs came to, in the order of their names. Novelty is the least share
-    of genes in which a scenario, as driven, has another cell than another one, or an NPC that the other one lacks.
+    of genes in which a scenario, as driven, has another cell than another one, another zone or slot, or an NPC that the
+    other one lacks.
     """
     cells = cells_of(evaluations)
     one, other = cells[:, None, :], cells[None, :, :]
@@ -113,12 +115,22 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
 
 
 def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
-    """The cells as driven, shape [evaluations, npcs * genes], in steps of the shortest gene; 0 where there is none."""
+    """The cells as driven, shape [evaluations, npcs * genes], in steps of the shortest gene; 0 where there is none.
+
+    An NPC that crosses has one number beyond the cells, for its zone and slot.
+    """
     shortest = min(each.executed.gene_seconds for each in evaluations)
     chains = [[retimed(chain, each.executed.gene_seconds, shortest) for chain in each.chains] for each in evaluations]
     genes = max(len(chain) for npcs in chains for chain in npcs)
     cells = np.zeros((len(chains), max(map(len, chains)), genes))
+    places: dict[tuple[str, str], int] = {}
     for index, npcs in enumerate(chains):
-        for npc, chain in enumerate(positions_of(npcs)):
-            cells[index, npc, : len(chain)] = [gene.cell for gene in chain]
+        for npc, chain in enumerate(npcs):
+            cells[index, npc, : len(chain)] = [_number(gene, places) for gene in chain]
     return cells.reshape(len(chains), -1)
+
+
+def _number(gene: Gene, places: dict[tuple[str, str], int]) -> int:
+    if isinstance(gene, CrossingInstruction):
+        return 9 + places.setdefault((gene.zone, slot_name(gene.slot)), len(places))
+    return gene.cell if isinstance(gene, PositionInstruction) else 0

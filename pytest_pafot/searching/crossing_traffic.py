@@ -1,0 +1,173 @@
+"""NPCs that meet the ego where ways cross: their instructions drawn, varied, and made to fit beside each other.
+
+Whoever is on the grid is not foreseen here: where it drives depends on the ego.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from numpy.random import Generator
+
+from pytest_pafot.model.crossings import STEP, Crossings
+from pytest_pafot.model.scenario import (
+    LARGEST_SLOT,
+    SLOT_STEPS_PER_SECOND,
+    SPEED_STEPS_PER_MPS,
+    Act,
+    Chromosome,
+    CrossingInstruction,
+)
+
+ACTS: tuple[Act, ...] = ("pass", "hold", "stop")
+"""That are drawn unless it is said. Who starts late is often a dispute about who had to wait."""
+PASSES = 0.7
+"""Share of the NPCs that drive through their zone without stopping, where there are other acts."""
+SLOT_SHARES = {"well before": 0.1, "just before": 0.2, "together": 0.2, "just after": 0.3, "well after": 0.2}
+"""How often each of the five slots is drawn: most of those who come just after the ego meet one that hesitates."""
+SLOWEST = 3.0
+"""Target speed of an NPC that crosses [m/s]; who is slower hardly arrives."""
+SLOT_CHANGE, SPEED_CHANGE, ACT_CHANGE = 0.5, 0.25, 0.1
+"""Shares of the variations of an instruction that move its slot, change its speed and change its act; the others draw
+another instruction."""
+SHIFT = 0.8
+"""Standard deviation by which a variation moves a slot [s], and in m/s a speed."""
+ATTEMPTS = 30
+"""How often an instruction is drawn that has to fit beside others."""
+MOST_ATTEMPTS = 1000
+"""How often one is drawn at all, before ways are given up on which hardly anything fits."""
+
+
+@dataclass(frozen=True, slots=True)
+class CrossingTraffic:
+    """What instructions at zones are drawn from.
+
+    Attributes:
+        crossings: the ways of the world.
+        acts: that are drawn.
+        low, high: lowest and highest target speed [m/s]; bends of a way may allow less.
+        most_on_grid: NPCs beside these for which there is a cell to start in.
+    """
+
+    crossings: Crossings
+    acts: tuple[Act, ...]
+    low: float
+    high: float
+    most_on_grid: int
+
+    def drawn(self, rng: Generator) -> CrossingInstruction:
+        """Return a random instruction with which an NPC can start on its way.
+
+        Raises:
+            ValueError: where hardly any is such.
+        """
+        for _ in range(MOST_ATTEMPTS):
+            zones = self.crossings.zones
+            zone = zones[int(rng.integers(len(zones)))].way
+            instruction = CrossingInstruction(zone, drawn_slot(rng), self._speed(zone, rng), self._act(rng))
+            if self.crossings.fits(instruction):
+                return instruction
+        raise ValueError(
+            f"crossings: expected ways on which an NPC can start and keep a slot, received {len(self.crossings.ways)} "
+            f"on which none of {MOST_ATTEMPTS} instructions fits; let the ego start earlier, or give crossings=None"
+        )
+
+    def varied(self, instruction: CrossingInstruction, rng: Generator) -> CrossingInstruction:
+        """Return the instruction with another slot, speed or act, or another one; it may not fit."""
+        share = rng.random()
+        if share < SLOT_CHANGE:
+            step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND)) * (1 if rng.integers(2) else -1)
+            slot = instruction.slot + step / SLOT_STEPS_PER_SECOND
+            return replace(instruction, slot=_tenths(min(max(slot, -LARGEST_SLOT), LARGEST_SLOT)))
+        if share < SLOT_CHANGE + SPEED_CHANGE:
+            return replace(instruction, speed=self._speed(instruction.zone, rng))
+        if share < SLOT_CHANGE + SPEED_CHANGE + ACT_CHANGE and len(self.acts) > 1:
+            others = [act for act in self.acts if act != instruction.act]
+            return replace(instruction, act=others[int(rng.integers(len(others)))])
+        return self.drawn(rng)
+
+    def beside(
+        self, others: Sequence[CrossingInstruction], propose: Callable[[], CrossingInstruction]
+    ) -> CrossingInstruction | None:
+        """Return the first proposal that fits its way and clashes with nobody; None after a number of attempts."""
+        proposals = (propose() for _ in range(ATTEMPTS))
+        return next((each for each in proposals if self.has_room(each, others)), None)
+
+    def has_room(self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction]) -> bool:
+        """Return whether an instruction fits its way and clashes with no other one."""
+        return self.crossings.fits(instruction) and not any(self.crossings.clash(instruction, each) for each in others)
+
+    def cleared(self, npcs: Sequence[Chromosome], rng: Generator) -> tuple[Chromosome, ...]:
+        """Return chains of which none that crosses clashes with one before it, and not too many are on the grid.
+
+        One that clashes is drawn anew, at first on its way and with its act. Where that does not help, it comes as long
+        after the ego as an NPC may, and where that clashes as well, it is left out. Whoever has no room on the grid
+        crosses instead. No draw is made where everybody fits.
+        """
+        kept: list[Chromosome] = []
+        told: list[CrossingInstruction] = []
+        for chain in npcs:
+            first = chain[0]
+            if not isinstance(first, CrossingInstruction) and len(kept) - len(told) < self.most_on_grid:
+                kept.append(chain)
+                continue
+            found = self._room_for(first if isinstance(first, CrossingInstruction) else self.drawn(rng), told, rng)
+            if found is not None:
+                told.append(found)
+                kept.append((found,))
+        return tuple(kept)
+
+    def _room_for(
+        self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction], rng: Generator
+    ) -> CrossingInstruction | None:
+        if self.has_room(instruction, others):
+            return instruction
+        another = self.beside(others, lambda: replace(instruction, slot=drawn_slot(rng)))
+        if another is None:
+            another = self.beside(others, lambda: self.drawn(rng))
+        if another is None:
+            last = replace(instruction, slot=LARGEST_SLOT, act="pass")
+            another = last if self.has_room(last, others) else None
+        return another
+
+    def _speed(self, zone: str, rng: Generator) -> float:
+        way = self.crossings.ways[zone]
+        allowed = float(way.speeds[: math.ceil(way.zone.npc[1] / STEP) + 1].max())
+        high = math.floor(min(self.high, allowed) * SPEED_STEPS_PER_MPS + 1e-6)
+        low = min(round(max(self.low, SLOWEST) * SPEED_STEPS_PER_MPS), high)
+        return max(int(rng.integers(low, high + 1)), 1) / SPEED_STEPS_PER_MPS
+
+    def _act(self, rng: Generator) -> Act:
+        others = [act for act in self.acts if act != "pass"]
+        if not others or ("pass" in self.acts and rng.random() < PASSES):
+            return "pass"
+        return others[int(rng.integers(len(others)))]
+
+
+def drawn_slot(rng: Generator) -> float:
+    """Return a random slot [s]: one of the five, then a time in it, of those without an end rather a short one."""
+    name = rng.choice(list(SLOT_SHARES), p=list(SLOT_SHARES.values()))
+    far = 1 + (LARGEST_SLOT - 1) * rng.random() ** 2
+    near = int(rng.integers(1, SLOT_STEPS_PER_SECOND)) / SLOT_STEPS_PER_SECOND
+    slots = {"well before": -far, "just before": -near, "together": 0.0, "just after": near, "well after": far}
+    return _tenths(slots[name])
+
+
+def mixed(a: CrossingInstruction, b: CrossingInstruction, rng: Generator) -> tuple[CrossingInstruction, ...]:
+    """Return two children of instructions at one zone, which swap slot, speed and act, each or not."""
+    slot, speed, act = (bool(each) for each in rng.integers(2, size=3))
+    return tuple(
+        replace(
+            own,
+            slot=other.slot if slot else own.slot,
+            speed=other.speed if speed else own.speed,
+            act=other.act if act else own.act,
+        )
+        for own, other in ((a, b), (b, a))
+    )
+
+
+def _tenths(slot: float) -> float:
+    return round(slot * SLOT_STEPS_PER_SECOND) / SLOT_STEPS_PER_SECOND

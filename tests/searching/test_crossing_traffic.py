@@ -1,0 +1,289 @@
+"""Traffic at zones: what a search draws, varies and repairs there, and that nothing changes without zones."""
+
+import hashlib
+import json
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.model.crossings import slot_name
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.trace import Collision, Outcome
+from pytest_pafot.searching import ALGORITHMS, Health, SearchSpace, resolve_algorithm, run_campaign
+from pytest_pafot.searching.algorithms.distinct import niche
+from pytest_pafot.searching.crossing_traffic import ACTS, CrossingTraffic, drawn_slot, mixed
+from pytest_pafot.searching.evaluation_cache import EvaluationCache
+from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.operators import crossover, first_crossed, mutate, varied
+from pytest_pafot.searching.space import sample
+from tests.helpers.crossings import junction, way_of
+from tests.helpers.tables import table
+from tests.helpers.traces import collision_at
+
+JUNCTION = junction()
+TRAFFIC = CrossingTraffic(JUNCTION, ACTS, 0.0, 10.0, 2)
+SPACE = SearchSpace(crossings=JUNCTION, most_npcs=(4,), genes=3, gene_seconds=4.0, speed_limit=10.0, ego_speed=10.0)
+seeds = st.integers(0, 2**32)
+spaces = st.builds(
+    SearchSpace,
+    npcs=st.integers(1, 8),
+    most_npcs=st.sampled_from([(), (4,)]),
+    genes=st.integers(1, 4),
+    speed_limit=st.sampled_from([2.0, 8.0, 20.0]),
+    traffic=st.sampled_from(["paper", "hostile", "everyday"]),
+    crossings=st.just(JUNCTION),
+    acts=st.sampled_from([ACTS, ("pass",), ("hold", "late")]),
+    most_on_grid=st.integers(0, 2),
+)
+
+
+def crosses(**changes):
+    return CrossingInstruction(**({"zone": "o1>o3", "slot": 0.5, "speed": 8.0} | changes))
+
+
+def told(scenario):
+    return [each for each in scenario.crossings if each is not None]
+
+
+def check(scenario, space):
+    """Hold a scenario to all that a search with a space promises of it."""
+    assert scenario == Scenario.from_canonical(json.loads(scenario.canonical()))  # which checks all of its rules
+    assert not JUNCTION.clashes(scenario)
+    assert len(scenario.npcs) - len(told(scenario)) <= space.most_on_grid
+    assert len(scenario.npcs) <= (max(space.most_npcs) if space.most_npcs else space.npcs)
+    for each in told(scenario):
+        assert JUNCTION.fits(each)
+        assert each.act in space.acts or (each.act == "pass" and each.slot == 5.0)
+        assert each.speed <= min(space.speed_limit, 12.0)
+        assert each.speed >= min(3.0, space.speed_limit)
+        assert each.speed >= min(space.traffic.least_speed(space.speed_limit), 12.0) - 0.05
+
+
+@given(spaces, seeds, st.integers(0, 8))
+def test_what_is_drawn_varied_and_crossed_fits_its_ways_and_clashes_with_nobody(space, seed, variations):
+    rng = np.random.default_rng(seed)
+    a, b = sample(space, rng), sample(space, rng)
+    check(a, space)
+    check(b, space)
+    for _ in range(variations):
+        a, b = varied((a, b), space, 0.7, 0.7, rng)
+        a = mutate(first_crossed(a, b, rng), space, rng)
+        check(a, space)
+        check(b, space)
+
+
+@given(seeds)
+def test_equal_draws_give_equal_scenarios(seed):
+    one, other = (np.random.default_rng(seed) for _ in range(2))
+    assert mutate(sample(SPACE, one), SPACE, one) == mutate(sample(SPACE, other), SPACE, other)
+
+
+def test_all_zones_acts_and_slots_are_drawn_and_most_npcs_cross():
+    rng = np.random.default_rng(0)
+    scenarios = [sample(SPACE, rng) for _ in range(400)]
+    instructions = [each for scenario in scenarios for each in told(scenario)]
+    assert len(instructions) / sum(len(each.npcs) for each in scenarios) == pytest.approx(0.75, abs=0.06)
+    assert {each.zone for each in instructions} == set(JUNCTION.ways)
+    assert Counter(each.act for each in instructions).keys() == {"pass", "hold", "stop"}
+    assert len({slot_name(each.slot) for each in instructions}) == 5
+    assert any(len(told(each)) in range(1, len(each.npcs)) for each in scenarios)
+
+
+def test_slots_are_rather_near_the_ego():
+    rng = np.random.default_rng(0)
+    slots = np.array([drawn_slot(rng) for _ in range(4000)])
+    assert np.abs(slots).max() <= 5
+    shares = [np.mean(np.abs(slots) <= 1), np.mean((np.abs(slots) > 1) & (np.abs(slots) <= 3)), np.mean(slots > 0)]
+    assert shares == pytest.approx([0.72, 0.2, 0.5], abs=0.03)
+
+
+def test_a_late_start_is_drawn_where_it_is_asked_for():
+    rng, space = np.random.default_rng(0), SearchSpace(npcs=2, crossings=JUNCTION, acts=("pass", "late"))
+    acts = {each.act for _ in range(50) for each in told(mutate(sample(space, rng), space, rng))}
+    assert acts == {"pass", "late"}
+
+
+@table("acts", [(), ("wave",), "wave", ("pass", "wait")])
+def test_acts_that_nobody_knows_are_refused_with_those_that_there_are(acts):
+    with pytest.raises(ValueError, match="acts: expected one or more of pass, hold, stop, late, received"):
+        SearchSpace(acts=acts)
+
+
+def test_where_nobody_clashes_nothing_is_drawn():
+    rng = np.random.default_rng(0)
+    npcs = ((crosses(),), (PositionInstruction(2, 8.0),), (crosses(slot=3.0),))
+    before = rng.bit_generator.state
+    assert TRAFFIC.cleared(npcs, rng) == npcs
+    assert rng.bit_generator.state == before
+
+
+@given(seeds)
+def test_of_two_that_clash_the_later_one_is_drawn_anew_on_its_way(seed):
+    npcs = ((crosses(),), (crosses(slot=0.8, act="hold"),))
+    first, second = TRAFFIC.cleared(npcs, np.random.default_rng(seed))
+    assert first == npcs[0]
+    assert second != npcs[1]
+    assert not JUNCTION.clash(first[0], second[0])
+
+
+def test_where_no_draw_helps_one_comes_last_and_the_next_is_left_out(monkeypatch):
+    monkeypatch.setattr(CrossingTraffic, "drawn", lambda self, rng: crosses(speed=6.0))
+    monkeypatch.setattr("pytest_pafot.searching.crossing_traffic.drawn_slot", lambda rng: 0.5)
+    first, last, behind = crosses(speed=6.0), crosses(slot=5.0, speed=6.0), PositionInstruction(2, 8.0)
+    npcs = ((first,), (crosses(speed=6.0, act="stop"),), (behind,), (crosses(speed=6.5),))
+    assert TRAFFIC.cleared(npcs, np.random.default_rng(0)) == ((first,), (last,), (behind,))
+
+
+def test_whoever_has_no_cell_to_start_in_crosses_instead():
+    crowd = tuple((PositionInstruction(cell, 8.0),) for cell in (1, 2, 3))
+    kept = TRAFFIC.cleared(crowd, np.random.default_rng(0))
+    assert kept[:2] == crowd[:2]
+    assert isinstance(kept[2][0], CrossingInstruction)
+
+
+def test_ways_on_which_nobody_can_start_are_an_error_that_says_so():
+    at_once = way_of("o1>o3", "crossing", "left", (88.0, 95.0), (0.0, 8.0))
+    space = SearchSpace(crossings=junction(ways={"o1>o3": at_once}, meetings={}), most_on_grid=0)
+    with pytest.raises(ValueError, match=r"crossings: expected ways on which an NPC can start .* received 1 on which"):
+        sample(space, np.random.default_rng(0))
+
+
+def test_two_that_cross_in_one_zone_swap_parts_and_others_swap_places():
+    a, b = crosses(slot=-2.0, speed=5.0, act="hold"), crosses(slot=3.0)
+    children = {mixed(a, b, np.random.default_rng(seed)) for seed in range(100)}
+    assert len(children) == 8
+    for first, second in children:
+        assert {first.slot, second.slot} == {-2.0, 3.0}
+        assert {first.speed, second.speed} == {5.0, 8.0}
+        assert {first.act, second.act} == {"hold", "pass"}
+    one, other = Scenario(npcs=((a,),)), Scenario(npcs=((PositionInstruction(2, 8.0),) * 2,))
+    assert [each.npcs for each in crossover(one, other, np.random.default_rng(0))] == [other.npcs, one.npcs]
+
+
+def test_every_part_of_an_instruction_varies():
+    instruction, rng = crosses(), np.random.default_rng(0)
+    new = [TRAFFIC.varied(instruction, rng) for _ in range(300)]
+    moved = [each.slot for each in new if (each.zone, each.speed, each.act) == ("o1>o3", 8.0, "pass")]
+    assert 0.4 < len(moved) / len(new) < 0.6
+    assert np.abs(np.array(moved) - 0.5).mean() < 1.0
+    assert new.count(instruction) < 10  # by chance, another one is the same
+    assert {each.act for each in new} == {"pass", "hold", "stop"}
+    assert len({each.zone for each in new}) == 4
+
+
+class Judged:
+    """Evaluates scenarios by digests of their texts: by nothing that a search could learn, and the same everywhere."""
+
+    def __init__(self, make_evaluation):
+        self.make_evaluation = make_evaluation
+
+    def __call__(self, scenario):
+        draw = hashlib.sha256(scenario.canonical().encode()).digest()
+        hit = Collision(
+            tick=15, time=1.0, npc=0, side="front", cell=Cell(draw[1] % 8 + 1), ego_speed=20.0,
+            npc_speed=20 - draw[2] / 10, closing_speed=draw[2] / 10,
+        )  # fmt: skip
+        return self.make_evaluation(
+            scenario,
+            fitness=draw[3] / 10,
+            failing=draw[0] < 40,
+            outcome=Outcome.COLLISION if draw[0] < 80 else Outcome.INVALID if draw[0] < 90 else Outcome.SAFE,
+            collision=hit if draw[0] < 80 else None,
+            margins=(("a", draw[4] / 100 - 0.5), ("b", draw[5] / 50)),
+            demand=(draw[6] % 5, draw[7] % 3, bool(draw[8] % 2)),
+            crossing=0 if scenario.crossings and scenario.crossings[0] else None,
+        )
+
+
+WITHOUT = {
+    "papers": SearchSpace(),
+    "wide": SearchSpace(
+        npcs=4, ego_lanes=(0, 1, 2, 3), ego_speeds=(12.0, 26.8), patterns=True, traffic="hostile",
+        most_npcs=(4, 6, 6, 4), gene_durations=(4.0, 7.0, 10.0),
+    ),
+    "bend": SearchSpace(npcs=2, genes=3, gene_seconds=4.3, traffic="everyday", ego_lane=1, ego_speed=8.0),
+}  # fmt: skip
+AS_BEFORE = {
+    ("distinct", "papers"): "9236e592cfd8",
+    ("distinct", "wide"): "f2d10d5c239d",
+    ("distinct", "bend"): "566e285a0003",
+    ("pafot", "papers"): "fc535b075c81",
+    ("pafot", "wide"): "a6156b0451be",
+    ("pafot", "bend"): "c7ee8c480c56",
+    ("av-fuzzer", "papers"): "b07ec34b17d5",
+    ("av-fuzzer", "wide"): "374eb7f4ea29",
+    ("av-fuzzer", "bend"): "ef9f486e8604",
+    ("random", "papers"): "53bae83dadad",
+    ("random", "wide"): "27fef0e149db",
+    ("random", "bend"): "401b3447ca53",
+    ("random-manoeuvre", "papers"): "25c4d6900da9",
+    ("random-manoeuvre", "wide"): "5669f3be3436",
+    ("random-manoeuvre", "bend"): "b582d4195c24",
+}
+"""Digests of what each algorithm drew before there were zones, with the space and the seed 0."""
+
+
+@table(("name", "space"), AS_BEFORE)
+def test_without_zones_every_search_draws_what_it_drew_before_there_were_any(name, space, make_evaluation):
+    assert drawn_digest(name, WITHOUT[space], make_evaluation) == AS_BEFORE[name, space]
+
+
+def drawn_digest(name, space, make_evaluation):
+    algorithm, digest = resolve_algorithm(name).make(space), hashlib.sha256()
+    for event in run_campaign(algorithm, Judged(make_evaluation), generations=8, seed=0):
+        if isinstance(event, Evaluated):
+            digest.update(event.evaluation.scenario.canonical().encode())
+    return digest.hexdigest()[:12]
+
+
+@pytest.mark.parametrize("name", [each for each in ALGORITHMS if not resolve_algorithm(each).is_papers])
+def test_every_search_that_is_not_the_papers_finds_its_way_at_a_junction(name, make_evaluation):
+    if library := resolve_algorithm(name).library:
+        pytest.importorskip(library)
+    events = list(run_campaign(resolve_algorithm(name).make(SPACE), Judged(make_evaluation), generations=12, seed=1))
+    scenarios = [event.evaluation.scenario for event in events if isinstance(event, Evaluated)]
+    for each in scenarios:
+        check(each, SPACE)
+    assert len({each.id for each in scenarios}) > 0.7 * len(scenarios)
+    assert any(told(each) for each in scenarios[-len(scenarios) // 4 :])
+    coverage = Health.of(events).coverage
+    assert "zone" in {key[0] for key in coverage.requested}
+    assert "/20 slots at zones; requested" in coverage.describe(10.0, JUNCTION.ways)
+
+
+@table(
+    "name", [each for each in ALGORITHMS if resolve_algorithm(each).is_papers and not resolve_algorithm(each).library]
+)
+def test_the_papers_searches_keep_to_the_grid(name, make_evaluation):
+    search = resolve_algorithm(name).make(SearchSpace())
+    events = run_campaign(search, Judged(make_evaluation), generations=3, seed=1)
+    assert not any(event.evaluation.scenario.crossings for event in events if isinstance(event, Evaluated))
+
+
+def test_niches_tell_zones_slots_and_speeds_of_impacts_apart(make_evaluation):
+    def of(crossing, cell=None, speed=3.0, npc=0, **changes):
+        scenario = Scenario(npcs=((crosses(**changes),), (PositionInstruction(2, 8.0),)))
+        hit = None if speed is None else replace(collision_at(30, npc=npc, cell=cell), closing_speed=speed)
+        outcome = Outcome.SAFE if hit is None else Outcome.COLLISION
+        return niche(make_evaluation(scenario, outcome=outcome, collision=hit, crossing=crossing), JUNCTION)
+
+    impacts = [of(0), of(0, speed=8.0), of(0, slot=1.0), of(0, zone="o1>o2"), of(0, slot=-1.0), of(0, slot=0.0)]
+    misses = [of(0, speed=None), of(0, speed=None, slot=1.0), of(0, speed=None, zone="o1>o2")]
+    assert len({*impacts, *misses}) == 9
+    assert of(0, slot=0.6) == of(0) == of(0, cell=Cell.FRONT)
+    assert all(place > 8 for place, _ in impacts)
+    assert all(place < 0 for place, _ in misses)
+    assert of(0, npc=1, cell=Cell.FRONT) == (2, 0)
+
+
+def test_a_run_at_a_zone_is_known_again_by_the_whole_instruction(make_evaluation):
+    runs = [Scenario(npcs=((each,),)) for each in (crosses(), crosses(slot=1.0), crosses(act="hold"))]
+    cache = EvaluationCache(map(make_evaluation, runs))
+    assert [cache.recall(Scenario(npcs=run.npcs, seed=5)).scenario.npcs for run in runs] == [run.npcs for run in runs]
+    assert cache.recall(Scenario(npcs=((crosses(speed=8.1),),))) is None
+    assert cache.recall(Scenario(npcs=((crosses(zone="o1>o2"),),))) is None
