@@ -27,6 +27,8 @@ WIDTH, LINE, MARGIN = 460, 15, 4
 """Of a picture, of a line of text in it, and around both [px]."""
 LEAST_WAY, MOST_WAY, FARTHEST = 90.0, 170.0, 140.0
 """How much of the road it shows at least and at most, and how far from the ego a vehicle may be to be shown [m]."""
+AROUND = 27.0
+"""How much is shown about an impact where ways meet [m]."""
 MOST_ACROSS = 40.0
 """How far from the ego's way a lane is drawn [m]; a bend comes back to where it began."""
 LANES_BESIDE = 0.8
@@ -82,6 +84,70 @@ def _verdict(situation: Situation) -> str:
 
 def picture(trace: Trace) -> str:
     """What is where on the road at three moments: when it begins, when it is decided, and at the impact."""
+    return _junction(trace) if trace.zones else _road_picture(trace)
+
+
+def _junction(trace: Trace) -> str:
+    """Where ways meet: the three moments side by side, as seen from above; the ego comes from the left."""
+    pixels = (WIDTH - 4 * MARGIN) // 3
+    middle, direction = trace.states[-1, 0, [X, Y]], float(trace.states[0, 0, HEADING])
+    lines = (_turned(*(np.array(lane.points) - middle).T, direction) for lane in dict.fromkeys(trace.lanes))
+    road = "".join(map(_around, lines))
+    parts = [f'<defs><path id="r" d="{road}"/></defs>']
+    for number, tick in enumerate(_moments_at_junction(trace)):
+        states = trace.states[tick]
+        along, across = _turned(*(states[:, [X, Y]] - middle).T, direction)
+        angles = np.degrees(np.remainder(states[:, HEADING] - direction + np.pi, 2 * np.pi) - np.pi)
+        strip = [Box(*map(float, each)) for each in zip(along, across, angles, states[:, SPEED], strict=True)]
+        left = MARGIN + number * (pixels + MARGIN)
+        speeds = (f"{box.speed:.1f} m/s" for box in strip[:2])
+        told = "".join(
+            f'<tspan dx="7" fill="{colour}">{text}</tspan>' for text, colour in zip(speeds, COLOURS, strict=False)
+        )
+        parts.append(f'<text x="{left}" y="{MARGIN + LINE - 4}">{tick / trace.physics_hz:.1f} s{told}</text>')
+        roads = "".join(f'<use href="#r" {stroke}/>' for stroke in STROKES)
+        cars = "".join(_car(box, COLOURS[min(each, 2)]) for each, box in enumerate(strip) if _is_seen(box))
+        hit = _impact(strip) if tick == trace.ticks else ""
+        size = f'x="{left}" y="{MARGIN + LINE}" width="{pixels}" height="{pixels}"'
+        view = f'viewBox="{-AROUND:.0f} {-AROUND:.0f} {2 * AROUND:.0f} {2 * AROUND:.0f}"'
+        parts.append(f'<svg {size} {view} fill="none">{roads}{cars}{hit}</svg>')
+    return _svg(parts, pixels + LINE + 2 * MARGIN)
+
+
+def _moments_at_junction(trace: Trace) -> list[int]:
+    """Ticks: two seconds before the one that the reason names, that one, and the impact; none is far from that."""
+    end, second = trace.ticks, trace.physics_hz
+    named = min(rss_rule(trace).tick or 0, end - 2)
+    if rss_rule(trace).tick == end:
+        named = end - second
+    first = max(named - 2 * second, end - 4 * second, 0)
+    return [first, named if named > first else (first + end) // 2, end]
+
+
+def _around(points: tuple[FloatArray, FloatArray]) -> str:
+    """The part of a line that is seen about the impact."""
+    along, across = points
+    near = np.flatnonzero((np.abs(along) < AROUND + 3) & (np.abs(across) < AROUND + 3))
+    if not near.size:
+        return ""
+    steps = sorted({near[0], *near[::3], near[-1]})
+    return "M" + "L".join(f"{along[step]:.1f} {across[step]:.1f}" for step in steps)
+
+
+def _is_seen(box: Box) -> bool:
+    return max(abs(box.along), abs(box.across)) < AROUND + 3
+
+
+def _svg(parts: list[str], height: int) -> str:
+    size = f'viewBox="0 0 {WIDTH} {height}" width="{WIDTH}" height="{height}"'
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="sans-serif" font-size="11" fill="#e8eaed">\n'
+        '<defs><path id="c" d="M-2.5-1h4.2l.8.5v1l-.8.5h-4.2z"/></defs>\n'
+        f'<rect width="{WIDTH}" height="{height}" rx="5" fill="#2b3037"/>\n' + "\n".join(parts) + "\n</svg>\n"
+    )
+
+
+def _road_picture(trace: Trace) -> str:
     shown = moments(trace)
     strips = [boxes(trace, tick) for tick in shown]
     along = [box.along for strip in strips for box in strip if abs(box.along) < FARTHEST]
@@ -104,12 +170,7 @@ def picture(trace: Trace) -> str:
         size = f'width="{WIDTH}" height="{pixels}"'
         parts.append(f'<svg y="{y}" {size} {view} fill="none"><defs>{road}</defs>{lines}{cars}{hit}</svg>')
         y += pixels + MARGIN
-    size = f'viewBox="0 0 {WIDTH} {y}" width="{WIDTH}" height="{y}"'
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="sans-serif" font-size="11" fill="#e8eaed">\n'
-        '<defs><path id="c" d="M-2.5-1h4.2l.8.5v1l-.8.5h-4.2z"/></defs>\n'
-        f'<rect width="{WIDTH}" height="{y}" rx="5" fill="#2b3037"/>\n' + "\n".join(parts) + "\n</svg>\n"
-    )
+    return _svg(parts, y)
 
 
 def moments(trace: Trace) -> list[int]:

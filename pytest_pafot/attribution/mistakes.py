@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from pytest_pafot.attribution.responsibility import Attribution, Fault, frame_of, rss_rule
+from pytest_pafot.model.crossings import Origin
 from pytest_pafot.model.trace import ACROSS, LANE, Trace, X, Y
 
 # What a vehicle did shortly before an event, in the few words that tell one kind of failure from another.
@@ -43,10 +44,26 @@ Mistake = Literal[
     "moved-in-front",
     "braked-for-nothing",
     "stopped-for-nothing",
+    "did-not-give-way-left",
+    "did-not-give-way-right",
+    "did-not-give-way-ahead",
+    "did-not-give-way-behind",
+    "entered-taken-zone",
 ]
 """It did not keep off a vehicle ahead, which it followed, behind which it changed lanes, or which had cut in; it
 changed lanes into a vehicle beside it, or into the way of one behind; it braked hard, or stopped, with nothing in its
-way."""
+way; it did not give way to one that came from the left, from the right, from ahead or from behind; it drove with
+priority into a zone in which somebody visibly was."""
+
+NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
+    {
+        "left": "did-not-give-way-left",
+        "right": "did-not-give-way-right",
+        "ahead": "did-not-give-way-ahead",
+        "behind": "did-not-give-way-behind",
+    }
+)
+"""An ego that looks to one side alone gives no way to who comes from the other: where from tells defects apart."""
 
 CLOSE_AHEAD = 2.0
 """Who begins no further ahead, between the boxes along the road, is beside the ego that changes lanes [m]."""
@@ -57,9 +74,10 @@ BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
         "cut-in-unanswered": "kept-no-distance",
         "braked-for-nothing": "braked-for-nothing",
         "stopped-for-nothing": "stopped-for-nothing",
+        "entered-taken-zone": "entered-taken-zone",
     }
 )
-"""Those that the fault alone tells; one that entered a lane is told by where the other was."""
+"""Those that the fault alone tells; one that entered a lane, or did not give way, is told by where the other was."""
 
 
 def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
@@ -72,6 +90,9 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
         return None
     if attribution.fault in BY_FAULT:
         return BY_FAULT[attribution.fault]
+    zone = trace.zones[trace.collision.npc] if trace.zones else None
+    if attribution.fault == "did-not-give-way":
+        return None if zone is None else NOT_GIVEN_WAY[zone.origin]
     frame, npc, tick = frame_of(trace), trace.collision.npc, attribution.tick
     ahead, both = frame.ahead[npc, tick], frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
     if ahead > both + CLOSE_AHEAD:

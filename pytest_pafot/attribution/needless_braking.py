@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from pytest_pafot.attribution.lane_changes import DRIFTING, stretches
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.model.trace import LANE, SPEED, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.model.crossings import Stretch
+from pytest_pafot.model.trace import ALONG, LANE, SPEED, FloatArray, Lane, Trace, X, Y
 
 HARD_BRAKING = 5.0
 """[m/s^2]."""
@@ -100,7 +101,8 @@ def reasons(trace: Trace, frame: RoadFrame, rules: RssRules, vehicle: int, ticks
     """Whether anything ahead gave a vehicle a reason to brake, at each of the ticks; vehicle 0 is the ego.
 
     Another in its track, closer than RSS allows or less than four seconds to a collision; one that brakes hard there,
-    or is coming into it, no farther than it drives in that time; the end of its lane, as if a vehicle stood there.
+    or is coming into it, no farther than it drives in that time; a zone in which its way meets that of another, where
+    both are so near; the end of its lane, as if a vehicle stood there.
     """
     speeds, drifts = frame.speed[:, ticks], frame.drift[:, ticks]
     speed, drift = speeds[vehicle], drifts[vehicle]
@@ -125,7 +127,25 @@ def reasons(trace: Trace, frame: RoadFrame, rules: RssRules, vehicle: int, ticks
     lane = trace.lanes[max(int(trace.states[ticks.stop - 1, vehicle, LANE]), 0)]
     is_entering = (across > 0) & (across < lane.width) & (np.sign(right) * (drift - drifts) >= DRIFTING) & is_near
     found = (is_ahead & (((across <= 0) & is_close) | is_entering)).any(axis=0)
+    found |= _is_near_zone(trace, vehicle, ticks)
     return np.asarray(found | _is_near_end(trace.states[ticks, vehicle], trace.lanes, lane))
+
+
+def _is_near_zone(trace: Trace, vehicle: int, ticks: slice) -> npt.NDArray[np.bool_]:
+    """Whether a vehicle and another whose way it meets are both in that zone, or within four seconds of it."""
+    found = np.zeros(ticks.stop - ticks.start, dtype=np.bool_)
+    for npc, zone in enumerate(trace.zones):
+        if zone is None or npc + 1 == vehicle:
+            continue
+        places = trace.track_of(vehicle)[ticks, ALONG], trace.way_of(npc)[ticks]
+        speeds = trace.states[ticks, vehicle, SPEED], trace.states[ticks, npc + 1, SPEED]
+        found |= _is_near(places[0], speeds[0], zone.ego) & _is_near(places[1], speeds[1], zone.npc)
+    return found
+
+
+def _is_near(places: FloatArray, speeds: FloatArray, stretch: Stretch) -> npt.NDArray[np.bool_]:
+    before = np.maximum(NEAR_SECONDS * speeds, STANDSTILL_GAP)
+    return np.asarray((places < stretch[1]) & (stretch[0] - places <= before))
 
 
 def _is_near_end(states: FloatArray, lanes: tuple[Lane, ...], lane: Lane) -> npt.NDArray[np.bool_]:

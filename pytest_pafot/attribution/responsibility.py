@@ -7,7 +7,7 @@ clause by clause, with their sources.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -39,16 +39,27 @@ from pytest_pafot.attribution.responses import (
     answer,
     room_to_leave,
 )
+from pytest_pafot.attribution.right_of_way import Blame, Meeting
 from pytest_pafot.attribution.sentences import Fact, Reason, What, sentences
 from pytest_pafot.criticality import RoadFrame
-from pytest_pafot.model.trace import LANE, Trace
+from pytest_pafot.model.crossings import Zone
+from pytest_pafot.model.trace import ALONG, LANE, Trace
 
 Responsibility = Literal["ego", "npc", "both", "none"]
-"""``none`` where there was no collision."""
+"""``none`` where there was no collision, or where ways met and nobody could have foreseen it."""
 
-Fault = Literal["entered-lane", "cut-in-unanswered", "leader-unanswered", "braked-for-nothing", "stopped-for-nothing"]
+Fault = Literal[
+    "entered-lane",
+    "cut-in-unanswered",
+    "leader-unanswered",
+    "braked-for-nothing",
+    "stopped-for-nothing",
+    "did-not-give-way",
+    "entered-taken-zone",
+]
 """What the ego answers for: it changed lanes into somebody's way; it did not respond properly to a cut-in, or to a
-vehicle ahead in its lane; it braked hard, or stopped, with nothing in its way."""
+vehicle ahead in its lane; it braked hard, or stopped, with nothing in its way; where ways meet, it did not give way, or
+drove with priority into a zone in which somebody visibly was."""
 
 TOGETHER = 1.0
 """Two that crossed into one lane within that time both did [s]."""
@@ -134,7 +145,8 @@ def rss_rule(trace: Trace) -> Attribution:
     one behind, or was the leader long enough for that one to respond; and an ego that a careful driver's braking would
     have saved from a cut-in answers for that. Otherwise the follower does, where 6 m/s^2 after 1 s would have avoided
     it. A leading ego answers for braking hard, or stopping, with nothing in its way; otherwise not, and not while it
-    stands. Each clause, its source and its numbers are in docs/explanation/verdicts.md.
+    stands. Where the NPC's way meets the ego's, right of way is asked first. Each clause, its source and its numbers
+    are in docs/explanation/verdicts.md.
 
     Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
     arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulations No. 79 (lane changes) and No. 157
@@ -143,7 +155,66 @@ def rss_rule(trace: Trace) -> Attribution:
     if trace.collision is None:
         return Attribution(responsibility="none", tick=None, time=None)
     npc = trace.collision.npc
-    return trace.reading("attribution", lambda trace: Conflict(trace, npc).attribution)
+    zone = trace.zones[npc] if trace.zones else None
+    if zone is None:
+        return trace.reading("attribution", lambda trace: Conflict(trace, npc).attribution)
+    return trace.reading("attribution", lambda trace: _where_ways_meet(trace, npc, zone))
+
+
+def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:
+    """By right of way, or by what two owe each other that drive in one lane."""
+    off = np.flatnonzero(np.isnan(trace.track_of(npc + 1)[:, ALONG]))
+    since = int(off[-1]) + 1 if off.size else 0  # from which on it was on the ego's way, up to the end
+    part = None if since >= trace.ticks else _part(trace, since)
+    lane = None if part is None else Conflict(part, npc)
+    if lane is not None and lane.has_begun_safely:
+        return _later(lane.attribution, since, trace.physics_hz)
+    meeting = Meeting(trace, npc, zone)
+    by_priority = meeting.is_in_zone or (meeting.has_merged and lane is not None)
+    blame = meeting.blame if by_priority else None
+    if blame is not None:
+        return _blamed(blame, trace.physics_hz)
+    if lane is not None:
+        return _later(lane.attribution, since, trace.physics_hz)
+    end = trace.ticks / trace.physics_hz
+    touched = Fact(What.NONE_FORESAW if by_priority else What.TOUCHED_ELSEWHERE, 0, end, npc + 1)
+    return Attribution(responsibility="none", tick=trace.ticks, time=end, facts=(touched,))
+
+
+def _blamed(blame: Blame, hz: int) -> Attribution:
+    """Attribute a collision to who failed in a zone."""
+    failed = {*blame.did_not_give_way, *blame.entered_taken_zone}
+    fault: Fault | None = None
+    if 0 in failed:
+        fault = "did-not-give-way" if 0 in blame.did_not_give_way else "entered-taken-zone"
+    responsibility: Responsibility = "both" if len(failed) > 1 else "ego" if 0 in failed else "npc"
+    return Attribution(
+        responsibility=responsibility, tick=blame.tick, time=blame.tick / hz, fault=fault, facts=blame.facts
+    )
+
+
+def _part(trace: Trace, first: int) -> Trace:
+    """Return a run that begins with a tick."""
+    arrays = {name: getattr(trace, name)[first:] for name in ("states", "track", "on_way")}
+    return replace(trace, **arrays)
+
+
+def _later(found: Attribution, ticks: int, hz: int) -> Attribution:
+    """Return what was found in the part of a run that begins so many ticks later."""
+
+    def shifted(time: float) -> float:
+        return (round(time * hz) + ticks) / hz
+
+    facts = tuple(
+        fact._replace(
+            time_s=shifted(fact.time_s),
+            later_s=shifted(fact.later_s),
+            due_s=None if fact.due_s is None else shifted(fact.due_s),
+        )
+        for fact in found.facts
+    )
+    tick = (found.tick or 0) + ticks
+    return replace(found, tick=tick, time=tick / hz, facts=facts)
 
 
 def is_ego_responsible(trace: Trace) -> bool:
@@ -190,6 +261,11 @@ class Conflict:
         apart = np.flatnonzero(across[:-1] > 0)
         self._onset = int(apart[-1]) + 1 if apart.size else 0  # from which on they were in one track, up to the end
         self._side = 1.0 if frame.right[npc, max(self._onset - 1, 0)] >= 0 else -1.0
+
+    @property
+    def has_begun_safely(self) -> bool:
+        """Whether the danger began later than with the first tick."""
+        return self._start > 0
 
     @property
     def attribution(self) -> Attribution:

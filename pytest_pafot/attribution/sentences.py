@@ -9,6 +9,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from pytest_pafot.attribution.avoidance import HARDEST
+from pytest_pafot.model.crossings import Zone
 
 
 class What(Enum):
@@ -28,6 +29,9 @@ class What(Enum):
     LEFT_TOO_LITTLE = "{who} was due to leave {whom} a gap of {it.asked_m:.1f} m."
     GAVE_WAY = "{who} left {whom} more than the {it.asked_m:.1f} m that giving way takes."
     MOVED_IN_BEHIND = "At {at} {who} moved in behind {whom}."
+    ENTERED = "{entered}."
+    NONE_FORESAW = "Neither could have foreseen the other in time, by the rules."
+    TOUCHED_ELSEWHERE = "At {at} {who} touched {whom} outside of the zone in which their ways meet."
     HAD_NO_TIME = "{who} had too little time to answer, by the rules."
     SPED_UP_INTO = "From {at} on {who} sped up to {it.speed_m_per_s:.1f} m/s towards {whom}."
     LET_BRAKES_GO = "{who} was due to keep braking and let the brakes go at {at}."
@@ -49,13 +53,15 @@ class Fact(NamedTuple):
 
     Attributes:
         vehicle, other: whose it is, and towards, behind or ahead of whom; 0 is the ego, ``i + 1`` NPC ``i``.
-        time_s: when it was so, or began to be; of two that crossed a line ``later_s`` is that of the other.
+        time_s: when it was so, or began to be; of two that crossed a line, or entered a zone, ``later_s`` is that of
+            the other.
         due_s: from when on the vehicle was due to brake; None where it was not, or not before the impact.
         gap_m: between the boxes along the road: ahead of the other, negative behind it, 0 side by side.
         asked_m: what the gap should be.
         faster_m_per_s: by how much the other was faster; told where the one ahead, an NPC, did not brake with
             ``leader_m_per_s2``, which is then of more interest.
         lane: that was crossed into; None where it has no number.
+        zone: that was entered.
     """
 
     what: What
@@ -72,6 +78,7 @@ class Fact(NamedTuple):
     braking_m_per_s2: float = 0.0
     lasting_s: float = 0.0
     lane: int | None = None
+    zone: Zone | None = None
 
 
 Reason = tuple[Fact, ...]
@@ -85,7 +92,7 @@ def sentences(reason: Reason) -> tuple[str, ...]:
 
 def responsible_sentence(responsibility: str, npc: int) -> str:
     """Who is responsible for a collision with an NPC."""
-    who = {"ego": "the ego", "npc": f"NPC {npc}", "both": f"the ego and NPC {npc}"}[responsibility]
+    who = {"ego": "the ego", "npc": f"NPC {npc}", "both": f"the ego and NPC {npc}", "none": "nobody"}[responsibility]
     return f"Responsible: {who}."
 
 
@@ -102,6 +109,7 @@ def _sentence(fact: Fact) -> str:
         whom=_name(fact.other),
         into="a lane line" if fact.lane is None else f"into lane {fact.lane}",
         place=_place(fact),
+        entered=_entered(fact),
     )
     return text[0].upper() + text[1:]
 
@@ -121,6 +129,29 @@ def _place(fact: Fact) -> str:
         return f"{place}, {'and' if fact.vehicle else 'which'} braked with up to {fact.leader_m_per_s2:.1f} m/s^2"
     pace = f"{abs(faster):.1f} m/s {'faster' if faster >= 0 else 'slower'}" if abs(faster) >= 0.05 else "as fast"
     return f"{place}, which was {pace}"
+
+
+_ORIGINS = {"left": "from the left", "right": "from the right", "ahead": "from ahead", "behind": "from behind"}
+
+
+def _entered(fact: Fact) -> str:
+    """Who entered a zone when, how long before or after the other, from where the NPC came, and who had priority."""
+    if fact.zone is None:
+        return ""
+    zone, later = fact.zone, fact.later_s - fact.time_s
+    apart = f"{abs(later):.1f} s {'before' if later > 0 else 'after'}" if abs(later) >= 0.05 else "together with"
+    npc = _ORIGINS[zone.origin]
+    holder = None if zone.priority == "none" else 0 if zone.priority == "ego" else fact.vehicle or fact.other
+    told = {each: ", which had priority" if each == holder else "" for each in (fact.vehicle, fact.other)}
+    who, whom = (f"{_name(each)}{told[each]}" for each in (fact.vehicle, fact.other))
+    who += "," if told[fact.vehicle] else ""
+    entered = f"{who} entered the {'merge' if zone.kind == 'merging' else 'crossing'}"
+    at = f"at {fact.time_s:.1f} s, {apart}"
+    if holder is None:
+        whom += "; neither had priority" if fact.vehicle else f" {npc}; neither had priority"
+    elif not fact.vehicle:
+        whom += f", {npc}"
+    return f"{entered} {npc} {at} {whom}" if fact.vehicle else f"{entered} {at} {whom}"
 
 
 def avoidance_sentence(time: float, braking: float) -> str:

@@ -247,6 +247,16 @@ class Trace(Drawn):
             raise ValueError("track: expected a run on a road that is not straight, received one on a straight road")
         return self.track[:, vehicle]
 
+    def way_of(self, npc: int) -> FloatArray:
+        """Where an NPC that crosses is along its own way [m], shape [ticks + 1].
+
+        Raises:
+            ValueError: in a run in which nobody crosses.
+        """
+        if self.on_way is None:
+            raise ValueError("on_way: expected a run in which an NPC crosses the ego's way, received one without")
+        return self.on_way[:, npc]
+
     @property
     def chains(self) -> tuple[Chromosome, ...]:
         """What each NPC drove: as in ``executed``, and where cells were skipped with those that it drove to."""

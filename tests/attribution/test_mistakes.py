@@ -47,8 +47,8 @@ def test_a_mistake_is_made_where_the_ego_answers_for_a_collision_and_nowhere_els
         assert mistake(trace, verdict) == BY_FAULT.get(verdict.fault, mistake(trace, verdict))
 
 
-def test_every_fault_but_an_entered_lane_tells_the_mistake():
-    assert {*BY_FAULT, "entered-lane"} == set(get_args(Fault))
+def test_every_fault_but_those_told_by_the_place_of_the_other_tells_the_mistake():
+    assert {*BY_FAULT, "entered-lane", "did-not-give-way"} == set(get_args(Fault))
 
 
 @table(

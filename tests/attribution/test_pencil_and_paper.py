@@ -5,9 +5,11 @@ The page is docs/explanation/verdicts.md.
 
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from pytest_pafot.attribution.responsibility import rss_rule
+from tests.helpers.junctions import random_meeting
 from tests.helpers.pencil_and_paper import judge
 from tests.helpers.random_collisions import collision
 from tests.helpers.reasons import numbers
@@ -29,6 +31,17 @@ SAMPLE = {
 """How many collisions of each policy in every session, and how many with ``-m oracle``: those soon found come first."""
 
 
+CROSSES = "crosses"
+CROSSING = (90, 900)
+"""Likewise of random collisions where ways meet, made without a world."""
+
+
+def met(numbers):
+    """Collisions where ways meet, by their numbers; where the vehicles that were drawn do not touch there is none."""
+    meetings = (((CROSSES, number), random_meeting(np.random.default_rng(number))) for number in numbers)
+    return {name: trace for name, trace in meetings if trace is not None and trace.ticks > 1}
+
+
 def drawn(policy, numbers):
     return {(policy, number): collision(policy, number).trace for number in numbers}
 
@@ -36,7 +49,8 @@ def drawn(policy, numbers):
 @pytest.fixture(scope="module")
 def soon_found():
     """Collisions by policy and number."""
-    return {key: trace for policy, (some, _) in SAMPLE.items() for key, trace in drawn(policy, range(some)).items()}
+    policies = {key: trace for policy, (some, _) in SAMPLE.items() for key, trace in drawn(policy, range(some)).items()}
+    return policies | met(range(CROSSING[0]))
 
 
 @pytest.fixture(scope="module", params=mostly_oracle(["soon found", "others"], "soon found"))
@@ -44,9 +58,8 @@ def collisions(request):
     """Collisions by policy and number."""
     if request.param == "soon found":
         return request.getfixturevalue("soon_found")
-    return {
-        key: trace for policy, (some, all_) in SAMPLE.items() for key, trace in drawn(policy, range(some, all_)).items()
-    }
+    policies = (drawn(policy, range(some, all_)) for policy, (some, all_) in SAMPLE.items())
+    return {key: trace for each in (*policies, met(range(*CROSSING))) for key, trace in each.items()}
 
 
 def test_a_program_written_from_the_page_alone_comes_to_the_same_verdicts(collisions):
@@ -80,4 +93,8 @@ def test_the_collisions_are_of_every_kind(soon_found):
         ("both", "cut-in-unanswered"),
         ("both", "braked-for-nothing"),
         ("both", "stopped-for-nothing"),
+        ("ego", "did-not-give-way"),
+        ("both", "did-not-give-way"),
+        ("both", "entered-taken-zone"),
+        ("none", None),
     }

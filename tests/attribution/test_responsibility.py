@@ -11,6 +11,7 @@ from pytest_pafot.attribution.responses import DISTANCES
 from pytest_pafot.attribution.responsibility import Conflict, is_ego_responsible, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import Fact, What, avoidance_sentence, responsible_sentence, sentences
 from pytest_pafot.criticality import rss_longitudinal
+from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
 from pytest_pafot.oracle.run import LINE_LENGTH
@@ -311,11 +312,12 @@ def test_any_run_has_a_verdict_with_a_reason_and_a_moment(seed, ticks, vehicles)
 @table("due", [None, 99.9])
 def test_every_fact_is_a_sentence_that_no_line_cuts(due):
     large = {name: 19.9 if "m_per_s" in name else 99.9 for name in Fact._fields if "_" in name and name != "due_s"}
-    far = {What.CAME_TOO_CLOSE: {"gap_m": -99.9}}
+    zone = Zone(way="a>b", kind="crossing", origin="left", ego=(0.0, 1.0), npc=(0.0, 1.0), priority="npc")
+    far = {What.CAME_TOO_CLOSE: {"gap_m": -99.9}, What.ENTERED: {"zone": zone, "later_s": 111.1}}
     facts = [Fact(what, 9, other=0, due_s=due, lane=9, **large | far.get(what, {"asked_m": 0.0})) for what in What]
     told = [*sentences(facts)]
-    told += [responsible_sentence(who, 9) for who in ("ego", "npc", "both")] + [avoidance_sentence(99.9, 6.0)]
-    assert len({*told}) == len(What) + 4
+    told += [responsible_sentence(who, 9) for who in ("ego", "npc", "both", "none")] + [avoidance_sentence(99.9, 6.0)]
+    assert len({*told}) == len(What) + 5
     assert not any({*text} & {*"{};"} or "because" in text for text in told)
     assert all(text[0].isupper() and text.endswith(".") and len(text) <= LINE_LENGTH - 2 for text in told)
 

@@ -7,7 +7,7 @@ the right and -1 to the left; ticks are indices of the trace's rows.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 from pytest_pafot.model.trace import ACROSS, ALONG, ANGLE, HEADING, LANE, OFFSET, SPEED, STRETCH, X, Y
@@ -641,7 +641,20 @@ class Crash:
         others = [vehicle for vehicle in self.vehicles if vehicle is not braker]
         is_leader = any(self.is_leader_a_reason(braker, other, tick) for other in others)
         is_entered = any(self.is_entering(braker, other, tick) for other in others)
-        return is_leader or is_entered or self.is_end_of_lane_near(braker, tick, lane)
+        is_met = any(self.is_met_soon(braker, npc, tick) for npc in range(len(self.vehicles) - 1))
+        return is_leader or is_entered or is_met or self.is_end_of_lane_near(braker, tick, lane)
+
+    def is_met_soon(self, braker, npc, tick):
+        """Whether the braker and one that crosses are at most 4 s, or 5 m, before the zone of that one, or in it."""
+        zone = self.trace.zones[npc] if self.trace.zones else None
+        crossing = self.vehicles[npc + 1]
+        if zone is None or crossing is braker:
+            return False
+        pair = (braker, braker.along[tick], zone.ego), (crossing, self.trace.on_way[tick, npc], zone.npc)
+        return all(
+            place < last and first - place <= max(4.0 * vehicle.body_speed[tick], 5.0)
+            for vehicle, place, (first, last) in pair
+        )
 
     def is_ahead_or_side_by_side(self, braker, other, tick):
         return other.along[tick] > braker.along[tick] or gap(braker, other, tick) <= 0
@@ -887,6 +900,156 @@ class Emergency:
         return (closing > 0 and self.drive.straight_gap(tick) / closing < 2.0) or falls > 5.0
 
 
+class Comer:
+    """One of the two whose ways meet, as rule 9 sees it."""
+
+    def __init__(self, trace, vehicle):
+        zone = trace.zones[trace.collision.npc]
+        column = trace.on_way[:, vehicle - 1] if vehicle else trace.track[:, 0, ALONG]
+        self.hz, self.impact = trace.physics_hz, trace.collision.tick
+        self.place, self.speed = column.tolist(), trace.states[:, vehicle, SPEED].tolist()
+        self.first, self.last = zone.npc if vehicle else zone.ego
+        self.length = trace.sizes[vehicle].tolist()[0]
+        self.has_priority = zone.priority == ("npc" if vehicle else "ego")
+        self.enters = None
+        for tick in range(self.impact, -1, -1):
+            if self.place[tick] < self.first:
+                break
+            self.enters = tick
+
+    def is_within(self):
+        return self.first <= self.place[self.impact] <= self.last
+
+    def left(self, tick):
+        """To the end of its stretch."""
+        return self.last - self.place[tick]
+
+    def last_chance(self):
+        tick = self.enters - 1
+        while tick >= 0:
+            v = self.speed[tick]
+            if v * 1.0 + v**2 / 12 <= self.first - self.place[tick]:
+                return tick
+            tick -= 1
+        return 0
+
+    def look(self):
+        chance = self.last_chance()
+        return [tick for tick in range(chance + 1) if chance - tick <= round(0.6 * self.hz)]
+
+    def leaves(self):
+        """In seconds, like all times here that may lie beyond the impact."""
+        for tick in range(self.enters, self.impact + 1):
+            if self.left(tick) <= 0:
+                return tick / self.hz
+        still = self.left(self.impact)
+        return self.impact / self.hz + still / self.speed[self.impact] if self.speed[self.impact] > 0 else math.inf
+
+    def foreseen(self, tick, when):
+        """Place and speed at a time, as somebody would say at a tick."""
+        v, duration = self.speed[tick], when - tick / self.hz
+        if v <= 0:
+            return self.place[tick], 0.0
+        falls = (self.speed[tick - 1] - v) * self.hz if tick > 0 else 0.0
+        if falls <= 0:
+            return self.place[tick] + v * duration, v
+        if duration >= v / falls:
+            return self.place[tick] + v * v / falls / 2, 0.0
+        after = v - falls * duration
+        return self.place[tick] + duration * (v + after) / 2, after
+
+    def lowest_for_a_second(self, tick):
+        return min(self.speed[tick : min(tick + self.hz, self.impact) + 1])
+
+
+class Crossing:
+    """A collision with an NPC that crosses: rule 9."""
+
+    def __init__(self, trace):
+        npc = trace.collision.npc
+        self.trace, self.is_merge = trace, trace.zones[npc].kind == "merging"
+        self.impact = trace.collision.tick
+        self.ego, self.npc = Comer(trace, 0), Comer(trace, npc + 1)
+        has_row = [not math.isnan(along) for along in trace.track[:, npc + 1, ALONG].tolist()]
+        self.since = self.impact + 1
+        while self.since > 0 and has_row[self.since - 1]:
+            self.since -= 1
+        self.lane = Crash(part_of(trace, self.since)) if self.impact - self.since >= 1 else None
+        self.decides = "nobody"
+
+    def verdict(self):
+        if self.lane is not None and self.lane.danger > 0:
+            return self.by_lane()
+        both_within = self.ego.is_within() and self.npc.is_within()
+        both_entered = self.ego.enters is not None and self.npc.enters is not None
+        if both_within or (self.is_merge and self.lane is not None and both_entered):
+            opinion = self.by_priority()
+            if opinion is not None:
+                return opinion
+            self.decides = "neither"
+        return self.by_lane() if self.lane is not None else Opinion("none", None, self.impact)
+
+    def by_lane(self):
+        self.decides, found = "lane", self.lane.verdict()
+        return Opinion(found.responsibility, found.fault, found.tick + self.since, found.ticks)
+
+    def by_priority(self):
+        self.decides = "priority"
+        self.rude = [one for one in (self.ego, self.npc) if not one.has_priority and self.gives_no_way(one)]
+        self.blind = [one for one in (self.ego, self.npc) if one.has_priority and self.enters_taken(one)]
+        failed = self.rude + self.blind
+        if not failed:
+            return None
+        fault = "did-not-give-way" if self.ego in self.rude else None
+        fault = "entered-taken-zone" if self.ego in self.blind else fault
+        who = "both" if len(failed) == 2 else "ego" if self.ego in failed else "npc"
+        return Opinion(who, fault, failed[0].enters)
+
+    def other(self, one):
+        return self.npc if one is self.ego else self.ego
+
+    def gives_no_way(self, one):
+        other, at = self.other(one), one.enters / one.hz
+        for tick in one.look():
+            reaches = other.foreseen(tick, one.leaves())[0] >= other.first
+            place, v = other.foreseen(tick, at)
+            is_near = self.merges_too_close(one, other, place, v) if self.is_merge else is_abrupt(other, place, v)
+            if reaches and is_near:
+                return True
+        return False
+
+    def merges_too_close(self, one, other, place, v):
+        mine, theirs = one.left(one.enters), other.last - place
+        apart = abs(mine - theirs) - one.length / 2 - other.length / 2
+        if mine <= theirs:
+            return apart < giving_way(v, one.lowest_for_a_second(one.enters))
+        own = one.speed[one.enters]
+        return apart < max(0.0, own * 1.0 + own * abs(own) / 12 - v * abs(v) / 16)
+
+    def enters_taken(self, one):
+        other = self.other(one)
+        if not self.is_merge:
+            seen = [tick for tick in one.look() if tick >= other.enters]
+            return any(other.foreseen(tick, one.enters / one.hz)[0] < other.last for tick in seen)
+        at = other.enters
+        if at >= one.enters or other.left(at) >= one.left(at):
+            return False
+        dv = max(0.0, one.speed[at] - other.lowest_for_a_second(at))
+        return one.left(at) - other.left(at) - (one.length + other.length) / 2 >= dv * 1.0 + dv**2 / 12
+
+
+def is_abrupt(other, place, v):
+    """Whether it would have to brake harder than with 3 m/s^2, or is in the zone."""
+    return place < other.last and other.first - place < v * 1.0 + v**2 / 6
+
+
+def part_of(trace, first):
+    """The run from a tick on."""
+    rows = {name: getattr(trace, name)[first:] for name in ("states", "track", "on_way")}
+    return replace(trace, **rows, collision=replace(trace.collision, tick=trace.collision.tick - first))
+
+
 def judge(trace):
     """The verdict on a collision."""
-    return Crash(trace).verdict()
+    crosses = bool(trace.zones) and trace.zones[trace.collision.npc] is not None
+    return (Crossing if crosses else Crash)(trace).verdict()

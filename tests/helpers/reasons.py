@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 
-from tests.helpers.pencil_and_paper import Crash, gap, giving_way, is_behind, safe_along
+from tests.helpers.pencil_and_paper import Crash, Crossing, gap, giving_way, is_behind, part_of, safe_along
 
 NUMBER = r"(-?\d+\.\d)"
 WHO = r"(?:the ego|The ego|NPC #)"
@@ -22,12 +22,18 @@ class Reading:
     """A collision as its sentences are read: what their numbers are at the tick that the verdict names."""
 
     def __init__(self, trace, tick):
+        crossing = Crossing(trace) if trace.zones and trace.zones[trace.collision.npc] else None
+        if crossing is not None:
+            crossing.verdict()
+        self.crossing, self.since = crossing, 0
+        if crossing is not None and crossing.decides == "lane":
+            self.since, trace = crossing.since, part_of(trace, crossing.since)
         self.crash = Crash(trace)
         self.crash.verdict()
-        self.ego, self.npc, self.tick = self.crash.ego, self.crash.npc, tick
+        self.ego, self.npc, self.tick = self.crash.ego, self.crash.npc, tick - self.since
 
     def time(self, tick):
-        return tick / self.crash.hz
+        return (tick + self.since) / self.crash.hz
 
     def who(self, said):
         """The vehicle that a sentence names first, and the other."""
@@ -87,13 +93,40 @@ class Reading:
             return [room]
         return [giving_way(self.npc.speed[then], self.ego.speed[then])]
 
+    def entered(self, said):
+        """When, how long before or after the other, and whether the words on both and on the way are true."""
+        crossing, first = self.crossing, self.who(said)[0]
+        one = crossing.ego if first is self.ego else crossing.npc
+        other, zone = crossing.other(one), crossing.trace.zones[crossing.trace.collision.npc]
+        assert one.enters == self.tick
+        assert ("merge" in said) == (zone.kind == "merging")
+        assert f"from {'the ' if zone.origin in ('left', 'right') else ''}{zone.origin}" in said
+        assert ("neither had priority" in said) == (zone.priority == "none")
+        if zone.priority != "none":
+            assert said.split(", which had priority")[0].endswith("ego") == (zone.priority == "ego")
+        apart = (other.enters - one.enters) / self.crash.hz
+        assert ("before" in said, "after" in said) == (apart > 0, apart < 0)
+        return [self.time(one.enters), *([abs(apart)] if apart else [])]
+
+    def since_when(self, vehicle):
+        """The tick since which a vehicle owed the answer that is told."""
+        crossing = self.crossing
+        if crossing is None or crossing.decides != "priority":
+            return self.crash.ticks["answer"]
+        one = crossing.ego if vehicle is self.ego else crossing.npc
+        if one in crossing.blind and crossing.is_merge:
+            return crossing.other(one).enters
+        assert one in (crossing.blind or crossing.rude)
+        return one.last_chance()
+
     def answered(self, said):
         """When braking was due, which is before the impact, and what was done since it counts."""
         crash, (vehicle, _) = self.crash, self.who(said)
-        since = crash.ticks["answer"]
+        since = self.since_when(vehicle)
         ticks = range(since + 1, crash.impact + 1)
         braked = [tick - 1 for tick in ticks if vehicle.deceleration(tick) >= 0.5]
-        hardest, speeds = max(map(vehicle.deceleration, ticks)), vehicle.speed[since : crash.impact + 1]
+        driven = vehicle.body_speed if self.crossing and self.crossing.decides == "priority" else vehicle.speed
+        hardest, speeds = max(map(vehicle.deceleration, ticks)), driven[since : crash.impact + 1]
         lowest = max(tick for tick in range(len(speeds)) if speeds[tick] == min(speeds[: tick + 1]))
         highest = max(speeds[lowest:])
         sped_up = speeds[-1] > speeds[lowest] + 0.3 and speeds[-1] >= highest - 0.3
@@ -143,6 +176,12 @@ SENTENCES = {
     rf"At {NUMBER} s the ego was standing when NPC # touched it\.": Reading.ended,
     rf"At {NUMBER} s {WHO} began to brake with up to {NUMBER} m/s\^2 with nothing in its way\.": Reading.hard_braking,
     rf"At {NUMBER} s the ego began to stop with nothing in its way, and it stood for {NUMBER} s\.": Reading.stood,
+    rf"{WHO}(?:, which had priority,)? entered the (?:crossing|merge)(?: from [a-z ]+)? at {NUMBER} s, "
+    rf"(?:{NUMBER} s (?:before|after)|together with) {WHO}.*\.": Reading.entered,
+    r"Neither could have foreseen the other in time, by the rules\.": lambda reading, said: [],
+    rf"At {NUMBER} s the ego touched NPC # outside of the zone in which their ways meet\.": lambda reading, said: [
+        reading.time(reading.crash.impact)
+    ],
     rf"The ego was due to leave NPC # a gap of {NUMBER} m\.": Reading.room,
     rf"The ego left NPC # more than the {NUMBER} m that giving way takes\.": Reading.room,
     rf"At {NUMBER} s NPC # moved in behind the ego\.": lambda reading, said: [

@@ -14,8 +14,9 @@ import numpy as np
 
 from pytest_pafot.model.trace import HEADING, SPEED, Trace, X, Y
 from pytest_pafot.world.kernel.bodies import Box, side_hit
-from tests.helpers import drives
+from tests.helpers import drives, junctions
 from tests.helpers.drives import HZ, bent, crash, merging
+from tests.helpers.junctions import plan
 from tests.helpers.traces import LENGTH, WIDTH, straight_lanes
 
 LEFT, OWN, RIGHT, FAR = 0.0, 4.0, 8.0, 12.0
@@ -788,6 +789,244 @@ SITUATIONS = {
             "An NPC that is 6 m/s slower merges from a ramp 35 m ahead of the ego, which does not brake.",
             lambda: at_ramp(driven(-83.0), driven(0.0, speed=14.0), on_ramp=1),
             "ego", "cut-in-unanswered", "5", "At 7.2 s NPC 0 crossed",
+        ),
+    ),
+    "Where ways cross": (
+        Situation(
+            "crossing-from-the-left-ignored",
+            "The ego drives with 8 m/s into a crossing, half a second before one from the left that has priority.",
+            lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 6.5, 8)),
+            "ego", "did-not-give-way", "9", "0.5 s before NPC 0, which had priority, from the left",
+        ),
+        Situation(
+            "crossing-from-the-right-ignored",
+            "So again 0.3 s after one from the right.",
+            lambda: junctions.hit(plan("west straight", 6, 8), plan("south straight", 5.7, 8)),
+            "ego", "did-not-give-way", "9", "0.3 s after NPC 0, which had priority, from the right",
+        ),
+        Situation(
+            "crossing-braked-too-little",
+            "So again from the left; the ego brakes two seconds before it would enter, with 2 m/s^2.",
+            lambda: junctions.hit(plan("west straight", 6, 8, (4.0, -2.0, 3.0)), plan("north straight", 7, 8)),
+            "ego", "did-not-give-way", "9", "but braked too little (up to 2.0 m/s^2 from",
+        ),
+        Situation(
+            "crossing-sets-off-in-front",
+            "The ego stops at the line, and sets off a second before one from the left comes that has priority.",
+            lambda: junctions.hit(
+                plan("west straight", 4, 8, (2.0, -3.5, 0.0), (8.0, 2.5, 8.0)), plan("north straight", 10.5, 8)
+            ),
+            "ego", "did-not-give-way", "9", "but sped up to",
+        ),
+        Situation(
+            "crossing-npc-has-no-priority",
+            "One from the left that has no priority drives into the crossing half a second before the ego.",
+            lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 5.5, 8), priority="ego"),
+            "npc", None, "9", "NPC 0 entered the crossing from the left at 5.5 s, 0.5 s before the ego, which had",
+        ),
+        Situation(
+            "crossing-npc-has-no-priority-and-is-slow",
+            "So again two seconds before the ego, with 3 m/s. The ego never brakes.",
+            lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 4, 3), priority="ego"),
+            "both", "entered-taken-zone", "9", "The ego was due to brake from 5.3 s on and did not",
+        ),
+        Situation(
+            "crossing-one-stands-in-it-ego-has-priority",
+            "One from the left that has no priority has stood in the crossing for four seconds. The ego never brakes.",
+            lambda: junctions.hit(
+                plan("west straight", 9, 8), plan("north straight", 3, 5, (3.3, -5.0, 0.0)), priority="ego"
+            ),
+            "ego", "entered-taken-zone", "9", "The ego, which had priority, entered the crossing at 9.0 s, 6.0 s after",
+        ),
+        Situation(
+            "crossing-one-stands-in-it-npc-has-priority",
+            "So again where the other has priority.",
+            lambda: junctions.hit(plan("west straight", 9, 8), plan("north straight", 3, 5, (3.3, -5.0, 0.0))),
+            "ego", "did-not-give-way", "9", "6.0 s after NPC 0, which had priority",
+        ),
+        Situation(
+            "crossing-stopped-in-it-far-ahead",
+            "The ego stops in a crossing behind a queue. One from the left, with priority, comes five seconds later "
+            "and never brakes.",
+            lambda: junctions.hit(
+                plan("west straight", 4, 5, (4.6, -5.0, 0.0)),
+                plan("north straight", 9, 8),
+                others=[plan("grid", 2.0, 5, (3.9, -5.0, 0.0))],
+            ),
+            "npc", None, "9", "NPC 0, which had priority, entered the crossing from the left at 9.0 s, 5.0 s after",
+        ),
+        Situation(
+            "crossing-stopped-in-it-near-ahead",
+            "So again with one that comes 2.5 seconds after the ego, with 10 m/s.",
+            lambda: junctions.hit(
+                plan("west straight", 7, 5, (7.4, -5.0, 0.0)),
+                plan("north straight", 9.5, 10),
+                others=[plan("grid", 5.0, 5, (6.9, -5.0, 0.0))],
+            ),
+            "both", "did-not-give-way", "9", "NPC 0 was due to brake from",
+        ),
+        Situation(
+            "crossing-npc-waits-and-drives-in-late",
+            "One from the left that has priority waits at the line. When the ego has driven in, it sets off.",
+            lambda: junctions.hit(
+                plan("west straight", 8, 5), plan("north straight", 4.75, 8, (3.5, -4.0, 0.0), (7.9, 5.0, 8.0))
+            ),
+            "npc", None, "9", "NPC 0, which had priority, entered",
+        ),
+        Situation(
+            "crossing-npc-waits-and-sets-off-with-the-ego",
+            "So again, but it sets off a second before the ego drives in, when that could no longer stop.",
+            lambda: junctions.hit(
+                plan("west straight", 8, 5), plan("north straight", 4.75, 8, (3.5, -4.0, 0.0), (7.1, 3.0, 8.0))
+            ),
+            "none", None, "9", "Neither could have foreseen the other",
+        ),
+        Situation(
+            "crossing-npc-slows-down-before-it",
+            "One from the left that has priority slows down from 10 to 6 m/s well before the crossing. The ego does "
+            "not wait.",
+            lambda: junctions.hit(
+                plan("west straight", 6.5, 8), plan("north straight", 5.2, 10, (2.0, -2.0, 6.0))
+            ),
+            "ego", "did-not-give-way", "9", "from the left",
+        ),
+        Situation(
+            "crossing-npc-speeds-up-towards-it",
+            "One from the left, with priority, drives 4 m/s, so that the ego would be past; it speeds up with 5 m/s^2 "
+            "when the ego can no longer stop.",
+            lambda: junctions.hit(
+                plan("west straight", 8, 8), plan("north straight", 10.5, 4, (6.6, 5.0, 12.0))
+            ),
+            "none", None, "9", "Neither could have foreseen the other",
+        ),
+        Situation(
+            "crossing-without-priorities",
+            "Where neither has priority the ego and one from the right drive in together.",
+            lambda: junctions.hit(plan("west straight", 6, 8), plan("south straight", 6, 8), priority="none"),
+            "both", "did-not-give-way", "9", "together with NPC 0 from the right; neither had priority",
+        ),
+        Situation(
+            "crossing-without-priorities-npc-first",
+            "So again where the other has been in the crossing for three seconds, with 1.5 m/s.",
+            lambda: junctions.hit(plan("west straight", 8, 8), plan("south straight", 4.5, 1.5), priority="none"),
+            "ego", "did-not-give-way", "9", "NPC 0 from the right; neither had priority",
+        ),
+        Situation(
+            "crossing-waits-and-is-hit-from-behind",
+            "The ego stops before the crossing, since one comes from the left; one that follows runs into it after "
+            "two seconds.",
+            lambda: junctions.hit(
+                plan("west straight", 4, 8, (2.0, -3.5, 0.0)),
+                plan("grid", 8.0, 8),
+                others=[plan("north straight", 6.5, 5)],
+            ),
+            "npc", None, "7", "the ego was standing",
+        ),
+        Situation(
+            "crossing-brakes-hard-for-one-and-is-hit",
+            "The ego brakes with 7 m/s^2 for one from the right that has priority; one that follows 0.8 s behind runs "
+            "into it.",
+            lambda: junctions.hit(
+                plan("west straight", 6, 12, (4.8, -7.0, 2.0)),
+                plan("grid", 7.2, 12),
+                others=[plan("south straight", 6.0, 8)],
+            ),
+            "npc", None, "7", "behind the ego, which was as fast",
+        ),
+        Situation(
+            "crossing-brakes-hard-for-none-and-is-hit",
+            "So again where nobody comes but one that has passed.",
+            lambda: junctions.hit(
+                plan("west straight", 6, 12, (4.8, -7.0, 2.0)),
+                plan("grid", 7.2, 12),
+                others=[plan("south straight", 2.0, 8)],
+            ),
+            "both", "braked-for-nothing", "7", "with nothing in its way",
+        ),
+    ),
+    "Where ways turn across": (
+        Situation(
+            "turns-left-across-oncoming",
+            "The ego turns left in front of one that comes towards it and has priority.",
+            lambda: junctions.hit(plan("west left", 6, 6), plan("east straight", 6.5, 10)),
+            "ego", "did-not-give-way", "9", "which had priority, from ahead",
+        ),
+        Situation(
+            "oncoming-turns-left-across",
+            "One that comes towards the ego turns left in front of it. The ego has priority.",
+            lambda: junctions.hit(plan("west straight", 6, 9), plan("east left", 5.2, 6), priority="ego"),
+            "npc", None, "9", "NPC 0 entered the crossing from ahead",
+        ),
+        Situation(
+            "oncoming-turns-left-across-slowly",
+            "So again, two seconds before the ego and with 4 m/s. The ego never brakes.",
+            lambda: junctions.hit(plan("west straight", 6, 9), plan("east left", 3.9, 4), priority="ego"),
+            "both", "entered-taken-zone", "9", "The ego was due to brake",
+        ),
+        Situation(
+            "turns-left-into-one-from-the-left",
+            "The ego turns left and drives into one from the left, which has priority and is there first.",
+            lambda: junctions.hit(plan("west left", 6, 6), plan("north straight", 5.4, 6)),
+            "ego", "did-not-give-way", "9", "0.6 s after NPC 0, which had priority, from the left",
+        ),
+    ),
+    "Where ways merge": (
+        Situation(
+            "turns-right-in-front",
+            "The ego turns right with 4 m/s, a second before one from the left comes with 12 m/s, which has priority.",
+            lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.1, 12)),
+            "ego", "did-not-give-way", "9", "The ego entered the merge",
+        ),
+        Situation(
+            "turns-right-four-seconds-in-front",
+            "So again four seconds before one that comes with 6 m/s and speeds up behind it to 12 m/s.",
+            lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 10.5, 6, (10.0, 3.0, 12.0))),
+            "npc", None, "4b", "NPC 0 was",
+        ),
+        Situation(
+            "turns-right-in-front-and-is-hit-later",
+            "The ego turns right with 4 m/s in front of one that comes with 12 m/s and has priority. That one brakes "
+            "hard, and hits the ego behind the zone.",
+            lambda: junctions.hit(
+                plan("west right", 6, 4), plan("north straight", 7.3, 12, (6.5, -6.0, 5.0))
+            ),
+            "ego", "did-not-give-way", "9", "The ego entered the merge",
+        ),
+        Situation(
+            "npc-turns-right-in-front",
+            "One from the right turns right in front of the ego, which has priority.",
+            lambda: junctions.hit(plan("west straight", 6, 12), plan("south right", 5.0, 4), priority="ego"),
+            "npc", None, "9", "NPC 0 entered the merge from the right",
+        ),
+        Situation(
+            "npc-turns-right-three-seconds-in-front",
+            "So again three seconds before the ego. The ego, with 8 m/s, runs into it and never brakes.",
+            lambda: junctions.hit(plan("west straight", 8, 8), plan("south right", 3.5, 4), priority="ego"),
+            "ego", "leader-unanswered", "4b", "The ego was due to brake",
+        ),
+        Situation(
+            "joins-the-circle-in-front",
+            "The ego joins a circle with 6 m/s, 0.7 s before one that circulates with 10 m/s.",
+            lambda: junctions.hit(plan("join", 6, 6), plan("circle", 6.7, 10)),
+            "ego", "did-not-give-way", "9", "0.7 s before NPC 0, which had priority, from the left",
+        ),
+        Situation(
+            "joins-the-circle-beside",
+            "The ego joins a circle and drives into the side of one that circulates as fast and is just ahead of it.",
+            lambda: junctions.hit(plan("join", 6, 8), plan("circle", 5.7, 8)),
+            "ego", "did-not-give-way", "9", "0.3 s after NPC 0",
+        ),
+        Situation(
+            "joins-the-circle-behind-one-that-stops",
+            "The ego joins a circle two seconds behind one that then stops with 3 m/s^2. The ego never brakes.",
+            lambda: junctions.hit(plan("join", 8, 8), plan("circle", 6.0, 8, (8.0, -3.0, 0.0))),
+            "ego", "leader-unanswered", "4b", "The ego was due to brake",
+        ),
+        Situation(
+            "npc-joins-the-circle-in-front",
+            "One joins the circle 0.7 s before the ego comes round, which has priority.",
+            lambda: junctions.hit(plan("circle", 4.7, 10), plan("join", 4, 5), priority="ego"),
+            "npc", None, "9", "NPC 0 entered the merge",
         ),
     ),
 }  # fmt: skip

@@ -1,0 +1,196 @@
+"""Who failed where the NPC's way meets the ego's: who did not give way, and who entered a zone that was taken.
+
+Rule 9 of docs/explanation/verdicts.md, clause by clause. Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model
+of Safe and Scalable Self-driving Cars", arXiv:1708.06374, definitions 15 to 18, as ad-rss-lib has them; Vienna
+Convention on Road Traffic, Art. 1 and 18.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_pafot.attribution.avoidance import HARDEST
+from pytest_pafot.attribution.responses import DISTANCES, FOLLOWING, GIVING_WAY, HEADWAY, answer, room_to_leave
+from pytest_pafot.attribution.sentences import Fact, Reason, What
+from pytest_pafot.model.crossings import Zone
+from pytest_pafot.model.trace import ALONG, SPEED, Trace
+
+LOOK = 0.6
+"""Who is to give way goes by what the other does in so long up to its last chance: one tick tells nothing [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blame:
+    """Who failed in a zone; vehicle 0 is the ego, ``i + 1`` NPC ``i``.
+
+    Attributes:
+        did_not_give_way, entered_taken_zone: each one who did.
+        tick: at which the first of those entered who did not give way; else who entered a zone that was taken.
+        facts: that the reason tells.
+    """
+
+    did_not_give_way: tuple[int, ...]
+    entered_taken_zone: tuple[int, ...]
+    tick: int
+    facts: Reason
+
+
+class Passing:
+    """A vehicle that comes to a zone along its way.
+
+    Attributes:
+        places: along its way, at each tick [m].
+        speeds: along the body, likewise [m/s].
+        begins, ends: its stretch of the zone [m].
+        entry: the tick at which it enters; None where it is not so far at the last one.
+    """
+
+    def __init__(self, trace: Trace, vehicle: int, zone: Zone) -> None:
+        places = trace.way_of(vehicle - 1) if vehicle else trace.track_of(0)[:, ALONG]
+        self.vehicle, self.hz = vehicle, trace.physics_hz
+        self.places, self.speeds = places, trace.states[:, vehicle, SPEED]
+        self.begins, self.ends = zone.npc if vehicle else zone.ego
+        self.half_length = float(trace.sizes[vehicle, 0]) / 2
+        before = np.flatnonzero(~(places >= self.begins))
+        entry = int(before[-1]) + 1 if before.size else 0
+        self.entry = entry if entry < len(places) else None
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether its place is in its stretch of the zone at the last tick."""
+        return bool(self.begins <= self.places[-1] <= self.ends)
+
+    def entered(self) -> int:
+        """Return the tick at which it enters.
+
+        Raises:
+            ValueError: where it does not enter.
+        """
+        if self.entry is None:
+            raise ValueError("expected a vehicle that has entered the zone, received one that has not")
+        return self.entry
+
+    def last_chance(self) -> int:
+        """Return the last tick before it enters at which the proper response stops it before the zone.
+
+        That is the first tick where there is none, because it came too fast.
+        """
+        for tick in range(self.entered() - 1, -1, -1):
+            if self.begins - self.places[tick] >= stopping(float(self.speeds[tick]), HARDEST):
+                return tick
+        return 0
+
+    def look(self) -> range:
+        """Return the ticks by which it had to see what comes."""
+        last = self.last_chance()
+        return range(max(last - round(LOOK * self.hz), 0), last + 1)
+
+    def leaves(self) -> float:
+        """Return when it leaves, after the last tick with its speed of then [s]; infinite where it stands then."""
+        passed = (tick for tick in range(self.entered(), len(self.places)) if self.places[tick] >= self.ends)
+        tick = next(passed, None)
+        if tick is not None:
+            return tick / self.hz
+        speed = float(self.speeds[-1])
+        return (len(self.places) - 1) / self.hz + float(self.ends - self.places[-1]) / speed if speed > 0 else math.inf
+
+    def foreseen(self, tick: int, time: float) -> tuple[float, float]:
+        """Return place [m] and speed [m/s] that it is foreseen at a tick to have at a time [s]."""
+        speed, seconds = float(self.speeds[tick]), time - tick / self.hz
+        if speed <= 0:
+            return float(self.places[tick]), 0.0
+        slowing = max(float(self.speeds[tick - 1]) - speed, 0.0) * self.hz if tick else 0.0
+        if slowing > 0:
+            seconds = min(seconds, speed / slowing)
+        way = speed * seconds - (slowing * seconds**2 / 2 if slowing > 0 else 0.0)
+        return float(self.places[tick]) + way, speed - slowing * (seconds if slowing > 0 else 0.0)
+
+    def slowest(self, tick: int) -> float:
+        """Return its lowest speed from a tick on for as long as what comes behind may still adapt [m/s]."""
+        return float(self.speeds[tick : tick + round(HEADWAY * self.hz) + 1].min())
+
+
+def stopping(speed: float, deceleration: float) -> float:
+    """Return how far one drives that begins to respond and stops [m]."""
+    return speed * FOLLOWING.delay + speed**2 / (2 * deceleration)
+
+
+class Meeting:
+    """The ego and the NPC of a collision in the zone of their ways, up to the impact."""
+
+    def __init__(self, trace: Trace, npc: int, zone: Zone) -> None:
+        self._trace, self._zone = trace, zone
+        self.ego, self.npc = (Passing(trace, vehicle, zone) for vehicle in (0, npc + 1))
+
+    @property
+    def is_in_zone(self) -> bool:
+        """Whether both are in their stretches of the zone at the impact."""
+        return self.ego.is_inside and self.npc.is_inside
+
+    @property
+    def has_merged(self) -> bool:
+        """Whether both have come to a zone in which their ways merge."""
+        return self._zone.kind == "merging" and self.ego.entry is not None and self.npc.entry is not None
+
+    @property
+    def blame(self) -> Blame | None:
+        """Who failed; None where nobody did."""
+        pairs = ((self.ego, self.npc), (self.npc, self.ego))
+        holder = {"ego": self.ego, "npc": self.npc}.get(self._zone.priority)
+        without = tuple(own for own, other in pairs if own is not holder and self._did_not_give_way(own, other))
+        taken = tuple(own for own, other in pairs if own is holder and self._entered_taken_zone(own, other))
+        if not without and not taken:
+            return None
+        first, owing = (without or taken)[0], (taken or without)[0]
+        since = owing.last_chance()
+        if taken and self._zone.kind == "merging":
+            since = (self.npc if owing is self.ego else self.ego).entered()
+        other = self.npc if first is self.ego else self.ego
+        at = first.entered() / first.hz
+        entered = Fact(
+            What.ENTERED, first.vehicle, at, other.vehicle, later_s=other.entered() / other.hz, zone=self._zone
+        )
+        return Blame(
+            did_not_give_way=tuple(each.vehicle for each in without),
+            entered_taken_zone=tuple(each.vehicle for each in taken),
+            tick=first.entered(),
+            facts=(entered, answer(self._trace, owing.vehicle, owing.speeds, since)),
+        )
+
+    def _did_not_give_way(self, own: Passing, other: Passing) -> bool:
+        """Whether the other was foreseen to be in the zone with it, and too near to stop without braking abruptly."""
+        enters, leaves = own.entered() / own.hz, own.leaves()
+        for tick in own.look():
+            place, speed = other.foreseen(tick, enters)
+            if other.foreseen(tick, leaves)[0] < other.begins:
+                continue
+            if self._zone.kind == "merging":
+                is_near = self._is_near_in_lane(own, other, place, speed)
+            else:
+                is_near = other.begins - place < stopping(speed, GIVING_WAY.deceleration) and place < other.ends
+            if is_near:
+                return True
+        return False
+
+    def _is_near_in_lane(self, own: Passing, other: Passing, place: float, speed: float) -> bool:
+        """Whether one that merges leaves too small a gap to the other, where that one is foreseen to be."""
+        enters = own.entered()
+        lead = float((other.ends - place) - (own.ends - own.places[enters]))
+        gap = abs(lead) - own.half_length - other.half_length
+        if lead >= 0:
+            return gap < room_to_leave(speed, own.slowest(enters))
+        return gap < float(DISTANCES.safe_along(own.speeds[enters], np.asarray(speed), FOLLOWING.delay))
+
+    def _entered_taken_zone(self, own: Passing, other: Passing) -> bool:
+        """Whether the other had visibly entered when it could still respond, and would not be gone."""
+        enters, since = own.entered(), other.entered()
+        if self._zone.kind != "merging":
+            ticks = (tick for tick in own.look() if tick >= since)
+            return any(other.foreseen(tick, enters / own.hz)[0] < other.ends for tick in ticks)
+        lead = float((own.ends - own.places[since]) - (other.ends - other.places[since]))
+        faster = max(float(own.speeds[since]) - other.slowest(since), 0.0)
+        gap = lead - own.half_length - other.half_length
+        return since < enters and lead > 0 and gap >= stopping(faster, HARDEST)

@@ -1,0 +1,145 @@
+"""Right of way where the gallery has no situation: places that are nobody's, and sentences."""
+
+from dataclasses import replace
+from itertools import product
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from pytest_pafot.attribution.mistakes import NOT_GIVEN_WAY, mistake_of
+from pytest_pafot.attribution.responsibility import position_rule, rss_rule
+from pytest_pafot.attribution.right_of_way import Passing, stopping
+from pytest_pafot.attribution.sentences import Fact, What, sentences
+from pytest_pafot.model.crossings import Holder, Kind, Origin, Zone
+from pytest_pafot.model.trace import ALONG, Y
+from pytest_pafot.oracle.run import LINE_LENGTH
+from tests.helpers.junctions import hit, plan
+from tests.helpers.tables import table
+
+FROM = {"left": "north straight", "right": "south straight", "ahead": "east left"}
+
+
+def ignored(way="north straight", priority="npc", others=()):
+    return hit(plan("west straight", 6, 8), plan(way, 6.3, 8), priority=priority, others=others)
+
+
+def placed(trace, npc_by):
+    """The same with the NPC so much further along its way [m]."""
+    return replace(trace, on_way=trace.on_way + npc_by)
+
+
+def longer(trace, ticks):
+    """The same after so many ticks at its first one."""
+    rows = {
+        name: np.concatenate([getattr(trace, name)[:1].repeat(ticks, axis=0), getattr(trace, name)])
+        for name in ("states", "track", "on_way")
+    }
+    return replace(trace, **rows)
+
+
+@table(
+    ("kind", "origin", "priority", "vehicle", "later"),
+    list(product(get_args(Kind), get_args(Origin), get_args(Holder), (0, 8), (-88.8, 0.0, 88.8))),
+)
+def test_every_entry_is_a_sentence_that_no_line_cuts(kind, origin, priority, vehicle, later):
+    zone = Zone(way="o1>o3", kind=kind, origin=origin, ego=(0.0, 1.0), npc=(0.0, 1.0), priority=priority)
+    fact = Fact(What.ENTERED, vehicle, 11.1, other=8 - vehicle, later_s=11.1 + later, zone=zone)
+    (told,) = sentences((fact,))
+    assert told[0].isupper()
+    assert told.endswith(".")
+    assert len(told) <= LINE_LENGTH - 2, told
+    assert ("which had priority" in told) == (priority != "none")
+    assert ("neither had priority" in told) == (priority == "none")
+
+
+@table("origin", list(FROM))
+def test_where_the_other_comes_from_tells_the_mistake(origin):
+    trace = ignored(FROM[origin])
+    assert rss_rule(trace).fault == "did-not-give-way"
+    assert mistake_of(trace) == NOT_GIVEN_WAY[origin]
+
+
+def test_the_order_of_the_sentences_is_what_happened_then_what_was_due():
+    first, second = rss_rule(ignored()).facts
+    assert (first.what, first.vehicle, second.vehicle, second.what) == (What.ENTERED, 0, 0, What.DID_NOT_BRAKE)
+    passing = Passing(ignored(), 0, ignored().zones[0])
+    assert second.due_s == pytest.approx(passing.last_chance() / 15 + 1.0)
+
+
+def test_a_driver_that_begins_to_brake_a_second_after_its_last_chance_stops_before_the_zone():
+    passing = Passing(ignored(), 0, ignored().zones[0])
+    last = passing.last_chance()
+    left = [passing.begins - passing.places[tick] for tick in (last, last + 1)]
+    assert left[0] >= stopping(8.0, 6.0) > left[1]
+
+
+def test_nobody_answers_for_a_contact_outside_of_the_zone_and_of_the_ways():
+    beyond = placed(ignored(), 100.0)
+    found = rss_rule(beyond)
+    assert (found.responsibility, found.fault, found.tick) == ("none", None, beyond.ticks)
+    assert found.reason == "At 6.4 s the ego touched NPC 0 outside of the zone in which their ways meet."
+
+
+def test_one_that_started_too_near_to_stop_had_its_last_chance_at_the_first_tick():
+    trace = ignored(priority="ego")
+    late = replace(
+        trace,
+        **{name: getattr(trace, name)[75:] for name in ("states", "track", "on_way")},
+        collision=replace(trace.collision, tick=trace.ticks - 75),
+    )
+    assert rss_rule(late).responsibility == "npc"
+    assert Passing(late, 1, late.zones[0]).last_chance() < 75
+
+
+def test_others_that_are_not_on_the_egos_way_do_not_count_as_a_number():
+    alone = hit(
+        plan("west straight", 6, 12, (4.8, -7.0, 2.0)), plan("grid", 7.2, 12), others=[plan("south straight", 1, 8)]
+    )
+    gone = replace(alone, zones=(None, None))
+    assert np.isnan(alone.track[:, 2, ALONG]).any()
+    assert rss_rule(alone) == rss_rule(gone)
+
+
+def test_the_rules_of_a_lane_see_a_merged_npc_from_where_it_came_on_the_way():
+    trace = hit(plan("join", 8, 8), plan("circle", 6.0, 8, (8.0, -3.0, 0.0)))
+    off = np.isnan(trace.track[:, 1, ALONG])
+    assert off[0]
+    assert not off[-1]
+    verdict = rss_rule(trace)
+    assert verdict.fault == "leader-unanswered"
+    assert verdict.tick > np.flatnonzero(off)[-1]
+    later = rss_rule(longer(trace, 15))
+    assert (later.responsibility, later.fault, later.tick) == ("ego", "leader-unanswered", verdict.tick + 15)
+    assert later.facts[0].time_s == pytest.approx(verdict.facts[0].time_s + 1.0)
+
+
+def test_where_neither_had_priority_the_verdict_is_the_same_from_either_side():
+    trace = ignored(priority="none")
+    zone = trace.zones[0]
+    swapped = replace(
+        trace,
+        states=trace.states[:, ::-1],
+        track=np.where([[[True], [False]]], trace.on_way[:, :, None].repeat(5, axis=2), np.nan),
+        on_way=trace.track[:, :1, ALONG],
+        zones=(replace(zone, ego=zone.npc, npc=zone.ego, origin="right"),),
+    )
+    assert rss_rule(trace).responsibility == rss_rule(swapped).responsibility == "both"
+
+
+@table(("side", "expected"), [("front", "ego"), ("left", "npc"), ("right", "npc"), ("rear", "npc")])
+def test_the_second_opinion_on_one_in_no_cell_goes_by_the_side_that_was_hit(side, expected):
+    trace = ignored()
+    assert trace.collision.cell is None
+    assert position_rule(replace(trace, collision=replace(trace.collision, side=side))) == expected
+    standing = replace(trace.collision, side=side, ego_speed=0.05)
+    assert position_rule(replace(trace, collision=standing)) == "npc"
+
+
+def test_a_picture_of_the_crossing_mirrored_has_the_same_verdict():
+    trace = ignored()
+    states = trace.states.copy()
+    states[..., [Y, 2]] *= -1
+    mirrored = replace(trace, states=states, zones=(replace(trace.zones[0], origin="right"),))
+    verdicts = [(each.responsibility, each.fault, each.tick) for each in (rss_rule(trace), rss_rule(mirrored))]
+    assert verdicts[0] == verdicts[1]
