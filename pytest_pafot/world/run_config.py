@@ -22,7 +22,7 @@ from pytest_pafot.world.driving.network_director import NetworkDirector
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
-from pytest_pafot.world.roads.junction import Junction
+from pytest_pafot.world.roads.junction import CrossingWay, Junction
 from pytest_pafot.world.roads.network import BEND_SHARE, NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 
@@ -54,6 +54,11 @@ class Rules:
     def crossings(self) -> Crossings | None:
         """What a search may draw Crossing-Instructions from; None where no way of others meets the ego's."""
         return None if self.junction is None else self.junction.crossings
+
+    def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
+        """Return on which way each NPC drives that crosses, None for one on the grid; empty where nobody crosses."""
+        known = {} if self.junction is None else self.junction.ways
+        return [None if each is None else known[each.zone] for each in scenario.crossings]
 
     @property
     def ego_start(self) -> float:

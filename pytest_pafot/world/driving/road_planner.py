@@ -16,8 +16,9 @@ from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world.driving.ads import Planner
 from pytest_pafot.world.kernel.action import Drive
 from pytest_pafot.world.kernel.observation import Observation, VehicleState, lateral_velocity
+from pytest_pafot.world.roads.junction import CrossingWay, Junction
 from pytest_pafot.world.roads.network import NetworkRoad, Spot
-from pytest_pafot.world.roads.route import STEP, Line, wrapped
+from pytest_pafot.world.roads.route import wrapped
 
 
 class Pose(NamedTuple):
@@ -33,10 +34,6 @@ class Pose(NamedTuple):
     steering: float
 
 
-ALONG_THE_WAY = 0.5
-"""Angle to the ego's way up to which a vehicle drives along it [rad]."""
-
-
 @dataclass(eq=False)
 class RoadPlanner(Planner):
     """A callable from :class:`Observation` to (acceleration [m/s^2], steering [rad]) or :class:`Drive`, as if straight.
@@ -46,12 +43,14 @@ class RoadPlanner(Planner):
 
     Attributes:
         starts: where along the road vehicles start [m].
-        ways: of each NPC that crosses, its zone and the line of its way; None of one that drives along the ego's.
+        junction: the ways on which other traffic meets the ego's way, where there are any.
+        ways: on which each NPC drives that crosses, None for one on the grid; empty where nobody crosses.
     """
 
     lanes: NetworkRoad
     starts: Sequence[float]
-    ways: Sequence[tuple[Zone, Line] | None] = ()
+    junction: Junction | None = None
+    ways: Sequence[CrossingWay | None] = ()
     _along: list[float] = field(default_factory=list, init=False)
     _lean: float = field(default=0.0, init=False)
 
@@ -79,22 +78,20 @@ class RoadPlanner(Planner):
     def observe(self, tick: int) -> Observation:
         """What the ADS sees with the road straightened out: all as it is now, unless its sight is imperfect."""
         network, everybody = self.lanes, self._everybody()
-        near = self._along or [self._start_of(pose) for pose in everybody]
-        self._along = [network.spot(*pose[:3], place).along for pose, place in zip(everybody, near, strict=True)]
+        self._along = [self._place_of(number, pose) for number, pose in enumerate(everybody)]
         ego, own = everybody[0], network.spot(*everybody[0][:3], self._along[0])
         self._lean = network.lane_at(own.lane, own.along)[2]
         self._own, drift = self._state(ego, own, own)
         others, ids, lateral, crossing = [], [], [drift], []
         for npc, pose in self._seen(everybody, tick):
-            spot = network.spot(*pose[:3], self._along[npc + 1])
-            way = self.ways[npc] if self.ways else None
-            if way is not None and not self._is_on_way(spot):
-                crossing.append(self._crossing(npc, pose, ego, own, *way))
-                continue
-            state, drift = self._state(pose, spot, own)
-            others.append(state)
-            ids.append(npc)
-            lateral.append(drift)
+            spot, along = self._spot(npc, pose)
+            if spot is not None:
+                state, drift = self._state(pose, spot, own)
+                others.append(state)
+                ids.append(npc)
+                lateral.append(drift)
+            elif (way := self.ways[npc]) is not None:
+                crossing.append(seen_on(way.way.zone, npc, pose, along, ego, own.along))
         return Observation(
             tick / self.physics_hz,
             self._own,
@@ -124,24 +121,21 @@ class RoadPlanner(Planner):
             seen.append((npc, was._replace(x=was.x + x, y=was.y + y, speed=was.speed + speed)))
         return seen
 
-    def _is_on_way(self, spot: Spot) -> bool:
-        """Return whether a vehicle whose way meets the ego's drives in its lane, as after a merge."""
-        return abs(spot.offset) < self.lanes.lane_width / 2 and abs(spot.angle) < ALONG_THE_WAY
+    def _place_of(self, vehicle: int, pose: Pose) -> float:
+        """Return how far along its way a vehicle is, the ego's way or its own, near where it was at last [m]."""
+        way = self.ways[vehicle - 1] if vehicle and self.ways else None
+        if way is None:
+            return self.lanes.spot(*pose[:3], self._along[vehicle] if self._along else self._start_of(pose)).along
+        near = self._along[vehicle] if self._along else way.nearest(pose.x, pose.y)
+        return way.place(pose.x, pose.y, near)[0]
 
-    def _crossing(self, npc: int, pose: Pose, ego: Pose, own: Spot, zone: Zone, line: Line) -> CrossingVehicle:
-        x, y, cos, sin = pose.x - ego.x, pose.y - ego.y, math.cos(ego.heading), math.sin(ego.heading)
-        return CrossingVehicle(
-            id=npc,
-            zone=zone,
-            distance=zone.npc[0] - along_line(line, pose.x, pose.y),
-            ego_distance=zone.ego[0] - own.along,
-            ahead=x * cos + y * sin,
-            right=y * cos - x * sin,
-            heading=wrapped(pose.heading - ego.heading),
-            speed=pose.speed,
-            length=pose.length,
-            width=pose.width,
-        )
+    def _spot(self, npc: int, pose: Pose) -> tuple[Spot | None, float]:
+        """Return where an NPC is seen on the ego's way, if it is on it; and where along its own [m]."""
+        way, near = self.ways[npc] if self.ways else None, self._along[npc + 1]
+        if way is None or self.junction is None:
+            return self.lanes.spot(*pose[:3], near), near
+        along = way.place(pose.x, pose.y, near)[0]
+        return self.junction.spot(self.lanes, way, along, pose[:3]), along
 
     def _bend(self) -> float:
         return math.atan(2 * math.tan(-self._lean))
@@ -166,9 +160,18 @@ class RoadPlanner(Planner):
         return min(self.starts, key=lambda along: math.dist(place, self.lanes.reference(along)[:2]))
 
 
-def along_line(line: Line, x: float, y: float) -> float:
-    """Return where along a line the point of it is that is nearest to a place in the world [m]."""
-    nearest = int(np.hypot(line.x - x, line.y - y).argmin())
-    heading = float(line.heading[nearest])
-    ahead = (x - float(line.x[nearest])) * math.cos(heading) + (y - float(line.y[nearest])) * math.sin(heading)
-    return nearest * STEP + ahead
+def seen_on(zone: Zone, npc: int, pose: Pose, along: float, ego: Pose, ego_along: float) -> CrossingVehicle:
+    """Return an NPC on its own way as the ego sees it, and where the two are along their ways [m]."""
+    x, y, cos, sin = pose.x - ego.x, pose.y - ego.y, math.cos(ego.heading), math.sin(ego.heading)
+    return CrossingVehicle(
+        id=npc,
+        zone=zone,
+        distance=zone.npc[0] - along,
+        ego_distance=zone.ego[0] - ego_along,
+        ahead=x * cos + y * sin,
+        right=y * cos - x * sin,
+        heading=wrapped(pose.heading - ego.heading),
+        speed=pose.speed,
+        length=pose.length,
+        width=pose.width,
+    )

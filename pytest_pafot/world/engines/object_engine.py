@@ -96,7 +96,8 @@ def planner_of(rules: Rules, scenario: Scenario, road: Road, ads: Any, sight: Si
     if isinstance(rules.road, NetworkRoad):
         far = rules.start_distance(scenario)
         starts = [rules.ego_start + row * far for row in (-1, 0, 1)]
-        return RoadPlanner(ads, road, rules.road, starts=starts, **common)
+        ways = rules.ways(scenario)
+        return RoadPlanner(ads, road, rules.road, starts=starts, junction=rules.junction, ways=ways, **common)
     return Planner(ads, road, rules.road, **common)
 
 

@@ -22,7 +22,7 @@ from pytest_pafot.model.crossings import Crossings, Holder, Kind, Origin, Stretc
 from pytest_pafot.model.trace import FloatArray, Outcome
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import Column, NetworkFrame, NetworkRoad, State
+from pytest_pafot.world.roads.network import Column, NetworkFrame, NetworkRoad, Spot, State
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, way, wrapped
 from pytest_pafot.world.roads.survey import TIGHTEST, curvature_of, lone_column
 
@@ -111,6 +111,10 @@ class CrossingWay:
                 break
         return along, (y - y0) * cos - (x - x0) * sin, heading
 
+    def nearest(self, x: float, y: float) -> float:
+        """Return where along the way its point is that is nearest to somebody [m]."""
+        return float(np.hypot(self.line.x - x, self.line.y - y).argmin()) * STEP
+
     def start(self, along: float) -> tuple[float, float, float]:
         """Return world x [m], y [m] and heading [rad] of a vehicle that follows the way."""
         x, y, heading = self.reference(along)
@@ -138,6 +142,21 @@ class Junction:
     def __deepcopy__(self, _: dict[int, object]) -> Junction:
         """Itself, as nothing in it changes: highway-env copies vehicles with all that hangs on them to predict them."""
         return self
+
+    def spot(self, road: NetworkRoad, way: CrossingWay, along: float, pose: tuple[float, float, float]) -> Spot | None:
+        """Return where on the ego's way somebody is who is so far along another way [m]; None where it is not on it.
+
+        ``pose`` is its x [m], y [m] and heading [rad]. Before its zone nobody is on the ego's way.
+        """
+        zone = way.way.zone
+        if along < zone.npc[0]:
+            return None
+        places = self.along_ego[zone.way]
+        near = places[min(round(along / STEP), len(places) - 1)]
+        if math.isnan(near):
+            return None
+        spot = road.spot(*pose, near)
+        return spot if road.part(spot) >= 0 and abs(spot.angle) < NOT_ON_WAY else None
 
 
 def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | None:
@@ -470,7 +489,7 @@ class JunctionFrame(NetworkFrame):
         super().__init__(road, network, [start for start, name in zip(starts, names, strict=True) if name is None])
         self._names = names
         self._ways = [None if name is None else junction.ways[name] for name in names]
-        self._near = [None if name is None else junction.along_ego[name] for name in names]
+        self._junction = junction
         self._places = list(starts)
         self._crossing = array("d")  # of each who crosses its place on its own way, then its row of the track
 
@@ -482,27 +501,24 @@ class JunctionFrame(NetworkFrame):
         on_grid = [number for number, way in enumerate(self._ways) if way is None]
         found, left = super().see([states[number] for number in on_grid], [bodies[number] for number in on_grid])
         lanes = dict(zip(on_grid, found, strict=True))
-        for number, (own, near) in enumerate(zip(self._ways, self._near, strict=True)):
-            if own is None or near is None:
+        for number, own in enumerate(self._ways):
+            if own is None:
                 continue
             x, y, heading, speed = states[number]
             along, across, direction = own.place(x, y, self._places[number])
             self._places[number] = along
             bodies[number].place(along, across, wrapped(heading - direction), speed)
-            point = min(max(round(along / STEP), 0), len(near) - 1)
+            point = min(max(round(along / STEP), 0), len(own.column.part) - 1)
             lanes[number] = own.column.part[point] if 0 <= along <= own.way.length else -1
             self._crossing.append(along)
-            self._crossing.extend(self._row(x, y, heading, near[point] if along >= own.way.zone.npc[0] else math.nan))
+            self._crossing.extend(self._row(self._junction.spot(self._road, own, along, (x, y, heading))))
         return [lanes[number] for number in range(len(states))], left
 
-    def _row(self, x: float, y: float, heading: float, near: float) -> tuple[float, float, float, float, float]:
-        """Return the row of the track of somebody who may be on the ego's way near a place; NaN where it is not."""
-        road = self._road
-        if not math.isnan(near):
-            spot = road.spot(x, y, heading, near)
-            if road.part(spot) >= 0 and abs(spot.angle) < NOT_ON_WAY:
-                return *spot[:3], spot.offset, road.stretch(spot.along, spot.across)
-        return OFF_WAY
+    def _row(self, spot: Spot | None) -> tuple[float, float, float, float, float]:
+        """Return the row of the track of somebody who is at a spot of the ego's way; NaN where it is not on it."""
+        if spot is None:
+            return OFF_WAY
+        return *spot[:3], spot.offset, self._road.stretch(spot.along, spot.across)
 
     def track(self) -> FloatArray:
         """Return where all were on the ego's way at every tick, as :attr:`pytest_pafot.Trace.track` has it."""

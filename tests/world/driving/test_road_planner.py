@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from dataclasses import replace
 from types import SimpleNamespace
 
 import gymnasium
@@ -11,30 +11,19 @@ import numpy as np
 import pytest
 from highway_env.road.road import Road
 
-from pytest_pafot import Drive, Perception, PositionInstruction, Scenario, World, WorldError, Zone
+from pytest_pafot import CrossingInstruction, Drive, Perception, PositionInstruction, Scenario, World, WorldError
 from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import ALONG
 from pytest_pafot.world import AdsFactoryError, from_dict
 from pytest_pafot.world.driving.road_planner import RoadPlanner
 from pytest_pafot.world.driving.seeing import PlannerSight
 from pytest_pafot.world.driving.vehicles import Car
-from pytest_pafot.world.roads.route import line_of, way
 
 WORLD = World("intersection-v0", config={"destination": "o2"}, planner_hz=5)
-FROM_THE_RIGHT = Zone(
-    way="o3>o1", kind="crossing", origin="right", ego=(103.0, 113.0), npc=(108.0, 118.0), priority="npc"
-)
-TURNS_IN = Zone(way="o3>o2", kind="merging", origin="right", ego=(112.0, 130.0), npc=(98.0, 122.0), priority="npc")
+JUNCTION = WORLD.rules.junction
+FROM_THE_RIGHT, TURNS_IN = JUNCTION.ways["o3>o1"], JUNCTION.ways["o3>o2"]
 HALF = 111.0
 """Of the intersection: from the middle to the outer ends of the roads [m]."""
-
-
-def line_to(start, destination):
-    network = WORLD.network
-    planned = [(*pair, 0) for pair in pairwise(network.shortest_path(f"o{start}", f"o{destination}"))]
-    return line_of(way(network, planned[0], 0.0, planned, ahead=400.0, behind=0.0)[0])
-
-
-LINES = {zone.way: line_to(3, zone.way[-1]) for zone in (FROM_THE_RIGHT, TURNS_IN)}
 
 
 def planner_on(*npcs, ways=(), sight=None):
@@ -45,30 +34,33 @@ def planner_on(*npcs, ways=(), sight=None):
     network = WORLD.road
     seen = None if sight is None else PlannerSight(sight, 7, 15, None)
     starts = [network.start + row * 20.0 for row in (-1, 0, 1)]
-    return RoadPlanner(lambda _: (0.0, 0.0), road, network, cars[0], 15, 3, starts=starts, ways=ways, sight=seen)
+    common = {"starts": starts, "junction": JUNCTION, "ways": ways, "sight": seen}
+    return RoadPlanner(lambda _: (0.0, 0.0), road, network, cars[0], 15, 3, **common)
 
 
+EGO_ENTERS, ENTERS = FROM_THE_RIGHT.way.zone.ego[0], FROM_THE_RIGHT.way.zone.npc[0]
 EAST = (HALF - 90.0, -2.0, math.pi, 8.0)
 """Who has driven 90 m from the east towards the west."""
 
 
 def test_a_vehicle_that_crosses_is_seen_on_its_own_way():
-    planner = planner_on((2.0, HALF - 75.0, -math.pi / 2, 9.0), EAST, ways=[None, (FROM_THE_RIGHT, LINES["o3>o1"])])
+    planner = planner_on((2.0, HALF - 75.0, -math.pi / 2, 9.0), EAST, ways=[None, FROM_THE_RIGHT])
     seen = planner.observe(0)
     assert seen.ids == (0,)
     assert [other.x - seen.ego.x for other in seen.others] == pytest.approx([15.0])
     (crossing,) = seen.crossing
-    assert crossing.zone is FROM_THE_RIGHT
+    assert crossing.zone == FROM_THE_RIGHT.way.zone
     assert crossing._replace(zone=None) == pytest.approx(
-        (1, None, 18.0, 43.0, HALF - 60.0 + 2.0, HALF - 92.0, -math.pi / 2, 8.0, 5.0, 2.0), abs=0.05
+        (1, None, ENTERS - 90.0, EGO_ENTERS - 60.0, HALF - 60.0 + 2.0, HALF - 92.0, -math.pi / 2, 8.0, 5.0, 2.0),
+        abs=0.05,
     )
 
 
 def test_who_has_merged_is_one_of_the_others():
-    ways = [(TURNS_IN, LINES["o3>o2"])]
-    before = planner_on((HALF - 99.0, -2.0, math.pi, 6.0), ways=ways).observe(0)
+    ways = [TURNS_IN]
+    before = planner_on((HALF - 105.0, -3.5, math.pi + 0.59, 6.0), ways=ways).observe(0)
     assert (len(before.others), [each.is_inside for each in before.crossing]) == (0, [True])
-    assert before.crossing[0].to_leave == pytest.approx(23.0, abs=0.05)
+    assert before.crossing[0].to_leave == pytest.approx(TURNS_IN.way.zone.npc[1] - 105.3, abs=0.2)
     after = planner_on((2.2, -30.0, -math.pi / 2 - 0.1, 6.0), ways=ways).observe(0)
     assert ([other.x - after.ego.x for other in after.others], after.crossing) == (pytest.approx([81.0], abs=0.2), ())
 
@@ -77,12 +69,12 @@ def test_who_has_merged_is_one_of_the_others():
     ("sight", "is_seen"), [({"range": 50.0}, False), ({"range": 60.0}, True), ({"dropout": 1.0}, False)]
 )
 def test_an_imperfect_sight_hides_who_crosses(sight, is_seen):
-    seen = planner_on(EAST, ways=[(FROM_THE_RIGHT, LINES["o3>o1"])], sight=Sight(**sight)).observe(0)
+    seen = planner_on(EAST, ways=[FROM_THE_RIGHT], sight=Sight(**sight)).observe(0)
     assert bool(seen.crossing) is is_seen
 
 
 def test_who_crosses_is_seen_late_and_with_errors():
-    ways = [(FROM_THE_RIGHT, LINES["o3>o1"])]
+    ways = [FROM_THE_RIGHT]
     planner = planner_on(EAST, ways=ways, sight=Sight(latency=0.2))
     (was,) = planner.observe(0).crossing
     for _ in range(3):
@@ -97,6 +89,29 @@ def test_who_crosses_is_seen_late_and_with_errors():
     assert noisy.distance - was.distance == pytest.approx(noisy.right - was.right, abs=0.01)
     assert noisy.ahead != was.ahead
     assert noisy.speed != was.speed
+
+
+def test_it_sees_what_the_run_records():
+    seen = []
+    npcs = [
+        [CrossingInstruction("o3>o2", -0.5, 8.0)],
+        [CrossingInstruction("o1>o3", 1.0, 6.0)],
+        [PositionInstruction(6, 5.0)],
+    ]
+    trace = WORLD.rollout(replace(scenario_of(WORLD), npcs=npcs), lambda: lambda now: seen.append(now) or (-0.5, 0.0))
+    assert len(seen) == len(trace.actions) > 30
+    for tick, now in zip(range(0, trace.ticks, 3), seen, strict=True):
+        on_way = np.flatnonzero(~np.isnan(trace.track[tick, 1:, ALONG]))
+        assert now.ids == tuple(on_way)
+        for each in now.crossing:
+            zone = trace.zones[each.id]
+            assert each.id not in on_way
+            assert each.distance == pytest.approx(zone.npc[0] - trace.on_way[tick, each.id], abs=1e-6)
+            assert each.ego_distance == pytest.approx(zone.ego[0] - trace.track[tick, 0, ALONG], abs=1e-6)
+            apart = np.hypot(*(trace.states[tick, each.id + 1, :2] - trace.states[tick, 0, :2]))
+            assert math.hypot(each.ahead, each.right) == pytest.approx(apart)
+    assert {each.id for now in seen for each in now.crossing} == {0, 1}
+    assert 0 in seen[-1].ids
 
 
 def scenario_of(world):
