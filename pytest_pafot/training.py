@@ -91,7 +91,7 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
             expected, fix = "a world without wrappers", "put them around the training environment instead"
             raise WorldError(field="world.wrappers", expected=expected, received=f"{world.wrappers!r:.200}", fix=fix)
         world.check()
-        if world.environment.steps_itself(drives_itself=False):
+        if not world.environment.has_ordinary_steps:
             expected = "an environment that highway-env steps, with the NPCs in place of its traffic"
             received = f"{world.env_id!r}, whose class has steps of its own"
             raise WorldError(field="world", expected=expected, received=received)

@@ -23,7 +23,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
 from pytest_pafot.world.roads.straight import StraightRoad
-from pytest_pafot.world.stock import AbstractEnv, Road, Vehicle, action, observation
+from pytest_pafot.world.stock import AbstractEnv, IntersectionEnv, RegulatedRoad, Road, Vehicle, action, observation
 from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, plain_data, whole_within
 
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
@@ -165,12 +165,21 @@ class GymEnvironment:
     def steps_itself(self, *, drives_itself: bool) -> bool:
         """Whether runs need the environment's own steps: they are its own, or its road does more than move vehicles.
 
-        An ego that drives itself takes no part in the steps of the environment, only in those of the road.
+        An ego that drives itself takes no part in the steps of the environment, only in those of the road. Those of
+        highway-env's intersections spawn and clear traffic, which is left out of runs, and on their roads somebody
+        tells vehicles to yield, which is known here.
         """
         env, road = type(self.unwrapped), type(self.unwrapped.road)
-        has_own_road = road.step is not Road.step or road.act is not Road.act
+        has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
+        is_known = env.step in (AbstractEnv.step, IntersectionEnv.step) and env._simulate is AbstractEnv._simulate
+        return has_own_road or not (is_known or drives_itself)
+
+    @property
+    def has_ordinary_steps(self) -> bool:
+        """Return whether steps of the environment, with its own traffic, are those that all environments have."""
+        env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_step = env.step is not AbstractEnv.step or env._simulate is not AbstractEnv._simulate
-        return has_own_road or (has_own_step and not drives_itself)
+        return not has_own_step and road.step is Road.step and road.act is Road.act
 
     @property
     def whole_config(self) -> dict[str, Any]:

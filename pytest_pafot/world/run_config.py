@@ -101,8 +101,7 @@ class Rules:
             positions = replace(scenario, npcs=scenario.positions)
             grid = NetworkDirector(positions, self.road, self.limits, start_cells=cells, **common)
         del common["clearance"], common["ego_length"]
-        top_speed = self.limits.top_speed(self.road.speed_limit)
-        return JunctionDirector(scenario, self.junction, self.limits, top_speed=top_speed, grid=grid, **common)
+        return JunctionDirector(scenario, self.road, self.junction, self.limits, grid=grid, **common)
 
     def check_fits(self, scenario: Scenario) -> None:
         """Refuse a scenario that does not fit, as for Lane-Instructions on a road that is not straight."""

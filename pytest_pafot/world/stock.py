@@ -46,15 +46,22 @@ with _later():
     import highway_env  # noqa: F401  (registers its environments)
     from highway_env.envs.common import action, observation
     from highway_env.envs.common.abstract import AbstractEnv
+    from highway_env.envs.intersection_env import IntersectionEnv
     from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
+    from highway_env.road.regulation import RegulatedRoad
     from highway_env.road.road import Road, RoadNetwork
     from highway_env.utils import class_from_path
+    from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
     from highway_env.vehicle.kinematics import Vehicle
 
 __all__ = [
     "AbstractEnv",
     "AbstractLane",
     "CircularLane",
+    "ControlledVehicle",
+    "IntersectionEnv",
+    "MDPVehicle",
+    "RegulatedRoad",
     "Road",
     "RoadNetwork",
     "SineLane",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
@@ -25,6 +25,16 @@ BETWEEN_LANES = 0.5
 """How far from the centre of the lane that it steers to an NPC still changes lanes [m]."""
 
 
+class Others(Protocol):
+    """NPCs on ways of their own, which those on the grid do not drive into."""
+
+    def ceiling(self, npc: Npc) -> float:
+        """The highest speed of an NPC that leaves the others their places [m/s]."""
+
+    def leaves_room(self, npc: Npc, lane: int) -> bool:
+        """Return whether an NPC may enter a lane as far as the others are concerned."""
+
+
 class NetworkDirector(Director):
     """Drives the NPCs of one run on a :class:`NetworkRoad`.
 
@@ -33,7 +43,12 @@ class NetworkDirector(Director):
     in follows it; steps on the ring skip cells that do not exist. Bodies have the position across the road in the
     measure of lanes, and the heading to the ego's way; an NPC's course is a direction in the world.
     An NPC may start in the ``start_cells``; what else is given is as for :class:`Director`.
+
+    Attributes:
+        others: who else drives there on ways of their own; None where nobody does.
     """
+
+    others: Others | None = None
 
     def __init__(
         self, scenario: Scenario, road: NetworkRoad, limits: NpcLimits, *, start_cells: frozenset[Cell], **common: Any
@@ -83,6 +98,8 @@ class NetworkDirector(Director):
         if self._attentive:
             wanted = self._attending(npc, ego, wanted)
         wanted = self._following(npc, wanted)
+        if self.others is not None:
+            wanted = min(wanted, self.others.ceiling(npc))
         gained = max(npc.asked, 0.0) ** 2 / (2 * self._jerk)  # while the accelerator is released
         for lane in (npc.lane, goal):
             wanted = min(wanted, self._network.speed_at(lane, npc.x) - gained)
@@ -132,7 +149,8 @@ class NetworkDirector(Director):
     def _step(self, npc: Npc, target_lane: int, ego: Body) -> int:
         step = super()._next_lane(npc, target_lane, ego)
         is_slow_enough = npc.speed <= self._network.speed_at(step, npc.x)
-        return step if self._goes_on(step, npc) and is_slow_enough else npc.lane
+        has_room = step == npc.lane or self.others is None or self.others.leaves_room(npc, step)
+        return step if self._goes_on(step, npc) and is_slow_enough and has_room else npc.lane
 
     def _goes_on(self, lane: int, npc: Npc) -> bool:
         """Whether a lane is there for an NPC, from its rear to where it is some seconds later."""

@@ -16,7 +16,18 @@ from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.roads.straight import StraightRoad
-from pytest_pafot.world.stock import AbstractLane, CircularLane, Road, RoadNetwork, SineLane, StraightLane, Vehicle
+from pytest_pafot.world.stock import (
+    AbstractLane,
+    CircularLane,
+    ControlledVehicle,
+    MDPVehicle,
+    RegulatedRoad,
+    Road,
+    RoadNetwork,
+    SineLane,
+    StraightLane,
+    Vehicle,
+)
 
 BOX_STEP = 1.0
 """Distance of the points of a lane that its box is drawn around, and by how much it is drawn wider [m]."""
@@ -91,6 +102,41 @@ def _box(lane: AbstractLane) -> tuple[float, float, float, float, float]:
     points = np.array([lane.position(float(place), 0) for place in places])
     low, high = points.min(axis=0) - BOX_STEP, points.max(axis=0) + BOX_STEP
     return float(low[0]), float(low[1]), float(high[0]), float(high[1]), share
+
+
+def is_regulated(vehicle: Vehicle) -> bool:
+    """Return whether highway-env's :class:`RegulatedRoad` may tell a vehicle to yield."""
+    return isinstance(vehicle, ControlledVehicle) and not isinstance(vehicle, MDPVehicle)
+
+
+class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
+    """highway-env's regulated road, on which nobody but the ego, the first vehicle, can be told to yield.
+
+    So pairs without it need not be looked at, and none where it is a vehicle that the road tells nothing.
+    """
+
+    vehicles: list[Any]
+
+    def regulate(self, dt: float) -> None:
+        """Do what highway-env does in each of its steps before the vehicles move."""
+        self.steps += 1
+        if self.steps % int(1 / dt / self.REGULATION_FREQUENCY) == 0:
+            self.enforce_road_rules()
+
+    def enforce_road_rules(self) -> None:
+        """Find conflicts of the ego, and have it yield where it has to."""
+        ego, *others = everybody = self.vehicles
+        if not is_regulated(ego):
+            return
+        self.vehicles = [ego]
+        super().enforce_road_rules()  # ends what it was told before
+        for other in others:
+            if self.is_conflict_possible(ego, other) and self.respect_priorities(ego, other) is ego:
+                ego.color = self.YIELDING_COLOR
+                ego.target_speed = 0
+                ego.is_yielding = True
+                ego.yield_timer = 0
+        self.vehicles = everybody
 
 
 class Car(Vehicle):  # type: ignore[misc]

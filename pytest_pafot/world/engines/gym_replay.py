@@ -22,13 +22,14 @@ from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import PolicySight, policy_sight
+from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.object_engine import VehiclesOfRun, decide, planner_of, step_ego
 from pytest_pafot.world.engines.policy_engine import put_ego, put_new_ego
 from pytest_pafot.world.guard.failure import UNFIT, closing, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_kept, wrapper_names
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.stock import AbstractEnv, RoadNetwork, Vehicle
+from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 """What highway-env's intersections call after each step."""
@@ -252,6 +253,8 @@ class _Loop:
         env.road.vehicles = self._traffic.vehicles
         self._last = rules.ticks(scenario)
         self._ended: Trace | None = None
+        if isinstance(env.road, RegulatedRoad) and not is_regulated(driver.vehicle):
+            env.road.enforce_road_rules = _nothing  # It has no effect on others, and its predictions cost seconds.
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
 

@@ -18,15 +18,16 @@ from pytest_pafot.world.driving.junction_director import JunctionDirector
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.road_planner import RoadPlanner
 from pytest_pafot.world.driving.seeing import planner_sight
-from pytest_pafot.world.driving.vehicles import Car
+from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
 from pytest_pafot.world.engines.record import Record
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box, overlap
+from pytest_pafot.world.kernel.crossing import CrossingNpc
 from pytest_pafot.world.roads.junction import JunctionFrame
 from pytest_pafot.world.roads.network import NetworkFrame, NetworkRoad, State, StraightFrame
 from pytest_pafot.world.run_config import Rules, starts_of
-from pytest_pafot.world.stock import Road, RoadNetwork
+from pytest_pafot.world.stock import RegulatedRoad, Road, RoadNetwork
 
 
 def run(
@@ -120,6 +121,7 @@ class ObjectRun:
         driver = make_ego(rules.ego_position(scenario))
         self.traffic = VehiclesOfRun(rules, scenario, driver, lambda *start: Car(road, start[:2], *start[2:]))
         road.vehicles = self.traffic.vehicles
+        self._regulated = road if isinstance(road, EgosRegulatedRoad) else None
         self._guard = guard
         self._dt, self._last = 1 / rules.physics_hz, rules.ticks(scenario)
 
@@ -144,6 +146,8 @@ class ObjectRun:
         for _ in range(min(driver.every, self._last - record.tick) if error is None else 0):
             driver.actuate()
             traffic.command()
+            if self._regulated is not None:
+                self._regulated.regulate(self._dt)
             error = step_ego(record.tick, self._guard, lambda: driver.vehicle.step(self._dt))
             if error is not None:
                 break
@@ -197,6 +201,9 @@ class VehiclesOfRun:
         self._director = director = rules.director(scenario, length)
         places, starts = starts_of(rules, scenario, director, length)
         self._npcs = [make_npc(*start) for start in starts]
+        if isinstance(rules.road, NetworkRoad) and isinstance(ego.road, RegulatedRoad):
+            for vehicle, body in zip(self._npcs, director.npcs, strict=True):
+                vehicle.predict_trajectory_constant_speed = _foresight(rules.road, body)
         self.vehicles = [ego, *self._npcs]  # in the order of the record
         self._by_floats = isinstance(ego, Car)
         self._bodies = [Body(length, float(ego.WIDTH)), *director.npcs]
@@ -250,3 +257,21 @@ class VehiclesOfRun:
         for state, own, lane in zip(states, controls, lanes, strict=True):
             self.record.rows.extend((*state, *own, lane))
         return left
+
+
+def _foresight(road: NetworkRoad, body: Body) -> Callable[[Any], tuple[list[Any], list[float]]]:
+    """Return how highway-env's regulated road foresees an NPC: it goes on along its way or lane, at its speed.
+
+    highway-env's own vehicles are predicted along their routes. An NPC has none there, and would be taken for one that
+    keeps the angle of its wheels.
+    """
+
+    def foresight(times: Any) -> tuple[list[Any], list[float]]:
+        places = [body.x + body.speed * float(time) for time in times]
+        if isinstance(body, CrossingNpc):
+            poses = [body.track.pose(along) for along in places]
+        else:
+            poses = [road.position(along, body.lane) for along in places]
+        return [np.array(pose[:2]) for pose in poses], [pose[2] for pose in poses]
+
+    return foresight

@@ -24,12 +24,13 @@ from pytest_pafot.world.driving.ads import (
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import Policy, View, copies_on
 from pytest_pafot.world.driving.seeing import policy_sight
+from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad
 from pytest_pafot.world.engines.object_engine import ObjectRun, run
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.stock import Road
+from pytest_pafot.world.stock import RegulatedRoad, Road
 
 
 def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -91,10 +92,13 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
     env = copy.copy(environment.unwrapped)
     env.np_random = np.random.default_rng(scenario.seed)
     env.time = env.steps = 0
-    env.road = Road(
+    own = environment.unwrapped.road
+    env.road = (EgosRegulatedRoad if type(own) is RegulatedRoad else Road)(
         environment.network,
         np_random=env.np_random,
         neighbour_vehicles_connected_lanes=env.config.get("neighbour_vehicles_connected_lanes", False),
     )
+    if isinstance(env.road, EgosRegulatedRoad):
+        env.road.steps = own.steps  # a reset has made some, by which it is known when the next rules are enforced
     env.road.objects = copies_on(environment.unwrapped.road.objects, env.road)
     return env

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from pytest_pafot.model.crossings import Crossings, Holder, Kind, Origin, Stretch, Way, Zone
 from pytest_pafot.model.trace import FloatArray, Outcome
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
+from pytest_pafot.world.kernel.crossing import Track
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import Column, NetworkFrame, NetworkRoad, Spot, State
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, way, wrapped
@@ -82,43 +83,19 @@ class CrossingWay:
     column: Column
 
     @cached_property
-    def _points(self) -> list[tuple[float, float, float]]:
-        return list(zip(self.line.x.tolist(), self.line.y.tolist(), self.line.heading.tolist(), strict=True))
-
-    def reference(self, along: float) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and direction [rad] of the centre line; straight on beyond its ends."""
-        index = min(max(int(along / STEP), 0), len(self._points) - 2)
-        share = along / STEP - index
-        (x0, y0, heading0), (x1, y1, heading1) = self._points[index], self._points[index + 1]
-        turned = min(max(share, 0.0), 1.0) * (heading1 - heading0)
-        return x0 + share * (x1 - x0), y0 + share * (y1 - y0), heading0 + turned
-
-    def value(self, values: Sequence[float], along: float) -> float:
-        """Return what one of the column's lists has at a place; as at the ends beyond them."""
-        index = min(max(int(along / STEP), 0), len(values) - 2)
-        share = min(max(along / STEP - index, 0.0), 1.0)
-        return values[index] + share * (values[index + 1] - values[index])
+    def track(self) -> Track:
+        """The same as a director reads it."""
+        line, column = self.line, self.column
+        return Track(line.x.tolist(), line.y.tolist(), column.direction, column.lean, column.speed, column.sharpest)
 
     def place(self, x: float, y: float, near: float) -> tuple[float, float, float]:
         """Return how far along and to the right of the way somebody is near a place, and the direction there."""
-        along = near
-        for _ in range(4):
-            x0, y0, heading = self.reference(along)
-            cos, sin = math.cos(heading), math.sin(heading)
-            ahead = (x - x0) * cos + (y - y0) * sin
-            along += ahead
-            if abs(ahead) < 1e-6:
-                break
-        return along, (y - y0) * cos - (x - x0) * sin, heading
+        self.track.locate(x, y, near)
+        return self.track.along, self.track.across, self.track.direction
 
     def nearest(self, x: float, y: float) -> float:
         """Return where along the way its point is that is nearest to somebody [m]."""
         return float(np.hypot(self.line.x - x, self.line.y - y).argmin()) * STEP
-
-    def start(self, along: float) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and heading [rad] of a vehicle that follows the way."""
-        x, y, heading = self.reference(along)
-        return x, y, heading + self.value(self.column.lean, along)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,7 +113,7 @@ class Junction:
 
     crossings: Crossings
     ways: Mapping[str, CrossingWay]
-    shared: Mapping[tuple[str, str], list[float]]
+    shared: Mapping[tuple[str, str], array[float]]
     along_ego: Mapping[str, list[float]]
 
     def __deepcopy__(self, _: dict[int, object]) -> Junction:
@@ -158,6 +135,22 @@ class Junction:
         spot = road.spot(*pose, near)
         return spot if road.part(spot) >= 0 and abs(spot.angle) < NOT_ON_WAY else None
 
+    def stretches(self, mine: str, theirs: str) -> tuple[Stretch, Stretch] | None:
+        """Return the stretches in which two ways meet, one of which may be the ego's; None where they do not."""
+        if EGOS in (mine, theirs):
+            zone = self.ways[mine or theirs].way.zone
+            return (zone.ego, zone.npc) if mine == EGOS else (zone.npc, zone.ego)
+        meetings = self.crossings.meetings
+        if (theirs, mine) in meetings:
+            return meetings[theirs, mine][::-1]
+        return meetings.get((mine, theirs))
+
+    def places(self, mine: str, theirs: str) -> array[float] | None:
+        """Return where along one way those are who are in its lane, for each point of theirs; None for nowhere."""
+        if mine == theirs and mine != EGOS:
+            return array("d", [STEP * point for point in range(len(self.ways[mine].line.x))])
+        return self.shared.get((mine, theirs))
+
 
 def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | None:
     """Return the ways on which other traffic meets the ego's way in an environment; None where there is none."""
@@ -168,7 +161,7 @@ def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | No
     first = min(each.way.zone.ego[0] for each in ways.values())
     lane_begins = float(np.flatnonzero(road.line.piece == road.line.piece[road.point(road.start)])[0]) * STEP
     courses = {name: _course(each.line, each.column) for name, each in sorted(ways.items())}
-    shared: dict[tuple[str, str], list[float]] = {}
+    shared: dict[tuple[str, str], array[float]] = {}
     along_ego: dict[str, list[float]] = {}
     meetings: dict[tuple[str, str], tuple[Stretch, Stretch]] = {}
     for (one, a), (other, b) in combinations([(EGOS, own), *courses.items()], 2):
@@ -178,7 +171,7 @@ def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | No
             (other, one, _places(b, a, pairs[::-1], BESIDE, ALIGNED)),
         ):
             if any(not math.isnan(place) for place in places):
-                shared[mine, theirs] = places
+                shared[mine, theirs] = array("d", places)
         if one == EGOS:
             along_ego[other] = _places(a, b, pairs, road.lane_width, NOT_ON_WAY)
         elif (meeting := meeting_of(a, b, pairs)) is not None:

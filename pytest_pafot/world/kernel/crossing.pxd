@@ -1,0 +1,98 @@
+cimport cython
+from libc cimport math
+from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.driver cimport NpcDriver, following_speed, gap_speed, speed_asking_for
+
+cdef double STEP, FREEZE, SLOWEST, FASTEST
+cdef int PASS, HOLD, STOP, LATE, NEVER
+cdef double WAITING, MARGIN, SETTING_OFF, STOPPING, RESPONSE, ANSWER, BUILDING_UP, BRAKING, APART, LEAST_SPEED, ABREAST
+cdef double UNENDING, NOWHERE
+
+@cython.final
+cdef class Track:
+    cdef readonly double along, across, direction
+    cdef readonly double[::1] x, y, heading, lean, speed, sharpest
+    cdef Py_ssize_t _last
+
+    cpdef Py_ssize_t point(self, double along) except -1
+
+    @cython.locals(place=double, index=Py_ssize_t, share=double, inside=double, direction=double, dx=double, dy=double,
+                   cos=double, sin=double, ahead=double)
+    cpdef void locate(self, double x, double y, double near) except *
+
+    @cython.locals(index=Py_ssize_t, share=double)
+    cpdef double value(self, double[::1] values, double along) except? -1
+
+@cython.final
+cdef class Conflict:
+    cdef readonly Py_ssize_t other
+    cdef readonly double begins, ends, its_begins, its_ends
+
+@cython.final
+cdef class Leader:
+    cdef readonly Py_ssize_t other
+    cdef readonly double[::1] places
+
+    @cython.locals(point=Py_ssize_t)
+    cpdef double place(self, double along) except? -1
+
+@cython.final
+cdef class CrossingNpc(Body):
+    cdef public int index
+    cdef readonly Track track
+    cdef readonly double enters, leaves, ego_enters, ego_leaves
+    cdef readonly int act, entered
+    cdef public double slot, entry, asked, course
+    cdef readonly double stands_at
+    cdef readonly double[::1] speeds, times
+    cdef bint is_frozen, is_released
+    cdef int noticed
+    cdef public list conflicts, leaders
+
+    @cython.locals(wanted=double, point=Py_ssize_t, last=Py_ssize_t)
+    cpdef double start(self, double entry) except? -1
+
+    cpdef double lasts(self, double since, double until) except? -1
+
+@cython.locals(braking=double)
+cpdef double stopping_speed(double room, double speed) except? -1
+
+cpdef bint can_stop(double room, double speed) except -1
+
+@cython.final
+cdef class Crosser:
+    cdef list _npcs, _vehicles
+    cdef NpcDriver _driver
+    cdef double _ego_lane, _dt
+    cdef int _response, _tick
+
+    @cython.locals(wanted=double)
+    cpdef double ceiling(self, Body mine, int index, list conflicts, list leaders) except? -1
+
+    @cython.locals(npc=CrossingNpc, wanted=double)
+    cpdef void command(self, Body ego) except *
+
+    @cython.locals(track=Track, wanted=double, room=double, has_passed=bint, is_due=bint, safe=double)
+    cdef double _wanted(self, CrossingNpc npc, Body ego) except? -1
+
+    @cython.locals(now=double, left=double, speed=double, first=double, last=double, entry=double, crossing=double)
+    cdef double _share(self, CrossingNpc npc, Body ego) except? -1
+
+    @cython.locals(stays=double, comes=double, room=double)
+    cdef bint _answers(self, CrossingNpc npc, Body ego) except -1
+
+    cdef double _slower(self, CrossingNpc npc) except? -1
+
+    @cython.locals(npc=CrossingNpc)
+    cdef double _comes(self, Body vehicle, double place) except? -1
+
+    @cython.locals(conflict=Conflict, theirs=Body, is_in=bint, comes=double, room=double, can_wait=bint)
+    cdef double _giving_way(self, Body mine, int index, list conflicts, double wanted) except? -1
+
+    cdef bint _is_beside(self, Body vehicle) except -1
+
+    @cython.locals(leader=Leader, theirs=Body, distance=double, gap=double)
+    cdef double _following(self, Body mine, list leaders, double wanted) except? -1
+
+    @cython.locals(track=Track, direction=double, lean=double, later=double, turn=double)
+    cdef void _steer(self, CrossingNpc npc) except *
