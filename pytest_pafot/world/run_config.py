@@ -152,15 +152,18 @@ class Rules:
             expected = f"one of {', '.join(zone.way for zone in crossings.zones)}"
             fix = "ways that start where the ego's does, or do not meet it, have no zone"
             raise ScenarioError(field=f"{place}.zone", expected=expected, received=instruction.zone, fix=fix)
-        enters, start = crossings.ways[instruction.zone].zone.npc[0], crossings.start(instruction)
-        if 0.0 <= start < enters:
+        if crossings.fits(instruction):
             return
         most = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
         slots = [slot / SLOT_STEPS_PER_SECOND for slot in range(-most, most + 1)]
-        slots = [slot for slot in slots if 0.0 <= crossings.start(replace(instruction, slot=slot)) < enters]
+        slots = [slot for slot in slots if crossings.fits(replace(instruction, slot=slot))]
         fits = f"a slot from {min(slots):g} to {max(slots):g} s" if slots else "another zone or speed"
-        expected = f"{fits} for {instruction.zone} at {instruction.speed:g} m/s, so that the NPC starts on its way"
-        received = f"{instruction.slot:g} s, for which it would start at {start:.0f} m of its way"
+        expected = (
+            f"{fits} at {instruction.zone} and {instruction.speed:g} m/s, to start on the way and before the zone"
+        )
+        received = (
+            f"{instruction.slot:g} s, for which it would start at {crossings.start(instruction):.0f} m of its way"
+        )
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
     def _check_speeds(self, scenario: Scenario) -> None:

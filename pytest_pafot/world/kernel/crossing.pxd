@@ -72,7 +72,7 @@ cdef class Crosser:
     @cython.locals(npc=CrossingNpc, wanted=double)
     cpdef void command(self, Body ego) except *
 
-    @cython.locals(track=Track, wanted=double, room=double, has_passed=bint, is_due=bint, safe=double)
+    @cython.locals(track=Track, wanted=double, room=double, has_passed=bint, is_due=bint, is_late=bint, safe=double)
     cdef double _wanted(self, CrossingNpc npc, Body ego) except? -1
 
     @cython.locals(now=double, left=double, speed=double, first=double, last=double, entry=double, crossing=double)

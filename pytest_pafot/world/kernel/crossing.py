@@ -290,7 +290,8 @@ class Crosser:
             room = npc.enters - WAITING - npc.x
             has_passed = ego.x > npc.ego_leaves
             is_due = npc.act == LATE and npc.entry - self._tick * self._dt <= SETTING_OFF
-            npc.is_released = has_passed or is_due or (self._tick == 0 and not can_stop(room, npc.speed))
+            is_late = self._tick == 0 and room < npc.speed * npc.speed / (2.0 * ANSWER)
+            npc.is_released = has_passed or is_due or is_late
             if not npc.is_released:
                 npc.stands_at = npc.enters - WAITING
         if npc.stands_at < UNENDING:
