@@ -6,6 +6,7 @@ highway-env builds it through pandas, which costs more than all the rest of a ru
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,14 +23,13 @@ _RELATIVE = ("x", "y", "vx", "vy")
 def observer(env: Any) -> Any:
     """A function without arguments that observes an environment as its observation type does."""
     stock = env.observation_type
-    network = env.road.network
     is_supported = (
         type(stock) is observation.KinematicObservation
         and stock.order == "sorted"
         and stock.vehicles_count >= 2
         and all(feature in _DIRECT for feature in stock.features)
         and len(set(stock.features)) == len(stock.features)
-        and (isinstance(network, ParallelLanes) or straight_road(network) is not None)
+        and not (stock.include_obstacles and env.road.objects)
     )
     return FastKinematics(env, stock) if is_supported else stock.observe
 
@@ -60,17 +60,31 @@ class FastKinematics:
     def _close(self, ego: Any) -> list[Any]:
         road, reach = self._env.road, self._env.PERCEPTION_DISTANCE
         x, y = float(ego.position[0]), float(ego.position[1])
-        start = float(ego.lane.start[0])
-        found = []
+        along = self._along(ego)
+        here, found = along(ego.position), []
         for vehicle in road.vehicles:
             if vehicle is ego:
                 continue
             dx, dy = vehicle.position[0] - x, vehicle.position[1] - y
-            ahead = (vehicle.position[0] - start) - (x - start)
-            if math.sqrt(dx * dx + dy * dy) < reach and (self._stock.see_behind or ahead > -2 * ego.LENGTH):
-                found.append((abs(ahead), vehicle))
+            if math.sqrt(dx * dx + dy * dy) < reach:
+                ahead = along(vehicle.position) - here
+                if self._stock.see_behind or ahead > -2 * ego.LENGTH:
+                    found.append((abs(ahead), vehicle))
         found.sort(key=lambda pair: pair[0])
         return [vehicle for _, vehicle in found[: self._stock.vehicles_count - 1]]
+
+    def _along(self, ego: Any) -> Callable[[Any], float]:
+        """Return how far along the ego's lane a position is [m]."""
+        lane = ego.lane
+        if not self._is_straight:
+            return lambda position: float(lane.local_coordinates(position)[0])
+        start = float(lane.start[0])
+        return lambda position: position[0] - start
+
+    @cached_property
+    def _is_straight(self) -> bool:
+        network = self._env.road.network
+        return isinstance(network, ParallelLanes) or straight_road(network) is not None
 
     def _normalize(self, rows: Any) -> None:
         for column, bounds in enumerate(self._ranges):

@@ -26,6 +26,11 @@ def env():
     return World("highway-v0").make().unwrapped
 
 
+@pytest.fixture(scope="module")
+def intersection():
+    return World("intersection-v0").make().unwrapped
+
+
 configs = st.fixed_dictionaries(
     {"type": st.just("Kinematics")},
     optional={
@@ -42,13 +47,25 @@ configs = st.fixed_dictionaries(
     },
 )
 positions = st.tuples(st.floats(0, 700), st.floats(-6, 18))
-states = st.tuples(positions, st.floats(-4, 4), st.floats(-5, 42))
+crossroads = st.tuples(st.floats(-60, 60), st.floats(-60, 60))
+motions = st.floats(-4, 4), st.floats(-5, 42)
+states = st.tuples(positions, *motions)
 
 
 @pytest.mark.parametrize("ego_class", [Car, oracle(MDPVehicle), oracle(Vehicle)])
 @settings(max_examples=50)  # of eleven options, any of which may be left out
 @given(config=configs, others=st.lists(states, min_size=1, max_size=9))
 def test_observations_equal_highway_envs_own_to_the_last_bit(env, config, others, ego_class):
+    assert_the_same_is_observed(env, config, others, ego_class)
+
+
+@settings(max_examples=25)
+@given(config=configs, others=st.lists(st.tuples(crossroads, *motions), min_size=1, max_size=9))
+def test_observations_at_an_intersection_equal_highway_envs_own_to_the_last_bit(intersection, config, others):
+    assert_the_same_is_observed(intersection, config, others, MDPVehicle)
+
+
+def assert_the_same_is_observed(env, config, others, ego_class):
     env.road.vehicles = [ego_class(env.road, *others[0])]
     env.controlled_vehicles = env.road.vehicles[:1]
     env.road.vehicles += [(Car, IDMVehicle)[k % 2](env.road, *other) for k, other in enumerate(others[1:])]
