@@ -35,7 +35,7 @@ from pytest_pafot.support.errors import FieldError
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.world import codec
 
-VERSION = 3
+VERSION = 4
 """Of the format; a file of another one is refused."""
 
 MAX_BYTES = 1 << 28

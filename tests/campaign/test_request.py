@@ -5,7 +5,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, World
-from pytest_pafot.campaign.explore import _request
+from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import RequestError, build_space
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.space import sample
@@ -16,7 +16,7 @@ ANY_LANE, ANY_SPEED = (0, 1, 2, 3), (12.0, 26.8)
 
 def space_of(world, **given):
     """The space of a search with these arguments."""
-    return build_space(_request({"ads": IDMVehicle, **given}), world)
+    return build_space(request_of({"ads": IDMVehicle, **given}), world)
 
 
 @table(
@@ -70,3 +70,20 @@ def test_the_number_of_npcs_is_drawn_up_to_one_cell_less_than_their_lane_has(wor
 def test_a_lane_that_equals_a_whole_number_is_refused_in_words():
     with pytest.raises(RequestError, match=r"ego_lane=1\.0\): ego_lane: expected a whole number from 0 to 1000"):
         space_of(Highway(), ego_lane=1.0)
+
+
+def test_where_ways_cross_most_npcs_come_from_there_but_in_the_papers_searches():
+    world = World("intersection-v0")
+    drawn = space_of(world)
+    assert (drawn.crossings, drawn.most_npcs, drawn.most_on_grid) == (world.crossings, (4,), 2)
+    assert drawn.described.startswith("1 to 4 NPCs in hostile traffic, most of them on 6 ways that meet the ego's; the")
+    assert space_of(world, npcs=3, acts=("pass", "late")).most_npcs == ()
+    assert space_of(world, acts=("pass", "late")).acts == ("pass", "late")
+    for algorithm in ("pafot", "cma-es"):
+        assert space_of(world, algorithm=algorithm).crossings is None
+    assert space_of(Highway()).crossings is space_of(World("highway-v0")).crossings is None
+
+
+def test_an_act_that_nobody_knows_is_refused_in_words():
+    with pytest.raises(RequestError, match="acts: expected one or more of pass, hold, stop, late, received"):
+        space_of(World("intersection-v0"), acts=("wave",))

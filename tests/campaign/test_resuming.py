@@ -271,8 +271,8 @@ FAULTS = {
     "no text": (lambda text: b"\xff\xfe\x00", "expected the JSON of a search's state, received UnicodeDecodeError"),
     "another kind": (lambda text: "[1, 2]", "expected a mapping, received"),
     "deep": (lambda text: "[" * 100_000, "expected the JSON of a search's state, received RecursionError"),
-    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 3', '"version": NaN'), "NaN is no number"),
-    "version": (changed(lambda data: data.update(version=2)), "expected a state of version 3, received version 2"),
+    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 4', '"version": NaN'), "NaN is no number"),
+    "version": (changed(lambda data: data.update(version=2)), "expected a state of version 4, received version 2"),
     "extra key": (changed(lambda data: data.update(run="rm")), "expected the keys version, settings"),
     "missing key": (changed(lambda data: data.pop("begun")), "expected the keys version, settings"),
     "other versions": (
