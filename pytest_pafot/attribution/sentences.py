@@ -131,16 +131,12 @@ def _place(fact: Fact) -> str:
     return f"{place}, which was {pace}"
 
 
-_ORIGINS = {"left": "from the left", "right": "from the right", "ahead": "from ahead", "behind": "from behind"}
-
-
 def _entered(fact: Fact) -> str:
     """Who entered a zone when, how long before or after the other, from where the NPC came, and who had priority."""
     if fact.zone is None:
         return ""
     zone, later = fact.zone, fact.later_s - fact.time_s
     apart = f"{abs(later):.1f} s {'before' if later > 0 else 'after'}" if abs(later) >= 0.05 else "together with"
-    npc = _ORIGINS[zone.origin]
     holder = None if zone.priority == "none" else 0 if zone.priority == "ego" else fact.vehicle or fact.other
     told = {each: ", which had priority" if each == holder else "" for each in (fact.vehicle, fact.other)}
     who, whom = (f"{_name(each)}{told[each]}" for each in (fact.vehicle, fact.other))
@@ -148,10 +144,10 @@ def _entered(fact: Fact) -> str:
     entered = f"{who} entered the {'merge' if zone.kind == 'merging' else 'crossing'}"
     at = f"at {fact.time_s:.1f} s, {apart}"
     if holder is None:
-        whom += "; neither had priority" if fact.vehicle else f" {npc}; neither had priority"
+        whom += "; neither had priority" if fact.vehicle else f" {zone.whence}; neither had priority"
     elif not fact.vehicle:
-        whom += f", {npc}"
-    return f"{entered} {npc} {at} {whom}" if fact.vehicle else f"{entered} {at} {whom}"
+        whom += f", {zone.whence}"
+    return f"{entered} {zone.whence} {at} {whom}" if fact.vehicle else f"{entered} {at} {whom}"
 
 
 def avoidance_sentence(time: float, braking: float) -> str:
