@@ -479,9 +479,9 @@ def _no_world(name: str, argument: str) -> NoReferenceDriversError:
 
 
 def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
-    """What an NPC that crosses is told, in words: ``from the left, 0.5 s after the ego leaves, 8.6 m/s``."""
+    """Return what an NPC that crosses is told, in words: ``from the left, 0.5 s after the ego leaves``."""
     whence = "" if zone is None else zone.whence
-    return ", ".join(filter(None, (whence, instruction.when, f"{instruction.speed:.1f} m/s", instruction.deed)))
+    return ", ".join(filter(None, (whence, instruction.when, instruction.deed)))
 
 
 def _crossing_lines(trace: Trace) -> list[str]:
@@ -490,8 +490,8 @@ def _crossing_lines(trace: Trace) -> list[str]:
     shown = told[: MAX_GENE_ROWS - (2 if trace.executed.positions else 0)]
     zones, passed = trace.zones or (None,) * len(trace.executed.npcs), passages(trace)
     lines = [
-        f"  NPC {npc}: {instruction.zone} {crossing_text(instruction, zones[npc])}{_passed(passed[npc])}"
-        for npc, instruction in shown
+        f"  NPC {npc}: {each.zone} {crossing_text(each, zones[npc])}, {each.speed:.1f} m/s{_passed(passed[npc])}"
+        for npc, each in shown
     ]
     return lines if len(shown) == len(told) else [*lines, f"  ... and {len(told) - len(shown)} more that cross"]
 

@@ -28,6 +28,8 @@ HALF_HEIGHT = 18.0
 """What a picture of a road that is not straight shows above and below the ego [m]."""
 EGO_AT = 0.42
 """Share of the width at which the ego is drawn."""
+CROSSED_SCALE, CROSSED_HALF_HEIGHT, CROSSED_EGO_AT = 5.0, 45.0, 0.5
+"""The same three where somebody crosses, who else would come in sight 2 s before the contact."""
 
 PAPER, ROAD, EDGE, DASH = "#fbfbfa", "#e6e8e9", "#8b939b", "#ffffff"
 INK, SOFT, EGO_INK, DANGER = "#171b20", "#535c66", "#ffffff", "#b3261e"
@@ -87,11 +89,15 @@ class Sheet:
         self.finding = finding
         self.picture = picture
         self.is_bent = bool(finding.road.shapes)
+        is_crossed = self.is_bent and finding.is_crossed
+        self.scale, reach, self.ego_at = (
+            (CROSSED_SCALE, CROSSED_HALF_HEIGHT, CROSSED_EGO_AT) if is_crossed else (SCALE, HALF_HEIGHT, EGO_AT)
+        )
         across, half = picture.ego.across, finding.road.lane_width / 2
         lanes = finding.road.lanes
-        self.left = across - HALF_HEIGHT if self.is_bent else min(lanes) - half
-        self.right = across + HALF_HEIGHT if self.is_bent else max(lanes) + half
-        self.bottom = HEAD + (self.right - self.left + 2 * SHOULDER) * SCALE
+        self.left = across - reach if self.is_bent else min(lanes) - half
+        self.right = across + reach if self.is_bent else max(lanes) + half
+        self.bottom = HEAD + (self.right - self.left + 2 * SHOULDER) * self.scale
         self.height = math.ceil(self.bottom + FOOT)
         self.pointers: list[tuple[bool, float]] = []
         self.image = Images.new("RGB", (WIDTH * SMOOTH, self.height * SMOOTH), PAPER)
@@ -100,6 +106,7 @@ class Sheet:
     def draw(self) -> Image:
         """The frame, from the road at the bottom to the words on top."""
         self._road()
+        self._zones()
         self._cells()
         self._trails()
         self._targets()
@@ -119,17 +126,27 @@ class Sheet:
             # All lanes wide, narrower and narrower still: what stays is an edge around them and a line between two.
             for more, ink in ((0.5, EDGE), (0.0, DASH), (-0.3, ROAD)):
                 for shape in self.finding.road.shapes:
-                    self._line([self._at(*point) for point in shape.points], ink, (shape.width + more) * SCALE)
+                    self._line([self._at(*point) for point in shape.points], ink, (shape.width + more) * self.scale)
             return
         top, bottom = self._y(self.left), self._y(self.right)
         self.pen.rectangle(_large([(0, top), (WIDTH, bottom)]), fill=ROAD)
         for y in (top, bottom):
             self._line([(0, y), (WIDTH, y)], EDGE, 2)
-        first = math.floor((self.picture.ego.along - WIDTH * EGO_AT / SCALE) / 12) * 12
+        first = math.floor((self.picture.ego.along - WIDTH * self.ego_at / self.scale) / 12) * 12
         for lane in self.finding.road.lanes[1:]:
             y = self._y(lane - self.finding.road.lane_width / 2)
-            for start in range(first, first + math.ceil(WIDTH / SCALE) + 24, 12):
+            for start in range(first, first + math.ceil(WIDTH / self.scale) + 24, 12):
                 self._line([(self._x(start), y), (self._x(start + 3), y)], DASH, 2)
+
+    def _zones(self) -> None:
+        """The ways of NPCs that cross, and the parts of them that are in the ego's way."""
+        zones = [(npc, each.zone) for npc, each in enumerate(self.finding.vehicles[1:]) if each.zone is not None]
+        for npc, zone in zones if self.is_bent else ():
+            area = [self._at(*point) for point in zone.area]
+            self._line(area, NPC_TINTS[npc % 8], zone.width * self.scale)
+        for npc, zone in zones if self.is_bent else ():
+            for x, y in (self._at(*point) for point in zone.way):
+                self.pen.ellipse(_large([(x - 1, y - 1), (x + 1, y + 1)]), fill=NPC_INKS[npc % 8])
 
     def _cells(self) -> None:
         for cell in self.picture.cells:
@@ -165,6 +182,10 @@ class Sheet:
         self._outline(box, ink, 2)
         self.pen.polygon(_large(self._corners(box, WINDSCREEN)), fill=PAPER)
         self._text((x, y), "E" if vehicle == 0 else str(vehicle - 1), EGO_INK if vehicle == 0 else INK, 12, "mm")
+        told = instruction_at(self.finding, vehicle - 1, self.picture.time) if vehicle else None
+        if told is not None and told[0].zone:
+            above = y - box.length * self.scale / 2 - 8
+            self._text((x, above), f"{told[0].zone} {told[0].slot}", INK, 10, "mm", halo=2)
 
     def _words(self) -> None:
         if self.is_bent:  # The road goes on under the words.
@@ -193,9 +214,11 @@ class Sheet:
 
     def _cell(self, cell: DrawnCell, ink: str, width: int, *, shrink: float) -> None:
         length = self.finding.vehicles[0].length
-        side = self.finding.road.lane_width / 2 * SCALE - shrink
+        side = self.finding.road.lane_width / 2 * self.scale - shrink
         if self.is_bent:
-            self._outline(DrawnVehicle(cell.along, cell.across, cell.heading, length, 2 * side / SCALE), ink, width)
+            self._outline(
+                DrawnVehicle(cell.along, cell.across, cell.heading, length, 2 * side / self.scale), ink, width
+            )
         else:
             y = self._y(cell.across)
             ends = [(self._x(cell.along - length / 2), y - side), (self._x(cell.along + length / 2), y + side)]
@@ -228,10 +251,10 @@ class Sheet:
         return self._x(along), self._y(across)
 
     def _x(self, along: float) -> float:
-        return WIDTH * EGO_AT + (along - self.picture.ego.along) * SCALE
+        return WIDTH * self.ego_at + (along - self.picture.ego.along) * self.scale
 
     def _y(self, across: float) -> float:
-        return HEAD + (across - self.left + SHOULDER) * SCALE
+        return HEAD + (across - self.left + SHOULDER) * self.scale
 
 
 def _large(points: Sequence[Point]) -> list[Point]:
@@ -244,7 +267,8 @@ def speeds_text(finding: FindingView, picture: Picture) -> str:
     parts = [f"ego {picture.ego.speed:.1f} m/s"]
     for npc, box in enumerate(picture.vehicles[1:]):
         told = instruction_at(finding, npc, picture.time)
-        goal = f" to cell {told[0].cell}" if told is not None and told[0].cell and told[1] == "approach" else ""
+        row = told[0] if told is not None and told[1] == "approach" else None
+        goal = "" if row is None else f" to cell {row.cell}" if row.cell else f" to {row.zone}" if row.zone else ""
         parts.append(f"NPC {npc} " + ("unknown" if box is None else f"{box.speed:.1f} m/s{goal}"))
     return "   ".join(parts)
 

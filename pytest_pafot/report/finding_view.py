@@ -14,16 +14,22 @@ import numpy as np
 
 from pytest_pafot.attribution.lane_changes import stretches
 from pytest_pafot.corpus.file_format import text_of
-from pytest_pafot.criticality import Encounters
+from pytest_pafot.criticality import Encounters, Passage, passages, time_advantage
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import blocks, instructions
 from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Chromosome, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import (
+    Chromosome,
+    CrossingInstruction,
+    LaneInstruction,
+    PositionInstruction,
+    Scenario,
+)
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, FloatArray, Lane, Trace, X, Y
 from pytest_pafot.oracle.checks import Check
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Run, crossing_text
 from pytest_pafot.report.page_data import (
     ChanceView,
     CheckView,
@@ -38,6 +44,8 @@ from pytest_pafot.report.page_data import (
     RoadView,
     ShrinkView,
     VehicleView,
+    Window,
+    ZoneView,
     gap_to,
 )
 from pytest_pafot.report.terminal import prevention_text, speed_sentences
@@ -347,7 +355,7 @@ def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | 
             cell=None if run.event_cell is None else int(run.event_cell),
         ),
         check=None if check is None else check_view(check, trace, ticks),
-        grid=() if trace.track is None else grid_poses(trace, ticks, road),
+        grid=() if trace.track is None or all(trace.zones or [None]) else grid_poses(trace, ticks, road),
     )
 
 
@@ -376,6 +384,7 @@ def frame_ticks(trace: Trace) -> list[int]:
 
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     encounters, changes = Encounters(trace), jerk(trace)
+    passed, advantages = passages(trace), time_advantage(trace)
     along, across, heading = (trace.states[:, :, column] for column in (X, Y, HEADING))
     if trace.track is None:
         (along, across), heading = along_and_across(trace, along, across), heading - trace.lanes[0].heading
@@ -399,17 +408,56 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
         )
         if vehicle:
             npc = vehicle - 1
-            cells = tuple(int(encounters.cell(npc, tick) or 0) for tick in ticks)
+            is_on_way = encounters.is_on_way[npc]
+            cells = tuple(int(encounters.cell(npc, tick) or 0) if is_on_way[tick] else None for tick in ticks)
             gap, ttc = _numbers(encounters.gap[npc, ticks], 2), _numbers(encounters.ttc[npc, ticks], 2)
             view = replace(view, gap=gap, ttc=ttc, cells=cells)
+            passage = passed[npc]
+            if passage is not None and trace.on_way is not None:
+                zone = zone_view(passage, view.length, trace.lanes[0].width)
+                on_way, advantage = _numbers(trace.on_way[ticks, npc], 1), _numbers(advantages[ticks, npc], 2)
+                view = replace(view, zone=zone, on_way=on_way, advantage=advantage)
         views.append(view)
     return tuple(views)
+
+
+def zone_view(passage: Passage, length: float, width: float) -> ZoneView:
+    """The zone of an NPC of a length [m], and how it and the ego passed it; its area is as wide as a lane [m].
+
+    A vehicle's centre is in the zone from when its front may touch somebody there until its rear no longer may, so the
+    area is shorter by its length.
+    """
+    zone = passage.zone
+    view = ZoneView(
+        name=zone.way,
+        whence=zone.whence,
+        stretch=(round(zone.npc[0], 2), round(zone.npc[1], 2)),
+        of_ego=_window(passage.ego_enters, passage.ego_leaves),
+        of_npc=_window(passage.npc_enters, passage.npc_leaves),
+    )
+    if not zone.line:
+        return view
+    line = np.array(zone.line)
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
+    first, last = zone.npc[0] + length / 2, zone.npc[1] - length / 2
+    places = np.linspace(first, max(last, first), max(round(last - first), 1) + 1)
+    area = np.stack([np.interp(places, along, line[:, column]) for column in (0, 1)], axis=-1)
+    return replace(view, way=_points(line), area=_points(area), width=float(width))
+
+
+def _points(line: FloatArray) -> tuple[tuple[float, float], ...]:
+    return tuple((round(x, 2) + 0.0, round(y, 2) + 0.0) for x, y in line.tolist())
+
+
+def _window(enters: float, leaves: float) -> Window | None:
+    return (round(enters, 3), round(leaves, 3) if math.isfinite(leaves) else None) if math.isfinite(enters) else None
 
 
 def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionView, ...]:
     """Without a run, as asked for in the scenario; none of them begun."""
     asked = scenario if trace is None else trace.scenario
     driven, arrivals, hz = (asked.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
+    zones = (None,) * len(asked.npcs) if trace is None or not trace.zones else trace.zones
     views = []
     for npc, chain in enumerate(asked.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
@@ -427,6 +475,9 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
                 arrived=None if tick is None else round(tick / hz, 3),
                 lane=told.lane if isinstance(told, LaneInstruction) else "",
             )
+            if isinstance(told, CrossingInstruction):
+                slot, words = f"{told.slot:+g} s" if told.slot else "together", crossing_text(told, zones[npc])
+                view = replace(view, zone=told.zone, slot=slot, words=words)
             views.append(view)
     return tuple(views)
 
@@ -439,6 +490,8 @@ def _numbers(values: FloatArray, digits: int) -> Numbers:
 
 def _chain_text(chain: Chromosome) -> str:
     """One NPC's instructions in a line, with equal ones told once: ``1 front-left 25.0 m/s x2, 2 front 8.0 m/s``."""
+    if isinstance(chain[0], CrossingInstruction):
+        return f"{chain[0].goal}, {chain[0].speed:.1f} m/s"
     return ", ".join(
         f"{chain[start].goal} {chain[start].speed:.1f} m/s" + (f" x{end - start}" if end - start > 1 else "")
         for start, end in blocks(chain)

@@ -220,16 +220,20 @@ def _shrink_section(shrink: ShrinkView) -> str:
 
 def instruction_table(instructions: Iterable[InstructionView]) -> str:
     """What the NPCs are told, and whether they did it."""
+    instructions = tuple(instructions)
+    places = "cell or zone" if any(told.zone for told in instructions) else "cell or lane"
     rows = []
     for told in instructions:
         reached = "not reached" if told.arrived is None else f"at {told.arrived:.1f} s"
         cells = f"{told.start:.1f}", _goal(told), f"{told.speed:.1f}", reached if told.started else "not begun"
         rows.append(row(f"NPC {told.npc}", *cells, attributes="" if told.started else " class=unstarted"))
-    head = columns("NPC", "from [s]", "cell or lane", "speed [m/s]", "reached")
+    head = columns("NPC", "from [s]", places, "speed [m/s]", "reached")
     return f'<div class="scroll">{table(head, rows)}</div>'
 
 
 def _goal(told: InstructionView) -> str:
+    if told.zone:
+        return text(f"{told.zone} {told.words}")
     if told.lane:
         return "keep lane" if told.lane == "keep" else f"lane {told.lane}"
     names = [f"{cell} {Cell(cell).label}" for cell in (told.cell, told.requested)]

@@ -25,6 +25,8 @@ WORDS_HEIGHT = 480
 """Of one that shows no run [px]."""
 CURVE_HEIGHT = 180
 """What the curve of a check needs besides [px]."""
+CROSSED_HEIGHT = 460
+"""What a picture in which somebody crosses needs besides, and the curve that comes with it [px]."""
 
 
 def render_page(report: Report, *, embedded: bool = False) -> str:
@@ -72,6 +74,7 @@ def render_frame(report: Report) -> str:
     has_curve = any(finding.check is not None and finding.check.values for finding in report.findings)
     is_drawn = any(finding.times for finding in report.findings)
     height = (FRAME_HEIGHT if is_drawn else WORDS_HEIGHT) + (CURVE_HEIGHT if has_curve else 0)
+    height += CROSSED_HEIGHT if any(finding.is_crossed for finding in report.findings) else 0
     return (
         f'<iframe class="pafot-finding" title="{text(report.title)}" sandbox="allow-scripts" '
         f'loading="lazy" width="100%" height="{height}" style="border:0" srcdoc="{escape(page)}"></iframe>'

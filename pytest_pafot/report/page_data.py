@@ -66,6 +66,34 @@ class RoadView:
     shapes: tuple[LaneView, ...] = ()
 
 
+Window = tuple[float, float | None]
+"""From when to when, None where the run was over before."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZoneView:
+    """The zone in which the way of an NPC that crosses meets the ego's.
+
+    Attributes:
+        name: entry and exit of that way.
+        whence: from where the NPC comes, in words.
+        stretch: from where to where along that way the zone is.
+        way: points of that way; none where nobody knows them.
+        area: those of them in which the NPC would be in the ego's way.
+        width: of that area.
+        of_ego, of_npc: when each was in the zone; None where it never was.
+    """
+
+    name: str
+    whence: str
+    stretch: tuple[float, float]
+    way: tuple[tuple[float, float], ...] = ()
+    area: tuple[tuple[float, float], ...] = ()
+    width: float = 0.0
+    of_ego: Window | None = None
+    of_npc: Window | None = None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleView:
     """One vehicle, a value per frame.
@@ -77,7 +105,11 @@ class VehicleView:
         jerk: the change of its acceleration per second that was largest since the frame before.
         gap: between its box and the ego's; empty for the ego.
         ttc: constant-velocity time to contact with the ego; empty for the ego.
-        cells: of the grid that its centre is in, 0 for the ego's own; empty for the ego.
+        cells: of the grid that its centre is in, 0 for the ego's own, None while it is not on the ego's way; empty for
+            the ego.
+        zone: of an NPC that crosses.
+        on_way: how far along its own way that is; empty for others.
+        advantage: expected time between its passing its zone and the ego's; empty for others.
     """
 
     name: str
@@ -91,7 +123,10 @@ class VehicleView:
     jerk: Numbers = ()
     gap: Numbers = ()
     ttc: Numbers = ()
-    cells: tuple[int, ...] = ()
+    cells: tuple[int | None, ...] = ()
+    zone: ZoneView | None = None
+    on_way: Numbers = ()
+    advantage: Numbers = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,8 +137,11 @@ class InstructionView:
         requested: cell asked for; another one than ``cell`` where the repair inside the run changed it.
         cell: as driven; 0 in a Lane-Instruction, and so is ``requested``.
         started: whether the run came to it.
-        arrived: when the cell or the lane was reached.
+        arrived: when the cell, the lane or the zone was reached.
         lane: of a Lane-Instruction, ``keep``, ``left`` or ``right``; else empty.
+        zone: of a Crossing-Instruction, the entry and the exit of its way; else empty.
+        slot: of a Crossing-Instruction, as short as ``+0.5 s``, or ``together``.
+        words: what a Crossing-Instruction asks for.
     """
 
     npc: int
@@ -116,6 +154,9 @@ class InstructionView:
     started: bool
     arrived: float | None
     lane: str = ""
+    zone: str = ""
+    slot: str = ""
+    words: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,6 +265,7 @@ class FindingView:
         last_chance: None where there is no such moment.
         drive: from which the page writes its run as a table; None where nobody saw one, or it is in no file.
         grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
+            Empty where all NPCs cross, which know no cells.
     """
 
     id: str
@@ -254,6 +296,11 @@ class FindingView:
     shrink: ShrinkView | None = None
     drive: DriveView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()
+
+    @property
+    def is_crossed(self) -> bool:
+        """Whether an NPC crosses."""
+        return any(vehicle.zone is not None for vehicle in self.vehicles)
 
     @property
     def duration(self) -> float:

@@ -108,18 +108,21 @@ def vehicle_at(finding: FindingView, vehicle: int, time: float) -> DrawnVehicle 
 
 
 def instruction_at(finding: FindingView, npc: int, time: float) -> tuple[InstructionView, Phase] | None:
-    """What an NPC is told at a time: on its way to the cell, or there, or at the end of its chain."""
+    """What an NPC is told at a time: on its way to the cell or the zone, or there, or at the end of its chain."""
     rows = [row for row in finding.instructions if row.npc == npc]
     row = next((each for each in rows if time < each.end - 1e-9), rows[-1] if rows else None)
     if row is None:
         return None
-    if time >= row.end - 1e-9 and finding.duration > row.end:
+    if not row.zone and time >= row.end - 1e-9 and finding.duration > row.end:
         return row, "ended"
     return row, "arrived" if row.arrived is not None and time >= row.arrived - 1e-9 else "approach"
 
 
 def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
-    """Where a cell is. On a road that is not straight, as recorded for the nearest frame, moved on with the ego."""
+    """Where a cell is. On a road that is not straight, as recorded for the nearest frame, moved on with the ego.
+
+    Where all NPCs cross, none is recorded.
+    """
     road = finding.road
     if not road.shapes:
         other = finding.vehicles[min(1, len(finding.vehicles) - 1)].length
@@ -132,7 +135,7 @@ def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float)
         return DrawnCell(int(cell), along, across, exists)
     before, after, share = _frame_at(finding, time)
     frame = after if share > 0.5 else before
-    pose = finding.grid[frame][cell - 1]
+    pose = finding.grid[frame][cell - 1] if finding.grid else None
     if pose is None:
         return DrawnCell(int(cell), ego.along, ego.across, exists=False)
     x, y, heading = pose

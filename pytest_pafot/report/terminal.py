@@ -17,7 +17,7 @@ from pytest_pafot.campaign.events import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.severity import Severity, worst_first
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.model.scenario import PositionInstruction
+from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, plural, wrapped_to
@@ -173,11 +173,12 @@ def speed_sentences(finding: Finding) -> list[str]:
     for interval in () if finding.shrunk is None else finding.shrunk.speeds:
         gene = finding.scenario.npcs[interval.npc][interval.gene]
         place = f"in cell {int(gene.cell)} ({gene.cell.label})" if isinstance(gene, PositionInstruction) else gene.goal
+        seconds = interval.gene * finding.scenario.gene_seconds
+        when = "" if isinstance(gene, CrossingInstruction) else f"from {seconds:g} s "
         speeds = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"
         if interval.low == interval.high:
             speeds = f"only a speed of {interval.low:.1f} m/s"
-        seconds = interval.gene * finding.scenario.gene_seconds
-        sentences.append(f"NPC {interval.npc} from {seconds:g} s {place}: {speeds} still fails")
+        sentences.append(f"NPC {interval.npc} {when}{place}: {speeds} still fails")
     return sentences
 
 

@@ -97,12 +97,12 @@ def test_explanations_stay_short_however_many_cross(count, others):
 
 
 @table("act", ACTS)
-def test_the_words_of_an_instruction_have_its_slot_speed_and_act(act):
+def test_the_words_of_an_instruction_have_its_slot_and_its_act(act):
     words = {
-        "pass": "from the left, 0.5 s after the ego leaves, 8.6 m/s",
-        "hold": "from the left, 1 s before the ego enters, 8.6 m/s, holds at the line",
-        "stop": "from the left, together with the ego, 8.6 m/s, stops there",
-        "late": "5 s after the ego leaves, 8.6 m/s, starts late",
+        "pass": "from the left, 0.5 s after the ego leaves",
+        "hold": "from the left, 1 s before the ego enters, holds at the line",
+        "stop": "from the left, together with the ego, stops there",
+        "late": "5 s after the ego leaves, starts late",
     }
     slot = {"pass": 0.5, "hold": -1.0, "stop": 0.0, "late": 5.0}[act]
     zone = None if act == "late" else ZONES[CROSSES]

@@ -5,6 +5,7 @@ const CHART = { left: 46, right: 58, gap: 32, timeline: 24, curve: 104 };
 const CURVES = [
   { key: "gap", title: "gap to the ego", unit: "m", top: 40, digits: 1 },
   { key: "ttc", title: "time to contact", unit: "s", top: 8, digits: 2 },
+  { key: "advantage", title: "expected time between the two at their zone", unit: "s", top: 4, digits: 2, isCrossed: true },
   { key: "speed", title: "speed", unit: "m/s", top: null, digits: 1 },
   { key: "acceleration", title: "acceleration", unit: "m/s\u00b2", least: 4, digits: 1 },
   { key: "jerk", title: "jerk, peak of each frame", unit: "m/s\u00b3", least: 10, digits: 0 },
@@ -22,7 +23,7 @@ class Charts {
     if (check) this.check(check);
     else {
       this.timeline();
-      for (const curve of CURVES) this.curve(curve);
+      for (const curve of CURVES) if (!curve.isCrossed || isCrossed(finding)) this.curve(curve);
     }
     this.axis();
     this.height = this.y + 24;
@@ -43,7 +44,8 @@ class Charts {
   }
 
   timeline() {
-    this.heading("instructions: cell or lane, speed", "m/s");
+    const zoned = isCrossed(this.finding);
+    this.heading(`instructions: cell or ${zoned ? "zone" : "lane"}, speed`, "m/s", zoned && this.width >= 600 ? ", coloured: the NPC is in the zone, grey: the ego is" : "");
     this.y += 2;
     this.finding.vehicles.slice(1).forEach((vehicle, npc) => {
       this.parts.push(svg("text", { x: CHART.left - 6, y: px(this.y + 15), class: "small", "text-anchor": "end" }, vehicle.name));
@@ -58,6 +60,7 @@ class Charts {
     const height = CHART.timeline - 4;
     const box = { x: px(x0 + 0.5), y: px(this.y), height, rx: 3 };
     const wide = Math.max(0, x1 - x0 - 1);
+    if (row.zone) { this.crossing(row, npc, x0, wide); return; }
     const what = `NPC ${npc}, ${fixed(row.start, 1)} s: ${row.lane ? "" : "cell "}${goalName(row)}, ${row.lane ? "" : "then "}${fixed(row.speed, 1)} m/s; ` +
       (row.arrived === null ? "not reached" : `reached at ${fixed(row.arrived, 1)} s`) +
       (row.requested === row.cell ? "" : `; requested was cell ${cellName(row.requested)}`);
@@ -70,8 +73,27 @@ class Charts {
     this.parts.push(svg("rect", { ...box, width: px(wide), class: `block-edge ${stroke(npc + 1)}`, "pointer-events": "none" }));
     const mark = row.requested === row.cell ? "" : "*";
     const texts = [`${goalName(row)}${mark}, ${fixed(row.speed, 1)}`, `${row.lane || row.cell}${mark}, ${fixed(row.speed, 1)}`, `${row.lane || row.cell}${mark}`];
+    this.blockText(texts, x0, wide);
+  }
+
+  blockText(texts, x, wide) {
     const text = texts.find((each) => each.length * 6.4 + 12 <= wide);
-    if (text) this.parts.push(svg("text", { x: px(x0 + 7), y: px(this.y + 14.5), class: "small", "pointer-events": "none" }, text));
+    if (text) this.parts.push(svg("text", { x: px(x + 7), y: px(this.y + 14.5), class: "small", "pointer-events": "none" }, text));
+  }
+
+  crossing(row, npc, left, wide) {
+    // When the ego and the NPC were in the zone, one above the other.
+    const height = CHART.timeline - 4;
+    const box = { x: px(left + 0.5), y: px(this.y), height, rx: 3 };
+    const { zone } = this.finding.vehicles[npc + 1];
+    this.parts.push(svg("rect", { ...box, width: px(wide), class: "block" }, svg("title", {}, `NPC ${npc}: ${row.zone} ${row.words}, ${fixed(row.speed, 1)} m/s`)));
+    for (const [window, name, top] of [[zone && zone.of_ego, "block-ego", 0], [zone && zone.of_npc, `${fill(npc + 1)} block-zone`, 0.5]]) {
+      if (!window) continue;
+      const [x0, x1] = [this.x(window[0]), this.x(Math.min(window[1] === null ? this.duration : window[1], this.duration))];
+      this.parts.push(svg("rect", { x: px(x0), y: px(this.y + top * height), width: px(Math.max(2, x1 - x0)), height: px(height / 2), class: name, "pointer-events": "none" }));
+    }
+    this.parts.push(svg("rect", { ...box, width: px(wide), class: `block-edge ${stroke(npc + 1)}`, "pointer-events": "none" }));
+    this.blockText([`${row.zone} ${row.words}, ${fixed(row.speed, 1)}`, `${goalName(row)}, ${fixed(row.speed, 1)}`, goalName(row), row.slot], left, wide);
   }
 
   curve(curve) {

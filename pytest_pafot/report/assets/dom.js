@@ -89,6 +89,7 @@ function niceStep(span, count) {
 const CELL_NAMES = ["own", "front-left", "front", "front-right", "right", "rear-right", "rear", "rear-left", "left"];
 const ROWS = [0, 1, 1, 1, 0, -1, -1, -1, 0];
 const COLUMNS = [0, -1, 0, 1, 1, 1, 0, -1, -1];
+const isCrossed = (finding) => finding.vehicles.some((vehicle) => vehicle.zone);
 const cellName = (cell) => `${cell} ${CELL_NAMES[cell]}`;
-// Where an instruction leads: to a cell, or, without one, to a lane seen from the NPC's own.
-const goalName = (row) => (row.lane ? (row.lane === "keep" ? "keep lane" : `lane ${row.lane}`) : cellName(row.cell));
+// Where an instruction leads: to a cell, or, without one, to a zone, or to a lane seen from the NPC's own.
+const goalName = (row) => row.zone ? `${row.zone} ${row.slot}` : (row.lane ? (row.lane === "keep" ? "keep lane" : `lane ${row.lane}`) : cellName(row.cell));

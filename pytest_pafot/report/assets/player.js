@@ -41,7 +41,7 @@ class Player {
       return button;
     });
     this.readout = html("tbody");
-    const heads = ["", "speed [m/s]", "in cell", "gap [m]", "contact in [s]", "instruction"];
+    const heads = ["", "speed [m/s]", isCrossed(this.finding) ? "place" : "in cell", "gap [m]", "contact in [s]", "instruction"];
     const table = html("div", { class: "scroll" }, html("table", { class: "readout" }, [
       html("caption", { class: "unseen" }, "All vehicles at the time shown"),
       html("thead", {}, html("tr", {}, heads.map((head) => html("th", { scope: "col" }, head)))), this.readout,
@@ -99,7 +99,9 @@ class Player {
     if (this.checked) this.checked.replaceChildren(this.checkCurve.root);
     this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
       `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " relative to the ego"}. ` +
-      "Dashed line: to the cell that an NPC is told to drive to. Bars at the rear: braking."));
+      (!this.scene.isCrossed || this.finding.instructions.some((row) => row.cell) ? "Dashed line: to the cell that an NPC is told to drive to. " : "") +
+      (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's. " : "") +
+      "Bars at the rear: braking."));
     this.charts.replaceChildren(this.curves.root);
     this.draw();
   }
@@ -121,10 +123,10 @@ class Player {
     const instruction = index ? instructionAt(this.finding, index - 1, this.time) : null;
     const texts = state ? [
       fixed(state.speed, 1),
-      index ? (state.cell ? cellName(state.cell) : "the ego's own") : "",
+      index ? placeName(state, this.finding.vehicles[index].zone) : "",
       index ? fixed(state.gap, 1) : "",
       index ? fixed(state.ttc, 2) : "",
-      instruction ? PHASES[instruction.phase](instruction) : "",
+      instruction ? PHASES[instruction.zone ? "crossing" : instruction.phase](instruction) : "",
     ] : ["-", "-", "-", "-", ""];
     this.rows[index].forEach((cell, column) => { if (cell.textContent !== texts[column]) cell.textContent = texts[column]; });
   }

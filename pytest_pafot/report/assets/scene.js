@@ -39,6 +39,7 @@ function stateAt(finding, vehicle, frame) {
     gap: vehicle ? held(track.gap, frame) : null,
     ttc: vehicle ? held(track.ttc, frame) : null,
     cell: vehicle ? held(track.cells, frame) : null,
+    onWay: track.zone ? held(track.on_way, frame) : null,
   };
 }
 
@@ -54,7 +55,7 @@ function instructionAt(finding, npc, time) {
   const rows = finding.instructions.filter((row) => row.npc === npc);
   const row = rows.find((each) => time < each.end - 1e-9) || rows[rows.length - 1];
   if (!row) return null;
-  if (time >= row.end - 1e-9 && finding.times[finding.times.length - 1] > row.end) {
+  if (!row.zone && time >= row.end - 1e-9 && finding.times[finding.times.length - 1] > row.end) {
     return { ...row, phase: "ended" };
   }
   return { ...row, phase: row.arrived !== null && time >= row.arrived - 1e-9 ? "arrived" : "approach" };
@@ -65,7 +66,7 @@ function cellCentre(finding, ego, cell, [index, share]) {
   if (road.shapes.length) {
     // As recorded for the nearest frame; it moves with the ego between them.
     const frame = share > 0.5 && index + 1 < finding.times.length ? index + 1 : index;
-    const place = finding.grid[frame][cell - 1];
+    const place = finding.grid.length ? finding.grid[frame][cell - 1] : null; // No grid where all NPCs cross.
     if (!place) return { along: ego.along, across: ego.across, heading: 0, exists: false };
     const track = finding.vehicles[0];
     const [dx, dy] = [ego.along - track.along[frame], ego.across - track.across[frame]];
@@ -81,7 +82,17 @@ function cellCentre(finding, ego, cell, [index, share]) {
   return { along: ego.along + ROWS[cell] * row, across, heading: 0, exists };
 }
 
+function placeName(state, zone) {
+  // Where an NPC is: in a cell, or while it is not on the ego's way, where seen from its zone.
+  if (state.cell !== null || !zone) return state.cell ? cellName(state.cell) : state.cell === null ? "" : "the ego's own";
+  const [enters, leaves] = zone.stretch;
+  if (state.onWay === null) return zone.name;
+  if (state.onWay < enters) return `${fixed(enters - state.onWay, 0)} m before ${zone.name}`;
+  return state.onWay > leaves ? `past ${zone.name}` : `in the zone ${zone.name}`;
+}
+
 const PHASES = {
+  crossing: (row) => `${row.zone} ${row.words}, ${fixed(row.speed, 1)} m/s` + (row.phase === "arrived" ? `; entered at ${fixed(row.arrived, 1)} s` : ""),
   approach: (row) => (row.lane ? `${goalName(row)} at ${fixed(row.speed, 1)} m/s` : `drives to cell ${cellName(row.cell)}, then ${fixed(row.speed, 1)} m/s`),
   arrived: (row) => `reached ${row.lane ? "its lane" : `cell ${cellName(row.cell)}`} at ${fixed(row.arrived, 1)} s, keeps that lane at ${fixed(row.speed, 1)} m/s`,
   ended: () => "keeps its lane and speed, its instructions are over",
@@ -92,7 +103,8 @@ const RULER = 24;
 const LANE_NAME = 50;
 const POINTER_ROOM = 210;
 const SHOULDER = 1.4;
-const HALF_HEIGHT = 18; // What is shown above and below the ego of a road that is not straight.
+const HALF_HEIGHT = 18; // What is shown above and below the ego of a road that is not straight ...
+const CROSSED_HALF_HEIGHT = 45; // ... and where somebody crosses, who else would come in sight 2 s before the contact.
 
 // Places that move with the road, and are turned: a road that is not straight is drawn as the world has it.
 const turned = (heading, x, y) => `rotate(${px(heading * 180 / Math.PI)} ${px(x)} ${px(y)})`;
@@ -101,14 +113,16 @@ class Scene {
   constructor(finding, width, zoom) {
     this.finding = finding;
     this.width = width;
-    this.scale = clamp(width / 96, 6.5, 10) * zoom;
     const road = finding.road;
     this.isWorld = road.shapes.length > 0;
+    this.isCrossed = this.isWorld && isCrossed(finding);
+    this.scale = (this.isCrossed ? clamp(width / 130, 4.5, 7) : clamp(width / 96, 6.5, 10)) * zoom;
     const half = road.lane_width / 2;
-    this.top = this.isWorld ? SHOULDER - HALF_HEIGHT : Math.min(...road.lanes) - half;
-    this.bottom = this.isWorld ? HALF_HEIGHT - SHOULDER : Math.max(...road.lanes) + half;
+    const reach = this.isCrossed ? CROSSED_HALF_HEIGHT : HALF_HEIGHT;
+    this.top = this.isWorld ? SHOULDER - reach : Math.min(...road.lanes) - half;
+    this.bottom = this.isWorld ? reach - SHOULDER : Math.max(...road.lanes) + half;
     this.height = (this.bottom - this.top + 2 * SHOULDER) * this.scale + RULER;
-    this.middle = width * (width < 600 ? 0.5 : 0.42);
+    this.middle = width * (width < 600 || this.isCrossed ? 0.5 : 0.42);
     this.root = svg("svg", {
       viewBox: `0 0 ${px(width)} ${px(this.height)}`, height: px(this.height), role: "img",
       "aria-label": "Bird's-eye view of the ego and the NPCs; the table below says the same in numbers.",
@@ -124,7 +138,7 @@ class Scene {
   build() {
     const road = this.finding.road;
     const defs = svg("defs");
-    this.shapes = svg("g", {}, this.isWorld ? this.lanes() : []);
+    this.shapes = svg("g", {}, this.isWorld ? [...this.lanes(), ...this.zones()] : []);
     const y0 = this.y(this.top);
     const y1 = this.y(this.bottom);
     const ground = this.isWorld ? [this.shapes] : [svg("rect", { x: 0, y: px(y0), width: px(this.width), height: px(y1 - y0), class: "road" })];
@@ -170,6 +184,15 @@ class Scene {
     })));
   }
 
+  zones() {
+    // The way of each NPC that crosses, and the part of it that is in the ego's way.
+    const line = (points) => linePath(points.map(([x, y]) => [x * this.scale, y * this.scale]));
+    return this.finding.vehicles.flatMap(({ name, zone }, index) => (zone ? [
+      svg("path", { class: `zone ${stroke(index)}`, "stroke-width": px(zone.width * this.scale), d: line(zone.area) }, svg("title", {}, `zone ${zone.name} of ${name}`)),
+      svg("path", { class: `way ${stroke(index)}`, d: line(zone.way) }),
+    ] : []));
+  }
+
   vehicle(vehicle, index, defs) {
     const length = vehicle.length * this.scale;
     const width = vehicle.width * this.scale;
@@ -191,7 +214,10 @@ class Scene {
     })));
     const body = svg("g", {}, [...parts, brake]);
     const label = svg("text", { class: `vehicle-label ${index ? "npc-label" : "ego-label"}` }, index ? `${index - 1}` : "E");
-    const group = svg("g", { "data-vehicle": vehicle.name }, [svg("title", {}, vehicle.name), body, label]);
+    const row = vehicle.zone ? this.finding.instructions.find((each) => each.npc === index - 1) : null;
+    const title = row ? `${vehicle.name}, ${row.zone} ${row.words}` : vehicle.name;
+    const slot = row ? [svg("text", { class: "zone-label halo", y: px(-length / 2 - 6) }, `${row.zone} ${row.slot}`)] : [];
+    const group = svg("g", { "data-vehicle": vehicle.name }, [svg("title", {}, title), body, label, ...slot]);
     return { group, body, brake };
   }
 

@@ -1,0 +1,260 @@
+"""Runs with NPCs that cross are shown with their ways, their zones, and places in words where there is no cell."""
+
+import io
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.model.scenario import CrossingInstruction, Scenario
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.report import notebook
+from pytest_pafot.report.drawing import CROSSED_HALF_HEIGHT, HALF_HEIGHT, WIDTH, Sheet, speeds_text
+from pytest_pafot.report.finding_view import run_view, shrink_view
+from pytest_pafot.report.markup import instruction_table
+from pytest_pafot.report.page import render_frame, render_page
+from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.picture import instruction_at, picture_at
+from tests.helpers.browser import Browser, find_chromium
+from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
+from tests.report.builders import HOSTILE, bend_trace
+
+
+@cache
+def mixed():
+    """An NPC that crosses after the ego, one that merges ahead of it, and one on the grid."""
+    return run_view(junction_trace((CROSSES, 0.0), (MERGES, 0.0), (None, 20.0)))
+
+
+@cache
+def crash():
+    """An NPC from the left hits the ego; another one is still to come."""
+    return run_view(junction_trace((CROSSES, 10.0), (MERGES, -60.0), hits=0, seconds=4.8))
+
+
+@cache
+def real():
+    """Two NPCs at a junction of highway-env."""
+    world = pafot.World("intersection-v0")
+    told = CrossingInstruction("o1>o3", 0.0, 8.0), CrossingInstruction("o3>o1", 1.0, 7.0)
+    scenario = Scenario(npcs=[[each] for each in told], ego_lane=0, ego_speed=world.crossings.ego_speed)
+    return world.rollout(scenario, lambda: lambda seen: 1)
+
+
+def test_who_is_not_on_the_ego_s_way_is_in_no_cell():
+    ego, crosses, merges, ahead = mixed().vehicles
+    assert ego.cells == ()
+    assert set(crosses.cells) == {None}
+    frame = next(frame for frame, time in enumerate(mixed().times) if time > 4.1)
+    assert set(merges.cells[:frame]) == {None}
+    assert set(merges.cells[frame:]) == set(ahead.cells) == {2}
+
+
+def test_the_zone_has_the_words_the_way_and_when_both_were_there():
+    _, crosses, merges, ahead = mixed().vehicles
+    assert (crosses.zone.name, crosses.zone.whence, crosses.zone.stretch) == (CROSSES, "from the left", (55.5, 64.5))
+    assert (crosses.zone.of_ego, crosses.zone.of_npc) == ((4.6, 5.467), (5.6, 6.467))
+    assert merges.zone.of_ego == (6.0, 8.0)
+    assert ahead.zone is None
+    assert (ahead.on_way, ahead.advantage) == ((), ())
+    assert crosses.on_way[0] == 0.0
+    assert crosses.advantage[-1] == pytest.approx(0.13, abs=0.01)
+
+
+def test_a_zone_that_the_run_did_not_come_to_has_no_time():
+    hit, waits = (vehicle.zone for vehicle in crash().vehicles[1:])
+    assert hit.of_ego == (4.6, None)
+    assert (waits.of_ego, waits.of_npc) == (None, None)
+
+
+def test_the_area_is_the_part_of_the_way_in_which_a_body_is_in_the_zone():
+    zone = mixed().vehicles[1].zone
+    assert zone.way[0] == (50.0, -60.0)
+    assert zone.way[-1] == (50.0, 60.0)
+    assert zone.area == ((50.0, -2.0), (50.0, -1.0), (50.0, 0.0), (50.0, 1.0), (50.0, 2.0))
+    assert zone.width == 4.0
+    first, *_, last = mixed().vehicles[2].zone.area
+    assert first == pytest.approx((75 - 15 * np.cos(0.5), 15 - 15 * np.sin(0.5)), abs=0.05)  # 7.5 m of 15 m turned
+    assert last[1] == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_zone_whose_way_nobody_knows_is_told_and_not_drawn():
+    trace = junction_trace((CROSSES, 0.0))
+    view = run_view(replace(trace, zones=(replace(ZONES[CROSSES], line=()),)))
+    assert (view.vehicles[1].zone.way, view.vehicles[1].zone.area) == ((), ())
+    assert notebook.plot(replace(Run(trace), trace=trace), None)
+
+
+def test_the_world_gives_the_ways_that_its_npcs_drive():
+    trace = real()
+    view = run_view(trace)
+    for npc, vehicle in enumerate(view.vehicles[1:]):
+        way, places = np.array(vehicle.zone.way), trace.states[:, npc + 1, :2]
+        gaps = np.hypot(*(places[:, None] - way).transpose(2, 0, 1)).min(axis=1)
+        assert gaps.max() < 1.3  # a point each 2 m
+    assert view.grid == ()
+    assert view.event.cell is None
+
+
+def test_instructions_are_in_words():
+    crosses, merges, ahead = mixed().instructions
+    assert (crosses.zone, crosses.slot, crosses.words) == (
+        CROSSES,
+        "+0.5 s",
+        "from the left, 0.5 s after the ego leaves",
+    )
+    assert (crosses.cell, crosses.requested, crosses.arrived) == (0, 0, 5.6)
+    assert merges.words.startswith("from the right, ")
+    assert (ahead.zone, ahead.slot, ahead.words) == ("", "", "")
+
+
+def test_the_table_of_instructions_has_zones_beside_cells():
+    table = instruction_table(mixed().instructions)
+    assert "cell or zone" in table
+    assert "<td>o3&gt;o1 from the left, 0.5 s after the ego leaves</td><td>10.0</td><td>at 5.6 s</td>" in table
+    assert "<td>2 front</td>" in table
+    assert "cell or lane" in instruction_table(mixed().instructions[2:])
+
+
+def test_shrunk_instructions_are_in_words():
+    def scenario(*told):
+        return Scenario(npcs=[[CrossingInstruction(*each)] for each in told])
+
+    before, after = scenario(("a>b", -1.0, 8.0, "hold"), ("c>d", 0.0, 7.0)), scenario(("c>d", 0.0, 7.0))
+    view = shrink_view(before, after, rollouts=3)
+    assert view.original == (
+        "a>b 1 s before the ego enters, holds at the line, 8.0 m/s",
+        "c>d together with the ego, 7.0 m/s",
+    )
+    assert view.shrunk == view.original[1:]
+
+
+def test_where_all_cross_there_is_no_grid():
+    assert crash().grid == ()
+    assert len(mixed().grid) == len(mixed().times)
+    assert not any(cell.exists for cell in picture_at(crash(), 3.0).cells)
+    assert picture_at(mixed(), 3.0).cells[1].exists
+
+
+def test_an_instruction_at_a_zone_does_not_end():
+    assert instruction_at(mixed(), 0, 3.0)[1] == "approach"
+    assert instruction_at(mixed(), 0, 7.9)[1] == "arrived"
+    late = replace(mixed(), instructions=tuple(replace(row, end=1.0) for row in mixed().instructions))
+    assert [instruction_at(late, npc, 3.0)[1] for npc in (0, 2)] == ["approach", "ended"]
+
+
+def test_a_picture_shows_as_much_as_who_crosses_needs():
+    plain, crossed = (Sheet(view, picture_at(view, 1.0)) for view in (run_view(bend_trace()), mixed()))
+    assert plain.right - plain.left == 2 * HALF_HEIGHT
+    assert crossed.right - crossed.left == 2 * CROSSED_HALF_HEIGHT
+    assert crossed.ego_at * WIDTH / crossed.scale > 60
+    assert speeds_text(mixed(), picture_at(mixed(), 1.0)).endswith(
+        "NPC 0 10.0 m/s to o3>o1   NPC 1 10.0 m/s to o2>o4   NPC 2 10.0 m/s to cell 2"
+    )
+    assert "NPC 0 10.0 m/s  " in speeds_text(mixed(), picture_at(mixed(), 7.0))
+
+
+def test_the_zone_is_shaded_in_a_picture():
+    images = pytest.importorskip("PIL.Image")
+
+    def colours(view):
+        content = notebook.animation.strip(view, [1.0])
+        return {colour for _, colour in images.open(io.BytesIO(content)).convert("RGB").getcolors(1 << 20)}
+
+    shaded = (0xF0, 0xD2, 0xC0)  # of NPC 0
+    seen = replace(
+        mixed(),
+        vehicles=tuple(
+            replace(each, along=(-1e3,) * len(each.along)) if number == 1 else each
+            for number, each in enumerate(mixed().vehicles)
+        ),
+    )
+    assert shaded in colours(seen)
+    assert shaded not in colours(replace(seen, vehicles=tuple(replace(each, zone=None) for each in seen.vehicles)))
+
+
+def test_a_run_shows_itself_and_moves_in_notebooks():
+    run = Run(real())
+    assert notebook.animate(run).startswith(b"\x89PNG")
+    assert notebook.plot(run, [0.0, 7.0]).startswith(b"\x89PNG")
+    height = int(notebook.html(run).partition('height="')[2].partition('"')[0])
+    assert height > int(render_frame(Report.of(run_view(bend_trace()))).partition('height="')[2].partition('"')[0])
+
+
+def test_hostile_names_of_zones_are_escaped():
+    """Files cannot have them; a world of the user's own can."""
+    zone = replace(ZONES[CROSSES], way=HOSTILE[0])
+    view = run_view(replace(junction_trace((CROSSES, 0.0)), zones=(zone,)))
+    rows = tuple(replace(row, zone=HOSTILE[0], words=HOSTILE[2]) for row in view.instructions)
+    page = render_page(Report.of(replace(view, instructions=rows)))
+    assert HOSTILE[0] not in page
+    assert HOSTILE[2] not in page
+
+
+# In the browser.
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    browser = Browser(find_chromium(), tmp_path_factory.mktemp("profile"))
+    yield browser
+    browser.close()
+
+
+def texts(page, selector):
+    return page.evaluate(f"[...document.querySelectorAll('article.current {selector}')].map(each => each.textContent)")
+
+
+def opened(browser, folder, view, time, **more):
+    path = folder / "report.html"
+    path.write_text(render_page(Report.of(view)), encoding="utf-8")
+    return browser.open(f"{path.as_uri()}#finding={view.id}&t={time}", **more)
+
+
+in_a_browser = pytest.mark.skipif(
+    find_chromium() is None, reason="no Chromium here: expected chromium or google-chrome on PATH"
+)
+
+
+@pytest.mark.processes
+@in_a_browser
+def test_the_page_draws_ways_zones_and_labels(browser, tmp_path):
+    page = opened(browser, tmp_path, mixed(), 3.4)
+    assert texts(page, ".zone-label") == ["o3>o1 +0.5 s", "o2>o4 +0.5 s"]
+    assert texts(page, ".zone title") == ["zone o3>o1 of NPC 0", "zone o2>o4 of NPC 1"]
+    assert len(texts(page, "path.way")) == 2
+    rows = [text for text in texts(page, ".readout tbody tr") if "NPC" in text]
+    assert "22 m before o3>o1" in rows[0]
+    assert "o3>o1 from the left, 0.5 s after the ego leaves, 10.0 m/s" in rows[0]
+    assert "in the zone o2>o4" in rows[1]
+    assert "2 front" in rows[2]
+    page.evaluate(f"location.hash = 'finding={mixed().id}&t=7'")
+    page.until("document.querySelector('.readout').textContent.includes('past o3>o1')")
+    assert "; entered at 5.6 s" in texts(page, ".readout tbody tr")[1]
+    titles = texts(page, ".charts text.label")
+    assert "expected time between the two at their zone [s]" in titles
+    assert len(texts(page, ".block-zone")) == len(texts(page, ".block-ego")) == 2
+    assert "undefined" not in page.evaluate("document.querySelector('article.current').textContent")
+    assert page.complaints == []
+    page.close()
+
+
+@pytest.mark.processes
+@in_a_browser
+@pytest.mark.parametrize("width", [320, 400, 900, 1360])
+def test_who_crosses_is_in_sight_long_before_the_contact(browser, tmp_path, width):
+    """At 10 m/s each the two are 42 m apart 3 s before; a page as narrow as a telephone shows half of that sideways."""
+    page = opened(browser, tmp_path, crash(), 1.8, width=width)
+    drawn = page.evaluate(
+        "document.querySelector('article.current [data-vehicle=\"NPC 0\"]').getAttribute('visibility')"
+    )
+    assert drawn == "visible"
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    cells = page.evaluate(
+        "[...document.querySelectorAll('article.current rect.cell')].map(each => each.getAttribute('visibility'))"
+    )
+    assert set(cells) == {"hidden"}
+    assert page.complaints == []
+    page.close()
