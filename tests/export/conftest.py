@@ -11,12 +11,23 @@ from pytest_pafot.commands.policy_reference import ads_factory
 FILES = Path(__file__).parents[1] / "corpus" / "saved"
 POLICIES = {"collision-xfail": "constant_speed", "gym-merge": "idm_mobil", "gym-roundabout": "idm_mobil"}
 """Who drives in which file; the first and the last collide."""
+JUNCTION = "junction"
+"""Instead of a file, two NPCs that cross the way of an ego with a constant action, which collides with one of them."""
 
 
-@pytest.fixture(scope="session", params=POLICIES)
+def at_junction():
+    world = pafot.World("intersection-v0")
+    told = pafot.CrossingInstruction("o1>o3", 0.0, 8.0), pafot.CrossingInstruction("o3>o1", 1.0, 7.0)
+    scenario = pafot.Scenario(npcs=[[each] for each in told], ego_lane=0, ego_speed=world.crossings.ego_speed)
+    return world.rollout(scenario, lambda: lambda observation: 1)
+
+
+@pytest.fixture(scope="session", params=[*POLICIES, JUNCTION])
 def exported(request):
     """A finding, and the trace of a run of it; or of a file with a policy, which ``tests.benchmarks.exports`` gives."""
     name = request.param
+    if name == JUNCTION:  # of the finding an exporter needs the id alone
+        return pafot.load(FILES / "collision-xfail.pafot.yaml").finding, at_junction()
     file, policy = (FILES / f"{name}.pafot.yaml", POLICIES[name]) if isinstance(name, str) else name
     saved = pafot.load(file)
     return saved.finding, saved.replay(ads_factory(policy)).trace
