@@ -12,6 +12,10 @@ the NPCs, no future. Their sources:
 
 The regulation's models say how to react to danger. How to follow where there is none it leaves to the following
 distance (5.2.3.3); the two drivers keep two seconds for it, and brake gently while nothing more is needed.
+
+None of the models knows a junction. There all three give way alike: they drive up so that they can stop, wait before
+the zone for whoever comes sooner after them than the critical headways of the Highway Capacity Manual (two-way stop,
+two-lane major road), and answer with the regulation's braking to one that is in the way without priority.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from types import MappingProxyType
 from pytest_pafot.attribution.lane_changes import KEEPING
 from pytest_pafot.attribution.last_chance import STEADY_BRAKING
 from pytest_pafot.attribution.responses import EMERGENCY, FOLLOWING
+from pytest_pafot.model.crossings import CrossingVehicle, Kind
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 GRAVITY = 9.81
@@ -50,6 +55,20 @@ CLOSING_GAIN = 0.8
 """Acceleration per closing speed [1/s]."""
 SPEED_GAIN = 0.5
 """Acceleration per speed that is missing to the wanted one [1/s]."""
+
+CRITICAL: Mapping[Kind, float] = MappingProxyType({"oncoming": 4.1, "merging": 6.2, "crossing": 7.1})
+"""Who comes sooner after the driver's own entry is let pass first: the critical headways of a left turn from the major
+road, and of a right and a left turn from the minor one (Highway Capacity Manual) [s]."""
+LINE = 1.0
+"""Kept between the front of the zone and the driver that waits [m]."""
+STOPPING = 2.0
+"""Braking from which on a stop before a zone is begun: what comfort models take (Treiber et al. 2000) [m/s^2]."""
+CREEPING = 2.0
+"""Speed that one who sets off is counted with at least, to the zone [m/s]."""
+STANDING = 0.3
+"""Who is slower waits, and is not expected to come [m/s]."""
+CLEAR = 0.5
+"""What is left at least between one that leaves a zone and the driver that enters behind it [s]."""
 
 EPSILON = 1e-6
 """Times are compared within this, so that rounding costs no tick [s]."""
@@ -128,7 +147,8 @@ class ReferenceDriver(ABC):
             self.drifts = tuple((now - before) / self.step for before, now in zip(self.places, places, strict=True))
         self.speeds, self.places = speeds, places
         lowest = self.acceleration - self.JERK * self.step
-        self.acceleration = max(self.wish(observation), min(lowest, 0.0), -self.HARDEST)  # brakes are released at once
+        wish = min(self.wish(observation), self.at_junction(observation))
+        self.acceleration = max(wish, min(lowest, 0.0), -self.HARDEST)  # brakes are released at once
         steering = -LANE_GAIN * (ego.y - self.lane * observation.lane_width) - HEADING_GAIN * ego.heading
         return self.acceleration, steering
 
@@ -137,6 +157,53 @@ class ReferenceDriver(ABC):
         self(observation)
         self.lane = observation.ego.lane
         self.wanted = max(self.wanted or 0.0, min(observation.ego.speed, observation.speed_limit))
+
+    def at_junction(self, observation: Observation) -> float:
+        """The acceleration that those leave it who come on other ways [m/s^2]; infinite where nobody does."""
+        meeting = [other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0]
+        wishes = [self.before_zone(observation, other) for other in meeting]
+        return min(wishes, default=math.inf)
+
+    def before_zone(self, observation: Observation, other: CrossingVehicle) -> float:
+        """The acceleration that one of them leaves it [m/s^2]."""
+        ego = observation.ego
+        lets_pass = self.held(f"lets pass {other.id}", self.lets_pass(observation, other))
+        if other.zone.kind == "merging" and leads(other):
+            gap = other.ego_to_leave - other.to_leave - (ego.length + other.length) / 2
+            leader = Leader(gap=gap, speed=other.speed, closing=ego.speed - other.speed, braking=0.0)
+            return -self.HARDEST if leader.is_critical else self.follow(ego.speed, leader)
+        if lets_pass < EMERGENCY.perception + DELAY - EPSILON:
+            return math.inf
+        if 0 < other.ego_distance < 2 * LINE and ego.speed < STANDING:
+            return -STOPPING  # it stands at the line
+        for room in (other.ego_distance - LINE, other.ego_distance):
+            if ego.speed**2 <= 2 * self.HARDEST * room:
+                needed = ego.speed**2 / (2 * room)
+                return -needed if needed >= STOPPING else math.inf
+        in_the_way = other.is_inside and other.ahead > 0
+        return -self.HARDEST if in_the_way else math.inf  # it can stop no more: the quickest way out is ahead
+
+    def lets_pass(self, observation: Observation, other: CrossingVehicle) -> bool:
+        """Whether it waits before a zone for another, or for room behind a queue while another may come."""
+        ego = observation.ego
+        enters = max(other.ego_distance, 0.0) / max(ego.speed, CREEPING)
+        leaves = other.to_leave / other.speed if other.speed > STANDING else math.inf
+        arrives = max(other.distance, 0.0) / other.speed if other.speed > STANDING else math.inf
+        if other.is_inside:
+            return leaves + CLEAR > enters
+        if other.zone.priority == "ego":
+            can_stop = other.speed**2 <= 2 * GENTLE_BRAKING * other.distance
+            return not can_stop and leaves + CLEAR > enters
+        if self.is_queue_behind(observation, other):
+            return True
+        return leaves + CLEAR > enters and arrives < enters + CRITICAL[other.zone.kind]
+
+    def is_queue_behind(self, observation: Observation, other: CrossingVehicle) -> bool:
+        """Whether a slow vehicle leaves no room behind a zone."""
+        ego = observation.ego
+        room = other.ego_to_leave + ego.length / 2 + STANDSTILL_GAP
+        leaders = (self.ahead(observation, index) for index in range(len(observation.others)))
+        return any(leader is not None and leader.speed < CREEPING and leader.gap < room for leader in leaders)
 
     @abstractmethod
     def wish(self, observation: Observation) -> float:
@@ -344,6 +411,10 @@ class SteadyBraking(ReferenceDriver):
         """The acceleration that the driver wants now [m/s^2]."""
         return -min(self.HARDEST, observation.ego.speed / self.step) if self.step > 0 else -self.HARDEST
 
+    def at_junction(self, observation: Observation) -> float:
+        """The acceleration that those leave it who come on other ways [m/s^2]: it looks at nobody."""
+        return math.inf
+
 
 REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {"careful-human": CarefulHuman, "fuzzy-safety": FuzzySafety, "idm-aeb": IdmAeb}
@@ -368,6 +439,12 @@ def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width:
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
     stays = is_known and offset + _half_width(other) > lane_width / 2
     return next_lane and offset > KEEPING and (stays or side * drift > 0)
+
+
+def leads(other: CrossingVehicle) -> bool:
+    """Return whether one whose way leads on in the ego's lane is ahead of the ego there, and will not wait."""
+    is_ahead = other.to_leave < other.ego_to_leave
+    return is_ahead and (other.is_inside or (other.zone.priority != "ego" and other.speed > STANDING))
 
 
 def _along(vehicle: VehicleState) -> float:

@@ -5,11 +5,20 @@ from itertools import takewhile
 
 import pytest
 
+from pytest_pafot.model.crossings import CrossingVehicle, Zone
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, Observation, VehicleState, World, WorldError
-from pytest_pafot.world.reference_drivers import HARD_BRAKING, REFERENCES, CarefulHuman, FuzzySafety, IdmAeb, Leader
+from pytest_pafot.world.reference_drivers import (
+    CRITICAL,
+    HARD_BRAKING,
+    REFERENCES,
+    CarefulHuman,
+    FuzzySafety,
+    IdmAeb,
+    Leader,
+)
 
 HZ = 30
 NAMES = tuple(REFERENCES)
@@ -225,3 +234,68 @@ def test_what_a_constant_speed_ego_hits_careful_drivers_avoid():
 def test_an_unknown_driver_is_refused_with_the_names_of_the_known():
     with pytest.raises(WorldError, match="expected one of careful-human, fuzzy-safety, idm-aeb, received 'me'"):
         Highway().rollout_reference(BRAKES, "me")
+
+
+def crossing(time, ego, *, kind="crossing", priority="npc", distance, speed, ego_distance=40.0, ahead=5.0):
+    """One that comes so near to its zone [m] at a constant speed, while the ego has driven so far [m]."""
+    zone = Zone(way="a>b", kind=kind, origin="left", ego=(0.0, 10.0), npc=(0.0, 10.0), priority=priority)
+    return CrossingVehicle(
+        id=0,
+        zone=zone,
+        distance=distance - speed * time,
+        ego_distance=ego_distance - ego,
+        ahead=ahead,
+        right=-5.0,
+        heading=math.pi / 2,
+        speed=speed,
+        length=5.0,
+        width=2.0,
+    )
+
+
+def drive_up(driver, *, seconds=20.0, hz=HZ, **other):
+    """A driver that comes to a zone 40 m ahead; (time, distance to it [m], speed [m/s], acceleration [m/s^2])."""
+    rows, x, speed = [], 0.0, 10.0
+    for tick in range(round(seconds * hz)):
+        time = tick / hz
+        met = crossing(time, x, **other)
+        seen = Observation(time, car(x, speed=speed), (), 1, 4.0, 10.0, crossing=(met,))
+        acceleration, _ = driver(seen)
+        rows.append((time, met.ego_distance, speed, acceleration))
+        x += speed / hz
+        speed = max(speed + acceleration / hz, 0.0)
+    return rows
+
+
+@pytest.mark.parametrize("name", NAMES)
+class TestAtAZone:
+    def test_waits_before_it_for_one_with_priority_and_goes_when_that_has_left(self, name):
+        rows = drive_up(REFERENCES[name](), distance=40.0, speed=8.0)
+        entered = next(time for time, left, *_ in rows if left <= 0)
+        assert entered > 50.0 / 8.0
+        assert min(a for *_, a in rows) >= -4.0
+
+    def test_stands_at_the_line_while_somebody_stands_in_it(self, name):
+        rows = drive_up(REFERENCES[name](), distance=-5.0, speed=0.0)
+        assert rows[-1][2] == pytest.approx(0.0, abs=0.05)
+        assert 0.2 < rows[-1][1] < 2.0
+
+    def test_does_not_wait_for_one_that_comes_later_than_the_critical_headway(self, name):
+        for kind, seconds in CRITICAL.items():
+            later = drive_up(REFERENCES[name](), kind=kind, distance=10.0 * (4.0 + seconds + 0.5), speed=10.0)
+            sooner = drive_up(REFERENCES[name](), kind=kind, distance=10.0 * (4.0 + seconds - 1.5), speed=10.0)
+            assert min(speed for _, left, speed, _ in later if left > 0) == 10.0
+            assert min(speed for _, left, speed, _ in sooner if left > 0) < 9.0
+
+    def test_does_not_wait_for_one_that_waits(self, name):
+        assert all(a == 0.0 for *_, a in drive_up(REFERENCES[name](), distance=2.0, speed=0.0))
+
+    def test_with_priority_it_brakes_for_one_that_can_no_longer_stop_alone(self, name):
+        stops = drive_up(REFERENCES[name](), priority="ego", distance=20.0, speed=2.0, seconds=4.0)
+        cannot = drive_up(REFERENCES[name](), priority="ego", distance=10.0, speed=4.0, seconds=4.0)
+        assert all(a == 0.0 for *_, a in stops)
+        assert min(a for *_, a in cannot) < -2.0
+
+    def test_follows_one_that_joins_ahead_of_it(self, name):
+        rows = drive_up(REFERENCES[name](), kind="merging", priority="ego", distance=-1.0, speed=4.0, seconds=3.0)
+        assert 4.0 <= min(speed for _, _, speed, _ in rows) < 9.0
