@@ -108,7 +108,9 @@ FILE_TEXTS: Mapping[str, str] = {
     "`everyday` ([what they mean](../explanation/traffic.md)); with parts of its own, `{style: everyday, least_gap: "
     "4.0}`. Where it is not given, as in files of before, they drive as in the paper.",
     "scenario.npcs": "One list per NPC of Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]; or, in "
-    "finds of algorithms that know no grid, of Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`.",
+    "finds of algorithms that know no grid, of Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`. An "
+    "NPC that meets the ego where ways cross has one Crossing-Instruction `{zone, slot, speed, act}`: the entry and "
+    "exit of its way, the slot [s] after the ego, negative before it, and the act, `pass` where it is not given.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number.",
     "expect.reference_drivers": "For each reference driver what becomes of it in the ego's place: `avoids`, `hit`, "
     "`at-fault` or `fails` ([their meaning](../explanation/responsibility.md#who-could-have-prevented-it)); not "
@@ -118,8 +120,9 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.situation": "Where the NPC of the failure was shortly before the ego's mistake, relative to the ego: the "
     "`npc`, the `time` [s], how far `ahead` its centre was [m], negative behind, its `lane`, counted from the ego's to "
     "the right, and both speeds, `ego_speed` and `npc_speed` [m/s], of a leader the lowest from then on. A replay that "
-    "passes is a [fix](../explanation/findings.md#what-a-replay-means) only where the situation comes up again. Not "
-    "there where no NPC took part, and in files of before.",
+    "passes is a [fix](../explanation/findings.md#what-a-replay-means) only where the situation comes up again. Of an "
+    "NPC that crosses, in place of `ahead` and `lane`, in how long it and the ego were to be at the beginning of their "
+    "zone, `npc_enters` and `ego_enters` [s]. Not there where no NPC took part, and in files of before.",
     "expect.last_chance": "When one of them would last have stayed free of fault in the ego's place: `time` [s], the "
     "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad]. Not there where "
     "there is no such moment.",

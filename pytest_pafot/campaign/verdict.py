@@ -168,10 +168,14 @@ def collision_in_short(run: Run) -> str:
     hit = run.collision
     if hit is None:
         return ""
-    place = hit.cell.label.replace("front", "ahead").replace("rear", "behind").replace("-", " ")
-    place = f"on the {place}" if hit.cell in (Cell.LEFT, Cell.RIGHT) else place
+    zone = run.npcs[hit.npc].zone
+    if hit.cell is not None:
+        place = hit.cell.label.replace("front", "ahead").replace("rear", "behind").replace("-", " ")
+        place = f" on the {place}" if hit.cell in (Cell.LEFT, Cell.RIGHT) else f" {place}"
+    else:
+        place = "" if zone is None else f" {zone.whence}"
     who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "nobody")
-    return f"collision after {hit.time:.1f} s at {hit.closing_speed:.1f} m/s: NPC {hit.npc} {place}, {who} at fault"
+    return f"collision after {hit.time:.1f} s at {hit.closing_speed:.1f} m/s: NPC {hit.npc}{place}, {who} at fault"
 
 
 def skips() -> tuple[type[BaseException], ...]:

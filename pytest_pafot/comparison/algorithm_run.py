@@ -15,7 +15,7 @@ from pytest_pafot.commands.policy_reference import PlanError, ads_factory, cauti
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, claim, run_job
 from pytest_pafot.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.execution.runner import runner_here
-from pytest_pafot.findings.finding import ads_failure, first_decision_cause, of_failure
+from pytest_pafot.findings.finding import ads_failure, event_of, first_decision_cause, of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
@@ -46,9 +46,10 @@ class Row:
     duration: float  # of the run [s]
     clock: float  # simulated time of the search until the end of the run [s]; duplicates take none
     failing: bool  # whether it counts as a failure, by the blame of the comparison
-    collision_time: float | None  # [s]; empty without a collision, and so are the next four
+    collision_time: float | None  # [s]; empty without a collision, and so are the next five
     npc: int | None  # that collided
-    cell: int | None  # in which it was
+    cell: int | None  # in which it was; empty where it crossed the ego's way
+    zone: str | None  # in which it crossed that, such as ``crossing from the left``; empty where it did not
     side: str | None  # of the ego that was hit
     closing_speed: float | None  # at the impact [m/s]
     responsibility: str  # by :func:`~pytest_pafot.attribution.responsibility.rss_rule`; ``none`` without a collision
@@ -81,6 +82,7 @@ class RunFacts:
     responsibility: str
     position_responsibility: str
     signature: str | None
+    zone: str | None
     error: AdsError | None
 
 
@@ -185,6 +187,7 @@ def evaluated(trace: Trace, fitness: Fitness, blame: str, world: WorldLike) -> E
         responsibility=responsibility,
         position_responsibility=position_rule(trace),
         signature=signature,
+        zone=None if run.collision is None else event_of(run, failure).zone,
         error=trace.error,
     )
     return replace(evaluation, note=facts)
@@ -209,7 +212,8 @@ def row_of(event: Evaluated, *, algorithm: str, run: int, seed: int, clock: floa
         failing=evaluation.failing,
         collision_time=None if hit is None else hit.time,
         npc=None if hit is None else hit.npc,
-        cell=None if hit is None else int(hit.cell),
+        cell=None if hit is None or hit.cell is None else int(hit.cell),
+        zone=facts.zone,
         side=None if hit is None else hit.side,
         closing_speed=None if hit is None else hit.closing_speed,
         responsibility=facts.responsibility,

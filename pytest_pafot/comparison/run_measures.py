@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import starmap
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -28,6 +29,8 @@ SPEED_STEP = 5.0
 """In which the closing speeds of impacts are told apart [m/s]."""
 SIDES = {"front": (1, 0), "right": (0, 1), "rear": (-1, 0), "left": (0, -1)}
 """Where a side of the ego is, as rows and columns of the grid are."""
+ORIGINS = {"ahead": (1, 0), "right": (0, 1), "behind": (-1, 0), "left": (0, -1)}
+"""The same, of what an NPC comes from that crosses."""
 
 
 def inverted_distances(frame: pd.DataFrame, is_counted: pd.Series[bool]) -> pd.Series[float]:
@@ -38,10 +41,10 @@ def inverted_distances(frame: pd.DataFrame, is_counted: pd.Series[bool]) -> pd.S
     not counted, such as those after a time, are part of the reference set all the same.
     """
     hits = frame[frame["failing"] & (frame["outcome"] == "collision") & ~frame["duplicate"]]
-    cells = [Cell(int(cell)) for cell in hits["cell"]]
-    impacts = zip(cells, hits["side"], hits["closing_speed"], strict=True)
+    places = starmap(_place, zip(hits["cell"], hits["zone"], strict=True))
+    impacts = zip(places, hits["side"], hits["closing_speed"], strict=True)
     # Not when an impact was: that would tell against algorithms with short runs.
-    rows = [(cell.row, cell.column, *SIDES[side], round(speed / SPEED_STEP)) for cell, side, speed in impacts]
+    rows = [(*place, *SIDES[side], round(speed / SPEED_STEP)) for place, side, speed in impacts]
     points = np.array(rows, dtype=np.float64)
     distances = dict.fromkeys(zip(frame["algorithm"], frame["run"], strict=True), math.inf)
     if len(points):
@@ -52,6 +55,13 @@ def inverted_distances(frame: pd.DataFrame, is_counted: pd.Series[bool]) -> pd.S
             apart = np.linalg.norm(reference[:, None] - shown[None, :], axis=-1)
             distances[cast("tuple[str, int]", key)] = float(apart.min(axis=1, initial=math.inf).mean())
     return pd.Series(distances, dtype=float)
+
+
+def _place(cell: float, zone: object) -> tuple[int, int]:
+    """Row and column of the grid in which an NPC was; of one that crossed, those next to the ego where it came from."""
+    if isinstance(zone, str):
+        return ORIGINS[zone.rpartition(" ")[2]]
+    return Cell(int(cell)).row, Cell(int(cell)).column
 
 
 SECONDS_PER_HOUR = 3600.0

@@ -17,7 +17,7 @@ import yaml
 
 from pytest_pafot.findings.finding import Expect, Finding, Perceived
 from pytest_pafot.model.driving_style import BOUNDS, PAPERS
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
 
 # Which keys there are.
 
@@ -51,11 +51,12 @@ LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overs
 """Of the key ``limits`` of a world."""
 
 SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic"))
-"""Of ``scenario`` and ``original``; ``npcs`` is a list of lists of genes, in one of the next two forms."""
+"""Of ``scenario`` and ``original``; ``npcs`` is a list of lists of genes, in one of the next three forms."""
 
 EGO = Keys(("lane", "speed"))
 POSITION_INSTRUCTION = Keys(("cell", "speed"))
 LANE_INSTRUCTION = Keys(("lane", "speed"))
+CROSSING_INSTRUCTION = Keys(("zone", "slot", "speed"), ("act",))
 TRAFFIC = Keys(("style",), tuple(BOUNDS))
 """Of ``traffic`` where it is no style alone."""
 
@@ -65,15 +66,19 @@ XFAIL = Keys(("reason",), ("until",))
 EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
     (
-        *("assertion", "check", "message", "npc", "cell", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
+        *("assertion", "check", "message", "npc", "cell", "zone", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
         *("situation", "reference_drivers", "last_chance", "avoided_by", "against", "traceback"),
     ),
 )
 EXPECT_OF_COLLISION = Keys((*EXPECT.required, "npc", "cell", "side"), EXPECT.optional)
+EXPECT_IN_ZONE = Keys((*EXPECT.required, "npc", "zone", "side"), EXPECT.optional)
+"""Of a collision with an NPC that crosses, off the ego's way."""
 CHECK = Keys((), ("value", "at_most", "at_least", "unit"))
 """Of ``expect.check``."""
 SITUATION = Keys(("npc", "time", "ahead", "lane", "ego_speed", "npc_speed"))
 """Of ``expect.situation``."""
+ZONE_SITUATION = Keys(("npc", "time", "npc_enters", "ego_enters", "ego_speed", "npc_speed"))
+"""Of that with an NPC that crosses."""
 LAST_CHANCE = Keys(("time", "driver", "action", "ego_action"))
 """Of ``expect.last_chance``."""
 AVOIDANCE = Keys(("time", "braking"))
@@ -140,13 +145,28 @@ def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
             if isinstance(instruction, PositionInstruction):
                 entry = f"{bullet}{{cell: {instruction.target}, speed: {_number(instruction.speed)}}}"
                 yield f"{entry:{COMMENT_COLUMN}}# {instruction.cell.label}"
+            elif isinstance(instruction, CrossingInstruction):
+                parts = {name: getattr(instruction, name) for name in CROSSING_INSTRUCTION.required}
+                yield bullet + _flow(parts if instruction.act == "pass" else {**parts, "act": instruction.act})
             else:
                 yield f"{bullet}{{lane: {instruction.target}, speed: {_number(instruction.speed)}}}"
 
 
 def _expect_lines(expect: Expect) -> Iterator[str]:
     """One flow mapping; a block of lines where a text has several lines itself."""
-    first = ("failure", "assertion", "check", "message", "outcome", "time", "npc", "cell", "side", "responsibility")
+    first = (
+        "failure",
+        "assertion",
+        "check",
+        "message",
+        "outcome",
+        "time",
+        "npc",
+        "cell",
+        "zone",
+        "side",
+        "responsibility",
+    )
     names = [each.name for each in fields(expect) if each.name not in ("situation", "traceback")]
     order = dict.fromkeys([*first, *names, "situation", "traceback"])
     values = {name: getattr(expect, name) for name in order}

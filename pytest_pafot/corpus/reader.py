@@ -24,10 +24,20 @@ from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, NOT_SHOWN, Lines, Place, parse
 from pytest_pafot.findings.finding import MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived, check_plain, is_id
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
-from pytest_pafot.findings.situation import Situation
+from pytest_pafot.findings.signature import ZONES
+from pytest_pafot.findings.situation import Situation, ZoneSituation
 from pytest_pafot.model.driving_style import PAPERS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import REPAIR, SHIFTS, Gene, Scenario, ScenarioError, gene_of
+from pytest_pafot.model.scenario import (
+    ACTS,
+    REPAIR,
+    SHIFTS,
+    CrossingInstruction,
+    Gene,
+    Scenario,
+    ScenarioError,
+    gene_of,
+)
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome, Side
 from pytest_pafot.oracle.run import ReferenceOutcome
@@ -308,15 +318,25 @@ def _traffic(field: Field) -> Traffic:
 
 def _gene(field: Field) -> Gene:
     has_lane = "lane" in field.any_mapping() and "cell" not in field.any_mapping()
-    fields = field.mapping(file_format.LANE_INSTRUCTION if has_lane else file_format.POSITION_INSTRUCTION)
-    target: Any = fields["lane"].choice(SHIFTS) if has_lane else Cell(fields["cell"].whole(1, 8))
-    speed = fields["speed"].number()
+    crosses = "zone" in field.any_mapping() and not field.value.keys() & {"cell", "lane"}
+    kinds = file_format.LANE_INSTRUCTION, file_format.CROSSING_INSTRUCTION, file_format.POSITION_INSTRUCTION
+    fields = field.mapping(kinds[0 if has_lane else 1 if crosses else 2])
+    numbers = {
+        name: fields[name].number(low) for name, low in (("slot", -MAX_NUMBER), ("speed", 0.0)) if name in fields
+    }
     try:
-        gene = gene_of(target, speed)
+        if crosses:
+            gene: Gene = CrossingInstruction(
+                zone=fields["zone"].text(), act=_given(fields, "act", lambda act: act.choice(ACTS), "pass"), **numbers
+            )
+        else:
+            target: Any = fields["lane"].choice(SHIFTS) if has_lane else Cell(fields["cell"].whole(1, 8))
+            gene = gene_of(target, numbers["speed"])
     except ScenarioError as error:
         raise _rule_broken(field, error) from None
-    if gene.speed != speed:  # as near as floats come, which is near enough for whoever computes it
-        raise fields["speed"].error("m/s in steps of 0.1", f"write {gene.speed}")
+    for name, unit in (("slot", "seconds"), ("speed", "m/s")):
+        if name in numbers and getattr(gene, name) != numbers[name]:  # as near as floats come, for whoever computes it
+            raise fields[name].error(f"{unit} in steps of 0.1", f"write {getattr(gene, name)}")
     return gene
 
 
@@ -347,7 +367,7 @@ def _expect(field: Field, npcs: int) -> Expect:
     fields = field.mapping(file_format.EXPECT)
     outcome = Outcome(fields["outcome"].choice(_OUTCOMES))
     if outcome is Outcome.COLLISION:
-        field.mapping(file_format.EXPECT_OF_COLLISION)
+        field.mapping(file_format.EXPECT_IN_ZONE if "zone" in fields else file_format.EXPECT_OF_COLLISION)
     return Expect(
         failure=fields["failure"].some_text("name the class of the exception, such as AssertionError"),
         assertion=_given(fields, "assertion", Field.text, ""),
@@ -357,6 +377,7 @@ def _expect(field: Field, npcs: int) -> Expect:
         time=fields["time"].number(),
         npc=_given(fields, "npc", lambda inner: inner.whole(0, npcs - 1)),
         cell=_given(fields, "cell", lambda inner: Cell(inner.whole(1, 8))),
+        zone=_given(fields, "zone", lambda inner: inner.choice(ZONES)),
         side=_given(fields, "side", lambda inner: inner.choice(get_args(Side))),
         situation=_given(fields, "situation", lambda inner: _situation(inner, npcs)),
         responsibility=fields["responsibility"].choice(get_args(Responsibility)),
@@ -391,7 +412,17 @@ def _check(field: Field) -> Bounded:
     return Bounded(value=value, at_most=at_most, at_least=at_least, unit=_given(fields, "unit", Field.text, ""))
 
 
-def _situation(field: Field, npcs: int) -> Situation:
+def _situation(field: Field, npcs: int) -> Situation | ZoneSituation:
+    if "npc_enters" in field.any_mapping():
+        fields = field.mapping(file_format.ZONE_SITUATION)
+        return ZoneSituation(
+            npc=fields["npc"].whole(0, npcs - 1),
+            time=fields["time"].number(),
+            npc_enters=fields["npc_enters"].number(-MAX_NUMBER),
+            ego_enters=fields["ego_enters"].number(-MAX_NUMBER),
+            ego_speed=fields["ego_speed"].number(-MAX_NUMBER),
+            npc_speed=fields["npc_speed"].number(-MAX_NUMBER),
+        )
     fields = field.mapping(file_format.SITUATION)
     return Situation(
         npc=fields["npc"].whole(0, npcs - 1),

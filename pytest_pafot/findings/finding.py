@@ -17,8 +17,17 @@ from pytest_pafot.attribution.last_chance import Avoidance, LastChance
 from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before, mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.findings.signature import CHECK_FAILED, PROCESS_CRASH, SLOW_DECISION, Failure, Signature, normalised
-from pytest_pafot.findings.situation import Situation
+from pytest_pafot.findings.signature import (
+    AT_ZONES,
+    CHECK_FAILED,
+    PROCESS_CRASH,
+    SLOW_DECISION,
+    Failure,
+    Signature,
+    normalised,
+    zone_in_words,
+)
+from pytest_pafot.findings.situation import Situation, ZoneSituation, situation_of
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
@@ -93,6 +102,7 @@ class Expect:
             :attr:`~pytest_pafot.oracle.run.Run.event_time`.
         npc, cell: at the collision, else at the least time to contact; None where there is no such moment. Of a failed
             check without a collision the NPC that it names, and no cell.
+        zone: in which that NPC crossed the ego's way, such as ``crossing from the left``; None where it did not.
         side: of the ego that was hit; None without a collision.
         situation: from which the failure arose, by which a replay that passes is told to be a fix; None where no NPC
             took part, and in files of before.
@@ -115,8 +125,9 @@ class Expect:
     message: str = ""
     npc: int | None = None
     cell: Cell | None = None
+    zone: str | None = None
     side: Side | None = None
-    situation: Situation | None = None
+    situation: Situation | ZoneSituation | None = None
     responsibility: Responsibility = "none"
     fault: Fault | None = None
     npc_manoeuvre: Manoeuvre | None = None
@@ -184,11 +195,12 @@ class Expect:
             time=round(event.time, 3),
             npc=event.npc,
             cell=event.cell,
+            zone=event.zone,
             side=None if hit is None else hit.side,
-            situation=Situation.of(run, failure, event.time),
+            situation=situation_of(run, failure, event.time),
             responsibility=run.attribution.responsibility,
             fault=run.attribution.fault,
-            npc_manoeuvre=None if hit is None else manoeuvre_before(trace, hit.npc + 1, hit.tick),
+            npc_manoeuvre=None if hit is None or event.zone else manoeuvre_before(trace, hit.npc + 1, hit.tick),
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             reference_drivers=dict(reference_drivers or {}),
             last_chance=last_chance,
@@ -337,11 +349,12 @@ class Finding(Shown):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureEvent:
-    """The moment that a failure is about [s]; the NPC and its cell, None where there is none."""
+    """The moment that a failure is about [s]; the NPC and its cell, or the zone that it crossed, None without."""
 
     time: float
     npc: int | None = None
     cell: Cell | None = None
+    zone: str | None = None
 
 
 def event_of(run: Run, failure: Failure | None) -> FailureEvent:
@@ -350,7 +363,11 @@ def event_of(run: Run, failure: Failure | None) -> FailureEvent:
     if check is not None and run.collision is None:
         return FailureEvent(time=run.event_time if check.time is None else check.time, npc=check.npc)
     time = run.event_time if check is None or check.time is None else check.time
-    return FailureEvent(time=time, npc=None if run.event_cell is None else run.event_npc, cell=run.event_cell)
+    npc, cell = run.event_npc, run.event_cell
+    zone = run.trace.zones[npc] if run.trace.zones and npc is not None else None
+    if zone is not None and (cell is None or run.attribution.fault in AT_ZONES):
+        return FailureEvent(time=time, npc=npc, cell=cell, zone=zone_in_words(zone))
+    return FailureEvent(time=time, npc=None if cell is None else npc, cell=cell)
 
 
 def _told(value: float | None, digits: int) -> float | None:

@@ -25,8 +25,10 @@ from pytest_pafot.model.scenario import (
     GENE_SECONDS,
     MAX_SPEED,
     SHIFTS,
+    SLOT_STEPS_PER_SECOND,
     SPEED_STEPS_PER_MPS,
     Chromosome,
+    CrossingInstruction,
     Gene,
     LaneInstruction,
     PositionInstruction,
@@ -57,9 +59,15 @@ Sized = tuple[tuple[int, int], tuple[Chromosome, ...]]
 FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
 """Steps of speed, from rough to fine, in tenths of m/s like all speeds inside of this module."""
 
+SECOND, HALF = SLOT_STEPS_PER_SECOND, SLOT_STEPS_PER_SECOND // 2
+"""Steps of a slot, in tenths of a second."""
+
 
 SMALL_SPEEDS = (0.0, 10.0, 20.0, 25.0)
 """Of the instructions of small scenarios [m/s]; other speeds come of the passes on what is found."""
+
+SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)
+"""Of NPCs that cross in small scenarios [s]."""
 
 FIRST_PART = 10
 """One run of so many is for small scenarios before anything else is tried, so that small budgets serve the passes."""
@@ -100,7 +108,8 @@ class Shrunk:
         rollouts: runs that it took.
         is_minimal: whether everything simpler that is tried was tried within the budget, and passes: each single step
             of the passes, each small scenario (one NPC with one or two instructions, two with one each, of few
-            speeds), and pairs of a limited number of steps. It says nothing of what is not in these lists.
+            speeds; or one that crosses, in a zone of the scenario, with few slots), and pairs of a limited number of
+            steps. It says nothing of what is not in these lists.
         speeds: for each instruction of the simpler scenario, by NPC and gene, the speeds at which it still fails; as
             far as the budget reached.
     """
@@ -119,18 +128,23 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
 
     1. NPCs, since each of them is a participant to understand.
     2. Instructions to read: equal ones that follow each other count once.
-    3. Moves from one cell or lane to another; staying is simpler.
+    3. Moves from one cell or lane to another; staying is simpler. Of who crosses, holding or stopping; passing is
+       simpler.
     4. Genes of the longest chain, which is the length of the run; then genes in total.
     5. How the ego starts: in lane 1 and at 22 m/s before anything else, of which round speeds come first; and genes of
        10 s before those of another duration.
-    6. How rough the speeds are: multiples of 5 m/s before whole ones before tenths.
-    7. The sum of the speeds of the instructions: slower is simpler.
+    6. How rough the speeds are: multiples of 5 m/s before whole ones before tenths; and slots: whole seconds before
+       halves before tenths.
+    7. The sum of the speeds of the instructions: slower is simpler. Of who crosses, how far its slot is from 0, and not
+       its speed.
     8. The traffic: the paper's has no rules of its own.
     9. The seed of the repair, of which 0 is the plainest.
 
     Every part is a whole number, at least 0, so that every chain of simplifications ends.
     """
     speeds = [_tenths(chain[start]) for chain in scenario.npcs for start, _ in blocks(chain)]
+    slots = [round(abs(each.slot) * SLOT_STEPS_PER_SECOND) for each in scenario.crossings if each is not None]
+    crossing = sum(_tenths(each) for each in scenario.crossings if each is not None)
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
     return (
         len(scenario.npcs),
@@ -141,8 +155,8 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
         (scenario.ego_lane != EGO_LANE)
         + (scenario.ego_speed != EGO_SPEED and 1 + _roughness(start))
         + (scenario.gene_seconds != GENE_SECONDS),
-        sum(map(_roughness, speeds)),
-        sum(speeds),
+        sum(map(_roughness, speeds)) + sum((slot % SECOND > 0) + (slot % HALF > 0) for slot in slots),
+        sum(speeds) - crossing + sum(slots),
         int(scenario.traffic != PAPERS),
         scenario.seed,
     )
@@ -277,7 +291,8 @@ def _shorter(scenario: Scenario) -> Candidates:
     for genes in sorted({1 << power for power in range(most.bit_length())} | {most} - {0}):  # 1, 2, 4 ... most
         yield scenario.truncated(genes)
     for start, end in _slices(scenario.genes, most):
-        yield _valid(scenario, tuple(chain[:start] + chain[end:] for chain in scenario.npcs))
+        cut = (chain if _crosses(chain) else chain[:start] + chain[end:] for chain in scenario.npcs)
+        yield _valid(scenario, tuple(cut))
 
 
 def _later(scenario: Scenario, starts: Starts) -> Candidates:
@@ -332,12 +347,31 @@ def _staying(scenario: Scenario) -> Candidates:
             before = chain[max(gene - 1, 0)]
             if isinstance(before, LaneInstruction):
                 stays: Chromosome = tuple(LaneInstruction("keep", each.speed) for each in chain[gene:])
-            elif gene > 0:
+            elif gene > 0 and isinstance(before, PositionInstruction):
                 stays = tuple(PositionInstruction(before.cell, each.speed) for each in chain[gene:])
             else:
                 continue
             yield _with_chain(scenario, npc, chain[:gene] + stays)
             yield _with_chain(scenario, npc, chain[:gene] + stays[: end - gene] + chain[end:])
+
+
+def _passing(scenario: Scenario) -> Candidates:
+    """An NPC that held at its line, or stopped in its zone, drives through it."""
+    for npc, each in enumerate(scenario.crossings):
+        if each is not None and each.act != "pass":
+            yield _with_chain(scenario, npc, (replace(each, act="pass"),))
+
+
+def _plainer_slots(scenario: Scenario) -> Candidates:
+    """A slot of 0, the whole and half seconds next to it, and what is nearer to 0 by a second, a half or a tenth."""
+    for npc, each in enumerate(scenario.crossings):
+        if each is None:
+            continue
+        slot = round(each.slot * SLOT_STEPS_PER_SECOND)
+        rounded = [below for unit in (SECOND, HALF) for below in (slot // unit * unit, -(-slot // unit) * unit)]
+        nearer = [slot - math.copysign(step, slot) for step in (SECOND, HALF, 1) if step <= abs(slot)]
+        for tenths in dict.fromkeys((0, *rounded, *nearer)):
+            yield _with_chain(scenario, npc, (replace(each, slot=tenths / SLOT_STEPS_PER_SECOND),))
 
 
 def _rounder(scenario: Scenario) -> Candidates:
@@ -352,7 +386,7 @@ def _rounder(scenario: Scenario) -> Candidates:
 def _slower(scenario: Scenario) -> Candidates:
     """To a standstill, or down by 5, 1 or 0.1 m/s; the pass is repeated as long as that helps."""
     for npc, start, end, speed in _all_blocks(scenario):
-        for lower in (speed, FIVE, ONE, TENTH):
+        for lower in (speed, FIVE, ONE, TENTH) if not _crosses(scenario.npcs[npc]) else ():
             yield _with_speed(scenario, npc, start, end, speed - lower)
 
 
@@ -367,21 +401,32 @@ def _papers_traffic(scenario: Scenario) -> Candidates:
         yield replace(scenario, traffic=PAPERS)
 
 
-STRUCTURE: tuple[Pass, ...] = (_fewer_npcs, _shorter, _merged, _staying, _shorter_chains)
-PASSES: tuple[Pass, ...] = (*STRUCTURE, _rounder, _slower, _plain_seed)
+STRUCTURE: tuple[Pass, ...] = (_fewer_npcs, _shorter, _merged, _staying, _shorter_chains, _passing)
+PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_slots, _rounder, _slower, _plain_seed)
 """What a run saves most comes first; all are repeated until none of them finds anything."""
 
 
 def _small(scenario: Scenario, found: Scenario, plain: Start) -> Candidates:
-    """One NPC with one or two instructions, or two with one each; at the ego's plain start, and the present one."""
+    """One NPC with one or two instructions, or two with one each; at the ego's plain start, and the present one.
+
+    Where somebody crosses, one NPC that crosses in a zone of the scenario.
+    """
     size = len(scenario.npcs), instructions(scenario)
     length = scenario.genes if size <= (1, 2) else found.genes  # A run ends with the failure; the longer, the more.
     targets = SHIFTS if isinstance(found.npcs[0][0], LaneInstruction) else tuple(Cell)
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
     begins = [replace(scenario, seed=0, ego_lane=lane, ego_speed=speed) for lane, speed in starts]
-    for (its_size, npcs), begin in product(_small_ones(targets, length), begins):
+    small = _small_crossings(found) if found.crossings else _small_ones(targets, length)
+    for (its_size, npcs), begin in product(small, begins):
         if its_size <= size:
             yield _valid(begin, npcs)
+
+
+def _small_crossings(found: Scenario) -> Sequence[Sized]:
+    told = [each for each in found.crossings if each is not None]
+    speeds = dict.fromkeys((each.zone, round(each.speed / unit) * unit) for unit in (5.0, 1.0) for each in told)
+    ones = [CrossingInstruction(zone, slot, speed) for slot in SMALL_SLOTS for zone, speed in speeds if speed > 0]
+    return [((1, 1), ((each,),)) for each in ones]
 
 
 @lru_cache(maxsize=16)
@@ -455,9 +500,9 @@ def blocks(chain: Chromosome) -> list[tuple[int, int]]:
 
 
 def _with_speed(scenario: Scenario, npc: int, start: int, end: int, tenths: int) -> Scenario | None:
-    if tenths < 0:
-        return None
     chain = scenario.npcs[npc]
+    if tenths < 0 or (tenths == 0 and _crosses(chain)):
+        return None
     changed = tuple(replace(gene, speed=_mps(tenths)) for gene in chain[start:end])
     return _with_chain(scenario, npc, chain[:start] + changed + chain[end:])
 
@@ -474,8 +519,14 @@ def _valid(scenario: Scenario, npcs: tuple[Chromosome, ...]) -> Scenario | None:
         return None
 
 
+def _crosses(chain: Chromosome) -> bool:
+    return isinstance(chain[0], CrossingInstruction)
+
+
 def _moves(chain: Chromosome) -> int:
-    """Changes of cell; of lane those that Lane-Instructions ask for."""
+    """Changes of cell; of lane those that Lane-Instructions ask for; 1 for who crosses and does not pass."""
+    if isinstance(chain[0], CrossingInstruction):
+        return int(chain[0].act != "pass")
     cells = [instruction.cell for instruction in chain if isinstance(instruction, PositionInstruction)]
     shifts = sum(isinstance(each, LaneInstruction) and each.lane != "keep" for each in chain)
     return shifts + sum(a != b for a, b in pairwise(cells))

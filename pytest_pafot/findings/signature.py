@@ -7,9 +7,11 @@ import re
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from textwrap import dedent
+from typing import get_args
 
 from pytest_pafot.attribution.mistakes import BY_FAULT, Manoeuvre, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.model.crossings import Kind, Origin, Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome, Side
 from pytest_pafot.oracle.checks import Check, CheckFailed
@@ -36,6 +38,16 @@ _OF_COLLISIONS = frozenset(
      "last_chance", "sentences", "explain"}
 )  # fmt: skip
 """What an assertion that speaks of the collision names of a run."""
+
+AT_ZONES = frozenset({"did-not-give-way", "entered-taken-zone"})
+"""Faults that are about a zone, wherever in it the two touched."""
+
+ZONES = tuple(
+    f"{kind} from {'the ' if origin in ('left', 'right') else ''}{origin}"
+    for kind in get_args(Kind)
+    for origin in get_args(Origin)
+)
+"""What tells zones apart, as in ``crossing from the left``: one junction has many that are much the same."""
 
 _NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})
 
@@ -65,8 +77,8 @@ class Signature:
 
     A failed check is told by its name, and so is an assertion that does not speak of the collision by its text: how
     the run ended, and where the others drove, is up to the traffic, and one property would be many failures. A
-    collision that the ego answers for is told by its mistake alone, for the same reason. Any other is told by where and
-    how it came about.
+    collision that the ego answers for is told by its mistake alone, for the same reason, and in a zone by its kind and
+    from where the NPC came as well. Any other is told by where and how it came about.
 
     Attributes:
         failure: name of the exception class.
@@ -78,6 +90,8 @@ class Signature:
         fault: the branch of the rules by which it answers; a name, which is not compared.
         side: of the ego that was hit; None without a collision, and with a fault.
         cell: of the NPC at the collision; None without one, and with a fault.
+        zone: in which the NPC crossed the ego's way (:func:`zone_in_words`); None where it did not, and with a fault
+            that is about no zone.
         npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one, and with a fault.
     """
 
@@ -89,6 +103,7 @@ class Signature:
     fault: Fault | None = field(default=None, compare=False, repr=False)
     side: Side | None = None
     cell: Cell | None = None
+    zone: str | None = None
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
 
@@ -96,15 +111,18 @@ class Signature:
         if self.is_property:
             object.__setattr__(self, "outcome", Outcome.SAFE)
             object.__setattr__(self, "responsibility", "none")
-            for name in ("mistake", "fault", "side", "cell", "npc_manoeuvre", "ego_manoeuvre"):
+            for name in ("mistake", "fault", "side", "cell", "zone", "npc_manoeuvre", "ego_manoeuvre"):
                 object.__setattr__(self, name, None)
         elif self.fault is not None:
             object.__setattr__(self, "responsibility", "ego")
             object.__setattr__(self, "mistake", self.mistake or BY_FAULT.get(self.fault))
             for name in ("side", "cell", "npc_manoeuvre", "ego_manoeuvre"):
                 object.__setattr__(self, name, None)
+            if self.fault not in AT_ZONES:
+                object.__setattr__(self, "zone", None)
         elif self.outcome is not Outcome.COLLISION or self.failure == SLOW_DECISION:
             object.__setattr__(self, "cell", None)
+            object.__setattr__(self, "zone", None)
 
     @property
     def is_property(self) -> bool:
@@ -133,7 +151,8 @@ class Signature:
         """
         if self.fault is not None:
             is_behind = self.fault == "entered-lane" and self.mistake == "kept-no-distance"
-            return "entered-behind" if is_behind else self.fault
+            whence = "" if self.zone is None else f"-{self.zone.rpartition(' ')[2]}"
+            return "entered-behind" if is_behind else f"{self.fault}{whence}"
         if self.failure == CHECK_FAILED:
             return _kebab(self.assertion.lower()) or "check"
         outcome = self.outcome.replace("_", "-")
@@ -147,7 +166,15 @@ class Signature:
             words = re.findall(r"[a-z][a-z0-9_]*", self.assertion.lower())
             subjects = list(dict.fromkeys(word for word in words if word not in _NO_SUBJECT))
             subject = _kebab("-".join(subjects[:3])) or _kebab(self.failure.lower()) or outcome
+        if self.zone is not None:
+            kind, *_, whence = self.zone.split()
+            return f"{subject}-{kind}-{whence}"
         return subject if self.cell is None else f"{subject}-{int(self.cell)}"
+
+
+def zone_in_words(zone: Zone) -> str:
+    """Return which of the :data:`ZONES` a zone is."""
+    return f"{zone.kind} {zone.whence}"
 
 
 def normalised(assertion: str, message: str = "") -> str:

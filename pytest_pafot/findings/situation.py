@@ -3,12 +3,14 @@
 A saved failure passes for two reasons: the policy now handles the situation, or the situation does not come up any
 more. NPCs drive to places relative to the ego, so a situation is where an NPC was relative to the ego, shortly before
 the ego's mistake. What the ego does about it, such as braking earlier, must not change whether it came up.
+
+One with an NPC that crosses is when each of the two was to come to the zone in which their ways meet.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -19,7 +21,8 @@ from pytest_pafot.attribution.responses import BRAKES
 from pytest_pafot.attribution.responsibility import frame_of
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure
-from pytest_pafot.model.trace import LANE, FloatArray, Outcome, Trace
+from pytest_pafot.model.trace import ALONG, LANE, FloatArray, Outcome, Trace
+from pytest_pafot.model.trace import SPEED as SPEEDS
 from pytest_pafot.oracle.run import Run
 
 # The tolerances were chosen by replaying failures of policies with seeded defects, with the policies repaired and with
@@ -45,6 +48,48 @@ SLOWER_SHARE = 0.6
 """A leader must be slower than the ego by this share of the difference then, or by 3 m/s less than it, ..."""
 ANSWER = 10.0
 """... compared with the highest speed of the ego in so long before: an ego that answers slows down, too [s]."""
+ARRIVAL = 1.0
+ARRIVAL_SHARE = 0.5
+"""Times to a zone are near each other within the first [s], or within this share of the time then."""
+LEAST_SPEED = 0.1
+"""Whoever has not been faster will not come to a zone [m/s]."""
+
+
+class Arising(Protocol):
+    """A situation, of whatever kind."""
+
+    @property
+    def npc(self) -> int:
+        """Index in the scenario."""
+
+    @property
+    def time(self) -> float:
+        """Of the moment [s]."""
+
+    def distances(self, trace: Trace) -> FloatArray:
+        """Return how far a run is from the situation at each tick, in multiples of what is tolerated."""
+
+    def nearest_in(self, trace: Trace) -> Self:
+        """Return the moment at which a run came nearest to the situation."""
+
+
+def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSituation | None:
+    """Return the situation from which a failure arose that is about a time [s]; None where it is about no NPC."""
+    npc = run.event_npc
+    if failure.check is not None:
+        npc = failure.check.npc
+    elif run.ads_error is not None or run.outcome is Outcome.OFF_ROAD or failure.kind == SLOW_DECISION:
+        npc = None
+    if npc is None or not np.isfinite(run.trace.states).all():
+        return None
+    if run.trace.zones and run.trace.zones[npc] is not None:
+        return ZoneSituation.of(run, failure, npc, time)
+    return Situation.of(run, failure, npc, time)
+
+
+def tick_of_mistake(run: Run, failure: Failure) -> int | None:
+    """Return when the reason of the verdict begins; None where a failure is about no collision, or nobody says."""
+    return None if run.collision is None or failure.check is not None else run.attribution.tick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,22 +113,15 @@ class Situation:
     npc_speed: float
 
     @classmethod
-    def of(cls, run: Run, failure: Failure, time: float) -> Self | None:
-        """Return the situation from which a failure arose that is about a time [s]; None where it is about no NPC.
+    def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
+        """Return the situation from which a failure arose that is about an NPC and a time [s].
 
         The moment is when the ego made its mistake: the one at which the reason of the verdict begins, or else 2 s
         before the time. Where the ego was changing lanes then, or braking for nothing, it is the moment before that;
         otherwise, where the NPC was still to come into the ego's lane, the moment when it had.
         """
-        trace, check, hit, npc = run.trace, failure.check, run.collision, run.event_npc
-        if check is not None:
-            npc = check.npc
-        elif run.ads_error is not None or run.outcome is Outcome.OFF_ROAD or failure.kind == SLOW_DECISION:
-            npc = None
-        if npc is None or not np.isfinite(trace.states).all():
-            return None
+        trace, mistake = run.trace, tick_of_mistake(run, failure)
         frame, hz, end = frame_of(trace), trace.physics_hz, min(round(time * trace.physics_hz), trace.ticks)
-        mistake = None if hit is None or check is not None else run.attribution.tick
         tick = end if mistake is None else mistake
         lanes = _lanes_between(trace, frame, npc)
         # How fast an ego is that brakes for nothing, it has decided itself; so it counts how fast it was before.
@@ -120,9 +158,7 @@ class Situation:
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
         slower = self.ego_speed - self.npc_speed
         if self.lane == 0 and self.ahead > 0:
-            ticks = round(ANSWER * trace.physics_hz)
-            driven = np.where(np.arange(len(ego)) < start, 0.0, ego)
-            ego = sliding_window_view(np.pad(driven, (ticks, 0)), ticks + 1).max(axis=1)
+            ego = _highest(np.where(np.arange(len(ego)) < start, 0.0, ego), trace)
             along = np.where(ahead > 0, ahead / max(REACH, REACH_FACTOR * self.ahead), np.inf)
             lacking = min(SLOWER_SHARE * slower, slower - SPEED) - (ego - speed)
             speeds = np.maximum(1 + lacking / SPEED, 0)
@@ -148,7 +184,93 @@ class Situation:
         return f"{place} {lane} at {self.npc_speed:.0f} m/s, with the ego at {self.ego_speed:.0f} m/s"
 
 
-def seconds_after(situation: Situation | None, run: Run) -> float | None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZoneSituation:
+    """When an NPC that crosses and the ego were to come to their zone, at one moment, and how fast they were.
+
+    Times are those with the highest speed of the last 10 s, since an ego that answers slows down, and below 0 in the
+    zone and behind it.
+
+    Attributes:
+        npc: index in the scenario.
+        time: of the moment [s].
+        npc_enters, ego_enters: how long after it the centre of each is to be at the beginning of the zone [s].
+        ego_speed, npc_speed: along their ways [m/s].
+    """
+
+    npc: int
+    time: float
+    npc_enters: float
+    ego_enters: float
+    ego_speed: float
+    npc_speed: float
+
+    @classmethod
+    def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
+        """Return the situation from which a failure arose that is about an NPC that crosses and a time [s].
+
+        The moment is the one at which the reason of the verdict begins, or else 2 s before the time.
+        """
+        trace, mistake = run.trace, tick_of_mistake(run, failure)
+        before = max(round((time - BEFORE) * trace.physics_hz), 0)
+        return cls._at(min(before if mistake is None else mistake, trace.ticks), trace, npc)
+
+    @classmethod
+    def _at(cls, tick: int, trace: Trace, npc: int) -> Self:
+        ego_enters, npc_enters = _times_to_zone(trace, npc)
+        ego_speed, npc_speed = trace.states[tick, [0, npc + 1], SPEEDS]
+        return cls(
+            npc=npc,
+            time=round(tick / trace.physics_hz, 3),
+            npc_enters=round(float(npc_enters[tick]), 1) + 0.0,
+            ego_enters=round(float(ego_enters[tick]), 1) + 0.0,
+            ego_speed=round(float(ego_speed), 1) + 0.0,
+            npc_speed=round(float(npc_speed), 1) + 0.0,
+        )
+
+    def distances(self, trace: Trace) -> FloatArray:
+        """Return how far a run is from the situation at each tick: in the time of each, and in the NPC's speed.
+
+        Shape [3, ticks + 1], in multiples of what is tolerated: where none is above 1 the situation came up. None is
+        finite where the NPC does not cross.
+        """
+        if not trace.zones or trace.zones[self.npc] is None:
+            return np.full((3, trace.ticks + 1), np.inf)
+        ego_enters, npc_enters = _times_to_zone(trace, self.npc)
+        ego_enters = np.where(np.arange(trace.ticks + 1) < min(self.time, START) * trace.physics_hz, np.inf, ego_enters)
+        pairs = (ego_enters, self.ego_enters), (npc_enters, self.npc_enters)
+        ego, npc = (np.abs(now - then) / max(ARRIVAL, ARRIVAL_SHARE * abs(then)) for now, then in pairs)
+        return np.stack((ego, npc, np.abs(trace.states[:, self.npc + 1, SPEEDS] - self.npc_speed) / SPEED))
+
+    def nearest_in(self, trace: Trace) -> Self:
+        """Return the moment at which a run came nearest to the situation."""
+        return self._at(int((self.distances(trace) ** 2).sum(axis=0).argmin()), trace, self.npc)
+
+    def __str__(self) -> str:
+        npc, ego = (
+            f"{abs(time):.1f} s {'from' if time >= 0 else 'past the beginning of'}"
+            for time in (self.npc_enters, self.ego_enters)
+        )
+        return f"{npc} its zone at {self.npc_speed:.0f} m/s, with the ego {ego} it at {self.ego_speed:.0f} m/s"
+
+
+def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
+    """Return in how long the ego and an NPC that crosses are to be at the beginning of their zone, at each tick [s]."""
+    zone, on_way = trace.zones[npc], trace.on_way
+    assert zone is not None and on_way is not None, "the NPC crosses"  # noqa: S101, PT018
+    ego = zone.ego[0] - trace.track_of(0)[:, ALONG], trace.states[:, 0, SPEEDS]
+    other = zone.npc[0] - on_way[:, npc], trace.states[:, npc + 1, SPEEDS]
+    one, two = (left / np.maximum(_highest(speed, trace), LEAST_SPEED) for left, speed in (ego, other))
+    return one, two
+
+
+def _highest(speeds: FloatArray, trace: Trace) -> FloatArray:
+    """Return the highest speed up to each tick, of those in the last 10 s [m/s]."""
+    ticks = round(ANSWER * trace.physics_hz)
+    return np.asarray(sliding_window_view(np.pad(speeds, (ticks, 0)), ticks + 1).max(axis=1))
+
+
+def seconds_after(situation: Arising | None, run: Run) -> float | None:
     """Return how long a run went on after a situation first came up [s]; None where it did not, or is not known."""
     if situation is None or not np.isfinite(run.trace.states).all():
         return None
@@ -156,7 +278,7 @@ def seconds_after(situation: Situation | None, run: Run) -> float | None:
     return run.duration - float(came_up[0]) / run.trace.physics_hz if came_up.size else None
 
 
-def missed(situation: Situation | None, run: Run) -> str:
+def missed(situation: Arising | None, run: Run) -> str:
     """Return a sentence that a situation did not come up in a run, and how near it came; empty where it came up.
 
     Empty as well where nobody knows the situation.

@@ -24,7 +24,9 @@ def rows(*runs, algorithm="pafot", run=0):
     clock, made = 0.0, []
     for index, fields in enumerate(SAFE | each for each in runs):
         clock += 0.0 if fields.get("duplicate") else fields["duration"]
-        plain = dict.fromkeys(("collision_time", "npc", "cell", "side", "closing_speed", "signature", "fitness"))
+        plain = dict.fromkeys(
+            ("collision_time", "npc", "cell", "zone", "side", "closing_speed", "signature", "fitness")
+        )
         counted = {"seed": 1, "generation": 0, "local_generation": 0, "index": index, "scenario": "abcdef"}
         rest = {"duplicate": False, "failing": False, "genes_started": 2, "genes_reached": 1, "executed": "[]"}
         made.append(Row(**(plain | counted | rest | fields), algorithm=algorithm, run=run, clock=clock))
@@ -152,6 +154,16 @@ def test_the_inverted_distance_is_the_mean_way_from_all_impacts_to_the_nearest_o
     assert [each.inverted_distance for each in measured(data, 15.0)] == pytest.approx(
         [(0 + 1 + 1) / 3, (0 + 1 + 1) / 3, math.inf, math.inf]
     )
+
+
+def test_an_impact_in_a_zone_is_where_the_npc_came_from(frame):
+    left = hit(10.0, cell=None, zone="crossing from the left")
+    data = frame(
+        rows(left, hit(10.0)),
+        rows(hit(10.0, cell=8), run=1),
+        rows(hit(10.0, cell=None, zone="merging from ahead"), run=2),
+    )
+    assert [each.inverted_distance for each in measured(data)] == pytest.approx([0, math.sqrt(2) / 2, math.sqrt(2) / 2])
 
 
 def test_one_algorithm_alone_is_compared_with_nothing(frame):

@@ -10,10 +10,11 @@ from pytest_pafot.attribution.mistakes import Manoeuvre
 from pytest_pafot.corpus.file_format import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
-from pytest_pafot.findings.situation import Situation
+from pytest_pafot.findings.signature import ZONES
+from pytest_pafot.findings.situation import Situation, ZoneSituation
 from pytest_pafot.model.driving_style import BOUNDS, PAPERS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import MAX_SEED, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import ACTS, MAX_SEED, CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.sight import NOISES, Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import ReferenceOutcome
@@ -104,12 +105,25 @@ def traffics():
     )
 
 
+def crossing_instructions():
+    names = st.text("abcXYZ0123456789_.-", min_size=1, max_size=30)
+    return st.builds(
+        CrossingInstruction,
+        st.just("o1>o3") | st.tuples(names, names).map(">".join),
+        st.integers(-50, 50).map(lambda tenths: tenths / 10),
+        st.integers(1, 268).map(lambda tenths: tenths / 10),
+        st.sampled_from(ACTS),
+    )
+
+
 @st.composite
 def scenarios(draw):
     steps = st.lists(st.tuples(st.integers(-12, 12), st.integers(0, 268)), min_size=1, max_size=8)
     chains = [
         [PositionInstruction(Cell((step - 1) % 8 + 1), speed / 10) for step, speed in row]
-        for row in draw(st.lists(steps, min_size=1, max_size=4))
+        if isinstance(row, list)
+        else [row]
+        for row in draw(st.lists(steps | crossing_instructions(), min_size=1, max_size=4))
     ]
     return Scenario.repaired(
         chains,
@@ -136,6 +150,7 @@ def expectations(draw, npcs):
     outcome = draw(st.sampled_from([outcome for outcome in Outcome if outcome is not Outcome.INVALID]))
     is_collision = outcome is Outcome.COLLISION
     some = st.just if is_collision else lambda value: st.one_of(st.none(), st.just(value))
+    zone = draw(st.none() | st.sampled_from(ZONES))
     return Expect(
         failure=draw(texts(min_size=1).filter(str.strip)),
         assertion=draw(texts()),
@@ -144,7 +159,8 @@ def expectations(draw, npcs):
         outcome=outcome,
         time=draw(st.floats(0, 1e6)),
         npc=draw(some(draw(st.integers(0, npcs - 1)))),
-        cell=draw(some(draw(st.sampled_from(Cell)))),
+        cell=draw(some(draw(st.sampled_from(Cell)))) if zone is None else draw(st.none() | st.sampled_from(Cell)),
+        zone=zone,
         side=draw(some(draw(st.sampled_from(["front", "rear", "left", "right"])))),
         situation=draw(st.none() | situations(npcs)),
         responsibility=draw(st.sampled_from(["ego", "npc", "both", "none"])),
@@ -160,8 +176,9 @@ def expectations(draw, npcs):
 
 def situations(npcs):
     numbers = st.floats(-MAX_NUMBER, MAX_NUMBER)
-    whole = {"npc": st.integers(0, npcs - 1), "lane": st.integers(-5, 5)}
-    return st.builds(Situation, **whole, time=st.floats(0, 1e6), ahead=numbers, ego_speed=numbers, npc_speed=numbers)
+    both = {"npc": st.integers(0, npcs - 1), "time": st.floats(0, 1e6), "ego_speed": numbers, "npc_speed": numbers}
+    on_grid = st.builds(Situation, **both, lane=st.integers(-5, 5), ahead=numbers)
+    return on_grid | st.builds(ZoneSituation, **both, npc_enters=numbers, ego_enters=numbers)
 
 
 def bounded():

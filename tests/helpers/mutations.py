@@ -12,7 +12,7 @@ import yaml
 
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import CrossingInstruction, Scenario
 
 LOOKALIKES = {"a": "\u0430", "e": "\u0435", "o": "\u043e", "p": "\u0440", "c": "\u0441", "i": "\u0456", "1": "\uff11",
               "0": "\uff10", "-": "\u2212", ".": "\u2024", ":": "\uff1a", " ": "\u00a0", "{": "\uff5b"}  # fmt: skip
@@ -196,6 +196,10 @@ def _plain(text: str) -> Any:
     return text
 
 
+PARTS = ("check", "situation", "avoided_by")
+"""What an expectation has that is a value of several fields."""
+
+
 def holds(finding: Finding) -> dict[str, Any]:
     """A finding in the layout of its file, with everything that a file may leave out."""
     expect, found, shrunk = finding.expect, finding.found, finding.shrunk
@@ -206,7 +210,7 @@ def holds(finding: Finding) -> dict[str, Any]:
         "original": None if finding.original is None else _scenario(finding.original),
         "expect": {name: getattr(expect, name) for name in expect.__slots__}
         | {"reference_drivers": dict(expect.reference_drivers), "last_chance": _chance(expect.last_chance)}
-        | {name: None if (part := getattr(expect, name)) is None else asdict(part) for name in ("check", "avoided_by")},
+        | {name: None if (part := getattr(expect, name)) is None else asdict(part) for name in PARTS},
         "found": {name: getattr(found, name) for name in found.__slots__} | {"versions": dict(found.versions)},
         "perception": finding.perception,  # which no file has that is damaged
         "shrunk": None
@@ -235,6 +239,8 @@ def _chance(chance: LastChance | None) -> dict[str, Any] | None:
 def _scenario(scenario: Scenario) -> dict[str, Any]:
     def gene(instruction: Any) -> dict[str, Any]:
         target = instruction.target
+        if isinstance(instruction, CrossingInstruction):
+            return {name: getattr(instruction, name) for name in ("zone", "slot", "speed", "act")}
         return {"lane" if isinstance(target, str) else "cell": target, "speed": instruction.speed}
 
     return {
@@ -255,6 +261,7 @@ DEFAULTS: Mapping[str, Any] = {
     "against": "",
     "weights": "",
     "traceback": "",
+    "act": "pass",
 }
 """What a file may leave out, where that is not None."""
 

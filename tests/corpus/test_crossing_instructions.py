@@ -1,0 +1,130 @@
+"""Scenarios in which somebody crosses are saved and read like others, as strictly."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.corpus.file_format import text_of
+from pytest_pafot.corpus.reader import parsed
+from pytest_pafot.execution.crash_records import CrashRecord, leftovers
+from pytest_pafot.findings.finding import Expect
+from pytest_pafot.findings.signature import ZONES
+from pytest_pafot.findings.situation import ZoneSituation
+from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.support.errors import CorpusError
+from tests.findings.builders import crossing_instructions, plain_finding, scenarios
+from tests.helpers.mutations import misread
+from tests.helpers.tables import table
+
+PATH = Path("did-not-give-way-left-1f3a9c.pafot.yaml")
+SITUATION = ZoneSituation(npc=0, time=4.2, npc_enters=1.8, ego_enters=2.0, ego_speed=10.0, npc_speed=8.6)
+CROSSES = Scenario(
+    npcs=(
+        (CrossingInstruction("o1>o3", 0.5, 8.6),),
+        (PositionInstruction(6, 8.0),),
+        (CrossingInstruction("o3>o1", -1.0, 5.0, "hold"),),
+    ),
+    ego_lane=0,
+    ego_speed=10.0,
+)
+
+
+def finding_at_zone(**changes):
+    expect = Expect(
+        failure="AssertionError",
+        outcome=Outcome.COLLISION,
+        time=6.2,
+        npc=0,
+        zone="crossing from the left",
+        side="left",
+        responsibility="ego",
+        situation=SITUATION,
+    )
+    return plain_finding(**({"id": PATH.name.partition(".")[0], "scenario": CROSSES, "expect": expect} | changes))
+
+
+TEXT = text_of(finding_at_zone())
+
+
+def test_they_stand_on_a_line_each_and_what_they_pass_by_is_left_out():
+    lines = TEXT[TEXT.index("  npcs:") : TEXT.index("expect:")].splitlines()
+    assert lines == [
+        "  npcs:",
+        "    - - {zone: o1>o3, slot: 0.5, speed: 8.6}",
+        "    - - {cell: 6, speed: 8.0}     # rear",
+        "    - - {zone: o3>o1, slot: -1.0, speed: 5.0, act: hold}",
+    ]
+    assert "npc: 0, zone: crossing from the left, side: left," in TEXT
+    assert "situation: {npc: 0, time: 4.2, npc_enters: 1.8, ego_enters: 2.0, ego_speed: 10.0, npc_speed: 8.6}" in TEXT
+    assert misread(TEXT, parsed(PATH, TEXT.encode())) == []
+
+
+@given(scenarios(), st.sampled_from(ZONES))
+def test_what_is_written_is_read(scenario, zone):
+    finding = plain_finding(scenario=scenario, original=scenario)
+    assert parsed(Path(f"{finding.id}.pafot.yaml"), text_of(finding).encode()) == finding
+
+
+@given(crossing_instructions())
+def test_every_instruction_is_read_as_it_was_written(instruction):
+    finding = plain_finding(scenario=Scenario(npcs=((instruction,),)))
+    assert parsed(Path(f"{finding.id}.pafot.yaml"), text_of(finding).encode()) == finding
+
+
+def test_an_act_may_be_said_that_need_not_be():
+    text = TEXT.replace("speed: 8.6}\n", "speed: 8.6, act: pass}\n")
+    assert text != TEXT
+    assert parsed(PATH, text.encode()) == finding_at_zone()
+
+
+@table(
+    ("old", "new", "field", "expected"),
+    [
+        ("slot: 0.5, ", "", "scenario.npcs[0][0]", "the key 'slot'"),
+        ("speed: 8.6}\n", "speed: 8.6, act: wave}\n", "scenario.npcs[0][0].act", "one of pass, hold, stop, late"),
+        ("speed: 8.6}\n", "speed: 8.6, acts: hold}\n", "scenario.npcs[0][0].acts", "one of zone, slot, speed, act"),
+        ("speed: 8.6}\n", "speed: 0.0}\n", "scenario.npcs[0][0].speed", "m/s, more than 0"),
+        ("speed: 8.6}\n", "speed: 8.65}\n", "scenario.npcs[0][0].speed", "m/s, at least 0 and in steps of 0.1"),
+        ("speed: 8.6}\n", "speed: 8.60000001}\n", "scenario.npcs[0][0].speed", "m/s in steps of 0.1"),
+        ("slot: 0.5", "slot: 0.55", "scenario.npcs[0][0].slot", "seconds in steps of 0.1"),
+        ("slot: 0.5", "slot: 0.50000001", "scenario.npcs[0][0].slot", "seconds in steps of 0.1"),
+        ("slot: 0.5", "slot: 5.1", "scenario.npcs[0][0].slot", "seconds, at most 5 before or after the ego"),
+        ("slot: 0.5", "slot: .nan", "scenario.npcs[0][0].slot", "a finite number"),
+        ("slot: 0.5", "slot: soon", "scenario.npcs[0][0].slot", "a finite number"),
+        ("slot: 0.5", "slot: true", "scenario.npcs[0][0].slot", "a finite number"),
+        ("zone: o1>o3,", "zone: o1,", "scenario.npcs[0][0].zone", "the entry and the exit of a way"),
+        ("zone: o1>o3,", "zone: 'o1>o3 '  ,", "scenario.npcs[0][0].zone", "the entry and the exit of a way"),
+        ("zone: o1>o3,", "zone: 3,", "scenario.npcs[0][0].zone", "text"),
+        ("zone: o1>o3,", "zone: o1>o3, cell: 2,", "scenario.npcs[0][0].zone", "one of cell, speed"),
+        ("    - - {cell: 6", "      - {cell: 6", "scenario.npcs[0][1].cell", "a CrossingInstruction like npcs[0][0]"),
+        ("    - - {zone: o3", "      - {zone: o3", "scenario.npcs[1][1]", "a PositionInstruction like npcs[1][0]"),
+        ("{cell: 6, speed: 8.0}", "{lane: keep, speed: 8.0}", "scenario.npcs[1][0]", "a CrossingInstruction like"),
+        ("zone: crossing from the left, ", "", "expect", "the key 'cell'"),
+        ("zone: crossing from the left", "zone: crossing from above", "expect.zone", "one of crossing from the left"),
+        ("zone: crossing from the left", "zone: o1>o3", "expect.zone", "one of crossing from the left, crossing from"),
+        ("npc_enters: 1.8, ", "npc_enters: .inf, ", "expect.situation.npc_enters", "a finite number"),
+        (", ego_enters: 2.0", "", "expect.situation", "the key 'ego_enters'"),
+        ("npc_enters: 1.8", "npc_enters: 1.8, lane: 0", "expect.situation.lane", "one of npc, time, npc_enters"),
+    ],
+)
+def test_each_broken_rule_is_one_error_at_its_field(old, new, field, expected):
+    assert TEXT.count(old) == 1
+    with pytest.raises(CorpusError) as caught:
+        parsed(PATH, TEXT.replace(old, new).encode())
+    assert caught.value.field == field
+    assert caught.value.expected.startswith(expected)
+
+
+@given(scenarios())
+def test_what_was_in_flight_when_a_process_died_is_named(tmp_path_factory, scenario):
+    folder = tmp_path_factory.mktemp("inflight")
+    with CrashRecord(folder, "test_it.py::test_it") as record:
+        record.write(scenario)
+        (path,) = folder.iterdir()
+        content = path.read_bytes()
+    path.write_bytes(content)
+    (left,) = leftovers(folder)
+    assert left.scenario == scenario

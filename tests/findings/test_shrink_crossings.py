@@ -1,0 +1,164 @@
+"""Shrinking scenarios in which somebody crosses, with predicates in the place of runs."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.findings.shrink import instructions, shrink, size_of, sort_key
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario, ScenarioError
+from tests.helpers.crossings import junction
+from tests.helpers.tables import table
+
+JUNCTION = junction()
+
+
+def crosses(**changes):
+    return CrossingInstruction(**({"zone": "o1>o3", "slot": 0.7, "speed": 8.6, "act": "pass"} | changes))
+
+
+def scenario(*npcs, **fields):
+    """One NPC for each instruction at a zone, or for each list of cells."""
+    chains = [
+        (each,)
+        if isinstance(each, CrossingInstruction)
+        else tuple(PositionInstruction(Cell(cell), 7.3) for cell in each)
+        for each in npcs
+    ]
+    return Scenario(npcs=tuple(chains), ego_lane=0, ego_speed=10.0, gene_seconds=4.0, **fields)
+
+
+BUSY = scenario(
+    [2, 2, 3], crosses(zone="o3>o1", slot=-1.3), crosses(act="stop"), [6, 6, 7], crosses(slot=4.2, speed=7.9), seed=77
+)
+
+
+def shrunk(given, fails, *, rollouts=3000, **arguments):
+    """Shrink by a predicate, and check on the way what holds for every result."""
+    asked = []
+
+    def attempt(candidate):
+        asked.append(candidate)
+        return candidate if fails(candidate) else None
+
+    plain = {"plain": (0, 10.0), "plain_seconds": 4.0, "top_speed": 12.0}
+    simplest, how = shrink(given, attempt, rollouts=rollouts, **(plain | arguments))
+    assert len(asked) == len(set(asked)) == how.rollouts <= rollouts
+    assert fails(simplest)
+    assert sort_key(simplest) <= sort_key(given)
+    return simplest, how
+
+
+def told(each):
+    return [gene for gene in each.crossings if gene is not None]
+
+
+def some(test):
+    """Whether a test holds for an NPC that crosses."""
+    return lambda each: any(map(test, told(each)))
+
+
+@table(
+    ("test", "slot", "speeds", "act"),
+    [
+        (lambda each: True, 0.0, (5.0, 10.0), "pass"),
+        (lambda each: each.zone == "o1>o3", 0.0, (5.0, 10.0), "pass"),
+        (lambda each: each.slot > 0.3, 1.0, (5.0, 10.0), "pass"),
+        (lambda each: 0 < each.slot < 1, 0.5, (5.0, 10.0), "pass"),
+        (lambda each: 0.6 < each.slot < 1, 0.7, (5.0, 10.0), "pass"),
+        (lambda each: each.slot < -1.1, -2.0, (5.0, 10.0), "pass"),
+        (lambda each: each.act == "stop", 0.0, (5.0, 10.0), "stop"),
+        (lambda each: 7 < each.speed < 9, 0.0, (8.0,), "pass"),
+        (lambda each: 7.8 < each.speed < 7.95, 0.0, (7.9,), "pass"),
+        (lambda each: 8.3 < each.speed < 8.9 and each.slot > 0.5, 1.0, (8.6,), "pass"),
+    ],
+)
+def test_one_npc_is_left_that_passes_at_a_round_slot_and_speed(test, slot, speeds, act):
+    simplest, how = shrunk(BUSY, some(test))
+    assert how.is_minimal
+    ((found,),) = simplest.npcs
+    assert (found.slot, found.act, simplest.seed) == (slot, act, 0)
+    assert found.speed in speeds
+
+
+def test_speeds_of_those_that_cross_become_round_and_not_slow():
+    simplest, _ = shrunk(scenario(crosses(speed=8.6)), some(lambda each: each.speed > 1))
+    assert told(simplest)[0].speed in (5.0, 10.0)
+
+
+def test_an_npc_on_the_grid_that_is_needed_stays_and_becomes_short():
+    def fails(each):
+        return some(lambda gene: gene.slot > 0)(each) and any(chain[0].cell == 2 for chain in each.positions)
+
+    simplest, how = shrunk(BUSY, fails)
+    assert how.is_minimal
+    assert [[(gene.cell, gene.speed) for gene in chain] for chain in simplest.positions] == [[(2, 0.0)]]
+    assert [(each.slot, each.act) for each in told(simplest)] == [(1.0, "pass")]
+
+
+def test_both_of_two_that_cross_stay_where_both_are_needed():
+    simplest, _ = shrunk(BUSY, lambda each: len({gene.zone for gene in told(each)}) == 2)
+    assert sorted(gene.zone for gene in told(simplest)) == ["o1>o3", "o3>o1"]
+    assert len(simplest.npcs) == 2
+
+
+def test_what_no_way_has_room_for_is_no_result():
+    def fails(each):
+        return all(map(JUNCTION.fits, told(each))) and some(lambda gene: gene.slot >= 3)(each)
+
+    simplest, _ = shrunk(BUSY, fails)
+    assert told(simplest) == [replace(told(simplest)[0], slot=3.0)]
+    assert JUNCTION.fits(told(simplest)[0])
+
+
+def test_the_speeds_at_which_it_still_fails_are_told():
+    _, how = shrunk(scenario(crosses()), some(lambda each: 4.2 <= each.speed <= 9.4))
+    assert [(each.npc, each.gene, each.low, each.high) for each in how.speeds] == [(0, 0, 4.2, 9.4)]
+
+
+def test_a_scenario_in_which_somebody_crosses_is_as_long_as_a_run():
+    assert size_of(scenario(crosses()), 13.0) == "1 NPC, 1 instruction, 13 s"
+    assert instructions(BUSY) == 7
+    assert size_of(scenario([2, 2, 3]), 13.0) == "1 NPC, 2 instructions, 12 s"
+
+
+instructions_at_zones = st.builds(
+    crosses,
+    zone=st.sampled_from(sorted(JUNCTION.ways)),
+    slot=st.integers(-50, 50).map(lambda tenths: tenths / 10),
+    speed=st.integers(1, 120).map(lambda tenths: tenths / 10),
+    act=st.sampled_from(["pass", "hold", "stop", "late"]),
+)
+npcs = st.lists(instructions_at_zones | st.lists(st.just(2), min_size=1, max_size=3), min_size=1, max_size=4)
+
+
+@given(npcs, st.floats(-6, 6), st.floats(0, 13))
+def test_it_ends_with_a_valid_scenario_that_fails_whatever_fails(npcs, slot, speed):
+    try:
+        given_one = scenario(*npcs)
+    except ScenarioError:  # two in one cell
+        return
+
+    def fails(each):
+        return each == given_one or some(lambda gene: gene.slot >= slot and gene.speed <= speed)(each)
+
+    simplest, _ = shrunk(given_one, fails, rollouts=300)
+    assert Scenario(npcs=simplest.npcs) == replace(simplest, seed=0, ego_lane=1, ego_speed=22.0, gene_seconds=10.0)
+
+
+@pytest.mark.parametrize(
+    ("simple", "rough"),
+    [
+        ({"slot": 0.0}, {"slot": 0.5}),
+        ({"slot": 0.5}, {"slot": 0.6}),
+        ({"slot": 1.0}, {"slot": 0.5}),
+        ({"slot": -1.0}, {"slot": 2.0}),
+        ({"speed": 10.0}, {"speed": 8.0}),
+        ({"speed": 8.0}, {"speed": 7.9}),
+        ({"act": "pass", "slot": 4.2}, {"act": "hold", "slot": 0.0}),
+    ],
+)
+def test_simpler_is_who_passes_then_rounder_then_nearer_to_the_ego(simple, rough):
+    assert sort_key(scenario(crosses(**simple))) < sort_key(scenario(crosses(**rough)))
