@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import CrossingInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, ANGLE, HEADING, LANE, SPEED, STEERING, Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample, space_on
@@ -32,7 +32,7 @@ def check_world(
     """Check that a world keeps what a search builds on, by random scenarios.
 
     - It has what a search needs, and plain data that a file can hold.
-    - Traces have the form that oracles and reports read.
+    - Traces have the form that oracles and reports read, also of NPCs that cross where it has ways for them.
     - The same scenario gives the same trace to the last bit, whatever ran before.
     - What was executed runs to the same trace.
     - NPCs keep its ``limits``, where these are a :class:`pytest_pafot.NpcLimits`.
@@ -108,6 +108,10 @@ def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
     _promise(trace.error is None, "the ADS of the check drives in this world", f"{trace.error}; give another by ads=")
     states, start = trace.states, trace.states[0]
     _promise(states.shape[1] == len(scenario.npcs) + 1, "states are of the ego and each NPC", f"shape {states.shape}")
+    ways = [None if told is None else told.zone for told in scenario.crossings]
+    crossing = np.array([isinstance(chain[0], CrossingInstruction) for chain in scenario.npcs])
+    on_way = np.full((len(states), len(scenario.npcs)), np.nan) if trace.on_way is None else trace.on_way
+    track = np.zeros((1, len(crossing), 1)) if trace.track is None else trace.track[:, 1:]
     boxes = [Box(*row[:3], *size) for row, size in zip(start.tolist(), trace.sizes.tolist(), strict=True)]
     promises = {
         "trace.scenario is what was asked for": trace.scenario == scenario,
@@ -119,6 +123,9 @@ def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
         "a collision is there where the outcome says so": (trace.outcome is Outcome.COLLISION) == bool(trace.collision),
         "the ego starts as fast as the scenario says": abs(start[0, SPEED] - scenario.ego_speed) < ROUNDING,
         "acceleration and steering of the first row are 0": not start[:, [ACCELERATION, STEERING]].any(),
+        "zones are those of the instructions": [None if zone is None else zone.way for zone in trace.zones] == ways,
+        "on_way has the places of who crosses, and NaN of others": (np.isfinite(on_way) == crossing).all(),
+        "track has no NaN but of who crosses": not np.isnan(track[:, ~crossing]).any(),
         "nobody touches anybody at the start": not any(overlap(a, b) for a, b in combinations(boxes, 2)),
     }
     for promise, is_kept in promises.items():
@@ -137,6 +144,7 @@ def _check_limits(world: Any, trace: Trace) -> None:
     jerk = np.where(is_standing, 0.0, np.diff(acceleration, axis=0) / dt)
     turns = (np.diff(npcs[..., HEADING], axis=0) + np.pi) % (2 * np.pi) - np.pi
     angle = npcs[..., HEADING] - trace.lanes[0].heading if trace.track is None else trace.track[:, 1:, ANGLE]
+    angle = angle[..., [zone is None for zone in trace.zones] if trace.zones else slice(None)]
     for name, values, low, high in (
         ("speed", speed, 0.0, limits.overspeed * world.speed_limit),
         ("acceleration", acceleration, -limits.braking, limits.acceleration),

@@ -1,6 +1,7 @@
 """The kit that checks a world: this package's pass, and one that breaks a promise is refused with the promise."""
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -69,6 +70,49 @@ def test_a_world_that_keeps_its_promises_passes(world, given):
 @pytest.mark.oracle
 def test_an_environment_whose_road_says_how_the_ego_starts_passes():
     check_world(World("roundabout-v0", duration=4.0), runs=2, ads=lambda: lambda seen: 1, npcs=2)
+
+
+class Recorded:
+    """An environment whose traces are changed."""
+
+    def __init__(self, world, change):
+        self.world, self.change = world, change
+
+    def __getattr__(self, name):
+        return getattr(self.world, name)
+
+    def rollout(self, scenario, ads_factory):
+        return self.change(self.world.rollout(scenario, ads_factory))
+
+
+@cache
+def environment(env_id):
+    return World(env_id, duration=3.0, hang_limit=0.3)
+
+
+def constant_action():
+    return lambda seen: 1
+
+
+@pytest.mark.oracle
+def test_an_environment_in_which_npcs_cross_passes():
+    check_world(environment("intersection-v0"), runs=2, ads=constant_action, npcs=2)
+
+
+@table(
+    ("env_id", "change", "promise"),
+    [
+        ("intersection-v0", {"zones": ()}, "zones are those of the instructions"),
+        ("intersection-v0", {"on_way": None}, "on_way has the places of who crosses"),
+        ("merge-v0", {"track": np.full((46, 3, 5), np.nan)}, "track has no NaN but of who crosses"),
+    ],
+)
+def test_who_crosses_and_nobody_else_must_be_recorded_as_crossing(env_id, change, promise):
+    def changed(trace):
+        return replace(trace, **change) if any(trace.zones) or env_id == "merge-v0" else trace
+
+    with pytest.raises(AssertionError, match=promise):
+        check_world(Recorded(environment(env_id), changed), runs=2, ads=constant_action, npcs=2)
 
 
 class Random(Own):

@@ -270,6 +270,7 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
     folded += f", ended {end}" if view.reason in ("error", "interrupted") else ""
     warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in view.warnings)
     judged = sum(count for _, count in view.responsibilities)
+    is_on_grid = not view.zones or any(each.requested for each in view.cells)
     return (
         f'<article class="campaign" data-campaign="{index}" aria-labelledby="campaign-{index}">'
         f"<details{' open' if is_open else ''}>"
@@ -280,10 +281,11 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
         f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div>"
         "<h4>Coverage: instructions requested, driven and reached</h4>"
         '<p class="note">Requested: in the scenarios as the search asked for them. Driven: as far as the runs came, '
-        'after repair. Reached: the NPC arrived in its cell.</p><div class="columns">'
-        f"{_coverage('Cells', 'cell', view.cells)}{_coverage('Target speeds', 'speed', view.speeds)}"
+        f"after repair. Reached: the NPC arrived in its cell{' or its zone' if view.zones else ''}.</p>"
+        f'<div class="columns">{_coverage("Cells", "cell", view.cells) if is_on_grid else ""}'
+        f"{_coverage('Target speeds', 'speed', view.speeds)}"
         f"{_coverage('Slots at zones', 'zone and slot', view.zones) if view.zones else ''}"
-        f"{_ring(view.steps)}</div></details></article>"
+        f"{_ring(view.steps) if is_on_grid else ''}</div></details></article>"
     )
 
 

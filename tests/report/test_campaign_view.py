@@ -1,11 +1,14 @@
 """What a search's view says of its events."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.campaign_view import campaign_view
+from pytest_pafot.report.markup import campaign_article
+from pytest_pafot.report.page_data import CoverageRow
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     CampaignFinished,
@@ -135,3 +138,17 @@ def test_a_real_search_shows_its_restarts(real):
     restarts = {event.generation for event in events if isinstance(event, Restarted)}
     assert restarts
     assert {row.generation for row in shown.generations if row.restarted} == restarts
+
+
+def test_a_search_in_which_all_cross_has_slots_and_no_cells_on_its_page():
+    row = CoverageRow("o1>o3 just after", 3, 2, 1)
+    view = campaign_view("a.py::test", ())
+    crossed = replace(view, zones=(row,))
+    assert "<h4>Cells</h4>" in campaign_article(view, 0)
+    page = campaign_article(crossed, 0)
+    assert "<h4>Cells</h4>" not in page
+    assert "Steps on the ring" not in page
+    assert "arrived in its cell or its zone." in page
+    assert '<th scope="row">o1&gt;o3 just after</th><td>3</td>' in page
+    both = replace(crossed, cells=(replace(view.cells[0], requested=1), *view.cells[1:]))
+    assert "<h4>Cells</h4>" in campaign_article(both, 0)
