@@ -21,7 +21,7 @@ from pytest_pafot.campaign.request import Request, SearchArguments
 from pytest_pafot.comparison.algorithm_run import Row
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.corpus.file_format import text_of
-from pytest_pafot.criticality import RssRules
+from pytest_pafot.criticality import Passage, RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.criticality.temporal import above, always, below, eventually, until
 from pytest_pafot.episodes.rate import EpisodeRow, Rate
@@ -167,6 +167,7 @@ def sections() -> dict[str, str]:
         "properties": _ready_table(),
         "measure": _fields_table(Measure),
         "lane-change": _fields_table(EgoLaneChange),
+        "passage": _fields_table(Passage),
         "last-chance": _properties_table(LastChance),
         "moment": _fields_table(Moment),
         "collision": _fields_table(Collision),
