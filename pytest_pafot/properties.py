@@ -130,17 +130,17 @@ def comfort(
 
 
 def gives_way(run: Run, *, seconds: float = 1.0) -> None:
-    """The ego enters a zone in which somebody has priority only if so many seconds are left between the two [s].
+    """The ego goes first through a zone in which an NPC has priority only if so many seconds are left for it [s].
 
-    What is checked is ``run.npcs[...].time_advantage`` of each NPC that crosses with priority and has not passed, at
-    the tick at which the ego enters the zone: from when the ego will have left it until the NPC comes, if both keep
-    their speed. So nobody counts who starts only then. A run in which the ego never enters is not judged.
+    What is checked is the NPC's ``time_advantage`` at the tick at which the ego enters the zone: from when the ego will
+    have left it until the NPC comes, if both keep their speed. So nobody counts who sets off only then, and nobody who
+    came before the ego; to run into that one is a matter of :func:`no_fault`.
 
     Source: Laureshyn and others 2010 for the measure (second hand); 1 s is a choice.
     """
     _refuse_odd("gives_way", seconds=seconds)
     for passage in run.passages:
-        if passage.zone.priority == "npc" and passage.ego_enters < passage.npc_leaves:
+        if passage.zone.priority == "npc" and passage.ego_enters <= min(passage.npc_enters, run.duration):
             at, npc = passage.ego_enters, passage.npc
             left = run.npcs[npc].time_advantage[round(at * run.trace.physics_hz)]
             check(left, name="gap at a zone", at_least=seconds, unit="s", at=at, npc=npc, scale=1.0)

@@ -607,24 +607,26 @@ def test_who_merges_from_a_way_of_its_own_cuts_in_nowhere():
     [
         (-10.0, 1.1, True),  # 10 m later than the ego
         (0.0, 0.1, False),
-        (10.0, 0.0, False),  # both are there
+        (10.0, 0.0, False),  # both come at once
     ],
 )
-def test_the_ego_gives_way_to_who_would_come_soon_after_it(start, left, holds):
+def test_the_ego_goes_first_only_where_time_is_left(start, left, holds):
     made = only(properties.gives_way, junction_trace((CROSSES, start)))
     assert made.value == pytest.approx(left, abs=0.1)
     assert (made.holds, made.npc, made.unit) == (holds, 0, "s")
     assert made.time == pytest.approx(4.6)
 
 
-def test_who_has_passed_or_has_no_priority_or_stands_is_given_way_to():
-    passed, merging = junction_trace((CROSSES, 25.0)), junction_trace((MERGES, 0.0))
-    assert judged(properties.gives_way, passed) == judged(properties.gives_way, merging) == []
-    never = junction_trace((CROSSES, 0.0), seconds=4.0)
-    assert judged(properties.gives_way, never) == []
+def test_who_came_first_or_has_no_priority_or_stands_is_given_way_to():
+    for trace in (
+        junction_trace((CROSSES, 12.0)),  # 0.2 s before the ego
+        junction_trace((MERGES, -20.0)),  # has no priority
+        junction_trace((CROSSES, 0.0), seconds=4.0),  # the ego does not come
+    ):
+        assert judged(properties.gives_way, trace) == []
     trace = junction_trace((CROSSES, 0.0))
     states, on_way = trace.states.copy(), trace.on_way.copy()
-    states[45:, 1, SPEED], on_way[45:] = 0.0, on_way[45]
+    states[45:, 1, SPEED], on_way[45:] = 0.0, on_way[45]  # it never comes, and is not expected to
     assert only(properties.gives_way, replace(trace, states=states, on_way=on_way)).value == np.inf
 
 
