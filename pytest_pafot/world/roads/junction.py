@@ -35,6 +35,8 @@ EGOS = ""
 """The name of the ego's way among those of the others, which have a ``>`` in theirs."""
 WIDER = 1.0
 """How much wider the boxes of both are taken in a zone [m]: an ego that cuts corners is up to 0.74 m beside its way."""
+TOUCHING = 1e-6
+"""Boxes that are so near touch [m]: where roads meet at right angles, rounding would decide it."""
 ONE_LANE, ONE_DIRECTION = 0.5, 0.1
 """How far apart two ways are that lie in one lane, and their angle, at most [m, rad]."""
 BESIDE, ALIGNED = 1.0, 0.3
@@ -61,11 +63,13 @@ DRAWN = 4
 
 
 class Course(NamedTuple):
-    """Where the centre of a vehicle that follows a way is, and how it is turned, at each point [m, m, rad]."""
+    """Where the centre of a vehicle that follows a way is [m], and how it is turned [rad], at each point."""
 
     x: FloatArray
     y: FloatArray
     heading: FloatArray
+    cos: FloatArray
+    sin: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -170,10 +174,10 @@ def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | No
             (one, other, _places(a, b, pairs, BESIDE, ALIGNED)),
             (other, one, _places(b, a, pairs[::-1], BESIDE, ALIGNED)),
         ):
-            if any(not math.isnan(place) for place in places):
+            if not np.isnan(places).all():
                 shared[mine, theirs] = array("d", places)
         if one == EGOS:
-            along_ego[other] = _places(a, b, pairs, road.lane_width, NOT_ON_WAY)
+            along_ego[other] = _places(a, b, pairs, road.lane_width, NOT_ON_WAY).tolist()
         elif (meeting := meeting_of(a, b, pairs)) is not None:
             meetings[one, other] = meeting.stretches
     crossings = Crossings(
@@ -262,7 +266,8 @@ def _parts_of_way(road: NetworkRoad, line: Line, points: IntArray) -> list[int]:
 
 
 def _course(line: Line, column: Column) -> Course:
-    return Course(line.x, line.y, np.array(column.direction) + np.array(column.lean))
+    heading = np.array(column.direction) + np.array(column.lean)
+    return Course(line.x, line.y, heading, np.cos(heading), np.sin(heading))
 
 
 def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
@@ -288,13 +293,15 @@ def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: f
     """Return for pairs of points whether boxes of vehicles there touch, each wider by so much [m] (separating axes)."""
     i, j = pairs
     length, width = NPC_LENGTH, NPC_WIDTH + wider
-    x, y, turn = b.x[j] - a.x[i], b.y[j] - a.y[i], b.heading[j] - a.heading[i]
-    along = (length + length * np.abs(np.cos(turn)) + width * np.abs(np.sin(turn))) / 2
-    across = (width + length * np.abs(np.sin(turn)) + width * np.abs(np.cos(turn))) / 2
-    touches = np.ones(len(i), dtype=bool)
-    for heading in (a.heading[i], b.heading[j]):
-        cos, sin = np.cos(heading), np.sin(heading)
-        touches &= (np.abs(x * cos + y * sin) < along) & (np.abs(y * cos - x * sin) < across)
+    x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
+    cos_a, sin_a, cos_b, sin_b = a.cos[i], a.sin[i], b.cos[j], b.sin[j]
+    cos, sin = np.abs(cos_a * cos_b + sin_a * sin_b), np.abs(sin_b * cos_a - cos_b * sin_a)
+    along, across = (length + length * cos + width * sin) / 2, (width + length * sin + width * cos) / 2
+    along, across = along + TOUCHING, across + TOUCHING
+    touches: Flags = np.abs(x * cos_a + y * sin_a) < along
+    touches &= np.abs(y * cos_a - x * sin_a) < across
+    touches &= np.abs(x * cos_b + y * sin_b) < along
+    touches &= np.abs(y * cos_b - x * sin_b) < across
     return touches
 
 
@@ -338,8 +345,7 @@ def _same_place(i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
-    x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
-    cos, sin = np.cos(a.heading[i]), np.sin(a.heading[i])
+    x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
     turned = np.abs(wrapped(b.heading[j] - a.heading[i]))
     together = (np.abs(x * cos + y * sin) <= STEP / 2 + 1e-9) & (np.abs(y * cos - x * sin) < ONE_LANE)
     together &= turned < ONE_DIRECTION
@@ -364,21 +370,19 @@ def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
     return Meeting((stretches[0], stretches[1]), (int(i[nearest]), int(j[nearest])), merges)
 
 
-def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float) -> list[float]:
+def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float) -> FloatArray:
     """Return where along one way somebody is who is at each point of another [m].
 
     NaN for points that are farther from the first way, or turned more to it.
     """
     i, j = pairs
-    x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
-    cos, sin = np.cos(a.heading[i]), np.sin(a.heading[i])
+    x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
     ahead, aside = x * cos + y * sin, np.abs(y * cos - x * sin)
     fits = (aside < beside) & (np.abs(wrapped(b.heading[j] - a.heading[i])) < turned) & (np.abs(ahead) <= STEP)
     order = np.argsort(-np.abs(ahead[fits]), kind="stable")  # the nearest one is written last
     places = np.full(len(b.x), np.nan)
     places[j[fits][order]] = (i[fits] * STEP + ahead[fits])[order]
-    listed: list[float] = places.tolist()
-    return listed
+    return places
 
 
 def _zone(

@@ -1,0 +1,274 @@
+"""Ways of other traffic and the zones in which they meet the ego's, against boxes that are laid along them."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.lane import CircularLane, StraightLane
+from highway_env.road.road import Road, RoadNetwork
+
+from pytest_pafot import World
+from pytest_pafot.world.roads.junction import WIDER
+from tests.helpers.polygons import corners, polygon_distance
+from tests.helpers.road_cases import ROADS, world_of, wrapped
+from tests.helpers.stages import oracle
+from tests.helpers.tables import table
+from tests.helpers.traces import LENGTH, WIDTH
+
+STEP = 0.5
+
+
+@functools.cache
+def intersection(destination):
+    return World("intersection-v0", {"destination": destination})
+
+
+def zones_of(world):
+    return {zone.way: (zone.kind, zone.origin, zone.priority) for zone in world.crossings.zones}
+
+
+def test_a_left_turn_meets_six_ways_that_all_have_priority():
+    """The ego comes from the south, o0, and turns to the west, o1; the road from west to east has priority."""
+    assert zones_of(intersection("o1")) == {
+        "o1>o3": ("crossing", "left", "npc"),
+        "o1>o2": ("crossing", "left", "npc"),
+        "o2>o0": ("oncoming", "ahead", "npc"),
+        "o2>o1": ("merging", "ahead", "npc"),
+        "o3>o0": ("crossing", "right", "npc"),
+        "o3>o1": ("merging", "right", "npc"),
+    }
+
+
+def test_straight_on_the_ego_has_priority_over_those_who_turn_across_its_way_from_ahead():
+    assert zones_of(intersection("o2")) == {
+        "o1>o2": ("merging", "left", "npc"),
+        "o1>o3": ("crossing", "left", "npc"),
+        "o2>o3": ("oncoming", "ahead", "ego"),
+        "o3>o0": ("crossing", "right", "npc"),
+        "o3>o1": ("crossing", "right", "npc"),
+        "o3>o2": ("merging", "right", "npc"),
+    }
+
+
+def test_a_right_turn_meets_who_comes_into_the_same_road():
+    assert zones_of(intersection("o3")) == {
+        "o1>o3": ("merging", "left", "npc"),
+        "o2>o3": ("merging", "ahead", "ego"),
+    }
+
+
+def test_who_circulates_has_priority_and_all_zones_of_a_roundabout_are_merges():
+    """The ego enters in the south and leaves in the north; the ring turns to the left, by way of the east."""
+    circulating = ("wer>wxr", "wer>nxr", "wer>exr", "ner>nxr", "ner>exr")
+    entering = ("eer>exr", "eer>wxr", "eer>sxr", "eer>nxr")
+    expected = dict.fromkeys(circulating, ("merging", "left", "npc"))
+    assert zones_of(world_of("roundabout-v1")) == expected | dict.fromkeys(entering, ("merging", "right", "ego"))
+
+
+@pytest.mark.parametrize(
+    "env_id", [each for each in ROADS if not each.startswith(("intersection", "roundabout"))] + ["highway-v0"]
+)
+def test_other_roads_of_highway_env_have_no_crossings(env_id):
+    """Their ramps jump by a lane, two-way roads lie side by side, circuits have no entry."""
+    assert world_of(env_id).crossings is None
+
+
+@pytest.mark.parametrize("env_id", ["intersection-v0", "intersection-v1", "roundabout-v1", "roundabout-generic-v1"])
+def test_an_ego_at_its_first_speed_starts_six_seconds_before_its_first_zone(env_id):
+    world = world_of(env_id)
+    crossings, own = world.crossings, world.environment.unwrapped.vehicle
+    first = min(zone.ego[0] for zone in crossings.zones)
+    assert first - crossings.ego_start == pytest.approx(6 * crossings.ego_speed, abs=STEP)
+    assert world.rules.ego_start == world.road.start == crossings.ego_start
+    assert crossings.ego_speed == own.speed == world.start[1]
+    x, y, heading = world.road.position(crossings.ego_start, world.start[0])
+    assert world.network.get_closest_lane_index(np.array([x, y]), heading) == own.lane_index
+
+
+@table("destination", ["o1", "o2", "o3"])
+def test_speeds_of_a_way_hold_its_limit_and_its_bends(destination):
+    world = intersection(destination)
+    for way in world.crossings.ways.values():
+        line = world.rules.junction.ways[way.zone.way].line
+        turned = np.abs(np.diff(np.unwrap(line.heading))) / STEP
+        assert (np.minimum(way.speeds[1:], way.speeds[:-1]) ** 2 * turned).max() < 3.3  # 0.8 of the limit, or so
+        assert way.speeds.max() <= world.limits.overspeed * 10.0
+        assert way.length == pytest.approx(math.fsum(np.hypot(np.diff(line.x), np.diff(line.y))), abs=STEP)
+
+
+# An oracle: boxes as polygons, at places of the two ways that are no points of their lines.
+
+
+def poses_of_way(world, name):
+    """Places along a way and the poses of a vehicle there, by what highway-env's lanes say of a way of points."""
+    way = world.rules.junction.ways[name]
+    places = np.arange(0.1, way.way.length - 1, 0.47)
+    return places, posed(way.line, np.array(way.column.lean), places)
+
+
+def poses_of_ego(world):
+    column = world.road.columns[world.road.ego_lane]
+    places = np.arange(world.road.start, world.road.end - 1, 0.47)
+    return places, posed(world.road.line, np.array(column.lean), places)
+
+
+def posed(line, lean, places):
+    points = np.arange(len(line.x)) * STEP
+    heading = np.interp(places, points, line.heading + lean)
+    return np.stack([np.interp(places, points, line.x), np.interp(places, points, line.y), heading], axis=-1)
+
+
+def touching(first, second, wider):
+    """Which poses of two rows of them touch as boxes, by their corners and edges."""
+    near = np.hypot(*(first[:, None, :2] - second[None, :, :2]).transpose(2, 0, 1)) < math.hypot(LENGTH, WIDTH + wider)
+    found = np.zeros(near.shape, dtype=bool)
+    for a, b in np.argwhere(near):
+        boxes = (corners([*pose, 0.0], LENGTH, WIDTH + wider) for pose in (first[a], second[b]))
+        found[a, b] = polygon_distance(*boxes) == 0.0
+    return found
+
+
+def first_run(places, flags, since):
+    """The first and the last of the places that are flagged, from the first one on that follow each other."""
+    flagged = np.flatnonzero(flags & (places >= since))
+    breaks = np.flatnonzero(np.diff(flagged) > 2)
+    return places[flagged[0]], places[flagged[breaks[0] if breaks.size else -1]]
+
+
+@pytest.mark.parametrize(
+    "world",
+    [
+        pytest.param(intersection("o1"), id="left"),
+        oracle(intersection("o2"), id="straight on"),
+        oracle(intersection("o3"), id="right"),
+        oracle(world_of("roundabout-v1"), id="roundabout"),
+    ],
+)
+def test_stretches_are_those_in_which_boxes_along_the_ways_touch(world):
+    along_ego, ego = poses_of_ego(world)
+    for zone in world.crossings.zones:
+        along, npc = poses_of_way(world, zone.way)
+        near = (along > zone.npc[0] - 30) & (along < zone.npc[1] + 10)
+        own = (along_ego > zone.ego[0] - 30) & (along_ego < zone.ego[1] + 10)
+        wide = touching(ego[own], npc[near], WIDER)
+        stretches = (zone.ego, along_ego[own], wide.any(axis=1)), (zone.npc, along[near], wide.any(axis=0))
+        for (enters, leaves), places, touches in stretches:
+            first, last = first_run(places, touches, places[0])
+            assert enters <= first <= enters + 1.5, zone
+            if zone.kind == "merging":
+                assert last > leaves, zone  # they go on in one lane
+            else:
+                assert leaves - 1.5 <= last <= leaves, zone
+        assert touching(ego[own], npc[near], 0.0).any(), zone
+
+
+@pytest.mark.parametrize("destination", ["o1", oracle("o2"), oracle("o3")])
+def test_who_waits_before_a_zone_is_in_nobodys_way(destination):
+    world = intersection(destination)
+    along_ego, ego = poses_of_ego(world)
+    for zone in world.crossings.zones:
+        along, npc = poses_of_way(world, zone.way)
+        assert not touching(ego[::2], npc[along <= zone.npc[0]][-20:], WIDER).any()
+        assert not touching(ego[along_ego <= zone.ego[0]][-20:], npc[::2], WIDER).any()
+
+
+def test_a_merging_zone_ends_a_vehicle_after_both_have_come_into_one_lane():
+    for world in (intersection("o1"), intersection("o2"), intersection("o3"), world_of("roundabout-v1")):
+        for zone in world.crossings.zones:
+            if zone.kind != "merging":
+                continue
+            (along, npc), (_, ego) = poses_of_way(world, zone.way), poses_of_ego(world)
+            apart = np.hypot(*(npc[:, None, :2] - ego[None, :, :2]).transpose(2, 0, 1))
+            turned = np.abs(wrapped(npc[:, 2] - ego[apart.argmin(axis=1), 2]))
+            together = (apart.min(axis=1) < 0.6) & (turned < 0.11)
+            assert together[(along > zone.npc[1] - LENGTH) & (along < zone.npc[1])].all(), zone
+            assert not together[along < zone.npc[1] - LENGTH - 1.5].any(), zone
+
+
+@pytest.mark.parametrize("world", [pytest.param(intersection("o1"), id="left"), oracle(world_of("roundabout-v1"))])
+def test_ways_of_others_meet_each_other_where_boxes_along_them_touch(world):
+    crossings, names = world.crossings, sorted(world.crossings.ways)
+    for number, one in enumerate(names):
+        for other in names[number + 1 :]:
+            if one.split(">")[0] == other.split(">")[0]:
+                assert (one, other) in crossings.meetings
+                continue
+            (along, first), (its_along, second) = poses_of_way(world, one), poses_of_way(world, other)
+            touches = touching(first, second, 0.0)
+            assert ((one, other) in crossings.meetings) == touches.any(), (one, other)
+            if not touches.any():
+                continue
+            (begins, ends), (its_begins, its_ends) = crossings.meetings[one, other]
+            wide = touching(first[along < begins], second[its_along < its_ends], WIDER)
+            assert not wide.any(), (one, other)
+            wide = touching(first[along < ends], second[its_along < its_begins], WIDER)
+            assert not wide.any(), (one, other)
+
+
+# Networks of the user's own.
+
+
+class OwnJunction(AbstractEnv):
+    """A straight road from west to east, another one across it, and a road that joins it with a bend.
+
+    The option says from where the ego comes, the west or the bend.
+    """
+
+    @classmethod
+    def default_config(cls):
+        return {**super().default_config(), "from": "w", "duration": 12, "policy_frequency": 5}
+
+    def _reset(self):
+        network = RoadNetwork()
+        network.add_lane("w", "m", StraightLane([-150, 0], [20, 0], speed_limit=15))
+        network.add_lane("m", "e", StraightLane([20, 0], [200, 0], speed_limit=15))
+        network.add_lane("n", "s", StraightLane([-20, -120], [-20, 120], speed_limit=15))
+        network.add_lane("b", "c", StraightLane([0, 150], [0, 20], speed_limit=15))
+        bend = CircularLane([20, 20], 20, math.pi, 1.5 * math.pi, clockwise=True, speed_limit=15)
+        network.add_lane("c", "m", bend)
+        self.road = Road(network, np_random=self.np_random)
+        start = {"w": ("w", "m", 0), "b": ("b", "c", 0)}[self.config["from"]]
+        lane = network.get_lane(start)
+        at = lane.length - 90
+        ego = self.action_type.vehicle_class(self.road, lane.position(at, 0), lane.heading_at(at), 10.0)
+        self.road.vehicles = [ego]
+        self.controlled_vehicles = [ego]
+
+    def _reward(self, action):
+        return 0.0
+
+    def _is_terminated(self):
+        return False
+
+    def _is_truncated(self):
+        return self.time >= self.config["duration"]
+
+
+@pytest.fixture
+def own_junction():
+    gymnasium.register("OwnJunction-v0", OwnJunction)
+    yield lambda origin: World("OwnJunction-v0", {"from": origin})
+    del gymnasium.registry["OwnJunction-v0"]
+
+
+def test_who_joins_yields_to_whom_is_on_the_main_lane_and_nobody_where_roads_are_alike(own_junction):
+    assert zones_of(own_junction("w")) == {"n>s": ("crossing", "left", "none"), "b>e": ("merging", "right", "ego")}
+    assert zones_of(own_junction("b")) == {"w>e": ("merging", "left", "npc")}
+
+
+def test_an_ego_starts_no_later_than_its_environment_has_it(own_junction):
+    for origin, before in (("w", 60.0), ("b", None)):
+        world = own_junction(origin)
+        zone = world.crossings.zones[0]
+        x, y, _ = world.road.position(world.crossings.ego_start, world.start[0])
+        own = world.environment.unwrapped.vehicle.position
+        if before is None:
+            assert (x, y) == pytest.approx(tuple(own), abs=0.1)
+        else:
+            assert zone.ego[0] - world.crossings.ego_start == pytest.approx(before, abs=STEP)
+            assert x < own[0] - 10
