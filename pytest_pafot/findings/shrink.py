@@ -315,7 +315,13 @@ def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
 
 
 def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
-    """Genes that last as long as those of a search that does not draw it, and ask for the same at the same times."""
+    """Genes that last as long as those of a search that does not draw it, and ask for the same at the same times.
+
+    Where all NPCs cross, which know no duration, the usual one.
+    """
+    if all(map(_crosses, scenario.npcs)):
+        yield replace(scenario, gene_seconds=GENE_SECONDS)
+        return
     if seconds is None or seconds == scenario.gene_seconds:
         return
     chains = [retimed(chain, scenario.gene_seconds, seconds) for chain in scenario.npcs]

@@ -7,9 +7,9 @@ import re
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from textwrap import dedent
-from typing import get_args
+from typing import cast, get_args
 
-from pytest_pafot.attribution.mistakes import BY_FAULT, Manoeuvre, Mistake
+from pytest_pafot.attribution.mistakes import BY_FAULT, NOT_GIVEN_WAY, Manoeuvre, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.model.crossings import Kind, Origin, Zone
 from pytest_pafot.model.grid import Cell
@@ -115,7 +115,9 @@ class Signature:
                 object.__setattr__(self, name, None)
         elif self.fault is not None:
             object.__setattr__(self, "responsibility", "ego")
-            object.__setattr__(self, "mistake", self.mistake or BY_FAULT.get(self.fault))
+            given = None if self.zone is None else NOT_GIVEN_WAY[cast("Origin", self.zone.rpartition(" ")[2])]
+            known = given if self.fault == "did-not-give-way" else BY_FAULT.get(self.fault)
+            object.__setattr__(self, "mistake", self.mistake or known)
             for name in ("side", "cell", "npc_manoeuvre", "ego_manoeuvre"):
                 object.__setattr__(self, name, None)
             if self.fault not in AT_ZONES:

@@ -20,7 +20,7 @@ from pytest_pafot.attribution.needless_braking import braking
 from pytest_pafot.attribution.responses import BRAKES
 from pytest_pafot.attribution.responsibility import frame_of
 from pytest_pafot.criticality import RoadFrame
-from pytest_pafot.findings.signature import SLOW_DECISION, Failure
+from pytest_pafot.findings.signature import AT_ZONES, SLOW_DECISION, Failure
 from pytest_pafot.model.trace import ALONG, LANE, FloatArray, Outcome, Trace
 from pytest_pafot.model.trace import SPEED as SPEEDS
 from pytest_pafot.oracle.run import Run
@@ -51,6 +51,8 @@ ANSWER = 10.0
 ARRIVAL = 1.0
 ARRIVAL_SHARE = 0.5
 """Times to a zone are near each other within the first [s], or within this share of the time then."""
+APPROACH = 3.0
+"""Times to a zone are those with the highest speed of so long before [s]: an ego that gives way slows down for it."""
 LEAST_SPEED = 0.1
 """Whoever has not been faster will not come to a zone [m/s]."""
 
@@ -158,7 +160,7 @@ class Situation:
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
         slower = self.ego_speed - self.npc_speed
         if self.lane == 0 and self.ahead > 0:
-            ego = _highest(np.where(np.arange(len(ego)) < start, 0.0, ego), trace)
+            ego = _highest(np.where(np.arange(len(ego)) < start, 0.0, ego), trace, ANSWER)
             along = np.where(ahead > 0, ahead / max(REACH, REACH_FACTOR * self.ahead), np.inf)
             lacking = min(SLOWER_SHARE * slower, slower - SPEED) - (ego - speed)
             speeds = np.maximum(1 + lacking / SPEED, 0)
@@ -188,7 +190,7 @@ class Situation:
 class ZoneSituation:
     """When an NPC that crosses and the ego were to come to their zone, at one moment, and how fast they were.
 
-    Times are those with the highest speed of the last 10 s, since an ego that answers slows down, and below 0 in the
+    Times are those with the highest speed of the last 3 s, since an ego that answers slows down, and below 0 in the
     zone and behind it.
 
     Attributes:
@@ -209,11 +211,14 @@ class ZoneSituation:
     def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
         """Return the situation from which a failure arose that is about an NPC that crosses and a time [s].
 
-        The moment is the one at which the reason of the verdict begins, or else 2 s before the time.
+        The moment is the one at which the reason of the verdict begins, or else 2 s before the time. A verdict on a
+        zone begins when the ego enters it, which is the mistake itself, so that 2 s before that count.
         """
         trace, mistake = run.trace, tick_of_mistake(run, failure)
-        before = max(round((time - BEFORE) * trace.physics_hz), 0)
-        return cls._at(min(before if mistake is None else mistake, trace.ticks), trace, npc)
+        if mistake is None or run.attribution.fault is None or run.attribution.fault in AT_ZONES:
+            since = round(time * trace.physics_hz) if mistake is None else mistake
+            mistake = max(since - round(BEFORE * trace.physics_hz), 0)
+        return cls._at(min(mistake, trace.ticks), trace, npc)
 
     @classmethod
     def _at(cls, tick: int, trace: Trace, npc: int) -> Self:
@@ -231,11 +236,8 @@ class ZoneSituation:
     def distances(self, trace: Trace) -> FloatArray:
         """Return how far a run is from the situation at each tick: in the time of each, and in the NPC's speed.
 
-        Shape [3, ticks + 1], in multiples of what is tolerated: where none is above 1 the situation came up. None is
-        finite where the NPC does not cross.
+        Shape [3, ticks + 1], in multiples of what is tolerated: where none is above 1 the situation came up.
         """
-        if not trace.zones or trace.zones[self.npc] is None:
-            return np.full((3, trace.ticks + 1), np.inf)
         ego_enters, npc_enters = _times_to_zone(trace, self.npc)
         ego_enters = np.where(np.arange(trace.ticks + 1) < min(self.time, START) * trace.physics_hz, np.inf, ego_enters)
         pairs = (ego_enters, self.ego_enters), (npc_enters, self.npc_enters)
@@ -260,19 +262,19 @@ def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
     assert zone is not None and on_way is not None, "the NPC crosses"  # noqa: S101, PT018
     ego = zone.ego[0] - trace.track_of(0)[:, ALONG], trace.states[:, 0, SPEEDS]
     other = zone.npc[0] - on_way[:, npc], trace.states[:, npc + 1, SPEEDS]
-    one, two = (left / np.maximum(_highest(speed, trace), LEAST_SPEED) for left, speed in (ego, other))
+    one, two = (left / np.maximum(_highest(speed, trace, APPROACH), LEAST_SPEED) for left, speed in (ego, other))
     return one, two
 
 
-def _highest(speeds: FloatArray, trace: Trace) -> FloatArray:
-    """Return the highest speed up to each tick, of those in the last 10 s [m/s]."""
-    ticks = round(ANSWER * trace.physics_hz)
+def _highest(speeds: FloatArray, trace: Trace, seconds: float) -> FloatArray:
+    """Return the highest speed up to each tick, of those in so many seconds before [m/s]."""
+    ticks = round(seconds * trace.physics_hz)
     return np.asarray(sliding_window_view(np.pad(speeds, (ticks, 0)), ticks + 1).max(axis=1))
 
 
 def seconds_after(situation: Arising | None, run: Run) -> float | None:
     """Return how long a run went on after a situation first came up [s]; None where it did not, or is not known."""
-    if situation is None or not np.isfinite(run.trace.states).all():
+    if situation is None or not _can_be_compared(situation, run.trace):
         return None
     came_up = np.flatnonzero(situation.distances(run.trace).max(axis=0) <= 1)
     return run.duration - float(came_up[0]) / run.trace.physics_hz if came_up.size else None
@@ -283,14 +285,19 @@ def missed(situation: Arising | None, run: Run) -> str:
 
     Empty as well where nobody knows the situation.
     """
-    is_known = situation is not None and np.isfinite(run.trace.states).all()
-    if situation is None or not is_known or seconds_after(situation, run) is not None:
+    if situation is None or not _can_be_compared(situation, run.trace) or seconds_after(situation, run) is not None:
         return ""
     now = situation.nearest_in(run.trace)
     return (
         f"the situation did not come up: NPC {situation.npc} was {situation}, before the run failed; now it came no "
         f"nearer to that than {now}, after {now.time:.1f} s"
     )
+
+
+def _can_be_compared(situation: Arising, trace: Trace) -> bool:
+    """Return whether a run says where everybody was, and the NPC of a situation at a zone crosses in it, too."""
+    crosses = bool(trace.zones) and trace.zones[situation.npc] is not None
+    return bool(np.isfinite(trace.states).all()) and isinstance(situation, ZoneSituation) == crosses
 
 
 def _lanes_between(trace: Trace, frame: RoadFrame, npc: int) -> FloatArray:

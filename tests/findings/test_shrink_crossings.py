@@ -79,7 +79,7 @@ def test_one_npc_is_left_that_passes_at_a_round_slot_and_speed(test, slot, speed
     simplest, how = shrunk(BUSY, some(test))
     assert how.is_minimal
     ((found,),) = simplest.npcs
-    assert (found.slot, found.act, simplest.seed) == (slot, act, 0)
+    assert (found.slot, found.act, simplest.seed, simplest.gene_seconds) == (slot, act, 0, 10.0)
     assert found.speed in speeds
 
 

@@ -160,8 +160,15 @@ def _places(begins, plan_, ticks):
     return places, speeds
 
 
-def meeting(ego, npc, *, priority="npc", others=(), seconds=20.0):
-    """The run of an ego and an NPC up to their first contact; others, each with its plan, drive as well.
+def meeting(ego, npc, **road):
+    """The run of an ego and an NPC up to their first contact; None where they never touch."""
+    whole = driven(ego, npc, **road)
+    hits = np.flatnonzero(criticality.gap(whole)[:, 0] == 0)
+    return None if not hits.size else _ended(whole, int(hits[0]))
+
+
+def driven(ego, npc, *, priority="npc", others=(), seconds=20.0):
+    """The run of an ego and an NPC that drive through each other; others, each with its plan, drive as well.
 
     A way that begins with ``grid`` is the ego's own: such an NPC drives on it, and has no zone.
     """
@@ -188,13 +195,11 @@ def meeting(ego, npc, *, priority="npc", others=(), seconds=20.0):
         vehicles[number][:, LANE] = np.where(np.isnan(track[:, number, 0]), number, 0)
     on_way = np.stack([np.full(ticks + 1, np.nan) if met is None else along[n + 1] for n, met in enumerate(zones)], -1)
     lanes = tuple(_lane(path(ego.way if each.way == "grid" else each.way)) for each in (ego, npc, *others))
-    whole = trace_of(*vehicles, lanes=lanes, track=track, zones=tuple(zones), on_way=on_way, physics_hz=HZ)
-    hits = np.flatnonzero(criticality.gap(whole)[:, 0] == 0)
-    return None if not hits.size else _ended(whole, int(hits[0]))
+    return trace_of(*vehicles, lanes=lanes, track=track, zones=tuple(zones), on_way=on_way, physics_hz=HZ)
 
 
 def hit(ego, npc, **road):
-    """The same, which is a collision."""
+    """The same as :func:`meeting`, which is a collision."""
     trace = meeting(ego, npc, **road)
     assert trace is not None, "they never touch"
     return trace

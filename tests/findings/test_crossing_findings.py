@@ -1,0 +1,162 @@
+"""Failures with NPCs that cross: what tells them apart, from which situation they arose, and what a replay means."""
+
+import pytest
+
+from pytest_pafot.findings.finding import Expect, Finding, Found, of_failure
+from pytest_pafot.findings.replay import replay_label
+from pytest_pafot.findings.severity import severity_of
+from pytest_pafot.findings.signature import ZONES, Failure, Signature
+from pytest_pafot.findings.situation import ZoneSituation, missed, seconds_after
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.checks import Check
+from pytest_pafot.oracle.run import Run
+from tests.findings.builders import VERSIONS, plain_finding
+from tests.helpers.junctions import driven, hit, plan
+from tests.helpers.tables import table
+
+FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")
+STRAIGHT, LEFT = "west straight", "west left"
+
+
+def crash(npc="north straight", *, enters=8.0, speed=9.0, ego=STRAIGHT, changes=(), **road):
+    """An ego that keeps its 10 m/s, or changes it, is hit by, or hits, one that crosses and enters the zone then."""
+    return Run(hit(plan(ego, 8.0, 10.0, *changes), plan(npc, enters, speed), **road))
+
+
+def passes(npc="north straight", *, enters=8.0, speed=9.0, changes=((4.0, 3.0, 0.0),)):
+    """The same of an ego that brakes from 4 s on, and so gives way."""
+    return Run(driven(plan(STRAIGHT, 8.0, 10.0, *changes), plan(npc, enters, speed)))
+
+
+def label(finding, run, failure=None):
+    return replay_label(finding, run, failure, VERSIONS)
+
+
+def saved(run, failure=FAILS):
+    found = Found(seed=1, generation=0, algorithm="distinct", versions=VERSIONS)
+    return Finding.of(run, failure, test="test_it.py::test_it", world={"kind": "own"}, found=found)
+
+
+def test_a_failure_in_a_zone_is_told_by_fault_kind_and_origin():
+    runs = [crash(), crash("south straight"), crash("east left", enters=8.5)]
+    expected = [Expect.of(run, FAILS) for run in runs]
+    assert [each.zone for each in expected] == [
+        "crossing from the left", "crossing from the right", "oncoming from ahead"
+    ]  # fmt: skip
+    assert len({of_failure(run, FAILS) for run in runs}) == 3
+    assert of_failure(crash(), FAILS) == of_failure(crash(enters=8.2, speed=7.0), FAILS)
+    assert {each.npc_manoeuvre for each in expected} == {None}
+
+
+def test_its_file_is_named_by_fault_and_origin():
+    run = crash()
+    assert run.attribution.fault == "did-not-give-way"
+    assert of_failure(run, FAILS).slug == "did-not-give-way-left"
+    assert of_failure(run, FAILS) == Expect.of(run, FAILS).signature  # a file says it all
+
+
+@table(
+    ("zone", "slug"),
+    [("crossing from the left", "rear-crossing-left"), ("merging from behind", "rear-merging-behind")],
+)
+def test_a_collision_that_others_answer_for_is_named_by_side_and_zone(zone, slug):
+    fields = {"failure": "AssertionError", "assertion": "not run.collision", "outcome": Outcome.COLLISION}
+    signature = Signature(**fields, responsibility="npc", side="rear", zone=zone)
+    assert signature.slug == slug
+    assert signature != Signature(**fields, responsibility="npc", side="rear", zone="oncoming from ahead")
+    assert signature != Signature(**fields, responsibility="npc", side="rear", cell=Cell.REAR)
+
+
+@table("fault", ["leader-unanswered", "cut-in-unanswered", "braked-for-nothing"])
+def test_a_fault_that_is_about_no_zone_is_the_same_in_all_of_them(fault):
+    fields = {"failure": "AssertionError", "assertion": "not run.collision", "outcome": Outcome.COLLISION}
+    signatures = {Signature(**fields, responsibility="ego", fault=fault, zone=zone) for zone in (None, *ZONES)}
+    assert len(signatures) == 1
+
+
+def test_a_property_is_the_same_in_every_zone():
+    fields = {"failure": "AssertionError", "assertion": "run.min_ttc > N", "outcome": Outcome.COLLISION}
+    assert len({Signature(**fields, responsibility="npc", zone=zone) for zone in (None, *ZONES)}) == 1
+
+
+def test_how_bad_it_is_is_the_closing_speed():
+    run = crash()
+    assert severity_of(run, FAILS).value == pytest.approx(run.collision.closing_speed)
+
+
+def test_the_situation_is_when_each_was_to_come_to_the_zone():
+    run = crash()
+    then = Expect.of(run, FAILS).situation
+    assert isinstance(then, ZoneSituation)
+    assert then.time == pytest.approx(run.attribution.tick / 15 - 2, abs=0.001)
+    assert then.time + then.ego_enters == pytest.approx(8.0, abs=0.1)
+    assert then.time + then.npc_enters == pytest.approx(8.0, abs=0.1)
+    assert (then.ego_speed, then.npc_speed) == (10.0, 9.0)
+    assert str(then) == (
+        f"{then.npc_enters:.1f} s from its zone at 9 m/s, with the ego {then.ego_enters:.1f} s from it at 10 m/s"
+    )
+
+
+def test_that_of_a_check_is_two_seconds_before():
+    check = Check(name="gives way", value=0.1, margin=-0.9, at_least=1.0, time=7.0, npc=0)
+    failure = Failure(kind="CheckFailed", assertion="gives way", check=check)
+    then = Expect.of(passes(), failure).situation
+    assert (then.npc, then.time) == (0, 5.0)
+    assert then.npc_enters == pytest.approx(3.0, abs=0.1)
+
+
+def test_one_that_passed_the_beginning_of_its_zone_is_told_so():
+    check = Check(name="gives way", value=0.1, margin=-0.9, at_least=1.0, time=11.0, npc=0)
+    then = Expect.of(passes(), Failure(kind="CheckFailed", assertion="gives way", check=check)).situation
+    assert str(then).startswith("1.0 s past the beginning of its zone at 9 m/s, with the ego ")
+
+
+@table(
+    ("run", "comes_up"),
+    [
+        (crash(), True),
+        (passes(), True),
+        (passes(changes=((2.0, 1.0, 4.0),)), True),
+        (passes(changes=((5.5, 6.0, 0.0),)), True),
+        (passes(enters=8.3, speed=9.5), True),
+        (passes(enters=12.0), False),  # it comes long after the ego
+        (passes(enters=4.0), False),
+        (passes(speed=4.0), False),  # another NPC would have come at that speed
+        (passes(changes=((0.0, 6.0, 0.0),)), False),  # the ego never comes near the zone
+    ],
+)
+def test_it_comes_up_where_both_come_to_the_zone_as_they_did_whatever_the_ego_does_then(run, comes_up):
+    situation = Expect.of(crash(), FAILS).situation
+    assert (not missed(situation, run)) == comes_up
+    assert (seconds_after(situation, run) is not None) == comes_up
+
+
+def test_a_pass_that_gives_way_is_fixed_and_one_that_never_met_the_other_drifted():
+    finding = saved(crash())
+    assert label(finding, passes()) == "fixed"
+    assert label(finding, passes(enters=12.0)) == "drifted"
+    assert label(finding, crash(), FAILS) == "still failing"
+    assert label(finding, crash(enters=7.4), FAILS) == "drifted"
+
+
+def test_a_run_that_says_where_it_missed_its_situation_names_both_moments():
+    text = missed(Expect.of(crash(), FAILS).situation, passes(enters=12.0))
+    assert text.startswith("the situation did not come up: NPC 0 was ")
+    assert "s from its zone at 9 m/s, with the ego" in text
+    assert text.count("zone") == 2
+
+
+def test_of_a_run_in_which_that_npc_does_not_cross_nobody_knows():
+    situation, others = Expect.of(crash(), FAILS).situation, (plan("north straight", 12.0, 9.0),)
+    on_grid = Run(driven(plan(STRAIGHT, 8.0, 10.0), plan("grid", 6.0, 9.0), others=others))
+    assert missed(situation, on_grid) == ""
+    assert seconds_after(situation, on_grid) is None
+
+
+def test_a_finding_at_a_zone_is_saved_with_all_of_that():
+    finding = saved(crash())
+    assert finding.id.startswith("did-not-give-way-left-")
+    expect = finding.expect
+    assert (expect.npc, expect.cell, expect.zone) == (0, None, "crossing from the left")
+    assert plain_finding(expect=expect).signature == finding.signature

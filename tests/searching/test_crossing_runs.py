@@ -1,0 +1,96 @@
+"""What a search sees of runs in which somebody crosses: fitness, who came nearest, whether anything happened."""
+
+import math
+
+import numpy as np
+import pytest
+
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.searching.evaluation import Evaluation, interacted, nearest_crossing, outran
+from pytest_pafot.searching.fitness import FITNESSES, Steered, av_fuzzer, before_impact, resolve, weighted
+from tests.helpers.junctions import driven, hit, plan
+from tests.helpers.tables import table
+
+EGO = plan("west straight", 8.0, 10.0)
+
+
+def run_of(*enters, npc="north straight", ego=EGO, **road):
+    """An ego that enters its zone after 8 s, and NPCs at 9 m/s that would drive through it."""
+    first, *others = (plan(npc, each, 9.0) for each in enters)
+    return driven(ego, first, others=tuple(others), **road)
+
+
+def collision():
+    return hit(EGO, plan("north straight", 8.0, 9.0))
+
+
+def test_the_closer_one_came_after_the_other_the_worse_it_is():
+    fitness = [weighted(run_of(enters)) for enters in (20.0, 13.0, 11.0, 10.3, 9.8)]
+    assert fitness == sorted(fitness)
+    assert len(set(fitness)) == 5
+    assert all(0 <= each <= 1 for each in fitness)
+    assert weighted(collision()) > 1
+
+
+def test_it_counts_as_much_when_the_npc_is_first():
+    after, before = ([weighted(run_of(8.0 + sign * gap)) for gap in (2.5, 3.5)] for sign in (1, -1))
+    assert after[0] > after[1]
+    assert before[0] > before[1]
+
+
+def test_an_npc_on_the_grid_is_measured_as_before_beside_one_that_never_comes():
+    alone = driven(EGO, plan("grid", 6.0, 9.0), others=(plan("north straight", 60.0, 9.0),))
+    assert weighted(alone) > weighted(run_of(60.0))
+    assert nearest_crossing(alone) == 1
+
+
+@table("name", [name for name in FITNESSES if name not in ("paper", "default")])
+def test_no_fitness_with_a_name_is_nan_where_somebody_crosses(name):
+    for trace in (run_of(8.5, 12.0), collision()):
+        assert not math.isnan(resolve(name)(trace))
+
+
+def test_that_of_av_fuzzer_is_finite_by_the_distance_of_the_centres():
+    near, far = av_fuzzer(run_of(8.2)), av_fuzzer(run_of(30.0))
+    assert math.isfinite(near)
+    assert near > far
+
+
+def test_what_came_before_an_impact_is_a_run_of_its_own_on_all_ways():
+    trace = collision()
+    before = before_impact(trace)
+    assert (before.outcome, before.collision) == (Outcome.SAFE, None)
+    assert before.on_way.shape == (before.ticks + 1, 1)
+    assert before.ticks == trace.collision.tick - 45
+    np.testing.assert_array_equal(before.on_way, trace.on_way[: before.ticks + 1])
+
+
+def test_a_collision_that_the_npc_answers_for_is_judged_by_what_came_before():
+    trace, fitness = collision(), resolve("default")
+    assert Steered(fitness, lambda trace: True)(trace) > 2
+    assert -1 <= Steered(fitness, lambda trace: False)(trace) <= 1
+
+
+@table(
+    ("enters", "nearest"),
+    [((8.3,), 0), ((12.0, 8.3), 1), ((8.3, 12.0), 0), ((4.0, 20.0, 10.5), 2), ((60.0, 50.0), 1)],
+)
+def test_the_nearest_is_who_shared_the_zone_or_came_next_to_that(enters, nearest):
+    assert nearest_crossing(run_of(*enters)) == nearest
+
+
+def test_whoever_was_hit_came_nearest():
+    others = (plan("south straight", 8.6, 9.0),)
+    assert nearest_crossing(hit(EGO, plan("north straight", 8.0, 9.0), others=others)) == 0
+
+
+@pytest.mark.parametrize(("enters", "expected"), [(8.5, True), (10.0, True), (13.0, False), (3.0, False)])
+def test_who_is_about_to_share_a_zone_interacts(enters, expected):
+    trace = run_of(enters)
+    assert interacted(trace) == expected
+    assert not outran(trace)
+
+
+def test_an_evaluation_tells_who_crosses():
+    evaluation = Evaluation.of(run_of(12.0, 8.5), fitness=0.5, failing=False)
+    assert (evaluation.crossing, evaluation.interaction, evaluation.outran) == (1, True, False)
