@@ -507,7 +507,9 @@ def _passed(passage: Passage | None) -> str:
     gap = passage.post_encroachment_time
     if gap and passage.npc_leaves <= passage.ego_enters:
         return f"; left {gap:.1f} s before it ({passage.npc_leaves:.1f} s)"
-    return f"; came {f'{gap:.1f} s after it' if gap else 'together with it'} ({passage.npc_enters:.1f} s)"
+    if not gap:
+        return f"; there with it from {max(passage.npc_enters, passage.ego_enters):.1f} s"
+    return f"; came {gap:.1f} s after it ({passage.npc_enters:.1f} s)"
 
 
 def _gene_table(trace: Trace, room: int) -> list[str]:

@@ -477,7 +477,8 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
             )
             if isinstance(told, CrossingInstruction):
                 slot, words = f"{told.slot:+g} s" if told.slot else "together", crossing_text(told, zones[npc])
-                view = replace(view, zone=told.zone, slot=slot, words=words)
+                end = view.end if trace is None else max(view.end, trace.duration)  # it is told for the whole run
+                view = replace(view, zone=told.zone, slot=slot, words=words, end=round(end, 3))
             views.append(view)
     return tuple(views)
 

@@ -9,6 +9,7 @@ from textwrap import dedent
 from urllib.parse import quote
 
 from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.model.crossings import SLOTS
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.report.page_data import (
     CampaignView,
@@ -284,8 +285,7 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
         f"after repair. Reached: the NPC arrived in its cell{' or its zone' if view.zones else ''}.</p>"
         f'<div class="columns">{_coverage("Cells", "cell", view.cells) if is_on_grid else ""}'
         f"{_coverage('Target speeds', 'speed', view.speeds)}"
-        f"{_coverage('Slots at zones', 'zone and slot', view.zones) if view.zones else ''}"
-        f"{_ring(view.steps) if is_on_grid else ''}</div></details></article>"
+        f"{_ring(view.steps) if is_on_grid else ''}{_slots(view.zones) if view.zones else ''}</div></details></article>"
     )
 
 
@@ -326,9 +326,23 @@ def _ring(steps: Sequence[CoverageRow]) -> str:
     return f'<div><h4>Steps on the ring <span class="unit">driven / requested, reached</span></h4>{grid}</div>'
 
 
+def _slots(rows: Sequence[CoverageRow]) -> str:
+    """Of each zone a row: how often an NPC was to be in each of its slots."""
+    zones: dict[str, list[CoverageRow]] = {}
+    for each in rows:
+        zones.setdefault(each.label.partition(" ")[0], []).append(each)
+    body = [row(text(zone), *map(_figures, slots)) for zone, slots in zones.items()]
+    figures = '<span class="unit">driven / requested, reached</span>'
+    return f"<div><h4>Slots at zones {figures}</h4>{table(columns('zone', *SLOTS), body)}</div>"
+
+
 def _step(step: CoverageRow) -> str:
-    figures = f"{step.driven} / {step.requested}, {step.reached}"
-    return f"<td>{figures}</td>" if step.driven else f'<td class="never">{figures} <span class="flag">never</span></td>'
+    return f"<td>{_figures(step)}</td>" if step.driven else f'<td class="never">{_figures(step)}</td>'
+
+
+def _figures(step: CoverageRow) -> str:
+    never = "" if step.driven else ' <span class="flag">never</span>'
+    return f"{step.driven} / {step.requested}, {step.reached}{never}"
 
 
 def _bars(top: int, **values: int) -> str:

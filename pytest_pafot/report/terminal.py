@@ -174,7 +174,7 @@ def speed_sentences(finding: Finding) -> list[str]:
         gene = finding.scenario.npcs[interval.npc][interval.gene]
         place = f"in cell {int(gene.cell)} ({gene.cell.label})" if isinstance(gene, PositionInstruction) else gene.goal
         seconds = interval.gene * finding.scenario.gene_seconds
-        when = "" if isinstance(gene, CrossingInstruction) else f"from {seconds:g} s "
+        when = "on " if isinstance(gene, CrossingInstruction) else f"from {seconds:g} s "
         speeds = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"
         if interval.low == interval.high:
             speeds = f"only a speed of {interval.low:.1f} m/s"

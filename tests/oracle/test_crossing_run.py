@@ -61,7 +61,7 @@ def test_the_moments_of_a_run_are_found_with_who_crosses():
     ("npc", "came"),
     [
         ((CROSSES, 0.0), "; came 0.1 s after it (5.6 s)"),
-        ((CROSSES, 10.0), "; came together with it (4.6 s)"),
+        ((CROSSES, 10.0), "; there with it from 4.6 s"),
         ((CROSSES, 25.0), "; left 0.6 s before it (4.0 s)"),
         ((CROSSES, -60.0), "; never came"),
     ],

@@ -391,12 +391,20 @@ class Scene {
     return { along: ego.along + ahead * cos - right * sin, across: ego.across + ahead * sin + right * cos };
   }
 
-  // Where the text of the impact is, seen from it: at the nearest place where it covers no vehicle and no cell's number.
+  // Where the texts at NPCs that cross are, with room for another text beside them.
+  zoneLabels(states, half) {
+    return states.flatMap((state, index) => {
+      const label = state && this.bodies[index].group.querySelector(".zone-label");
+      return label ? [[this.x(state.along), this.y(state.across) + Number(label.getAttribute("y")), half + 3.2 * label.textContent.length, 15]] : [];
+    });
+  }
+
+  // Where the text of the impact is, seen from it: at the nearest place where it covers no vehicle, no cell's number and no slot.
   labelOffset(states, x, y) {
     const half = 3.7 * this.impactText().length;
     const boxes = states.filter(Boolean).map((state) => [
       this.x(state.along), this.y(state.across), half + (state.length / 2) * this.scale, 8 + (state.width / 2) * this.scale,
-    ]).concat(this.numbers.map(([nx, ny]) => [nx, ny, half + 8, 15]));
+    ]).concat(this.numbers.map(([nx, ny]) => [nx, ny, half + 8, 15]), this.zoneLabels(states, half));
     const isFree = ([dx, dy]) => y + dy > 12 && y + dy < this.height - RULER && x + dx > half && x + dx < this.width - half
       && boxes.every(([bx, by, wide, high]) => Math.abs(bx - x - dx) > wide || Math.abs(by - y - dy + 4) > high);
     return this.offsets.find(isFree) ?? [0, 32];
