@@ -402,9 +402,11 @@ class Scene {
   // Where the text of the impact is, seen from it: at the nearest place where it covers no vehicle, no cell's number and no slot.
   labelOffset(states, x, y) {
     const half = 3.7 * this.impactText().length;
-    const boxes = states.filter(Boolean).map((state) => [
-      this.x(state.along), this.y(state.across), half + (state.length / 2) * this.scale, 8 + (state.width / 2) * this.scale,
-    ]).concat(this.numbers.map(([nx, ny]) => [nx, ny, half + 8, 15]), this.zoneLabels(states, half));
+    const boxes = states.filter(Boolean).map((state) => {
+      const [cos, sin] = this.isWorld ? [Math.abs(Math.cos(state.heading)), Math.abs(Math.sin(state.heading))] : [1, 0];
+      const [wide, high] = [state.length * cos + state.width * sin, state.length * sin + state.width * cos];
+      return [this.x(state.along), this.y(state.across), half + (wide / 2) * this.scale, 8 + (high / 2) * this.scale];
+    }).concat(this.numbers.map(([nx, ny]) => [nx, ny, half + 8, 15]), this.zoneLabels(states, half));
     const isFree = ([dx, dy]) => y + dy > 12 && y + dy < this.height - RULER && x + dx > half && x + dx < this.width - half
       && boxes.every(([bx, by, wide, high]) => Math.abs(bx - x - dx) > wide || Math.abs(by - y - dy + 4) > high);
     return this.offsets.find(isFree) ?? [0, 32];
