@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import ACTS, CrossingInstruction, Scenario, on_grid
 from pytest_pafot.world.driving.network_director import NetworkDirector
@@ -64,7 +62,8 @@ class JunctionDirector:
         self._vehicles = [Body(length, width), *self.npcs]
         dt, top_speed = 1 / physics_hz, limits.top_speed(road.speed_limit)
         driver = NpcDriver(limits, top_speed, length, dt)
-        self._crosser = Crosser(self._crossing, self._vehicles, driver, road.centre(road.ego_lane), dt)
+        ego_lane = road.centre(road.ego_lane)
+        self._crosser = Crosser(self._crossing, self._vehicles, driver, limits.jerk, ego_lane, dt)
         self._relations = [self._related(number) for number in range(len(self._vehicles))]
         for npc in self._crossing:
             npc.conflicts, npc.leaders = self._relations[npc.index + 1]
@@ -75,9 +74,9 @@ class JunctionDirector:
     def _npc(self, index: int, instruction: CrossingInstruction, length: float, width: float) -> CrossingNpc:
         way = self._junction.ways[instruction.zone]
         zone = way.way.zone
-        speeds = np.minimum(way.way.speeds, instruction.speed).tolist()
-        act = ACTS.index(instruction.act)
-        npc = CrossingNpc(way.track, speeds, zone.npc, zone.ego, act, length, width)
+        act, speeds = ACTS.index(instruction.act), way.way.speeds.tolist()
+        size = length, width
+        npc = CrossingNpc(way.track, instruction.speed, speeds, zone.npc, zone.ego, act, way.middle, size)
         npc.index, npc.slot = index, instruction.slot
         npc.entry = self._junction.crossings.planned_entry(instruction)
         return npc

@@ -5,7 +5,7 @@ from pytest_pafot.world.kernel.driver cimport NpcDriver, following_speed, gap_sp
 
 cdef double STEP, FREEZE, SLOWEST, FASTEST
 cdef int PASS, HOLD, STOP, LATE, NEVER
-cdef double WAITING, MARGIN, SETTING_OFF, STOPPING, RESPONSE, ANSWER, BUILDING_UP, BRAKING, APART, LEAST_SPEED, ABREAST
+cdef double WAITING, MARGIN, SETTING_OFF, EASY, CREEPING, EARLIER, RESPONSE, ANSWER, BUILDING_UP, BRAKING, APART, LEAST_SPEED, ABREAST
 cdef double UNENDING, NOWHERE
 
 @cython.final
@@ -40,7 +40,7 @@ cdef class Leader:
 cdef class CrossingNpc(Body):
     cdef public int index
     cdef readonly Track track
-    cdef readonly double enters, leaves, ego_enters, ego_leaves
+    cdef readonly double enters, leaves, ego_enters, ego_leaves, middle, wanted
     cdef readonly int act, entered
     cdef public double slot, entry, asked, course
     cdef readonly double stands_at
@@ -49,7 +49,7 @@ cdef class CrossingNpc(Body):
     cdef int noticed
     cdef public list conflicts, leaders
 
-    @cython.locals(wanted=double, point=Py_ssize_t, last=Py_ssize_t)
+    @cython.locals(place=double, speed=double, wanted=double, point=Py_ssize_t, last=Py_ssize_t)
     cpdef double start(self, double entry) except? -1
 
     cpdef double lasts(self, double since, double until) except? -1
@@ -63,7 +63,7 @@ cpdef bint can_stop(double room, double speed) except -1
 cdef class Crosser:
     cdef list _npcs, _vehicles
     cdef NpcDriver _driver
-    cdef double _ego_lane, _dt
+    cdef double _jerk, _ego_lane, _dt
     cdef int _response, _tick
 
     @cython.locals(wanted=double)
@@ -72,11 +72,15 @@ cdef class Crosser:
     @cython.locals(npc=CrossingNpc, wanted=double)
     cpdef void command(self, Body ego) except *
 
-    @cython.locals(track=Track, wanted=double, room=double, has_passed=bint, is_due=bint, is_late=bint, safe=double)
+    @cython.locals(track=Track, fastest=double, wanted=double, room=double, has_passed=bint, is_due=bint, is_late=bint, safe=double,
+                   gained=double)
     cdef double _wanted(self, CrossingNpc npc, Body ego) except? -1
 
-    @cython.locals(now=double, left=double, speed=double, first=double, last=double, entry=double, crossing=double)
+    @cython.locals(left=double)
     cdef double _share(self, CrossingNpc npc, Body ego) except? -1
+
+    @cython.locals(now=double, left=double, speed=double, first=double, last=double, due=double, crossing=double)
+    cdef double _due(self, CrossingNpc npc, Body ego) except? -1
 
     @cython.locals(stays=double, comes=double, room=double)
     cdef bint _answers(self, CrossingNpc npc, Body ego) except -1

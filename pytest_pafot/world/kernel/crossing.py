@@ -28,8 +28,11 @@ MARGIN = 1.0
 """How far before a stretch an NPC waits until another one, or the ego, has left it [m]."""
 SETTING_OFF = 1.1
 """How long a vehicle that holds takes to its zone [s]."""
-STOPPING = 4.0
-"""Deceleration with which an NPC stops in its zone [m/s^2]."""
+EASY = 2.5
+"""Braking by which one comes to a line [m/s^2], as :func:`gap_speed` has it."""
+CREEPING, EARLIER = 2.0, 1.0
+"""How much longer the last metres to the line take than braking evenly [s], and how long before it has to set off one
+stands there that starts late [s]."""
 RESPONSE, ANSWER = 1.0, 6.0
 """How late an NPC answers an ego that has entered its zone [s], and how hard it brakes then at most [m/s^2]."""
 BUILDING_UP, BRAKING = 0.4, 5.0
@@ -155,16 +158,20 @@ class CrossingNpc(Body):
 
     Args:
         track: its way.
-        speeds: with which it drives at each point, where nothing else holds [m/s].
+        speed: of its instruction [m/s].
+        speeds: the highest ones with which its way is driven, at each point [m/s].
         zone: where it enters and leaves its zone [m].
         ego_zone: where the ego does, along its own way [m].
         act: what it does in the zone.
+        middle: where it stands that stops in its zone [m].
 
     Attributes:
         index: in the scenario.
         slot: as in its instruction [s].
         asked: the acceleration asked for in the previous tick [m/s^2].
         course: direction of motion that the previous tick's steering gave [rad].
+        wanted: the speed of its instruction [m/s].
+        speeds, times: with which speed it drives at each point [m/s], and when it is there, from the first one on [s].
         entry: when it is planned to enter its zone [s].
         entered: the tick at which it did so, -1 before.
         stands_at: where it will stand for nobody knows how long [m].
@@ -174,25 +181,27 @@ class CrossingNpc(Body):
     def __init__(
         self,
         track: Track,
+        speed: float,
         speeds: Sequence[float],
         zone: tuple[float, float],
         ego_zone: tuple[float, float],
         act: int,
-        length: float,
-        width: float,
+        middle: float,
+        size: tuple[float, float],
     ) -> None:
-        super().__init__(length, width)
+        super().__init__(size[0], size[1])
         self.index = 0
         self.slot = 0.0
         self.track = track
         self.enters, self.leaves = zone
         self.ego_enters, self.ego_leaves = ego_zone
         self.act = act
+        self.middle = middle
+        self.wanted = speed
         self.speeds = array("d", speeds)
-        if act == STOP:
-            for point in range(len(speeds)):
-                room = max((self.enters + self.leaves) / 2.0 - point * STEP, 0.0)
-                self.speeds[point] = min(self.speeds[point], math.sqrt(2.0 * STOPPING * room))
+        for point in range(len(speeds)):
+            most = gap_speed(max(middle - point * STEP, 0.0)) if act == STOP else speed
+            self.speeds[point] = min(self.speeds[point], speed, most)
         self.times = array("d", [0.0]) * len(speeds)
         for point in range(1, len(speeds)):
             driven = max(self.speeds[point] + self.speeds[point - 1], 2e-3)
@@ -214,8 +223,17 @@ class CrossingNpc(Body):
         return track.value(self.times, until) - track.value(self.times, since)
 
     def start(self, entry: float) -> float:
-        """Where it starts to enter its zone after so long [m]; below 0 its way is too short."""
-        wanted = self.track.value(self.times, self.enters) - entry
+        """Where it starts to enter its zone after so long [m]; below 0 its way is too short.
+
+        Who holds comes to the line at that time, and who starts late some time before.
+        """
+        place = self.enters
+        if self.act in (HOLD, LATE):
+            place -= WAITING
+            speed = self.track.value(self.speeds, place)
+            place -= speed * speed / (2.0 * EASY)
+            entry = max(entry - speed / EASY - CREEPING - (EARLIER if self.act == LATE else 0.0), 0.0)
+        wanted = self.track.value(self.times, place) - entry
         if wanted < 0.0:
             return wanted * self.speeds[0]
         point, last = 0, len(self.times) - 1
@@ -245,16 +263,24 @@ class Crosser:
         npcs: that cross.
         vehicles: of the run, the ego first; each body has its place along its own way.
         driver: pedals and wheel.
+        jerk: the limit of theirs [m/s^3].
         ego_lane: across the road, in the measure of lanes [m], where those on the ego's way are in its lane.
         dt: physics tick [s].
     """
 
     def __init__(
-        self, npcs: list[CrossingNpc], vehicles: list[Body], driver: NpcDriver, ego_lane: float, dt: float
+        self,
+        npcs: list[CrossingNpc],
+        vehicles: list[Body],
+        driver: NpcDriver,
+        jerk: float,
+        ego_lane: float,
+        dt: float,
     ) -> None:
         self._npcs = npcs
         self._vehicles = vehicles
         self._driver = driver
+        self._jerk = jerk
         self._ego_lane = ego_lane
         self._dt = dt
         self._response = round(RESPONSE / dt)
@@ -280,16 +306,18 @@ class Crosser:
     def _wanted(self, npc: CrossingNpc, ego: Body) -> float:
         """The speed that an NPC wants for its instruction and the ego [m/s]."""
         track = npc.track
-        wanted = track.value(npc.speeds, npc.x)
-        if npc.entered == NEVER:
-            wanted = min(wanted * self._share(npc, ego), track.value(track.speed, npc.x))
+        fastest = track.value(track.speed, npc.x)
+        wanted = min(npc.wanted, fastest)
+        if npc.entered == NEVER and npc.act in (PASS, STOP):
+            gained = max(npc.asked, 0.0) * max(npc.asked, 0.0) / (2.0 * self._jerk)  # while the accelerator is released
+            wanted = min(wanted * self._share(npc, ego), fastest - gained)
         npc.stands_at = UNENDING
         if npc.act == STOP:
-            npc.stands_at = (npc.enters + npc.leaves) / 2.0
+            npc.stands_at = npc.middle
         elif npc.act != PASS and not npc.is_released and npc.entered == NEVER:
             room = npc.enters - WAITING - npc.x
             has_passed = ego.x > npc.ego_leaves
-            is_due = npc.act == LATE and npc.entry - self._tick * self._dt <= SETTING_OFF
+            is_due = npc.act == LATE and self._due(npc, ego) <= SETTING_OFF
             is_late = self._tick == 0 and room < npc.speed * npc.speed / (2.0 * ANSWER)
             npc.is_released = has_passed or is_due or is_late
             if not npc.is_released:
@@ -304,19 +332,26 @@ class Crosser:
 
     def _share(self, npc: CrossingNpc, ego: Body) -> float:
         """The share of its speed at which an NPC enters its zone when it is to."""
-        now = self._tick * self._dt
         left = npc.lasts(npc.x, npc.enters)
+        return min(max(left / max(self._due(npc, ego), 0.1), SLOWEST), FASTEST)
+
+    def _due(self, npc: CrossingNpc, ego: Body) -> float:
+        """In what time an NPC is to enter its zone [s]."""
+        now = self._tick * self._dt
         if not npc.is_frozen:
             speed = max(ego.speed, 0.1)
             first, last = (npc.ego_enters - ego.x) / speed, (npc.ego_leaves - ego.x) / speed
+            crossing = 0.0 if npc.act == STOP else npc.lasts(npc.enters, npc.leaves)
             if npc.slot > 0.0:
-                entry = last + npc.slot
+                due = last + npc.slot
             else:
-                crossing = npc.lasts(npc.enters, npc.leaves) if npc.act != STOP else 0.0
-                entry = first + npc.slot - crossing if npc.slot < 0.0 else (first + last - crossing) / 2.0
-            npc.is_frozen = min(max(entry, left / FASTEST), left / SLOWEST) <= FREEZE
-            npc.entry = now + (min(max(entry, left / FASTEST), left / SLOWEST) if npc.act != LATE else entry)
-        return min(max(left / max(npc.entry - now, 0.1), SLOWEST), FASTEST)
+                due = first + npc.slot - crossing if npc.slot < 0.0 else (first + last - crossing) / 2.0
+            if npc.act != LATE:
+                left = npc.lasts(npc.x, npc.enters)
+                due = min(max(due, left / FASTEST), left / SLOWEST)
+            npc.entry = now + due
+            npc.is_frozen = due <= FREEZE
+        return npc.entry - now
 
     def _answers(self, npc: CrossingNpc, ego: Body) -> bool:
         """Whether an NPC answers an ego that is in its zone and will still be there when it comes."""

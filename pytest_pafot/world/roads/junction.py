@@ -23,8 +23,9 @@ from pytest_pafot.model.trace import FloatArray, Outcome
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
 from pytest_pafot.world.kernel.crossing import Track
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import Column, NetworkFrame, NetworkRoad, Spot, State
-from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, way, wrapped
+from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkFrame, NetworkRoad, Spot, State
+from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, wrapped
+from pytest_pafot.world.roads.route import way as way_of
 from pytest_pafot.world.roads.survey import TIGHTEST, curvature_of, lone_column
 
 IntArray = npt.NDArray[np.intp]
@@ -80,11 +81,13 @@ class CrossingWay:
         way: its zone and its speeds.
         line: the points of its centre line, from the entry to the exit.
         column: its lane at each point; ``part`` is the index of the lane in ``Trace.lanes``.
+        middle: where along it is nearest to the ego's in its zone, or in a merging one comes into the ego's lane [m].
     """
 
     way: Way
     line: Line
     column: Column
+    middle: float
 
     @cached_property
     def track(self) -> Track:
@@ -201,9 +204,12 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
         if np.abs(curvature_of(line)).max() > TIGHTEST:
             continue  # a jump from lane to lane, such as that of the ramp of merge-v0
         column = lone_column(line, pieces, limits, road.ego_speed, _parts(road, pieces, line))
-        zone = _zone(name, road, own, line, column, [piece.index for piece in pieces], network)
-        if zone is not None and zone.ego[0] > road.start:
-            ways[name] = CrossingWay(way=Way(zone=zone, speeds=np.array(column.speed)), line=line, column=column)
+        course = _course(line, column)
+        met = meeting_of(own, course, near_pairs(own, course))
+        if met is not None and met.stretches[0][0] > road.start:
+            zone = _zone(name, road, line, [piece.index for piece in pieces], network, met)
+            way = Way(zone=zone, speeds=_driven(np.array(column.speed), limits))
+            ways[name] = CrossingWay(way=way, line=line, column=column, middle=met.closest[1] * STEP)
     return ways
 
 
@@ -235,7 +241,7 @@ def _pieces(network: Any, path: Sequence[Section]) -> tuple[Piece, ...]:
     """Return the lanes of a way, of the rightmost lane at its entry on."""
     (origin, end), *_ = path
     index: LaneIndex = (origin, end, len(network.graph[origin][end]) - 1)
-    pieces, _ = way(network, index, 0.0, [(*section, None) for section in path], ahead=math.inf, behind=0.0)
+    pieces, _ = way_of(network, index, 0.0, [(*section, None) for section in path], ahead=math.inf, behind=0.0)
     return pieces
 
 
@@ -385,21 +391,22 @@ def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: floa
     return places
 
 
-def _zone(
-    name: str,
-    road: NetworkRoad,
-    own: Course,
-    line: Line,
-    column: Column,
-    lanes: Sequence[LaneIndex],
-    network: Any,
-) -> Zone | None:
-    """Return where a way first meets the ego's; None where it does not, or where it has come along the ego's way."""
-    course = _course(line, column)
-    met = meeting_of(own, course, near_pairs(own, course))
-    if met is None:
-        return None
-    ego, npc = met.stretches
+def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
+    """Return with which speeds a vehicle drives along a way that wants to drive so fast at each point [m/s].
+
+    Its speed control lags behind, before a bend as well as behind it.
+    """
+    wanted = speeds.tolist()
+    driven = wanted[:1]
+    for speed in wanted[1:]:
+        gained = (speed - driven[-1]) / SPEED_LAG
+        gained = min(max(gained, -limits.braking), limits.acceleration)
+        driven.append(math.sqrt(max(driven[-1] ** 2 + 2 * gained * STEP, 0.0)))
+    return np.array(driven)
+
+
+def _zone(name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], network: Any, met: Meeting) -> Zone:
+    """Return the zone in which a way of so many lanes meets the ego's."""
     here, there = (max(int((enters - APPROACH) / STEP), 0) for enters, _ in met.stretches)
     origin = _origin(wrapped(float(line.heading[there] - road.line.heading[here])))
     kind: Kind = "merging" if met.merges else "oncoming" if origin == "ahead" else "crossing"
@@ -407,8 +414,8 @@ def _zone(
         way=name,
         kind=kind,
         origin=origin,
-        ego=ego,
-        npc=npc,
+        ego=met.stretches[0],
+        npc=met.stretches[1],
         priority=_holder(network, (road.line, road.route), (line, lanes), met),
         line=tuple(zip(line.x[::DRAWN].round(2).tolist(), line.y[::DRAWN].round(2).tolist(), strict=True)),
     )

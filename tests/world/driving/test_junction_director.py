@@ -1,0 +1,373 @@
+"""NPCs that cross: when they come, what they do at their zone, and that they drive into nobody but the ego."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import ControlledVehicle
+
+from pytest_pafot import World
+from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, STEERING, Outcome, X, Y
+from tests.helpers.engine_cases import differences
+from tests.helpers.road_cases import world_of, wrapped
+from tests.helpers.stages import oracle
+from tests.helpers.tables import table
+from tests.helpers.world_cases import STANDING, beyond
+
+LEFT, AHEAD, RIGHT, INTO = "o1>o3", "o2>o0", "o3>o0", "o3>o1"
+"""Ways at an intersection where the ego, from o0, turns to the left, to o1: three across its way, one into its lane."""
+FREEZE, RESPONSE = 3.0, 1.0
+
+
+class Steady(ControlledVehicle):
+    """Keeps to its route and its first speed, whatever the rules of highway-env's road ask it to do."""
+
+    first: float | None = None
+
+    def act(self, action=None):
+        self.first = self.target_speed = self.speed if self.first is None else self.first
+        super().act()
+
+
+def scenario_of(*npcs, world=None, seed=0):
+    """NPCs from instructions as tuples, or from chains for the grid."""
+    lane, speed = (world or world_of("intersection-v0")).start
+    chains = [[CrossingInstruction(*npc)] if isinstance(npc, tuple) else npc for npc in npcs]
+    return Scenario(npcs=chains, ego_lane=lane, ego_speed=speed, gene_seconds=4.0, seed=seed)
+
+
+def rollout(*npcs, ego=Steady, world=None):
+    world = world or world_of("intersection-v0")
+    return world.rollout(scenario_of(*npcs, world=world), ego)
+
+
+def braking_at(time, until=0.0, braking=6.0):
+    """A vehicle class that keeps its speed up to a time [s], brakes to another [m/s], and keeps that."""
+
+    class Braking(Steady):
+        ticks = 0
+
+        def act(self, action=None):
+            super().act()
+            if self.ticks >= time * 15:
+                gap = self.speed - until
+                self.action["acceleration"] = -min(braking, gap * 15) if gap > 0 else 0.0
+            self.ticks += 1
+
+    return Braking
+
+
+def times_in(trace, npc=0):
+    """When the ego and an NPC enter and leave the zone [s]."""
+    zone, clock = trace.zones[npc], trace.times
+    ego = np.interp(zone.ego, trace.track[:, 0, ALONG], clock)
+    return (*ego, *np.interp(zone.npc, trace.on_way[:, npc], clock))
+
+
+def slot_of(trace, npc=0):
+    """How long after the ego leaves the NPC enters; below 0, before the ego enters the NPC leaves [s]."""
+    ego_in, ego_out, npc_in, npc_out = times_in(trace, npc)
+    if npc_out < ego_in:
+        return npc_out - ego_in
+    return npc_in - ego_out if npc_in > ego_out else 0.0
+
+
+# Time: an ego that keeps its speed, and one that does not.
+
+
+@table("zone", [LEFT, AHEAD, RIGHT, INTO, "o1>o2", "o2>o1"])
+def test_an_ego_that_keeps_its_speed_meets_an_npc_as_its_slot_says(zone):
+    for slot, speed in ((-1.5, 8.6), (-0.5, 7.0), (0.5, 8.6), (1.2, 5.0), (3.0, 9.0)):
+        trace = rollout((zone, slot, speed))
+        assert slot_of(trace) == pytest.approx(slot, abs=0.3), (slot, speed)
+        assert trace.arrivals[0][0] == pytest.approx(15 * times_in(trace)[2], abs=1.0)
+
+
+@table("zone", [LEFT, AHEAD, RIGHT, "o1>o2"])
+def test_together_they_collide_where_nobody_gives_way(zone):
+    trace = rollout((zone, 0.0, 7.0))
+    assert trace.outcome is Outcome.COLLISION
+    assert trace.collision.cell is None
+    assert np.isnan(trace.track[-1, 1, ALONG])
+
+
+def test_an_npc_follows_the_arrival_of_an_ego_that_is_slower():
+    """From 10 to 7 m/s at once: it comes two seconds later, and so does the NPC."""
+    late = rollout((LEFT, 1.0, 7.0), ego=braking_at(0.0, 7.0))
+    assert times_in(late)[0] - times_in(rollout((LEFT, 1.0, 7.0)))[0] > 1.5
+    assert slot_of(late) == pytest.approx(1.0, abs=0.3)
+
+
+def test_three_seconds_before_it_enters_an_npc_no_longer_follows_the_ego():
+    kept = rollout((LEFT, -1.0, 7.0))
+    entered = kept.arrivals[0][0] / 15
+    brakes = rollout((LEFT, -1.0, 7.0), ego=braking_at(entered - FREEZE + 0.2, 4.0))
+    assert brakes.arrivals == kept.arrivals
+    earlier = rollout((LEFT, -1.0, 7.0), ego=braking_at(0.2, 8.0))
+    assert earlier.arrivals[0][0] > kept.arrivals[0][0] + 2
+
+
+def test_an_npc_does_not_wait_for_an_ego_that_waits():
+    stands = rollout((LEFT, -0.5, 8.0), ego=braking_at(0.0, 0.0))
+    assert stands.ego[-1, SPEED] == pytest.approx(0.0, abs=0.1)
+    assert stands.arrivals[0][0] is not None
+    assert stands.on_way[-1, 0] > stands.zones[0].npc[1]
+
+
+# Acts.
+
+
+def test_one_that_holds_waits_at_the_line_until_the_ego_has_passed():
+    trace = rollout((AHEAD, 0.0, 8.0, "hold"))
+    zone, place = trace.zones[0], trace.on_way[:, 0]
+    passed = int(np.flatnonzero(trace.track[:, 0, ALONG] > zone.ego[1])[0])
+    assert zone.npc[0] - 3.0 < place[passed] < zone.npc[0] - 1.8
+    assert trace.npcs[passed, 0, SPEED] < 0.5
+    assert trace.arrivals[0][0] > passed
+    assert place[-1] > zone.npc[1]
+    waits = rollout((AHEAD, 0.0, 8.0, "hold"), ego=braking_at(2.0, 0.0))
+    assert waits.on_way[-1, 0] == pytest.approx(zone.npc[0] - 2.0, abs=0.3)
+    assert waits.arrivals == ((None,),)
+
+
+def test_one_that_stops_does_so_in_the_zone():
+    trace = rollout((LEFT, -1.0, 8.0, "stop"), ego=braking_at(2.0, 0.0))
+    first, last = trace.zones[0].npc
+    assert first + 3 < trace.on_way[-1, 0] < last - 3
+    assert trace.npcs[-1, 0, SPEED] == pytest.approx(0.0, abs=0.05)
+    assert rollout((LEFT, -1.0, 8.0, "stop")).outcome is Outcome.COLLISION
+
+
+def test_a_late_one_starts_from_the_line_as_its_slot_says():
+    trace = rollout((LEFT, 1.0, 8.0, "late"))
+    entered = trace.arrivals[0][0]
+    assert trace.npcs[:entered, 0, SPEED].min() < 0.5
+    assert slot_of(trace) == pytest.approx(1.0, abs=0.4)
+
+
+# The ego in the zone already.
+
+
+def entering_and_standing():
+    """An ego that drives into the zone of those from the left and stops there."""
+    return braking_at(6.6, 0.0, 8.0)
+
+
+def test_an_npc_answers_an_ego_that_has_entered_its_zone_after_a_second():
+    trace = rollout((LEFT, 2.5, 8.0), ego=entering_and_standing())
+    zone = trace.zones[0]
+    assert zone.ego[0] < trace.track[-1, 0, ALONG] < zone.ego[1]
+    assert trace.outcome is Outcome.SAFE
+    assert zone.npc[0] - 4.0 < trace.on_way[-1, 0] <= zone.npc[0]
+    kept = rollout((LEFT, 2.5, 8.0))
+    entered = int(np.flatnonzero(trace.track[:, 0, ALONG] > zone.ego[0])[0])
+    answers = int(np.flatnonzero(trace.npcs[:, 0, ACCELERATION] < -2.0)[0])
+    assert answers >= entered + RESPONSE * 15
+    assert trace.npcs[:, 0, ACCELERATION].min() >= -6.0 - 1e-9
+    assert (kept.npcs[:, 0, ACCELERATION] > -2.0).all()
+
+
+def test_one_that_can_no_longer_stop_drives_on():
+    trace = rollout((LEFT, 0.5, 8.0), ego=entering_and_standing())
+    assert trace.outcome is Outcome.COLLISION
+    assert trace.npcs[-1, 0, SPEED] > 7.0
+
+
+# Among each other.
+
+
+def test_behind_a_merge_an_npc_follows_a_slower_ego():
+    trace = rollout((INTO, 0.6, 9.0), ego=braking_at(7.0, 4.0, 3.0))
+    assert trace.outcome is Outcome.SAFE
+    on_way = np.isfinite(trace.track[:, 1, ALONG])
+    assert on_way[-1]
+    assert trace.npcs[-1, 0, SPEED] == pytest.approx(4.0, abs=1.0)
+    ahead = trace.track[on_way, 0, ALONG] - trace.track[on_way, 1, ALONG]
+    assert ahead.min() > 5.0
+    assert (trace.npcs[on_way, 0, LANE] >= 0).all()
+
+
+def test_the_one_with_the_higher_number_waits_where_two_npcs_come_at_once():
+    """Across each other's way, both as long after the ego; their windows clash, so that no search draws them."""
+    first, second = (LEFT, 1.0, 8.0), ("o3>o0", 1.0, 6.0)
+    world = world_of("intersection-v0")
+    assert world.crossings.clashes(scenario_of(first, second))
+    for npcs, waits in (((first, second), 1), ((second, first), 0)):
+        trace = world.rollout(scenario_of(*npcs), Steady)
+        assert trace.outcome is Outcome.SAFE
+        number = [npc[0] for npc in npcs].index("o3>o0")
+        slowest = trace.npcs[:, number, SPEED].min()
+        assert (slowest < 2.5) == (number == 1), (npcs, slowest)
+        assert waits in {0, 1}
+
+
+def drawn(rng, world, on_grid=0):
+    """A random scenario whose NPCs do not clash."""
+    names = sorted(world.crossings.ways)
+    while True:
+        npcs = [
+            [
+                CrossingInstruction(
+                    names[rng.integers(len(names))],
+                    round(float(rng.uniform(-2.5, 2.5)), 1),
+                    round(float(rng.uniform(4.0, min(world.speed_limit, 10.0))), 1),
+                    str(rng.choice(["pass", "pass", "pass", "hold", "stop", "late"])),
+                )
+            ]
+            for _ in range(rng.integers(1, 4))
+        ]
+        for cell in (2, 6)[:on_grid]:
+            chain = [PositionInstruction(cell, round(float(rng.uniform(0.0, 10.0)), 1)) for _ in range(3)]
+            npcs.insert(int(rng.integers(len(npcs) + 1)), chain)
+        scenario = scenario_of(*npcs, world=world, seed=int(rng.integers(1000)))
+        try:
+            world.check_fits(scenario)
+        except ScenarioError:
+            continue
+        if not world.crossings.clashes(scenario):
+            return scenario
+
+
+def slowing():
+    """A policy that brakes, waits and goes on at random, always in the same way."""
+    rng = np.random.default_rng(5)
+    return lambda seen: int(rng.integers(3))
+
+
+EGOS = (Steady, slowing, IDMVehicle)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "on_grid", "runs"),
+    [
+        ("intersection-v0", 0, 12),
+        ("roundabout-v0", 0, 6),
+        ("intersection-v0", 2, 9),
+        oracle("intersection-v0", 0, 150),
+        oracle("intersection-v1", 2, 60),
+        oracle("roundabout-v0", 2, 60),
+    ],
+)
+def test_npcs_that_do_not_clash_never_touch_each_other_and_keep_their_limits(env_id, on_grid, runs):
+    world, rng = world_of(env_id), np.random.default_rng(runs)
+    egos = EGOS if env_id != "intersection-v1" else EGOS[::2]
+    for run in range(runs):
+        scenario = drawn(rng, world, on_grid)
+        trace = world.rollout(scenario, egos[run % len(egos)])
+        assert trace.outcome is not Outcome.INVALID, scenario
+        assert violations(trace, world) == [], scenario
+
+
+def violations(trace, world):
+    """Which limits the NPCs break that cross, and how far they are beside their ways."""
+    limits, dt = world.limits, trace.dt
+    crossing = [npc for npc, each in enumerate(trace.scenario.crossings) if each is not None]
+    s = trace.npcs[:, crossing]
+    slip = np.arctan(np.tan(s[1:, :, STEERING]) / 2)
+    course = s[:-1, :, HEADING] + slip
+    standing = (s[1:, :, SPEED] <= STANDING) | (s[:-1, :, SPEED] <= STANDING)
+    lateral, speed = limits.lateral_acceleration, s[..., SPEED]
+    bounds = {
+        "acceleration": (s[..., ACCELERATION], -limits.braking, limits.acceleration),
+        "jerk": (np.where(standing, 0.0, np.diff(s[..., ACCELERATION], axis=0) / dt), -limits.jerk, limits.jerk),
+        "speed": (speed, 0.0, limits.overspeed * world.speed_limit),
+        "turning of the heading": (speed[:-1] * wrapped(np.diff(s[..., HEADING], axis=0)) / dt, -lateral, lateral),
+        "turning of the course": (speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt, -lateral, lateral),
+        "forward motion": (np.diff(trace.on_way[:, crossing], axis=0), -1e-9, np.inf),
+    }
+    for number, npc in enumerate(crossing):
+        line = world.rules.junction.ways[trace.zones[npc].way].line
+        apart = np.hypot(s[:, number, X, None] - line.x, s[:, number, Y, None] - line.y).min(axis=1)
+        bounds[f"beside its way, NPC {npc}"] = apart, -np.inf, np.hypot(0.1, 0.26)
+    return beyond(bounds)
+
+
+def test_on_the_grid_one_gives_way_to_another_that_crosses():
+    """It is ahead of the ego and would be in the zone with the NPC from the left; it may come first or wait."""
+    for npcs in (
+        ((LEFT, -2.0, 8.0), [PositionInstruction(2, 9.0)] * 3),
+        ([PositionInstruction(2, 9.0)] * 3, (LEFT, -2.0, 8.0)),
+    ):
+        for ego in EGOS:
+            assert rollout(*npcs, ego=ego).outcome in {Outcome.SAFE, Outcome.COLLISION}
+
+
+# What is recorded, and the same run by other means.
+
+
+def test_a_run_is_the_same_again_and_by_the_environments_own_steps():
+    world, rng = world_of("intersection-v0"), np.random.default_rng(8)
+    for run in range(6):
+        ego = EGOS[run % 3]
+        trace = world.rollout(drawn(rng, world, on_grid=run % 2), ego)
+        assert differences(trace, world.rollout(trace.executed, ego)) == []
+        again = world.rollout_in_gym(trace.executed, ego)
+        assert again.outcome is trace.outcome
+        for name in ("states", "track", "on_way"):
+            np.testing.assert_allclose(getattr(again, name), getattr(trace, name), atol=1e-6)
+        assert (again.arrivals, again.zones) == (trace.arrivals, trace.zones)
+
+
+@pytest.mark.parametrize("env_id", ["intersection-v0", "roundabout-v0"])
+def test_a_trace_tells_where_everybody_is_on_its_own_way(env_id):
+    world = world_of(env_id)
+    trace = world.rollout(drawn(np.random.default_rng(3), world, on_grid=1), Steady)
+    told = trace.scenario.crossings
+    assert [None if zone is None else zone.way for zone in trace.zones] == [each and each.zone for each in told]
+    for npc, each in enumerate(told):
+        if each is None:
+            assert np.isnan(trace.on_way[:, npc]).all()
+            assert np.isfinite(trace.track[:, npc + 1]).all()
+            continue
+        assert trace.on_way[0, npc] == pytest.approx(world.crossings.start(each), abs=1e-6) or each.act == "stop"
+        before = trace.on_way[:, npc] < trace.zones[npc].npc[0]
+        assert np.isnan(trace.track[before, npc + 1]).all()
+        steps = np.hypot(*np.diff(trace.npcs[:, npc, :2], axis=0).T)
+        np.testing.assert_allclose(np.diff(trace.on_way[:, npc]), steps, atol=0.05)
+
+
+@functools.cache
+def grid_alone():
+    return rollout([PositionInstruction(2, 4.0)] * 3, [PositionInstruction(6, 9.0)] * 3)
+
+
+def test_a_run_without_npcs_that_cross_says_nothing_of_ways():
+    trace = grid_alone()
+    assert (trace.zones, trace.on_way) == ((), None)
+    assert np.isfinite(trace.track).all()
+
+
+# What does not fit.
+
+
+@table(
+    ("npc", "field", "message"),
+    [
+        (("o3>o9", 0.0, 8.0), "npcs[0][0].zone", "o3>o0, o2>o0, o1>o3, o1>o2, o3>o1, o2>o1"),
+        (("o1>o0", 0.0, 8.0), "npcs[0][0].zone", "received o1>o0"),
+        ((LEFT, -5.0, 8.0), "npcs[0][0].slot", "a slot from -4"),
+        ((LEFT, 0.0, 9.9, "hold"), None, ""),
+        ((LEFT, 0.0, 11.0), "npcs[0][0].speed", "at most the speed limit of 10 m/s"),
+    ],
+)
+def test_an_instruction_that_does_not_fit_is_refused_with_what_would(npc, field, message):
+    world = world_of("intersection-v0")
+    if field is None:
+        world.check_fits(scenario_of(npc))
+        return
+    with pytest.raises(ScenarioError) as caught:
+        world.check_fits(scenario_of(npc))
+    assert caught.value.field == field
+    assert message in str(caught.value)
+
+
+def test_a_world_without_crossings_refuses_them_with_the_way_out():
+    instruction = CrossingInstruction(LEFT, 0.0, 8.0)
+    for world in (World("highway-v0"), world_of("merge-v1")):
+        lane, speed = world.start or (1, 20.0)
+        with pytest.raises(ScenarioError, match=r'PositionInstruction.*such as "intersection-v0"'):
+            world.check_fits(Scenario(npcs=[[instruction]], ego_lane=lane, ego_speed=speed))
