@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from example_ads import defects
 from pytest_pafot import Highway, Outcome, PositionInstruction, Scenario, World, WorldError
 from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.model.scenario import CrossingInstruction
 from pytest_pafot.searching import sample
 from pytest_pafot.world import from_dict, kernel
 from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
@@ -111,6 +112,17 @@ def test_interpreted_and_compiled_the_kernel_gives_the_same_traces(interpreted, 
 def test_interpreted_and_compiled_npcs_drive_the_same_on_a_road_that_bends(interpreted, style):
     world = world_of("roundabout-v1", duration=10.0)
     scenario = sample(space_of(world, traffic=style), np.random.default_rng(2))
+    compiled = digest(world.rollout(scenario, IDMVehicle))
+    with interpreted.in_place():
+        again = interpreted.room.from_dict(world.to_dict())
+        assert digest(again.rollout(scenario, IDMVehicle)) == compiled
+
+
+def test_interpreted_and_compiled_npcs_cross_the_same(interpreted):
+    world = world_of("intersection-v0")
+    crossing = [CrossingInstruction("o1>o3", 0.5, 7.0)], [CrossingInstruction("o3>o0", 1.5, 8.0, "hold")]
+    on_grid = [PositionInstruction(2, 8.0)]
+    scenario = Scenario(npcs=[*crossing, on_grid], ego_lane=0, ego_speed=10.0)
     compiled = digest(world.rollout(scenario, IDMVehicle))
     with interpreted.in_place():
         again = interpreted.room.from_dict(world.to_dict())
