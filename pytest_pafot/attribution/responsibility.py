@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from pytest_pafot.attribution.avoidance import SPED_UP, Braking, Pursuit
-from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces, first_lasting
+from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces, first_lasting, stretches
 from pytest_pafot.attribution.needless_braking import (
     AFTERMATH_SECONDS,
     HARD_BRAKING,
@@ -88,6 +88,8 @@ CRAWLING = 3.0
 """An NPC that is no faster when the danger begins can stop behind whatever stands there [m/s]."""
 DROVE_ON = 1.0
 """An NPC that gained more speed towards an ego that had braked for nothing made it dangerous itself [m/s]."""
+LEAVING = 0.5
+"""An NPC that has left the ego's way for so long is still judged as on it [s]."""
 BRAKED_VISIBLY = 3.0
 BRAKED_BEFORE = 1.0
 """A leader's braking is told where it is at least so hard [m/s^2], and up to so long before what else is told [s]."""
@@ -163,10 +165,10 @@ def rss_rule(trace: Trace) -> Attribution:
 
 def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:
     """By right of way, or by what two owe each other that drive in one lane."""
-    off = np.flatnonzero(np.isnan(trace.track_of(npc + 1)[:, ALONG]))
-    since = int(off[-1]) + 1 if off.size else 0  # from which on it was on the ego's way, up to the end
-    part = None if since >= trace.ticks else _part(trace, since)
-    lane = None if part is None else Conflict(part, npc)
+    along = trace.track_of(npc + 1)[:, ALONG]
+    since, until = max(stretches(~np.isnan(along)), default=(0, 0))  # when it was last on the ego's way
+    is_lane = until - since > 1 and trace.ticks + 1 - until <= LEAVING * trace.physics_hz
+    lane = Conflict(_part(trace, since, until), npc) if is_lane else None
     if lane is not None and lane.has_begun_safely:
         return _later(lane.attribution, since, trace.physics_hz)
     meeting = Meeting(trace, npc, zone)
@@ -193,10 +195,9 @@ def _blamed(blame: Blame, hz: int) -> Attribution:
     )
 
 
-def _part(trace: Trace, first: int) -> Trace:
-    """Return a run that begins with a tick."""
-    arrays = {name: getattr(trace, name)[first:] for name in ("states", "track", "on_way")}
-    return replace(trace, **arrays)
+def _part(trace: Trace, first: int, end: int) -> Trace:
+    """Return a run from one tick up to another."""
+    return replace(trace, **{name: getattr(trace, name)[first:end] for name in ("states", "track", "on_way")})
 
 
 def _later(found: Attribution, ticks: int, hz: int) -> Attribution:

@@ -18,6 +18,9 @@ from pytest_pafot.attribution.sentences import Fact, Reason, What
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ALONG, SPEED, Trace
 
+SPARE = 1.0
+"""How far outside of its stretch of a zone a vehicle may still be touched there, or have only backed away a little: the
+stretches are those of vehicles that keep to the middle of their ways [m]."""
 LOOK = 0.6
 """Who is to give way goes by what the other does in so long up to its last chance: one tick tells nothing [s]."""
 
@@ -45,7 +48,7 @@ class Passing:
         places: along its way, at each tick [m].
         speeds: along the body, likewise [m/s].
         begins, ends: its stretch of the zone [m].
-        entry: the tick at which it enters; None where it is not so far at the last one.
+        entry: the tick at which it enters; None where it has not, or is back before it at the last one.
     """
 
     def __init__(self, trace: Trace, vehicle: int, zone: Zone) -> None:
@@ -54,14 +57,15 @@ class Passing:
         self.places, self.speeds = places, trace.states[:, vehicle, SPEED]
         self.begins, self.ends = zone.npc if vehicle else zone.ego
         self.half_length = float(trace.sizes[vehicle, 0]) / 2
-        before = np.flatnonzero(~(places >= self.begins))
-        entry = int(before[-1]) + 1 if before.size else 0
-        self.entry = entry if entry < len(places) else None
+        before = np.flatnonzero(places < self.begins - SPARE)
+        since, end = int(before[-1]) + 1 if before.size else 0, len(places) - 1
+        entered = since + np.flatnonzero(places[since:] >= self.begins)
+        self.entry = None if since > end else int(entered[0]) if entered.size else end
 
     @property
     def is_inside(self) -> bool:
-        """Whether its place is in its stretch of the zone at the last tick."""
-        return bool(self.begins <= self.places[-1] <= self.ends)
+        """Whether it is in its stretch of the zone at the last tick, or hardly outside."""
+        return bool(self.begins - SPARE <= self.places[-1] <= self.ends + SPARE)
 
     def entered(self) -> int:
         """Return the tick at which it enters.

@@ -911,14 +911,14 @@ class Comer:
         self.first, self.last = zone.npc if vehicle else zone.ego
         self.length = trace.sizes[vehicle].tolist()[0]
         self.has_priority = zone.priority == ("npc" if vehicle else "ego")
-        self.enters = None
-        for tick in range(self.impact, -1, -1):
-            if self.place[tick] < self.first:
-                break
-            self.enters = tick
+        self.enters, tick = None, self.impact
+        while tick >= 0 and self.place[tick] >= self.first - 1.0:
+            if self.enters is None or self.place[tick] >= self.first:
+                self.enters = tick
+            tick -= 1
 
     def is_within(self):
-        return self.first <= self.place[self.impact] <= self.last
+        return self.first - 1.0 <= self.place[self.impact] <= self.last + 1.0
 
     def left(self, tick):
         """To the end of its stretch."""
@@ -971,10 +971,12 @@ class Crossing:
         self.impact = trace.collision.tick
         self.ego, self.npc = Comer(trace, 0), Comer(trace, npc + 1)
         has_row = [not math.isnan(along) for along in trace.track[:, npc + 1, ALONG].tolist()]
-        self.since = self.impact + 1
+        self.until = max((tick for tick, is_on_way in enumerate(has_row) if is_on_way), default=-1)
+        self.since = self.until
         while self.since > 0 and has_row[self.since - 1]:
             self.since -= 1
-        self.lane = Crash(part_of(trace, self.since)) if self.impact - self.since >= 1 else None
+        is_lane = self.until > self.since and self.impact - self.until <= 0.5 * self.ego.hz
+        self.lane = Crash(part_of(trace, self.since, self.until)) if is_lane else None
         self.decides = "nobody"
 
     def verdict(self):
@@ -1043,10 +1045,10 @@ def is_abrupt(other, place, v):
     return place < other.last and other.first - place < v * 1.0 + v**2 / 6
 
 
-def part_of(trace, first):
-    """The run from a tick on."""
-    rows = {name: getattr(trace, name)[first:] for name in ("states", "track", "on_way")}
-    return replace(trace, **rows, collision=replace(trace.collision, tick=trace.collision.tick - first))
+def part_of(trace, first, last):
+    """The run from a tick up to another."""
+    rows = {name: getattr(trace, name)[first : last + 1] for name in ("states", "track", "on_way")}
+    return replace(trace, **rows, collision=replace(trace.collision, tick=last - first))
 
 
 def judge(trace):

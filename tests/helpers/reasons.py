@@ -27,7 +27,7 @@ class Reading:
             crossing.verdict()
         self.crossing, self.since = crossing, 0
         if crossing is not None and crossing.decides == "lane":
-            self.since, trace = crossing.since, part_of(trace, crossing.since)
+            self.since, trace = crossing.since, part_of(trace, crossing.since, crossing.until)
         self.crash = Crash(trace)
         self.crash.verdict()
         self.ego, self.npc, self.tick = self.crash.ego, self.crash.npc, tick - self.since
@@ -157,7 +157,7 @@ class Reading:
         return [self.time(first), max(mover.speed[first : self.crash.impact + 1])]
 
     def stood(self, said):
-        return [self.time(self.tick), self.time(self.crash.impact - self.crash.ticks["stood"])]
+        return [self.time(self.tick), (self.crash.impact - self.crash.ticks["stood"]) / self.crash.hz]
 
     def ended(self, said):
         assert abs(self.ego.speed[self.crash.impact]) <= 0.1
