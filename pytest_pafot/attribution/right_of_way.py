@@ -21,6 +21,8 @@ from pytest_pafot.model.trace import ALONG, SPEED, Trace
 SPARE = 1.0
 """How far outside of its stretch of a zone a vehicle may still be touched there, or have only backed away a little: the
 stretches are those of vehicles that keep to the middle of their ways [m]."""
+STOPS = 2.0
+"""Who slows down by less does not visibly brake to stop, but comes more slowly [m/s^2]."""
 LOOK = 0.6
 """Who is to give way goes by what the other does in so long up to its last chance: one tick tells nothing [s]."""
 
@@ -106,11 +108,11 @@ class Passing:
         speed, seconds = float(self.speeds[tick]), time - tick / self.hz
         if speed <= 0:
             return float(self.places[tick]), 0.0
-        slowing = max(float(self.speeds[tick - 1]) - speed, 0.0) * self.hz if tick else 0.0
-        if slowing > 0:
-            seconds = min(seconds, speed / slowing)
-        way = speed * seconds - (slowing * seconds**2 / 2 if slowing > 0 else 0.0)
-        return float(self.places[tick]) + way, speed - slowing * (seconds if slowing > 0 else 0.0)
+        slowing = (float(self.speeds[tick - 1]) - speed) * self.hz if tick else 0.0
+        if slowing < STOPS:
+            return float(self.places[tick]) + speed * seconds, speed
+        seconds = min(seconds, speed / slowing)
+        return float(self.places[tick]) + speed * seconds - slowing * seconds**2 / 2, speed - slowing * seconds
 
     def slowest(self, tick: int) -> float:
         """Return its lowest speed from a tick on for as long as what comes behind may still adapt [m/s]."""
