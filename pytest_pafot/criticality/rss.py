@@ -132,8 +132,9 @@ class RoadFrame:
         self.speed, self.drift = speed * self.cos, speed * self.sin
         before = slice(-1) if road_cos.shape[1] > 1 else slice(None)
         right = np.diff(encounters.y) * road_cos[:, before] - np.diff(encounters.x) * road_sin[:, before]
-        stays = np.vstack((np.ones_like(self.is_on_way[:1, 1:]), self.is_on_way[:, :-1] & self.is_on_way[:, 1:]))
-        np.copyto(self.drift[:, 1:], right * trace.physics_hz, where=stays)
+        self.drift[0, 1:] = right[0] * trace.physics_hz
+        was_and_is = self.is_on_way[:, :-1] & self.is_on_way[:, 1:]
+        np.copyto(self.drift[1:, 1:], right[1:] * trace.physics_hz, where=was_and_is)
         cos, sin = np.abs(self.cos), np.abs(self.sin)
         self.half_along = boxes.half_length * cos + boxes.half_width * sin
         self.half_across = boxes.half_length * sin + boxes.half_width * cos
