@@ -59,7 +59,9 @@ def main(arguments: list[str] | None = None) -> int:
     )
     corpus.add_arguments(of_corpus)
     of_corpus.set_defaults(run=corpus.run)
-    arguments_given = parser.parse_args(given)
+    # argparse would give what follows to the positional arguments before it.
+    own = given.index("--") if given[:1] == ["search"] and "--" in given else len(given)
+    arguments_given = parser.parse_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))
     try:
         code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
         sys.stdout.flush()

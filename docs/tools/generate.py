@@ -18,6 +18,7 @@ from pytest_pafot import criticality, policies, properties, strategies
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
+from pytest_pafot.campaign.run_table import COLUMNS
 from pytest_pafot.comparison.algorithm_run import Row
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.corpus.file_format import text_of
@@ -38,6 +39,7 @@ from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Moment, Run
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.marks import rate
+from pytest_pafot.plugin.search_command import add_arguments as add_search_arguments
 from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SearchRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
@@ -200,6 +202,8 @@ def sections() -> dict[str, str]:
         "example-file": f"```yaml\n{text_of(_example())}```\n",
         "strategies": _strategies_table(),
         "compare": _command_table(add_arguments),
+        "search-command": _command_table(add_search_arguments),
+        "run-table": _table(["Column", "Meaning"], ([_code(name), text] for name, text in COLUMNS.items())),
         "results": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(Row))),
         "export": _command_table(add_export_arguments),
         "rate": _command_table(add_rate_arguments),
@@ -434,6 +438,7 @@ def _command_table(add: Callable[[argparse.ArgumentParser], None]) -> str:
         value = (
             f"={'|'.join(map(str, action.choices))}" if action.choices else f"={action.metavar or action.dest.upper()}"
         )
+        value = "" if action.nargs == 0 else value
         text = (action.help or "") % vars(action)
         name = f"{action.option_strings[0]}{value}" if action.option_strings else action.metavar
         rows.append([f"`{name}`", _capital(text) + "."])

@@ -16,12 +16,12 @@ from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Opt
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
+from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search import Search, prepared, time_limit
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
@@ -40,25 +40,20 @@ class Exploration(Shown):
         findings: every distinct failure that is new, shrunk, each with the trace of a run that shows it.
         summary: how the search went: runs, coverage, warnings, notes.
         events: what happened, in order, but for the single runs; of the algorithm and of the search.
+        runs: a row for each scenario that was tried, with the columns of ``--pafot-table``, ready for
+            ``pandas.DataFrame(...)``.
     """
 
     findings: tuple[Finding, ...]
     summary: SearchSummary
     events: tuple[SearchEvent, ...] = field(repr=False)
+    runs: tuple[dict[str, Any], ...] = field(repr=False)
 
     @property
     def told(self) -> tuple[FindTold, ...]:
         """The last word on each finding, in their order: its run, the exception that it ended in, and its headline."""
         last = {event.finding.id: event for event in self.events if isinstance(event, FindTold)}
         return tuple(last[finding.id] for finding in self.findings)
-
-    @property
-    def runs(self) -> list[dict[str, Any]]:
-        """A row for each scenario that was tried, ready for ``pandas.DataFrame(...)``.
-
-        Times are in seconds, speeds in m/s; ``reused`` marks scenarios whose run an earlier one had shown.
-        """
-        return [_row(event) for event in self.events if isinstance(event, Evaluated)]
 
 
 def explore(  # noqa: PLR0913  (what most searches differ in)
@@ -100,8 +95,10 @@ def explore(  # noqa: PLR0913  (what most searches differ in)
     request = request_of({"ads": ads, "world": world, "seed": seed, **budget, **settings})
     name = node_id or f"explore.py::{getattr(holds, '__name__', 'holds')}"
     events: list[SearchEvent] = []
+    table = RunTable()
 
     def listen(event: SearchEvent) -> None:
+        table.see(event)
         if not isinstance(event, Judged):  # with its trace each would fill the memory
             events.append(event)
         if on_event is not None:
@@ -116,7 +113,8 @@ def explore(  # noqa: PLR0913  (what most searches differ in)
     if result.fault is not None:
         raise result.fault
     findings = tuple(replace(kept.finding, trace=None if kept.run is None else kept.run.trace) for kept in result.kept)
-    return Exploration(findings=findings, summary=result.summary, events=tuple(events))
+    rows = tuple(table.taken())
+    return Exploration(findings=findings, summary=result.summary, events=tuple(events), runs=rows)
 
 
 def request_of(given: dict[str, Any]) -> Request:
@@ -185,21 +183,3 @@ def _no_session(file: Path, *what: object) -> NoReturn:
         f"{file}: a process died in this scenario, and where processes cannot be forked only pytest can run it again "
         f"without harm to this one; run `python -m pytest {file}`"
     )
-
-
-def _row(event: Evaluated) -> dict[str, Any]:
-    evaluation, hit = event.evaluation, event.evaluation.collision
-    return {
-        "generation": event.generation,
-        "local_generation": event.local_generation,
-        "scenario": evaluation.scenario.id,
-        "reused": event.reused,
-        "outcome": str(evaluation.outcome),
-        "failing": evaluation.failing,
-        "fitness": evaluation.fitness,
-        "duration": evaluation.duration,
-        "collision_time": None if hit is None else hit.time,
-        "npc": None if hit is None else hit.npc,
-        "side": None if hit is None else hit.side,
-        "closing_speed": None if hit is None else hit.closing_speed,
-    }

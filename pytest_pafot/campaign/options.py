@@ -20,7 +20,7 @@ from pytest_pafot.corpus.layout import CORPUS
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
 
-Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "address", "folders", "day", "file"]
+Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "address", "folders", "day", "file", "table"]
 
 SEED_LIMIT = 2**63
 
@@ -224,6 +224,14 @@ OPTIONS: tuple[Option, ...] = (
         is_argument=False,
     ),
     Option(
+        "table",
+        "table",
+        "Write to FILE.csv, or FILE.parquet, a row for each scenario that the searches tried, whether it failed or "
+        "not.",
+        everywhere=False,
+        is_argument=False,
+    ),
+    Option(
         "prune",
         "switch",
         "Remove saved scenarios whose test was collected and no longer exists; lists them first.",
@@ -388,6 +396,13 @@ def _read_file(option: Option, value: object) -> str:
     return text
 
 
+def _read_table(option: Option, value: object) -> str:
+    text = _read_text(option, value)
+    if PurePath(text).suffix.lower() not in (".csv", ".parquet"):
+        raise OptionError(f"expected the name of a file FILE.csv or FILE.parquet, received {value!r}")
+    return text
+
+
 def is_page_file(text: str) -> bool:
     """Whether the option ``report`` names a file, rather than a folder."""
     return text.lower().endswith((".html", ".htm"))
@@ -414,4 +429,5 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "folders": _read_text,
     "day": _read_day,
     "file": _read_file,
+    "table": _read_table,
 }

@@ -25,7 +25,7 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import size_of, sort_key
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.files import way_out, write_whole
-from pytest_pafot.support.text import ascii_text, plural, quiet_json, visible
+from pytest_pafot.support.text import ascii_text, day_of, plural, quiet_json, visible
 
 XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)
 """The line of a file in which its failure is accepted, or the hint that stands in its place."""
@@ -124,10 +124,10 @@ def _order(finding: Finding) -> tuple[bool, bool, tuple[int, ...], str]:
 
 
 def _day(text: str) -> date:
-    try:
-        return date.fromisoformat(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"expected a day such as 2027-01-31, received {text!r:.50}") from None
+    day = day_of(text)
+    if day is None:
+        raise argparse.ArgumentTypeError(f"expected a day such as 2027-01-31, received {text!r:.50}")
+    return day
 
 
 def _accept(files: Sequence[Path], arguments: argparse.Namespace) -> int:

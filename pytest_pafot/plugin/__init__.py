@@ -20,6 +20,7 @@ from pytest_pafot.plugin.option_sources import add_options
 from pytest_pafot.plugin.orphans import Guard
 from pytest_pafot.plugin.rate_item import Rates
 from pytest_pafot.plugin.report_pages import Pages
+from pytest_pafot.plugin.run_tables import Tables
 from pytest_pafot.plugin.session import (
     SHARED,
     SUMMARY_LINES,
@@ -58,6 +59,8 @@ def pytest_configure(config: pytest.Config) -> None:
         features |= {"reporting": Reporter(config), "pages": Pages(config), "guard": Guard()}
         if session_records.is_asked_for(config, os.environ):
             features["records"] = session_records.Records(config)
+        if config.getoption(BY_NAME["table"].key) and not config.getoption("collectonly", False):
+            features["tables"] = Tables(config)
     if config.getoption(MERGE):
         features["merging"] = Merging(config)
     if config.getoption("dist", "no") != "no":

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", metavar="FILE", default=PAGE, help="the page (default: %(default)s)")
     of_test = f"write {CONFTEST} and {TEST} here, and do not search: `pytest` then does"
     parser.add_argument("--write-test", action="store_true", help=of_test)
-    parser.add_argument("pytest", nargs="*", metavar="OPTION", help="after --: further options of pytest")
+    parser.usage = "%(prog)s ADS [option ...] [-- option of pytest ...]"
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:

@@ -35,6 +35,7 @@ from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
 from pytest_pafot.plugin.messages import of_findings, set_properties
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
+from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.plugin.session_records import tell_finding
 from pytest_pafot.report import terminal
@@ -135,7 +136,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     harness = harness_of(item, request)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
     chosen = isolated_after_a_death(harness, replays)
-    listener = SearchMessages(item, page_messages_of(item, settings), settings)
+    listener = SearchMessages(item, page_messages_of(item, settings), table_messages_of(item), settings)
     limit = time_limit(settings, now=time.monotonic(), began=shared.began, left=searches_left(item))
     with prepared(chosen, listener) as sessions:
         result = Search(
@@ -193,10 +194,11 @@ def shown(exception: BaseException) -> BaseException:
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """Sends what happens in a search as messages of its item, and tells a page where one is asked for."""
+    """Sends what happens in a search as messages of its item, and tells a page and a table where one is asked for."""
 
     item: pytest.Function
     page: Listener | None
+    table: Listener | None
     settings: Settings
     told: dict[str, FindTold] = field(default_factory=dict)  # the finds so far, by id
 
@@ -214,8 +216,9 @@ class SearchMessages:
             found = of_findings((each.finding, each.find.path, each.find.severity) for each in self.told.values())
             set_properties(self.item.user_properties, **found)
             messages.send(self.item, "search", {"summary": plain(event)})
-        if self.page is not None:
-            self.page(event)
+        for also in (self.page, self.table):
+            if also is not None:
+                also(event)
 
     def _find(self, kept: FindTold) -> None:
         config = self.item.config

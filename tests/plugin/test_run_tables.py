@@ -1,0 +1,66 @@
+"""``--pafot-table``: all runs of a session's searches in one file."""
+
+import csv
+
+import pytest
+
+from pytest_pafot.campaign.run_table import COLUMNS
+from tests.plugin.test_session_records import IS_CUT, TWO
+
+
+def rows_of(project, name="runs.csv"):
+    with (project.path / name).open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_each_run_is_a_row_whatever_became_of_it(failing):
+    result = failing.run("--pafot-table=runs.csv")
+    result.stdout.fnmatch_lines(["table: runs.csv"])
+    rows = rows_of(failing)
+    assert rows
+    assert list(rows[0]) == list(COLUMNS)
+    assert [int(row["run"]) for row in rows] == list(range(1, len(rows) + 1))
+    assert {row["test"] for row in rows} == {"test_it.py::test_fails[search]"}
+    for row in rows:
+        assert (row["outcome"] == "collision") == bool(row["responsibility"])
+        assert (row["verdict"] == "failed") == (row["failing"] == "True") == bool(row["kind"])
+        assert float(row["least_gap"]) >= 0.0
+
+
+@pytest.mark.processes
+def test_workers_leave_the_rows_of_one_process_in_its_order(project):
+    project.write(TWO)
+    project.run("--pafot-table=runs.csv")
+    alone = rows_of(project)
+    project.run("--pafot-table=again.csv", "-n2", "--pafot-save=none")
+    assert rows_of(project, "again.csv") == alone
+    assert len({row["test"] for row in alone}) == 2
+
+
+def test_an_interrupted_session_leaves_the_runs_that_it_made(project):
+    project.write(IS_CUT)
+    project.run("--pafot-table=runs.csv", no_reraise_ctrlc=True)
+    assert rows_of(project)
+
+
+@pytest.mark.parametrize("name", ["runs.txt", "runs"])
+def test_a_name_without_a_known_ending_is_refused(failing, name):
+    result = failing.run(f"--pafot-table={name}")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines([f"*expected the name of a file FILE.csv or FILE.parquet, received '{name}'*"])
+
+
+def test_a_table_that_cannot_be_written_is_told_and_the_search_goes_on(failing):
+    result = failing.run("--pafot-table=none/runs.csv")
+    result.stdout.fnmatch_lines(["*--pafot-table=none/runs.csv: not written: No such file or directory*"])
+    assert failing.files
+
+
+def test_a_parquet_file_has_the_same_rows(failing):
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    failing.run("--pafot-table=runs.csv", "--pafot-save=none")
+    failing.run("--pafot-table=runs.parquet", "--pafot-save=none")
+    written, read = pandas.read_parquet(failing.path / "runs.parquet"), pandas.read_csv(failing.path / "runs.csv")
+    assert list(written.columns) == list(read.columns)
+    assert written["least_gap"].tolist() == read["least_gap"].tolist()
