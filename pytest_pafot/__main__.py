@@ -1,4 +1,4 @@
-"""Commands beside pytest: ``python -m pytest_pafot search``, ``compare``, ``rate``, ``export`` and ``corpus``."""
+"""Commands beside pytest, such as ``python -m pytest_pafot search``."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ def main(arguments: list[str] | None = None) -> int:
     from pytest_pafot.corpus import corpus_command as corpus  # noqa: PLC0415
     from pytest_pafot.episodes import rate_command as rating  # noqa: PLC0415
     from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
+    from pytest_pafot.plugin import bisect_command as bisecting  # noqa: PLC0415
     from pytest_pafot.plugin import search_command as searching  # noqa: PLC0415
 
     given = sys.argv[1:] if arguments is None else arguments
@@ -28,6 +29,15 @@ def main(arguments: list[str] | None = None) -> int:
     )
     searching.add_arguments(search)
     search.set_defaults(run=searching.run)
+    bisect = commands.add_parser(
+        "bisect",
+        help="find the commit of a policy since which a saved scenario fails",
+        description="Replay a saved scenario with the policy of earlier commits, in a copy of the repository, and tell "
+        "in which it fails first, what that changed, and from when on it decides otherwise. All files but those of the "
+        "policy stay as they are now. Nothing is changed here.",
+    )
+    bisecting.add_arguments(bisect)
+    bisect.set_defaults(run=bisecting.run)
     compare = commands.add_parser(
         "compare",
         help="compare search algorithms on a policy",

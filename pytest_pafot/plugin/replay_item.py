@@ -36,6 +36,9 @@ from pytest_pafot.report.terminal import ReplaySummary
 from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 
+REPLAYED = pytest.StashKey[tuple[str, Run | None, Verdict | None]]()
+"""What a replay came to, for other plugins of the session; no run where its process did not come back."""
+
 
 def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     """Run the item of a saved scenario; what the test function raises reaches pytest as it is."""
@@ -60,6 +63,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     worse = _worsening(verdict) if label == BESIDE[False] else ""
     told = [_against(replays), f"worse: {worse}" if worse else "", *replays.ads_changes(finding)]
     detail = "; ".join(filter(None, told))
+    item.stash[REPLAYED] = label, run, verdict
     if label in ("drifted", FLAKY):
         detail = replays.changes(finding, happened(finding, run, verdict.failure))
     if label == "drifted" and not verdict.failed:
@@ -92,7 +96,9 @@ def _conclude_lost(
     __tracebackhide__ = True
     path = relative(saved.path, replays.harness.root)
     was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
-    label = beside or ("still failing" if was_lost else "drifted")
+    label = "still failing" if was_lost else "drifted"
+    item.stash[REPLAYED] = label, None, None
+    label = beside or label
     detail = "; ".join(filter(None, [_against(replays), *replays.ads_changes(finding)]))
     if label == "drifted":
         detail = replays.changes(finding, f"the process {lost.how}")

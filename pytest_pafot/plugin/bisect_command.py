@@ -1,0 +1,247 @@
+"""``python -m pytest_pafot bisect``: which commit of a policy made a saved scenario fail."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.campaign.saved_scenario import load
+from pytest_pafot.commands.history import History, HistoryError, halved, inside
+from pytest_pafot.commands.policy_reference import BAD_USE
+from pytest_pafot.plugin.bisect_session import TOLD
+from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.text import one_line, plural, visible
+
+SHOWN = 60  # lines of a diff
+VERDICTS = {True: "passes", False: "fails", None: "not judged"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    parser.add_argument("file", metavar="FILE", help="a saved scenario that fails now")
+    parser.add_argument("--good", required=True, metavar="REV", help="a commit in which it passed")
+    of_bad = "a later commit in which it fails (default: %(default)s)"
+    parser.add_argument("--bad", default="HEAD", metavar="REV", help=of_bad)
+    of_policy = "files and folders of the policy, which come from each commit; all others are those of now"
+    parser.add_argument("--policy", required=True, nargs="+", metavar="PATH", help=of_policy)
+    of_copy = "what the test needs and git ignores, such as weights: the copy has nothing else of that"
+    parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
+    of_timeout = "seconds after which a commit is given up (default: %(default)g)"
+    parser.add_argument("--timeout", type=float, default=300.0, metavar="S", help=of_timeout)
+
+
+def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+    """Look for the commit; the exit code: 0 where it is found, 1 where several are left."""
+    try:
+        return _bisect(arguments)
+    except (HistoryError, CorpusError) as error:
+        sys.stderr.write(f"bisect: {error}\n")
+        return BAD_USE
+
+
+def _bisect(arguments: argparse.Namespace) -> int:
+    here = Path(os.path.realpath(Path.cwd()))
+    test = load(arguments.file).finding.test.partition("::")[0]
+    history = History.of(arguments.policy, here)
+    file = inside(history.root, here, arguments.file, "FILE")
+    extra = [inside(history.root, here, path, "--copy").as_posix() for path in arguments.copy]
+    good, bad = (history.named(revision) for revision in (arguments.good, arguments.bad))
+    commits = _commits(history, good, bad)
+    above = (folder / test for folder in file.parents)
+    own = [path for path in (file, *above) if history.is_policy(path.as_posix()) and (history.root / path).is_file()]
+    if own:
+        raise HistoryError(
+            f"--policy: expected paths of the policy alone, received some with {visible(own[0].as_posix())}, which is "
+            "that of now in all commits; name the files and folders beside it"
+        )
+    dirty = [visible(name) for name in history.uncommitted() if history.is_policy(name)]
+    if dirty:
+        _say(f"not committed, and so not tried: {', '.join(dirty)}")
+    _say(f"{plural(len(commits), 'commit')} of {', '.join(map(visible, history.paths))} after {good:.10}")
+    with history.worktree([*extra, file.as_posix()]) as tree:
+        trials = Trials(history, tree, tree / here.relative_to(history.root), tree / file, arguments.timeout)
+        if trials.passes(bad) is not False:
+            hint = "commit what is not committed" if dirty else "try `python -m pytest FILE`, or another --bad"
+            raise HistoryError(f"expected --bad to fail as the file tells, received: {trials.why(bad)}; {hint}")
+        for start, name in ((good, "--good"), (history.parents(commits[0])[0], "what comes before these commits")):
+            if trials.passes(start) is not True:
+                raise HistoryError(f"expected {name} to pass, received: {trials.why(start)}; give another --good")
+        left = first_failing(history, trials, commits)
+        return _conclude(history, trials, left)
+
+
+def _commits(history: History, good: str, bad: str) -> list[str]:
+    """Return the commits to look in.
+
+    Raises:
+        HistoryError: where there are none.
+    """
+    paths = ", ".join(map(visible, history.paths))
+    if not history.is_ancestor(good, bad):
+        raise HistoryError(
+            f"expected a --good that led to --bad, received {good:.10}, which did not lead to {bad:.10}; give an earlier "
+            "one, such as `git merge-base` says of the two"
+        )
+    commits = history.between(good, bad)
+    if not commits:
+        raise HistoryError(
+            f"--policy: expected paths that change from {good:.10} to {bad:.10}, received {paths}, which do not; give "
+            "those of all that the policy imports, as `git ls-files` lists them, or an earlier --good"
+        )
+    return commits
+
+
+def first_failing(history: History, trials: Trials, commits: Sequence[str]) -> Sequence[str]:
+    """Return the commits of which one is the first to fail, on the line that a merge brought where that fails, too."""
+    left = halved(commits, trials.passes)
+    while len(left) == 1 and len(parents := history.parents(left[0])) > 1:
+        fork = history.fork(parents[0], parents[1])
+        if fork is None or trials.passes(fork) is not True or trials.passes(parents[1]) is not False:
+            break  # It is the merge that fails.
+        side = history.between(fork, parents[1])
+        if trials.passes(history.parents(side[0])[0]) is not True:
+            break
+        left = halved(side, trials.passes)
+    return left
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """Sessions that replay the file with the policy of a commit, one for each content of its paths."""
+
+    history: History
+    tree: Path
+    folder: Path  # of the worktree, in which the sessions run
+    file: Path
+    timeout: float  # [s]
+    known: dict[str, dict[str, Any]] = field(default_factory=dict)  # what they told, by the content
+
+    def passes(self, commit: str) -> bool | None:
+        """Return whether a commit passes; None where it cannot be judged."""
+        verdict: bool | None = self.told(commit)["passes"]
+        return verdict
+
+    def why(self, commit: str) -> str:
+        """Return how the replay of a commit ended, or why there is none."""
+        return f"{VERDICTS[self.passes(commit)]}: {self.told(commit)['why']}"
+
+    def told(self, commit: str) -> dict[str, Any]:
+        """Return what the session of a commit told, which may be that of another commit with the same policy."""
+        content = self.history.content(commit)
+        if content not in self.known:
+            try:
+                self.history.put(self.tree, commit)
+                self.known[content] = self._session()
+            except HistoryError as error:  # such as a folder in the place of a file of now
+                self.known[content] = {"passes": None, "why": one_line(str(error))}
+            _say(f"  {commit:.10} {self.why(commit)} | {self.history.described(commit, '%s')}")
+        return self.known[content]
+
+    def _session(self) -> dict[str, Any]:
+        """Return what a session of the policy that is there tells, or its last words."""
+        told = self.tree.parent / "told.json"
+        told.unlink(missing_ok=True)
+        policy = [str(self.history.root / path) for path in self.history.paths]
+        moved = [self.tree / path.relative_to(self.history.root) for path in _import_folders(self.history.root)]
+        above = [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
+        environ = {
+            **os.environ,
+            TOLD: json.dumps({"file": str(told), "policy": policy}),
+            # Where a package is installed as editable, its place in the worktree has to come first.
+            "PYTHONPATH": os.pathsep.join([*(str(path) for path in moved if path.is_dir()), *above]),
+            # Python takes a compiled file for that of any source of its size and second, as two commits may be.
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            str(self.file),
+            "-p",
+            "pafot",
+            "-p",
+            "pytest_pafot.plugin.bisect_session",
+        ]
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with _group(command, self.folder, environ) as session:
+            try:
+                words, _ = session.communicate(timeout=self.timeout)
+            except subprocess.TimeoutExpired:
+                return {"passes": None, "why": f"it did not end within {self.timeout:g} s"}
+        if told.exists():
+            found: dict[str, Any] = json.loads(told.read_text(encoding="utf-8"))
+            return found
+        lines = [line.strip() for line in words.splitlines() if line.strip()] or ["no word"]
+        last = next((line[1:].strip() for line in reversed(lines) if line.startswith("E ")), lines[-1])
+        return {"passes": None, "why": one_line(visible(last))}
+
+
+def _import_folders(root: Path) -> list[Path]:
+    folders = [Path(os.path.realpath(entry)) for entry in sys.path]
+    return [folder for folder in folders if folder.is_relative_to(root) and not folder.is_relative_to(sys.prefix)]
+
+
+@contextmanager
+def _group(command: Sequence[str], folder: Path, environ: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    """Run a program, and kill it and all that it has started where it has not ended in the end."""
+    pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    session = subprocess.Popen(  # noqa: S603  (no shell)
+        command, cwd=folder, env=environ, text=True, errors="replace", start_new_session=True, **pipes
+    )
+    with session:
+        try:
+            yield session
+        finally:
+            if session.poll() is None:
+                os.killpg(session.pid, signal.SIGKILL) if hasattr(os, "killpg") else session.kill()
+
+
+def _conclude(history: History, trials: Trials, left: Sequence[str]) -> int:
+    """Tell the commit, what it changed, and when its decisions part from those before; the exit code."""
+    if len(left) > 1:
+        _say(f"one of these {len(left)} is the first that fails; those before the last could not be judged:")
+        _say("\n".join(f"  {history.described(each, '%H %s')}" for each in left))
+        return 1
+    before = history.parents(left[0])[0]
+    _say(f"{history.described(left[0], '%H is the first that fails, of %aI by %an:')}")
+    _say(f"  {history.described(left[0], '%s')}\n")
+    lines = history.diff(before, left[0])
+    more = [f"... and {plural(len(lines) - SHOWN, 'line')} more"] if len(lines) > SHOWN else []
+    _say("\n".join([*lines[:SHOWN], *more, ""]))
+    _say(parted(trials.told(before), trials.told(left[0])))
+    return 0
+
+
+def parted(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """Return a sentence on the first decision in which two runs differ, of what their sessions told."""
+    if not (before.get("decisions") and now.get("decisions")):
+        return f"decisions cannot be compared: before, {before['why']}; now, {now['why']}"
+    pairs = enumerate(zip(before["decisions"], now["decisions"], strict=False))
+    place, decisions = next(((place, pair) for place, pair in pairs if pair[0] != pair[1]), (0, None))
+    if decisions is None:
+        return "both decide the same as long as both drive"
+    tick, speed = place * now["every"], now["speeds"][place]
+    was, became = map(_decision, decisions)
+    return (
+        f"decisions part at tick {tick}, after {tick / now['hz']:.1f} s at {speed:.1f} m/s: {was} before, {became} now"
+    )
+
+
+def _decision(decision: list[float] | str) -> str:
+    if isinstance(decision, str):
+        return one_line(visible(decision))
+    return f"acceleration {decision[0]:.3g} m/s^2, steering {decision[1]:.3g} rad"
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()

@@ -1,0 +1,96 @@
+"""What a session that ``python -m pytest_pafot bisect`` starts for one commit tells it, in a file of JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_pafot.campaign.replays import FLAKY
+from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.findings.finding import Finding, of_failure
+from pytest_pafot.findings.replay import ending, replay_label, unhandled
+from pytest_pafot.findings.situation import missed
+from pytest_pafot.model.trace import ACCELERATION, SPEED, STEERING, Trace
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.plugin.marks import SAVED_MARK
+from pytest_pafot.plugin.replay_item import REPLAYED
+from pytest_pafot.support.text import one_line, visible
+
+TOLD = "PYTEST_PAFOT_BISECT"
+"""The variable that names the file, and the paths of the policy in the user's folder, as JSON."""
+
+
+def pytest_runtest_teardown(item: pytest.Item) -> None:
+    """Tell what the replay of the saved scenario came to."""
+    if REPLAYED not in item.stash:
+        return
+    label, run, verdict = item.stash[REPLAYED]
+    mark = item.get_closest_marker(SAVED_MARK)
+    assert mark is not None  # noqa: S101  (for type checkers: only replays stash this)
+    passes, why = judged(mark.args[0].finding, label, run, verdict)
+    other = _imported_from_elsewhere()
+    if other:
+        passes, why = None, f"the policy was imported from {other}, which is not the commit's"
+    _tell(passes=passes, why=why, **({} if run is None else decided(run.trace)))
+
+
+def pytest_exception_interact(call: pytest.CallInfo[Any]) -> None:
+    """Tell why there may be no replay: what was raised first, and why."""
+    if call.excinfo is not None and not Path(json.loads(os.environ[TOLD])["file"]).exists():
+        error = call.excinfo.value.__cause__ or call.excinfo.value  # pytest wraps what an import raises
+        text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
+        _tell(passes=None, why=f"{type(error).__name__}: {text}")
+
+
+def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | None) -> tuple[bool | None, str]:
+    """Return whether a replay passes, None where nobody can tell, and how it ended.
+
+    It fails by the failure of the file alone: with the saved event, or one of the same signature. It passes where the
+    situation came up and the test function is content, whatever came of it; all commits run with the packages of now.
+    """
+    if run is None or verdict is None:
+        return (False if label == "still failing" else None), "the process did not come back"
+    if label == FLAKY or not (verdict.failed or verdict.passes):
+        return None, label if label == FLAKY else f"the test function did not judge the run: {verdict.kind}"
+    failure = verdict.failure if verdict.failed else None
+    found = replace(finding, found=replace(finding.found, versions={}))
+    now = replay_label(found, run, failure, {})
+    if failure is not None:
+        is_same = now == "still failing" or of_failure(run, failure) == finding.signature
+        return (False if is_same else None), f"{'' if is_same else 'another failure: '}{headline(run, verdict)}"
+    why = unhandled(finding, run)
+    is_tested = now == "fixed" or finding.expect.is_crash or (why and not missed(finding.expect.situation, run))
+    return (True if is_tested else None), why or ending(run)
+
+
+def decided(trace: Trace) -> dict[str, Any]:
+    """Return what an ego decided, at which ticks, and how fast it was; what it did, where it decides nothing."""
+    actions: list[Any] = [list(action) if _is_pair(action) else repr(action) for action in trace.actions]
+    every = trace.physics_hz // trace.ads_hz
+    if not actions:  # of a class of highway-env's vehicles
+        actions, every = trace.ego[1:, [ACCELERATION, STEERING]].tolist(), 1
+    return {"decisions": actions, "speeds": trace.ego[::every, SPEED].tolist(), "every": every, "hz": trace.physics_hz}
+
+
+def _is_pair(action: Any) -> bool:
+    return type(action) is tuple and len(action) == 2 and all(type(each) is float for each in action)
+
+
+def _imported_from_elsewhere() -> str:
+    """Return the file of a module that the user's folder has in the place of the worktree's; empty for none."""
+    policy = json.loads(os.environ[TOLD])["policy"]
+    files = {
+        os.path.realpath(file) for module in [*sys.modules.values()] if (file := getattr(module, "__file__", None))
+    }
+    return next((file for file in sorted(files) if any(Path(file).is_relative_to(path) for path in policy)), "")
+
+
+def _tell(**told: Any) -> None:
+    told["why"] = one_line(visible(told["why"]))
+    Path(json.loads(os.environ[TOLD])["file"]).write_text(json.dumps(told), encoding="utf-8")
