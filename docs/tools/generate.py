@@ -38,6 +38,7 @@ from pytest_pafot.model.trace import AdsError, Collision, Outcome, Trace
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Moment, Run
 from pytest_pafot.plugin import fixtures
+from pytest_pafot.plugin.bisect_command import add_arguments as add_bisect_arguments
 from pytest_pafot.plugin.marks import rate
 from pytest_pafot.plugin.search_command import add_arguments as add_search_arguments
 from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SearchRecord, SessionRecord
@@ -205,6 +206,7 @@ def sections() -> dict[str, str]:
         "search-command": _command_table(add_search_arguments),
         "run-table": _table(["Column", "Meaning"], ([_code(name), text] for name, text in COLUMNS.items())),
         "results": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(Row))),
+        "bisect": _command_table(add_bisect_arguments),
         "export": _command_table(add_export_arguments),
         "rate": _command_table(add_rate_arguments),
         "rate-marker": _table(["Argument", "Meaning"], _arguments(rate)),

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from pytest_pafot.support.text import visible, visible_lines
@@ -33,19 +34,19 @@ def halved(commits: Sequence[str], passes: Callable[[str], bool | None]) -> Sequ
         commits: the oldest first; the state before all of them passes, and the last of them fails.
         passes: whether a commit does; None where it cannot be judged.
     """
-    low, high, skips = -1, len(commits) - 1, 0
-    unjudged: set[int] = set()
-    while places := [place for place in range(low + 1, high) if place not in unjudged]:
-        places.sort(key=lambda place: abs(2 * place - low - high))
-        # Commits that cannot be judged stand in rows: one is left behind by steps that double.
-        place = places[min(2**skips - 1, len(places) - 1)]
+    low, high, unjudged = -1, len(commits) - 1, set[int]()
+    while True:
+        known = sorted({low, high, *(place for place in unjudged if low < place < high)})
+        # The widest gap, since commits that cannot be judged stand in rows; without any that is halving.
+        before, after = max(pairwise(known), key=lambda pair: pair[1] - pair[0])
+        if after - before < 2:
+            return commits[low + 1 : high + 1]
+        place = (before + after) // 2
         verdict = passes(commits[place])
         if verdict is None:
             unjudged.add(place)
-            skips += 1
-            continue
-        low, high, skips = (place, high, 0) if verdict else (low, place, 0)
-    return commits[low + 1 : high + 1]
+        else:
+            low, high = (place, high) if verdict else (low, place)
 
 
 @dataclass(frozen=True, slots=True)

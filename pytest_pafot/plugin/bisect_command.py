@@ -10,7 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,8 @@ VERDICTS = {True: "passes", False: "fails", None: "not judged"}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
+    rest = "--good REV [--bad REV] --policy PATH... [--copy PATH...] [--timeout S]"
+    parser.usage = f"%(prog)s FILE {rest}"  # argparse puts FILE last, where it would be one more PATH
     parser.add_argument("file", metavar="FILE", help="a saved scenario that fails now")
     parser.add_argument("--good", required=True, metavar="REV", help="a commit in which it passed")
     of_bad = "a later commit in which it fails (default: %(default)s)"
@@ -54,6 +56,9 @@ def _bisect(arguments: argparse.Namespace) -> int:
     history = History.of(arguments.policy, here)
     file = inside(history.root, here, arguments.file, "FILE")
     extra = [inside(history.root, here, path, "--copy").as_posix() for path in arguments.copy]
+    lost = [path for path in extra if not (history.root / path).exists()]
+    if lost:
+        raise HistoryError(f"--copy: expected files and folders, received {', '.join(map(visible, lost))}")
     good, bad = (history.named(revision) for revision in (arguments.good, arguments.bad))
     commits = _commits(history, good, bad)
     above = (folder / test for folder in file.parents)
@@ -85,17 +90,23 @@ def _commits(history: History, good: str, bad: str) -> list[str]:
     Raises:
         HistoryError: where there are none.
     """
-    paths = ", ".join(map(visible, history.paths))
     if not history.is_ancestor(good, bad):
         raise HistoryError(
-            f"expected a --good that led to --bad, received {good:.10}, which did not lead to {bad:.10}; give an earlier "
-            "one, such as `git merge-base` says of the two"
+            f"expected a --good that led to --bad, received {good:.10}, which did not lead to {bad:.10}; give an "
+            "ancestor of it, such as `git merge-base` tells"
+        )
+    lost = [
+        path for path in history.paths if not any(replace(history, paths=(path,)).content(at) for at in (good, bad))
+    ]
+    if lost:
+        raise HistoryError(
+            f"--policy: expected paths in {good:.10} or {bad:.10}, received {', '.join(map(visible, lost))}"
         )
     commits = history.between(good, bad)
     if not commits:
         raise HistoryError(
-            f"--policy: expected paths that change from {good:.10} to {bad:.10}, received {paths}, which do not; give "
-            "those of all that the policy imports, as `git ls-files` lists them, or an earlier --good"
+            f"--policy: expected paths that change from {good:.10} to {bad:.10}, received "
+            f"{', '.join(map(visible, history.paths))}, which do not; give those of all that the policy imports, too"
         )
     return commits
 
@@ -231,9 +242,8 @@ def parted(before: dict[str, Any], now: dict[str, Any]) -> str:
         return "both decide the same as long as both drive"
     tick, speed = place * now["every"], now["speeds"][place]
     was, became = map(_decision, decisions)
-    return (
-        f"decisions part at tick {tick}, after {tick / now['hz']:.1f} s at {speed:.1f} m/s: {was} before, {became} now"
-    )
+    when = f"decisions part at tick {tick}, after {tick / now['hz']:.1f} s at {speed:.1f} m/s"
+    return f"{when}\n  before: {was}\n  now:    {became}"
 
 
 def _decision(decision: list[float] | str) -> str:

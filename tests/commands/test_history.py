@@ -1,0 +1,152 @@
+"""Halving a row of commits, and commits of a policy put into a worktree beside the files of now."""
+
+import math
+import os
+import random
+import subprocess
+
+import pytest
+
+from pytest_pafot.commands.history import History, HistoryError, halved
+
+
+@pytest.fixture
+def repository(tmp_path, monkeypatch):
+    """A repository with a policy of two commits, in the second of which a part has another name."""
+    root = tmp_path / "project"
+    for name, text in {"policy/net.py": "1", "policy/old.py": "1", "test_it.py": "1", ".gitignore": "*.npz"}.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+    for name in ("AUTHOR", "COMMITTER"):
+        monkeypatch.setenv(f"GIT_{name}_NAME", "Ann")
+        monkeypatch.setenv(f"GIT_{name}_EMAIL", "ann@example.org")
+    git(root, "init", "-q", "-b", "main")
+    git(root, "add", ".")
+    git(root, "commit", "-qm", "First")
+    (root / "policy/old.py").rename(root / "policy/new.py")
+    git(root, "add", ".")
+    git(root, "commit", "-qm", "Second")
+    return root
+
+
+def git(root, *arguments):
+    return subprocess.run(["git", "-C", root, *arguments], check=True, capture_output=True, text=True).stdout
+
+
+def state_of(root):
+    """All that a command must leave alone: files, the index, and what git tells of branches and worktrees."""
+    files = {path: path.read_bytes() for path in root.rglob("*") if path.is_file() and ".git" not in path.parts}
+    told = [git(root, "--no-optional-locks", *each.split()) for each in ("status", "worktree list", "for-each-ref")]
+    return files, (root / ".git/index").read_bytes(), (root / ".git/HEAD").read_bytes(), told
+
+
+def names_in(tree):
+    return {path.relative_to(tree).as_posix() for path in tree.rglob("*") if path.is_file() and path.name != ".git"}
+
+
+def test_halving_leaves_the_first_that_fails_and_those_right_before_it_that_cannot_be_judged():
+    rng = random.Random(5)
+    for count in range(1, 40):
+        first = rng.randrange(count)
+        unjudged = {place for place in range(count - 1) if rng.random() < rng.choice((0.0, 0.1, 0.6))}
+        tried = []
+
+        def passes(commit, first=first, unjudged=unjudged, tried=tried):
+            tried.append(int(commit))
+            return None if int(commit) in unjudged else int(commit) < first
+
+        left = [int(commit) for commit in halved([str(place) for place in range(count)], passes)]
+        judged = [place for place in range(count) if place not in unjudged]
+        passing = max((place for place in judged if place < first), default=-1)
+        assert left == list(range(passing + 1, min(place for place in judged if place >= first) + 1))
+        assert len(tried) == len(set(tried))
+        if not unjudged:
+            assert len(tried) <= math.ceil(math.log2(count))
+
+
+def test_halving_leaves_a_row_of_commits_behind_that_cannot_be_judged():
+    tried = []
+
+    def passes(commit):
+        tried.append(commit)
+        return None if 30 <= int(commit) < 70 else int(commit) < 90
+
+    assert halved([f"{place}" for place in range(100)], passes) == ["90"]
+    assert len(tried) < 15
+
+
+def test_a_worktree_has_the_files_of_now_and_the_policy_of_a_commit(repository):
+    (repository / "test_it.py").write_text("not committed")
+    (repository / "helper.py").write_text("new")
+    (repository / "weights.npz").write_text("ignored")
+    (repository / "ignored.npz").write_text("ignored")
+    (repository / "policy/net.py").write_text("not committed")
+    (repository / "policy/more.py").write_text("new")
+    before = state_of(repository)
+    history = History.of(["../project/policy"], repository)
+    first, second = git(repository, "rev-list", "--reverse", "main").split()
+    with history.worktree(["weights.npz"]) as tree:
+        now = {".gitignore", "test_it.py", "helper.py", "weights.npz", "policy/net.py"}
+        for commit, name in ((first, "old"), (second, "new"), (first, "old")):
+            history.put(tree, commit)
+            assert names_in(tree) == {*now, f"policy/{name}.py"}
+        assert (tree / "test_it.py").read_text() == "not committed"
+        assert (tree / "policy/net.py").read_text() == "1"
+        (tree / "test_it.py").write_text("of the session")
+    assert not tree.parent.exists()
+    assert state_of(repository) == before
+
+
+def test_a_link_of_now_is_copied_as_one_and_nothing_is_written_behind_a_committed_one(repository, tmp_path):
+    (tmp_path / "outside").mkdir()
+    (repository / "data").symlink_to(tmp_path / "outside")
+    git(repository, "add", "data")
+    git(repository, "commit", "-qm", "Link")
+    (repository / "data").unlink()
+    (repository / "data").mkdir()
+    (repository / "data/file").write_text("now")
+    (repository / "link").symlink_to("data/file")
+    with History.of(["policy"], repository).worktree([]) as tree:
+        assert (tree / "data/file").read_text() == (tree / "link").read_text() == "now"
+        assert (tree / "link").is_symlink()
+    assert not list((tmp_path / "outside").iterdir())
+
+
+def test_neither_hooks_nor_variables_of_a_caller_come_into_it(repository, monkeypatch, tmp_path):
+    hook = repository / ".git/hooks/post-checkout"
+    hook.parent.mkdir(exist_ok=True)
+    hook.write_text(f"#!/bin/sh\ntouch {tmp_path}/ran\n")
+    hook.chmod(0o755)
+    before = state_of(repository)
+    with monkeypatch.context() as caller:
+        caller.setenv("GIT_DIR", str(repository / ".git"))
+        caller.setenv("GIT_INDEX_FILE", str(repository / ".git/index"))
+        caller.setenv("GIT_WORK_TREE", str(repository))
+        history = History.of(["policy"], repository)
+        with history.worktree([]) as tree:
+            history.put(tree, history.named("main~1"))
+    assert not (tmp_path / "ran").exists()
+    assert state_of(repository) == before
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt, SystemExit])
+def test_the_worktree_is_removed_whatever_ends_the_search(repository, end):
+    before = state_of(repository)
+    with pytest.raises(end), History.of(["policy"], repository).worktree([]) as tree:
+        raise end
+    assert not tree.exists()
+    assert state_of(repository) == before
+
+
+def test_what_is_no_history_is_told(repository, tmp_path, monkeypatch):
+    history = History.of(["policy"], repository)
+    for revision in ("nothing", "--help", "main:policy", "-"):
+        with pytest.raises(HistoryError, match="expected a commit, a branch or a tag, received"):
+            history.named(revision)
+    with pytest.raises(HistoryError, match=r"--policy: expected a path inside of the repository .*, received \.\./x"):
+        History.of(["../x"], repository)
+    with pytest.raises(HistoryError, match="not a git repository"):
+        History.of(["policy"], tmp_path)
+    monkeypatch.setenv("PATH", os.fspath(tmp_path))
+    with pytest.raises(HistoryError, match="expected the program git, received none on the PATH"):
+        History.of(["policy"], repository)
