@@ -27,7 +27,7 @@ VERDICTS = {True: "passes", False: "fails", None: "not judged"}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    rest = "--good REV [--bad REV] --policy PATH... [--copy PATH...] [--timeout S]"
+    rest = "--good REV [--bad REV] --policy PATH... [--copy PATH...] [--any-pass] [--timeout S]"
     parser.usage = f"%(prog)s FILE {rest}"  # argparse puts FILE last, where it would be one more PATH
     parser.add_argument("file", metavar="FILE", help="a saved scenario that fails now")
     parser.add_argument("--good", required=True, metavar="REV", help="a commit in which it passed")
@@ -37,6 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", required=True, nargs="+", metavar="PATH", help=of_policy)
     of_copy = "what the test needs and git ignores, such as weights: the copy has nothing else of that"
     parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
+    of_any = "count as passing, too, where the test passes as the situation of the file does not come up"
+    parser.add_argument("--any-pass", action="store_true", help=of_any)
     of_timeout = "seconds after which a commit is given up (default: %(default)g)"
     parser.add_argument("--timeout", type=float, default=300.0, metavar="S", help=of_timeout)
 
@@ -73,13 +75,16 @@ def _bisect(arguments: argparse.Namespace) -> int:
         _say(f"not committed, and so not tried: {', '.join(dirty)}")
     _say(f"{plural(len(commits), 'commit')} of {', '.join(map(visible, history.paths))} after {good:.10}")
     with history.worktree([*extra, file.as_posix()]) as tree:
-        trials = Trials(history, tree, tree / here.relative_to(history.root), tree / file, arguments.timeout)
+        trials = Trials(
+            history, tree, tree / here.relative_to(history.root), tree / file, arguments.timeout, arguments.any_pass
+        )
         if trials.passes(bad) is not False:
             hint = "commit what is not committed" if dirty else "try `python -m pytest FILE`, or another --bad"
             raise HistoryError(f"expected --bad to fail as the file tells, received: {trials.why(bad)}; {hint}")
         for start, name in ((good, "--good"), (history.parents(commits[0])[0], "what comes before these commits")):
             if trials.passes(start) is not True:
-                raise HistoryError(f"expected {name} to pass, received: {trials.why(start)}; give another --good")
+                hint = ", or --any-pass where that will do" if trials.told(start).get("is_other") else ""
+                raise HistoryError(f"expected {name} to pass, received: {trials.why(start)}; give another --good{hint}")
         left = first_failing(history, trials, commits)
         return _conclude(history, trials, left)
 
@@ -134,12 +139,14 @@ class Trials:
     folder: Path  # of the worktree, in which the sessions run
     file: Path
     timeout: float  # [s]
+    any_pass: bool  # counts, whether or not the situation came up
     known: dict[str, dict[str, Any]] = field(default_factory=dict)  # what they told, by the content
 
     def passes(self, commit: str) -> bool | None:
         """Return whether a commit passes; None where it cannot be judged."""
-        verdict: bool | None = self.told(commit)["passes"]
-        return verdict
+        told = self.told(commit)
+        verdict: bool | None = told["passes"]
+        return True if self.any_pass and told.get("is_other") else verdict
 
     def why(self, commit: str) -> str:
         """Return how the replay of a commit ended, or why there is none."""

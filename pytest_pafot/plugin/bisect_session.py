@@ -34,10 +34,11 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
     mark = item.get_closest_marker(SAVED_MARK)
     assert mark is not None  # noqa: S101  (for type checkers: only replays stash this)
     passes, why = judged(mark.args[0].finding, label, run, verdict)
-    other = _imported_from_elsewhere()
-    if other:
-        passes, why = None, f"the policy was imported from {other}, which is not the commit's"
-    _tell(passes=passes, why=why, **({} if run is None else decided(run.trace)))
+    is_other = passes is None and verdict is not None and verdict.passes and label != FLAKY
+    elsewhere = _imported_from_elsewhere()
+    if elsewhere:
+        passes, is_other, why = None, False, f"the policy was imported from {elsewhere}, which is not the commit's"
+    _tell(passes=passes, why=why, is_other=is_other, **({} if run is None else decided(run.trace)))
 
 
 def pytest_exception_interact(call: pytest.CallInfo[Any]) -> None:

@@ -81,7 +81,7 @@ def tried(monkeypatch):
         texts.append(policy.read_text() if policy.exists() else "")
         verdict = {GOOD: True, BAD: False}.get(texts[-1].partition("#")[0].strip())
         decisions = [[1.0, 0.0], [1.0, 0.0], [-6.0 if verdict else 0.5, 0.0]]
-        told = {"passes": verdict, "why": "as it says"}
+        told = {"passes": verdict, "why": "as it says", "is_other": texts[-1] == OTHER}
         return (
             told if verdict is None else {**told, "decisions": decisions, "speeds": [20, 21, 22], "every": 3, "hz": 15}
         )
@@ -169,6 +169,15 @@ def test_a_good_commit_beside_the_line_of_the_bad_one_vouches_for_nothing_on_it(
     git("merge", "-q", "-s", "ours", "--no-edit", "side")
     assert bisect("--good", good) == 2
     assert "expected what comes before these commits to pass, received: fails" in capsys.readouterr().err
+
+
+def test_a_run_that_passes_outside_of_the_situation_passes_where_that_is_asked_for(commit, tried, capsys):
+    first = commit(OTHER)
+    last = commit(BAD)
+    assert bisect("--good", first) == 2
+    assert "received: not judged: as it says; give another --good, or --any-pass" in capsys.readouterr().err
+    assert bisect("--good", first, "--any-pass") == 0
+    assert f"\n{last} is the first that fails" in capsys.readouterr().out
 
 
 def test_what_is_not_committed_is_told_and_not_tried(commit, tried, capsys):
@@ -275,6 +284,7 @@ def test_a_session_tells_whether_the_failure_of_the_file_is_there(safety, told, 
     assert found["passes"] is passes
     assert why in found["why"]
     assert "\x1b" not in found["why"]
+    assert found.get("is_other", False) is ("situation" in why)
     if passes is not None:
         assert found["decisions"][0] == [0.0, 0.0]
         assert found["speeds"][0] == 22.0
