@@ -4,10 +4,10 @@
 
 Makes a repository for each seed: a planner in a package, whose commits rename, describe, move and tune something, and
 one of which has a defect. In two of five histories a row of commits does not import; it does not end right before the
-bad one, where nobody could tell which of them it was. Then it searches with the last commit against the first, as a user
-does, and gives each finding to the command, the worst first, until one is accepted; where none is, as the situation
-does not come up with the first commit, with ``--any-pass``. Prints what the command told, in how many sessions and
-seconds, and to stderr all that it printed.
+bad one, where nobody could tell which of them it was. Then it searches with the last commit against the first, as a
+user does, and gives each finding to the command, the worst first, until one is accepted; where none is, as the
+situation does not come up with the first commit, with ``--any-pass``. Prints what the command told, in how many
+sessions and seconds, and to stderr all that it printed.
 """
 
 from __future__ import annotations
