@@ -1,13 +1,14 @@
 """Does ``python -m pytest_pafot bisect`` find the one bad commit of twenty?
 
-    python -m tests.benchmarks.bisect [--seeds 5] [--first-seed 0] [--commits 20] [--runs 200]
+    python -m tests.benchmarks.bisect [--seeds 5] [--first-seed 0] [--commits 20] [--runs 200] [--tune]
 
-Makes a repository for each seed: a planner in a package, whose commits rename, describe, move and tune something, and
-one of which has a defect. In two of five histories a row of commits does not import; it does not end right before the
-bad one, where nobody could tell which of them it was. Then it searches with the last commit against the first, as a
-user does, and gives each finding to the command, the worst first, until one is accepted; where none is, as the
-situation does not come up with the first commit, with ``--any-pass``. Prints what the command told, in how many
-sessions and seconds, and to stderr all that it printed.
+Makes a repository for each seed: a planner in a package, whose commits rename, describe and move something, and one of
+which has a defect. In two of five histories a row of commits does not import, in the middle, where the first trial is;
+it does not end right before the bad one, where nobody could tell which of them it was. With ``--tune`` other commits
+change the planner's speed by 0.05 m/s, so that a scenario may begin to fail elsewhere than with the defect. Then it
+searches with the last commit against the first, as a user does, and gives each finding to the command, the worst first,
+until one is accepted; where none is, as the situation does not come up with the first commit, with ``--any-pass``.
+Prints what the command told, in how many sessions and seconds, and to stderr all that it printed.
 """
 
 from __future__ import annotations
@@ -69,17 +70,14 @@ DEFECTS = (
 BROKEN = ("from policy.nets import Net\n", "import no_such_module\n", "def half(:\n")
 
 
-def history(seed: int, commits: int) -> Iterator[tuple[str, bool, dict[str, str]]]:
+def history(seed: int, commits: int, *edits: str) -> Iterator[tuple[str, bool, dict[str, str]]]:
     """Yield the commits: subject, whether it is the bad one, and the files of the package."""
     rng = Random(seed)
     told, defect = dict(FIRST), DEFECTS[seed % len(DEFECTS)]
-    bad = rng.randrange(2, commits - 1)
-    broken = range(0)
-    while seed % 5 in (1, 3) and (not broken or broken.stop in (bad, commits) or bad in broken):
-        start = rng.randrange(1, commits - 4)
-        broken = range(start, start + rng.randrange(2, 5))
+    broken = range(commits // 2 - rng.randrange(1, 4), commits // 2 + rng.randrange(1, 3)) if seed % 5 in (1, 3) else ()
+    bad = rng.choice([number for number in range(2, commits - 1) if number not in broken and number - 1 not in broken])
     for number in range(commits):
-        edit = rng.choice(("tell", "rename", "tune", "move")) if number else "begin"
+        edit = rng.choice(("tell", "rename", "move", *edits)) if number else "begin"
         if number == bad:
             edit, told = "improve", {**told, **defect[1]}
         elif edit == "tell":
@@ -97,12 +95,12 @@ def history(seed: int, commits: int) -> Iterator[tuple[str, bool, dict[str, str]
         yield f"{number}: {edit}", number == bad, files
 
 
-def made(seed: int, commits: int, root: Path) -> tuple[str, str]:
+def made(root: Path, seed: int, commits: int, *edits: str) -> tuple[str, str]:
     """Make the repository of a seed; the hashes of its first commit and of the bad one."""
     guilty = ""
     _run(root, "git", "init", "--quiet")
     (root / "test_safety.py").write_text(TEST)
-    for subject, is_bad, files in history(seed, commits):
+    for subject, is_bad, files in history(seed, commits, *edits):
         for path in (root / "policy").glob("*.py"):
             path.unlink()
         (root / "policy").mkdir(exist_ok=True)
@@ -138,14 +136,14 @@ def bisected(root: Path, file: str, good: str, *more: str) -> tuple[int, str, in
     return done.returncode, " ".join(told), len(re.findall(r"^  [0-9a-f]{10} ", done.stdout, re.MULTILINE))
 
 
-def row(seed: int, commits: int, runs: int) -> list[object]:
+def row(seed: int, runs: int, commits: int, *edits: str) -> list[object]:
     """Make a history, search, and look for the bad commit: a row of the table."""
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
         root = Path(folder) / "project"
         root.mkdir()
-        first, guilty = made(seed, commits, root)
+        first, guilty = made(root, seed, commits, *edits)
         files, refused = findings(root, seed, runs), 0
-        broken = sum("half done" in subject for subject, _, _ in history(seed, commits))
+        broken = sum("half done" in subject for subject, _, _ in history(seed, commits, *edits))
         known = [seed, DEFECTS[seed % len(DEFECTS)][0], broken, f"{guilty:.10}"]
         for more in ([], ["--any-pass"]):
             for file in files:
@@ -166,10 +164,11 @@ def _run(root: Path, *command: str) -> str:
 
 
 def main() -> None:
-    given = options(__doc__, seeds=5, first_seed=0, commits=20, runs=200)
+    given = options(__doc__, seeds=5, first_seed=0, commits=20, runs=200, tune=False)
+    edits = ["tune"] if given.tune else []
     print_head("seed", "defect", "not importing", "bad commit", "told", "refused", "option", "sessions", "seconds")
     for seed in seeds_of(given):
-        print(f"| {' | '.join(map(str, row(seed, given.commits, given.runs)))} |", flush=True)
+        print(f"| {' | '.join(map(str, row(seed, given.runs, given.commits, *edits)))} |", flush=True)
 
 
 if __name__ == "__main__":
