@@ -80,6 +80,7 @@ def _bisect(arguments: argparse.Namespace) -> int:
         )
         if trials.passes(bad) is not False:
             hint = "commit what is not committed" if dirty else "try `python -m pytest FILE`, or another --bad"
+            hint = hint if trials.passes(bad) else f"{hint}; what git ignores needs --copy"
             raise HistoryError(f"expected --bad to fail as the file tells, received: {trials.why(bad)}; {hint}")
         for start, name in ((good, "--good"), (history.parents(commits[0])[0], "what comes before these commits")):
             if trials.passes(start) is not True:
@@ -199,8 +200,8 @@ class Trials:
             found: dict[str, Any] = json.loads(told.read_text(encoding="utf-8"))
             return found
         lines = [line.strip() for line in words.splitlines() if line.strip()] or ["no word"]
-        last = next((line[1:].strip() for line in reversed(lines) if line.startswith("E ")), lines[-1])
-        return {"passes": None, "why": one_line(visible(last))}
+        words = next((line[1:].strip() for line in lines if line.startswith("E ")), lines[-1])
+        return {"passes": None, "why": one_line(visible(words))}
 
 
 def _import_folders(root: Path) -> list[Path]:

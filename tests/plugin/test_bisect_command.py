@@ -309,6 +309,13 @@ def real(commit, monkeypatch):
     return commit
 
 
+def test_a_session_that_takes_too_long_is_ended_and_not_judged(real, capfd):
+    first = real(PLANNER)
+    real(f"import time\ntime.sleep(100)\n{PLANNER}")
+    assert bisect("--good", first, "--timeout", "0.5") == 2
+    assert "received: not judged: it did not end within 0.5 s; " in capfd.readouterr().err
+
+
 @pytest.mark.processes
 def test_the_sample_of_the_guide_is_what_sessions_tell(real, capfd):
     now = '"""Keeps its distance."""\n\n' + PLANNER
