@@ -12,6 +12,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command, from the arguments of the command line without the program's name; its exit code."""
     from pytest_pafot.comparison import command as comparison  # noqa: PLC0415
     from pytest_pafot.corpus import corpus_command as corpus  # noqa: PLC0415
+    from pytest_pafot.episodes import progress_command as progressing  # noqa: PLC0415
     from pytest_pafot.episodes import rate_command as rating  # noqa: PLC0415
     from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
     from pytest_pafot.plugin import bisect_command as bisecting  # noqa: PLC0415
@@ -38,6 +39,14 @@ def main(arguments: list[str] | None = None) -> int:
     )
     bisecting.add_arguments(bisect)
     bisect.set_defaults(run=bisecting.run)
+    progress = commands.add_parser(
+        "progress",
+        help="tell whether the new version of a policy is better than the old one",
+        description="Put two versions of a policy through the same random scenarios, ordinary traffic and saved "
+        "scenarios, search for what each fails alone, and say in a sentence which is better, and how sure that is.",
+    )
+    progressing.add_arguments(progress)
+    progress.set_defaults(run=progressing.run)
     compare = commands.add_parser(
         "compare",
         help="compare search algorithms on a policy",

@@ -100,20 +100,29 @@ def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, 
         return {}
 
 
+def config_of(text: str | None) -> dict[str, Any] | None:
+    """Return the options of an environment that ``--config`` gives.
+
+    Raises:
+        PlanError: for what is no JSON of options.
+    """
+    if text is None:
+        return None
+    try:
+        config = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise PlanError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', {error}") from None
+    if not isinstance(config, dict):
+        raise PlanError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
+    return config
+
+
 def _plan_of(arguments: argparse.Namespace) -> RatePlan:
-    config: Any = None
-    if arguments.config is not None:
-        try:
-            config = json.loads(arguments.config)
-        except json.JSONDecodeError as error:
-            raise PlanError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', {error}") from None
-        if not isinstance(config, dict):
-            raise PlanError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
     return RatePlan(
         ads=arguments.ads,
         against=arguments.against,
         env_id=arguments.world,
-        config=config,
+        config=config_of(arguments.config),
         episodes=arguments.episodes,
         seed=arguments.seed,
     )

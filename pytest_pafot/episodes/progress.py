@@ -1,0 +1,176 @@
+"""Which of two versions of a policy is better: what both did in the same situations, as values and in words."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import median
+from typing import Any, Self
+
+from pytest_pafot.campaign.verdict import Verdict, worst_margins
+from pytest_pafot.episodes.rate import p_text
+from pytest_pafot.findings.severity import WORSE_BY
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.proportions import difference, holm, mcnemar
+from pytest_pafot.support.text import ascii_text, markdown_table, plural
+
+LEVEL = 0.01
+"""The largest adjusted p with which a line claims a difference. Policies are compared after each change: with 0.05, one
+of twenty changes that matter to nobody might be called better or worse."""
+APART = "not told apart"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """What one policy did in a situation."""
+
+    failed: bool | None = None  # where its run says nothing of it
+    impact: float | None = None  # closing speed of a collision that it failed by [m/s]
+    margins: Mapping[str, float] = field(default_factory=dict)  # the worst of each check with a bound, of a whole run
+
+    @classmethod
+    def of(cls, run: Run, verdict: Verdict) -> Self:
+        """Return what a verdict says of a run."""
+        bounded = {each.name for each in verdict.checks if set(each.bounds.values()) != {None}}
+        is_whole = run.collision is None and run.ads_error is None and run.outcome != "off_road"  # nothing cut it short
+        margins = {name: worst for name, worst in worst_margins(verdict) if name in bounded and math.isfinite(worst)}
+        failed = None if verdict.discarded or verdict.kind == "invalid" else verdict.failed
+        severity = verdict.severity
+        impact = severity.value if severity is not None and severity.kind == "collision" else None
+        return cls(failed=failed, impact=impact, margins=margins if is_whole else {})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """Both policies in one situation: a random scenario, an episode, a saved scenario, or one that a search found."""
+
+    part: str  # ``scenarios``, ``episodes``, ``saved`` or ``alone``
+    name: str  # a number, a seed, or the id of a finding
+    old: Result
+    new: Result
+    told: str = ""  # an error in an episode, the label of a saved scenario, the headline of a finding
+    worse: str = ""  # by how much the failure of a saved scenario became worse
+
+    @classmethod
+    def of_data(cls, data: Mapping[str, Any]) -> Self:
+        """Return the row that ``dataclasses.asdict`` has made data of."""
+        return cls(**{**data, "old": Result(**data["old"]), "new": Result(**data["new"])})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """Numbers of both policies, compared pair by pair: a line of the table."""
+
+    what: str  # that is compared
+    words: tuple[str, str]  # for it where the new policy is better, and where it is worse
+    old: float  # in how many pairs, or the median where there is a unit
+    new: float
+    better: int  # pairs in which the new policy is better
+    worse: int
+    pairs: int
+    unit: str | None = None
+    p: float = 1.0  # of the sign test, of failures McNemar's: two-sided, exact, adjusted for the number of lines
+
+    @property
+    def verdict(self) -> str:
+        """Return whether the new policy is ``better`` or ``worse`` by this line, or not told apart."""
+        return APART if self.p > LEVEL else "better" if self.better > self.worse else "worse"
+
+    @property
+    def interval(self) -> str:
+        """Return by how many points more pairs count for the new policy, with 95 %; empty for medians."""
+        low, high = difference(self.worse, self.better, self.pairs)
+        return f"{100 * low:+.1f} to {100 * high:+.1f} points" if self.unit is None else ""
+
+    @property
+    def sentence(self) -> str:
+        """Return what the line claims, or between which numbers it claims nothing."""
+        of = f" of {self.pairs}" if self.unit is None else f"{self.unit} in the median of {self.pairs}"
+        if self.verdict == APART:
+            how_sure = f"95 %: {self.interval}" if self.interval else f"better in {self.better}, worse in {self.worse}"
+            return f"{self.what} ({self.new:.4g} against {self.old:.4g}{of}, {how_sure})"
+        claim = f"{self.words[self.verdict == 'worse']} {self.what}"
+        return f"{claim}: {self.new:.4g} instead of {self.old:.4g}{of} (p {p_text(self.p)})"
+
+
+def _line(
+    what: str, words: tuple[str, str], pairs: Iterable[tuple[float, float]], by: float = 0.0, unit: str | None = None
+) -> Line:
+    """Compare pairs of an old and a new number, which must differ by so much; a higher one is worse, unless larger."""
+    pairs = list(pairs)
+    rises, falls = (sum(sign * (new - old) > by for old, new in pairs) for sign in (1, -1))
+    worse, better = (falls, rises) if words[0] == "larger" else (rises, falls)
+    old, new = ((sum if unit is None else median)(side) for side in zip(*pairs, strict=True)) if pairs else (0.0, 0.0)
+    p = mcnemar(worse, better)
+    return Line(what=what, words=words, old=old, new=new, better=better, worse=worse, pairs=len(pairs), unit=unit, p=p)
+
+
+def lines_of(rows: Iterable[Row]) -> list[Line]:
+    """Compare two policies by all that there are pairs of.
+
+    What was saved, and what a search finds, was chosen since one of the two fails in it: it compares nothing.
+    """
+    both = [row for row in rows if row.old.failed is not None and row.new.failed is not None]
+    drawn = [row for row in both if row.part == "scenarios"]
+    failures, crashes = (
+        [(bool(row.old.failed), bool(row.new.failed)) for row in both if row.part == part]
+        for part in ("scenarios", "episodes")
+    )
+    speeds = [(row.old.impact, row.new.impact) for row in drawn]
+    impacts = [(old, new) for old, new in speeds if old is not None and new is not None]
+    lines = [
+        _line("failures of its own", ("fewer", "more"), failures),
+        _line("crashes in ordinary traffic", ("fewer", "more"), crashes),
+        _line("impacts where both fail", ("milder", "harder"), impacts, WORSE_BY["collision"], " m/s"),
+    ]
+    for name in sorted({name for row in drawn for name in row.old.margins}):
+        of_both = [(row.old.margins, row.new.margins) for row in drawn]
+        margins = [(old[name], new[name]) for old, new in of_both if name in old and name in new]
+        lines.append(_line(f"margins of {name}", ("larger", "smaller"), margins, WORSE_BY["check"], ""))
+    lines = [line for line in lines if line.pairs]
+    adjusted = holm([line.p for line in lines])
+    return [replace(line, p=p) for line, p in zip(lines, adjusted, strict=True)]
+
+
+def verdict_of(lines: Iterable[Line]) -> str:
+    """Return ``better``, ``worse``, ``better and worse`` or ``not told apart``."""
+    return " and ".join(sorted({line.verdict for line in lines} - {APART})) or APART
+
+
+def sentence_of(old: str, new: str, lines: Sequence[Line]) -> str:
+    """Say which of two policies is better, by what, and by what they are not told apart."""
+    claims = [line.sentence for line in lines if line.verdict != APART]
+    others = ", ".join(line.sentence for line in lines if line.verdict == APART)
+    if not claims:
+        return f"{new} is {APART} from {old}: {others or 'no run says anything of both'}"
+    others = f"; {APART}: {others}" if others else ""
+    return f"{new} is {verdict_of(lines)} than {old}: {'; '.join(claims)}{others}"
+
+
+def text_of(old: str, new: str, rows: Sequence[Row]) -> str:
+    """Return the sentence on two policies, the table and what is known beside it, as Markdown."""
+    lines = lines_of(rows)
+    head = ["", "old", "new", "new better in", "new worse in", "of", "new - old, 95 %", "p, Holm", ""]
+    table = [
+        [f"{line.what}{'' if line.unit is None else f' [{line.unit.strip()}], median' if line.unit else ', median'}"]
+        + [f"{each:.4g}" for each in (line.old, line.new, line.better, line.worse, line.pairs)]
+        + [line.interval, f"{line.p:.2g}", line.verdict]
+        for line in lines
+    ]
+    saved, notes = [row for row in rows if row.part == "saved"], []
+    if saved:
+        labels = Counter(row.told for row in saved).most_common()
+        notes = [f"- {plural(len(saved), 'saved scenario')}: {', '.join(f'{n} {label}' for label, n in labels)}"]
+        notes += [f"  - introduced: {row.name}" for row in saved if row.told == "introduced"]
+        notes += [f"  - worse: {row.name} {row.worse}" for row in saved if row.worse]
+    for policy, is_new in ((new, True), (old, False)):
+        found = [row for row in rows if row.part == "alone" and row.new.failed is is_new]
+        notes += [f"- a search found {plural(len(found), 'kind')} of failure of {policy} alone"]
+        notes += [f"  - {row.name}: {ascii_text(row.told)}" for row in found]
+    errors = [row for row in rows if row.part == "episodes" and row.told]
+    if errors:
+        notes += [f"- errors in {plural(len(errors), 'episode')} count as crashes; seed {errors[0].name}: "]
+        notes[-1] += ascii_text(errors[0].told)
+    return "\n\n".join([f"{sentence_of(old, new, lines)}.", markdown_table(head, table), "\n".join(notes)]) + "\n"

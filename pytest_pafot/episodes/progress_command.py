@@ -1,0 +1,309 @@
+"""``python -m pytest_pafot progress``, which asks whether the new version of a policy is better than the old one."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import shlex
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.campaign.explore import explore, replays_of, request_of
+from pytest_pafot.campaign.harness import source_file
+from pytest_pafot.campaign.request import RequestError, drawn_space
+from pytest_pafot.campaign.setup_fault import cause_of
+from pytest_pafot.campaign.verdict import Verdict, judge
+from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory
+from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
+from pytest_pafot.corpus.layout import CORPUS, files_below
+from pytest_pafot.corpus.saved import read_saved_file
+from pytest_pafot.episodes.progress import LEVEL, Result, Row, lines_of, sentence_of, text_of, verdict_of
+from pytest_pafot.episodes.rate_command import config_of
+from pytest_pafot.episodes.rate_plan import CHUNK, PLANNER, driven
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import runner_here
+from pytest_pafot.findings.severity import worsening
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching.space import sample, space_on
+from pytest_pafot.support.files import way_out, write_whole
+from pytest_pafot.support.text import csv_text
+from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
+from pytest_pafot.world.protocol import first_decision, reference_world, road_start
+
+FIRST = 3
+"""So many scenarios show whether a policy drives at all."""
+HOW_TO_READ = f"""
+A line compares both policies in the same situations, pair by pair, and claims a difference where p, adjusted for the
+number of lines, is at most {LEVEL:g}. What is not told apart may differ all the same: more situations tell. Failures of
+its own are those of random scenarios that the ego answers for. Saved scenarios, and what a search found, were chosen
+since one of the two fails in them, and are no part of the verdict: `introduced` fails with the new policy alone,
+`fixed` with the old one alone, `common` with both.
+"""
+
+
+def never_at_fault_in_a_collision(run: Run) -> None:
+    """Assert what the command ``search`` does where no check is given."""
+    assert not run.collision, run.explain()  # noqa: S101  (the function of a test)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What is compared, and by what. Every row is a function of this value and its name alone."""
+
+    old: str  # as ``rate`` has it, with ``@planner`` behind it for a planner in SI units beside an environment
+    new: str
+    env_id: str = ""  # of the environment of ordinary traffic, in which policies also have their scenarios
+    config: Mapping[str, Any] | None = None
+    scenarios: int = 200  # random ones; as many runs has each search for what one policy fails alone
+    episodes: int = 300
+    saved: tuple[Path, ...] = ()
+    check: str | None = None  # a function of a run, as ``module:function``; None for no collision
+    seed: int = 0
+
+    @cached_property
+    def traffic(self) -> World:
+        """Return the environment that has ordinary traffic, where there is one."""
+        return World(self.env_id, None if self.config is None else dict(self.config))
+
+    @property
+    def world(self) -> Highway | World:
+        """Return the world of scenarios."""
+        return self.traffic if self.env_id and not self.new.endswith(PLANNER) else Highway()
+
+    @property
+    def holds(self) -> Callable[[Run], Any]:
+        """Return the function that judges runs."""
+        return never_at_fault_in_a_collision if self.check is None else ads_factory(self.check)
+
+    @property
+    def test(self) -> str:
+        """Return the node id of the test that ``search`` would run, by which the same seed finds the same."""
+        name = never_at_fault_in_a_collision.__name__ if self.check is None else self.check.split(":")[-1]
+        return f"test_safety.py::{name if name.startswith('test') else f'test_{name}'}"
+
+    def factory(self, side: str) -> Callable[..., Any]:
+        """Return the factory of the ``old`` or the ``new`` policy."""
+        return ads_factory(getattr(self, side).removesuffix(PLANNER))
+
+    def judged(self, side: str, numbers: range) -> Iterator[tuple[Run, Verdict]]:
+        """Run random scenarios with a policy, each of which depends on the seed and its number alone."""
+        world = self.world
+        space = space_on(world, drawn_space(world, {}), road_start(world))
+        scenarios = [sample(space, np.random.default_rng((self.seed, number))) for number in numbers]
+        with runner_here(world, self.factory(side)) as runner:
+            runner.announce(scenarios)
+            for scenario in scenarios:
+                run = Run(runner.run(scenario), world=reference_world(world))
+                yield run, judge(run, self.holds, blame="ego", test_file=source_file(self.holds))
+
+    @property
+    def job(self) -> ResumableJob:
+        """Return the tasks, each of a part, a number of situations and the first of them."""
+        sizes = {
+            (f"{part}-{min(CHUNK, total - first)}", first): 2 * min(CHUNK, total - first)
+            for part, total in (("scenarios", self.scenarios), ("episodes", self.episodes if self.env_id else 0))
+            for first in range(0, total, CHUNK)
+        }
+        sizes |= {("saved-1", number): 4 for number in range(len(self.saved))}
+        sizes |= {(f"alone_{side}-1", 0): self.scenarios for side in ("new", "old")}
+        return ResumableJob(
+            command="progress", noun="comparison", units="runs", tasks=tuple(sizes), in_order=tuple(sizes), sizes=sizes,
+            question="", question_file="progress", differs="the policies", text=partial(_text, self),
+        )  # fmt: skip
+
+
+def checked(plan: Plan) -> Plan:
+    """Return the plan, if it can be run.
+
+    Raises:
+        PlanError: naming the first thing that is wrong.
+        WorldError: when the environment cannot be used.
+    """
+    are_planners = [name.endswith(PLANNER) for name in (plan.old, plan.new)]
+    for is_wrong, problem in (
+        (plan.scenarios < 1, f"--scenarios: expected a whole number, at least 1, received {plan.scenarios}"),
+        (plan.episodes < 0, f"--episodes: expected a whole number, at least 0, received {plan.episodes}"),
+        (plan.seed < 0, f"--seed: expected a whole number, at least 0, received {plan.seed}"),
+        (plan.new == plan.old, f"NEW: expected another version than OLD, received {plan.new!r} again"),
+        (any(are_planners) and not all(are_planners), f"NEW: expected {PLANNER} behind both names or none"),
+        (plan.config is not None and not plan.env_id, "--config: expected an environment, received none; give --world"),
+    ):
+        if is_wrong:
+            raise PlanError(problem)
+    if plan.env_id:
+        plan.traffic.environment.with_traffic()
+    for side in ("old", "new"):
+        _check_set_up(plan, side)
+    return plan
+
+
+def _check_set_up(plan: Plan, side: str) -> None:
+    """Refuse a policy that cannot drive, and a check that cannot judge, whatever happens in a run."""
+    seen = list(plan.judged(side, range(min(FIRST, plan.scenarios))))
+    causes, (run, verdict) = {cause_of(*each) for each in seen}, seen[0]
+    if verdict.failure is None or None in causes or len(causes) > 1:
+        return
+    received = f"received {verdict.failure.kind}: {verdict.failure.message} in each of the first {len(seen)} scenarios"
+    if not verdict.is_ads:
+        raise PlanError(f"--check: expected a function of a run that asserts, {received}; correct it")
+    asked = first_decision(plan.world, run.scenario)
+    raise PlanError(
+        f"{side.upper()}: expected a policy that drives, {received}, at its first decision. "
+        f"{'' if asked is None else asked.text} A policy of an environment needs --world, and the --config that it was "
+        f"trained with; a planner in SI units needs no --world, or with it {PLANNER} behind its name"
+    )
+
+
+def _text(plan: Plan, task: Task, tick: Tick) -> str:
+    (part, _, count), rows = task[0].partition("-"), []
+    for row in _ROWS[part](plan, range(task[1], task[1] + int(count))):
+        rows.append([json.dumps(asdict(row))])
+        tick(min(1.0, len(rows) / int(count)))
+    return csv_text(["row"], rows)
+
+
+def _scenarios(plan: Plan, numbers: range) -> Iterator[Row]:
+    sides = (plan.judged(side, numbers) for side in ("old", "new"))
+    for number, old, new in zip(numbers, *sides, strict=True):
+        yield Row(part="scenarios", name=str(number), old=Result.of(*old), new=Result.of(*new))
+
+
+def _episodes(plan: Plan, numbers: range) -> Iterator[Row]:
+    for seed in range(plan.seed + numbers.start, plan.seed + numbers.stop):
+        is_planner = plan.new.endswith(PLANNER)
+        rows = [driven(plan.traffic, side, plan.factory(side), seed, is_planner=is_planner) for side in ("old", "new")]
+        old, new = (Result(failed=row.outcome != Outcome.SAFE) for row in rows)  # an error is as bad as a crash
+        yield Row(part="episodes", name=str(seed), old=old, new=new, told=rows[1].error or rows[0].error)
+
+
+def _saved(plan: Plan, numbers: range) -> Iterator[Row]:
+    saved, label, worse = read_saved_file(plan.saved[numbers[0]]), "unreadable", ""
+    finding = saved.finding
+    if finding is not None:
+        arguments = {"ads": plan.factory("new"), "against": plan.factory("old"), "world": plan.world, "blame": "ego"}
+        try:
+            with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
+                replays = replays_of(request_of(arguments), plan.holds, plan.test, Path(scratch))
+                label, _, verdict = replays.labelled(saved, saved.id)
+            made = {each.name for each in verdict.checks}
+            is_asked = plan.check and (finding.expect.check is None or finding.expect.assertion in made)
+            if finding.signature.is_property and verdict.kind == "passed" and not is_asked:
+                label = "of another check"
+            if label == "common" and verdict.reference is not None:
+                worse = worsening(verdict.severity, verdict.reference.severity)
+        except ProcessLostError:
+            label = "ending its process"
+        except RequestError:
+            label = "not of this world"
+    yield Row(part="saved", name=saved.id, old=Result(), new=Result(), told=label, worse=worse)
+
+
+def _alone(side: str, plan: Plan, numbers: range) -> Iterator[Row]:
+    """Yield what a search finds that one of the two fails, and the other passes."""
+    found = explore(
+        plan.factory(side), against=plan.factory("new" if side == "old" else "old"), holds=plan.holds, world=plan.world,
+        blame="ego", runs=plan.scenarios, seed=plan.seed, node_id=plan.test, shrink_rollouts=0,
+    )  # fmt: skip
+    old, new = Result(failed=side == "old"), Result(failed=side == "new")
+    for each in found.told:
+        yield Row(part="alone", name=each.finding.id, old=old, new=new, told=each.find.headline)
+
+
+_ROWS: Mapping[str, Callable[[Plan, range], Iterator[Row]]] = {
+    "scenarios": _scenarios,
+    "episodes": _episodes,
+    "saved": _saved,
+    "alone_old": partial(_alone, "old"),
+    "alone_new": partial(_alone, "new"),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    of_whom = "module:factory or module:factory:argument, where a class is a factory, too"
+    parser.add_argument("old", metavar="OLD", help=f"the policy of before: {of_whom}")
+    parser.add_argument("new", metavar="NEW", help="the policy of now, likewise")
+    of_world = "a highway-env environment, for its policies, and for its ordinary traffic; a planner in SI units "
+    of_world += f"needs {PLANNER} behind its name then (default: a highway in SI units, without ordinary traffic)"
+    parser.add_argument("--world", default="", metavar="ID", help=of_world)
+    parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
+    of_scenarios = "random scenarios, and runs of each search for what one fails alone (default: %(default)s)"
+    parser.add_argument("--scenarios", type=int, default=200, metavar="N", help=of_scenarios)
+    of_episodes = "of ordinary traffic, with --world (default: %(default)s)"
+    parser.add_argument("--episodes", type=int, default=300, metavar="N", help=of_episodes)
+    of_corpus = f"saved scenarios to replay (default: {CORPUS}, where it is here)"
+    parser.add_argument("--corpus", type=Path, metavar="FOLDER", help=of_corpus)
+    of_check = "a function of a run that asserts what must hold, in place of that there is no collision"
+    parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="(default: %(default)s)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures for programs")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write a page, in Markdown")
+    of_exit = "exit with 1 where anything is worse, or unless the new one is better (default: for no verdict)"
+    parser.add_argument("--fail-on", choices=("worse", "not-better"), help=of_exit)
+
+
+def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+    """Compare the policies, say which is better, and write what was asked for; the exit code."""
+    sys.path.insert(0, str(Path.cwd()))  # The policies are where the command is run, as with pytest.
+    given, files = arguments, [path for path in (arguments.json, arguments.report) if path is not None]
+    try:
+        for path in files:  # before anything is driven
+            if not path.parent.is_dir() or path.is_dir():
+                raise PlanError(f"expected a file in a folder that is there, received {path}; give another one")
+        if given.corpus is not None and not given.corpus.is_dir():
+            raise PlanError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
+        saved, config = files_below((given.corpus or Path(CORPUS)).resolve()), config_of(given.config)
+        same = {name: getattr(given, name) for name in ("old", "new", "scenarios", "episodes", "check", "seed")}
+        plan = Plan(env_id=given.world, config=config, saved=tuple(saved), **same)
+        workers, job = worker_count(given.workers), checked(plan).job
+        with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
+            workers, clock = min(workers, len(job.tasks)), time.monotonic
+            results = run_job(job, Path(folder), workers=workers, told=sys.stderr, clock=clock).read_text("utf-8")
+        rows = [Row.of_data(json.loads(each["row"])) for each in csv.DictReader(io.StringIO(results))]
+        text, lines = text_of(plan.old, plan.new, rows), lines_of(rows)
+        verdict, shown = verdict_of(lines), f"{text}{_hint(plan, rows)}"
+        sys.stdout.write(shown)
+        if given.json is not None:
+            data = {
+                **same,
+                "verdict": verdict,
+                "sentence": sentence_of(plan.old, plan.new, lines),
+                "lines": [{**asdict(line), "verdict": line.verdict} for line in lines],
+                "rows": [asdict(row) for row in rows],
+                "versions": installed_versions(),
+            }
+            write_whole(given.json, json.dumps(data, indent=1) + "\n")
+        if given.report is not None:
+            title = f"# From {plan.old} to {plan.new}\n\n```sh\n{shlex.join(command)}\n```"
+            write_whole(given.report, f"{title}\n\n{shown}{HOW_TO_READ}")
+    except (PlanError, RequestError, WorldError, AdsFactoryError, ChildProcessError) as error:
+        sys.stderr.write(f"progress: {str(error).replace('--ads', 'OLD, NEW or --check')}\n")
+        return BAD_USE
+    except OSError as error:
+        sys.stderr.write(f"progress: {error}; {way_out(error, 'or give another file')}\n")
+        return BAD_USE
+    return int({"worse": "worse" in verdict, "not-better": verdict != "better"}.get(given.fail_on, False))
+
+
+def _hint(plan: Plan, rows: Sequence[Row]) -> str:
+    """Return the command that saves and explains what the new policy fails alone, where there is such a thing."""
+    if not any(row.part == "alone" and row.new.failed for row in rows) or plan.config is not None:
+        return ""
+    old, new = (name.removesuffix(PLANNER) for name in (plan.old, plan.new))
+    given = ["--world", plan.env_id] if isinstance(plan.world, World) else []
+    given += [] if plan.check is None else ["--check", plan.check]
+    given += ["--runs", str(plan.scenarios), "--seed", str(plan.seed), "--", f"--pafot-against={old}"]
+    return f"\nsave and see it: `{shlex.join(['python', '-m', 'pytest_pafot', 'search', new, *given])}`\n"
