@@ -40,12 +40,14 @@ def python(*arguments):
 
 
 def test_it_finds_saves_shows_and_becomes_a_test_that_replays_the_find(here):
-    code, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2")
+    code, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2", "--", "-q")
     assert code == 1
     assert "leader-unanswered" in told
     assert (here / "pafot.html").exists()
     assert not (here / "conftest.py").exists()
-    assert told.rstrip().splitlines()[-1].startswith("keep it as a test: python -m pytest_pafot search a_planner:Pl")
+    last = told.rstrip().splitlines()[-1]
+    again = "search a_planner:Planner --runs 4 --seed 2 --write-test, and commit"
+    assert last.startswith(f"keep it as a test: python -m pytest_pafot {again}")
 
     assert main(["search", "a_planner:Planner", "--write-test"]) == 0
     code, told = python("pytest", "-q", "--pafot-generations=0")
