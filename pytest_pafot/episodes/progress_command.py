@@ -21,7 +21,7 @@ import numpy as np
 from pytest_pafot.campaign.explore import explore, replays_of, request_of
 from pytest_pafot.campaign.harness import source_file
 from pytest_pafot.campaign.request import RequestError, drawn_space
-from pytest_pafot.campaign.setup_fault import cause_of
+from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, judge
 from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
@@ -42,8 +42,8 @@ from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import first_decision, reference_world, road_start
 
-FIRST = 3
-"""So many scenarios show whether a policy drives at all."""
+FIRST = 10
+"""So many scenarios show that a policy does not drive at all; the first in which it does shows that it does."""
 HOW_TO_READ = f"""
 A line compares both policies in the same situations, pair by pair, and claims a difference where p, adjusted for the
 number of lines, is at most {LEVEL:g}. What is not told apart may differ all the same: more situations tell. Failures of
@@ -151,19 +151,23 @@ def checked(plan: Plan) -> Plan:
 
 def _check_set_up(plan: Plan, side: str) -> None:
     """Refuse a policy that cannot drive, and a check that cannot judge, whatever happens in a run."""
-    seen = list(plan.judged(side, range(min(FIRST, plan.scenarios))))
-    causes, (run, verdict) = {cause_of(*each) for each in seen}, seen[0]
-    if verdict.failure is None or None in causes or len(causes) > 1:
-        return
-    received = f"received {verdict.failure.kind}: {verdict.failure.message} in each of the first {len(seen)} scenarios"
-    if not verdict.is_ads:
-        raise PlanError(f"--check: expected a function of a run that asserts, {received}; correct it")
-    asked = first_decision(plan.world, run.scenario)
-    raise PlanError(
-        f"{side.upper()}: expected a policy that drives, {received}, at its first decision. "
-        f"{'' if asked is None else asked.text} A policy of an environment needs --world, and the --config that it was "
-        f"trained with; a planner in SI units needs no --world, or with it {PLANNER} behind its name"
-    )
+    first = FirstGeneration()
+    try:
+        for each in plan.judged(side, range(min(FIRST, plan.scenarios))):
+            first.see(*each)
+            if not first.is_alike:
+                return
+        first.end()
+    except SetupFaultError as fault:
+        failure, asked = fault.verdict.failure, first_decision(plan.world, fault.run.scenario)
+        received = "" if failure is None else f"received {failure.kind}: {failure.message} in all of {first.runs} runs"
+        if not fault.verdict.is_ads:
+            raise PlanError(f"--check: expected a function of a run that asserts, {received}; correct it") from None
+        raise PlanError(
+            f"{side.upper()}: expected a policy that drives, {received}, at its first decision. "
+            f"{'' if asked is None else asked.text} A policy of an environment needs --world, and the --config that it "
+            f"was trained with; a planner in SI units needs no --world, or with it {PLANNER} behind its name"
+        ) from None
 
 
 def _text(plan: Plan, task: Task, tick: Tick) -> str:
