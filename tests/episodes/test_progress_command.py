@@ -1,0 +1,163 @@
+"""`python -m pytest_pafot progress`: from two versions of a policy to a sentence, a page, figures and an exit code."""
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.__main__ import main
+
+POLICY = """\
+import pytest_pafot as pafot
+
+
+class Blind:
+    def __call__(self, observation):
+        return 0.0, 0.0
+
+
+class Careful:
+    def __call__(self, observation):
+        ego = observation.ego
+        gaps = [other.x - ego.x - other.length for other in observation.others if abs(other.y - ego.y) < 3.0]
+        near = any(0 < gap < 2.0 + 2.0 * ego.speed for gap in gaps)
+        return (-6.0 if near else min(20.0 - ego.speed, 1.0)), 0.0
+
+
+class SameCareful(Careful):
+    pass
+
+
+class Broken:
+    def __call__(self, observation):
+        return observation.egos
+
+
+def keeps_speed(run):
+    assert not run.collision
+    pafot.check(run.ego.speed, name="speed", at_most=40.0)
+
+
+def misspelt(run):
+    run.colision
+"""
+SHORT = ["--scenarios", "20", "--workers", "1"]
+
+
+def slow(run):
+    pafot.check(run.ego.speed, name="speed", at_most=5.0)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    (tmp_path / "versions.py").write_text(POLICY)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "versions", raising=False)
+    return tmp_path
+
+
+def progress(old, new, *more):
+    return main(["progress", f"versions:{old}", f"versions:{new}", *SHORT, *more])
+
+
+def test_which_version_is_better_is_told_with_a_page_figures_and_an_exit_code_by_choice(here, capsys):
+    assert progress("Careful", "Blind", "--fail-on", "worse", "--json", "p.json", "--report", "p.md") == 1
+    out = capsys.readouterr().out
+    said = json.loads((here / "p.json").read_text())
+    assert said["verdict"] == said["lines"][0]["verdict"] == "worse"
+    assert out.startswith(f"{said['sentence']}.\n\n| ")
+    assert len([row for row in said["rows"] if row["part"] == "scenarios"]) == 20
+    page = (here / "p.md").read_text()
+    assert out in page
+    assert page.startswith("# From versions:Careful to versions:Blind\n\n```sh\npython -m pytest_pafot progress ")
+    assert progress("Blind", "Careful", "--fail-on", "not-better") == 0
+    better = capsys.readouterr().out
+    assert better.startswith("versions:Careful is better than versions:Blind: fewer failures of its own: ")
+
+
+@pytest.mark.processes
+def test_what_it_fails_alone_is_what_the_command_saves_that_it_names_and_is_fixed_the_other_way_round(here, capsys):
+    progress("Careful", "Blind", "--json", "p.json")
+    rows = json.loads((here / "p.json").read_text())["rows"]
+    (command,) = re.findall(r"save and see it: `python (.*)`", capsys.readouterr().out)
+    again = [sys.executable, *command.split(), "--pafot-shrink-rollouts=0"]
+    subprocess.run(again, capture_output=True, check=False, timeout=120)
+    saved = sorted(path.name.removesuffix(".pafot.yaml") for path in here.rglob("*.pafot.yaml"))
+    assert saved == sorted(row["name"] for row in rows if row["part"] == "alone" and row["new"]["failed"])
+    progress("Blind", "Careful")
+    labels = re.search(r"^- (\d+) saved scenarios?: (.*)$", capsys.readouterr().out, re.MULTILINE)
+    assert labels
+    assert int(labels[1]) == len(saved)
+    assert re.fullmatch(r"(\d+ (fixed|drifted)(, )?)+", labels[2])
+
+
+def test_of_the_same_policy_by_another_name_nothing_is_claimed(here, capsys):
+    assert progress("Careful", "SameCareful", "--fail-on", "worse") == 0
+    assert "versions:SameCareful is not told apart from versions:Careful: failures of" in capsys.readouterr().out
+    assert progress("Careful", "SameCareful", "--fail-on", "not-better") == 1
+
+
+def test_a_scenario_that_was_saved_for_a_check_is_judged_by_that_check_alone(here, capsys):
+    import versions
+
+    pafot.explore(versions.Blind, holds=slow, runs=2, seed=1, shrink_rollouts=0, corpus="pafot_corpus")
+    assert len(list(here.rglob("*.pafot.yaml"))) == 1
+    few = ["--scenarios", "2"]
+    assert progress("Careful", "SameCareful", *few) == 0
+    assert "- 1 saved scenario: 1 of another check\n" in capsys.readouterr().out
+    assert progress("Careful", "SameCareful", *few, "--check", "versions:keeps_speed", "--corpus", "pafot_corpus") == 0
+    out = capsys.readouterr().out
+    assert "margins of speed (" in out
+    assert "of another check" not in out
+
+
+def test_ordinary_traffic_is_driven_where_an_environment_is_named(here, capsys):
+    config = '{"vehicles_count": 8, "duration": 12}'
+    given = ["--world", "highway-fast-v0", "--config", config, "--episodes", "4", "--scenarios", "2"]
+    assert main(["progress", "versions:Careful@planner", "versions:Blind@planner", *SHORT, *given]) == 0
+    out, told = capsys.readouterr()
+    assert re.search(r"^\| crashes in ordinary traffic \| \d \| \d \| \d \| \d \| 4 \| ", out, re.MULTILINE)
+    assert "save and see it" not in out  # The command search has no --config.
+    assert "progress: 16 of 16 runs" in told
+    assert main(["progress", "versions:Careful", "idm_mobil", *SHORT, *given]) == 2
+    assert "OLD: expected a policy that drives, received AttributeError: 'numpy.nd" in capsys.readouterr().err
+
+
+@pytest.mark.processes
+def test_the_same_seed_says_the_same_with_any_number_of_workers(here, capsys):
+    progress("Careful", "Blind", "--json", "one.json")
+    progress("Careful", "Blind", "--json", "two.json", "--workers", "2")
+    assert (here / "one.json").read_bytes() == (here / "two.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["Blind"], "NEW: expected another version than OLD, received 'versions:Blind' again"),
+        (["Blind", "--scenarios", "0"], "--scenarios: expected a whole number, at least 1, received 0"),
+        (["Blind", "--episodes", "-1"], "--episodes: expected a whole number, at least 0, received -1"),
+        (["Blind", "--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
+        (["Careful", "--workers", "0"], "--workers: expected at least 1, received 0"),
+        (["Careful", "--config", "{}"], "--config: expected an environment, received none; give --world"),
+        (["Careful@planner"], "NEW: expected @planner behind both names or none"),
+        (["Careful", "--world", "highway-v7"], "expected a registered environment, received 'highway-v7'"),
+        (["Nobody"], "OLD, NEW or --check: expected a factory in versions, received 'versions:Nobody'"),
+        (["Broken"], "NEW: expected a policy that drives, received AttributeError: "),
+        (
+            ["Careful", "--check", "versions:misspelt"],
+            "--check: expected a function of a run that asserts, received At",
+        ),
+        (["Careful", "--corpus", "absent"], "--corpus: expected a folder, received absent; give one that exists"),
+        (["Careful", "--json", "absent/p.json"], "expected a file in a folder that is there, received absent/p.json"),
+    ],
+)
+def test_what_cannot_be_compared_is_told_before_anything_is_driven(here, capsys, arguments, told):
+    assert progress("Blind", *arguments) == 2
+    out, error = capsys.readouterr()
+    assert (out, error.partition(": ")[0]) == ("", "progress")
+    assert told in error
+    assert not re.search(r"\d runs, \d+ %", error)
