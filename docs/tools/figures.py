@@ -69,6 +69,10 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
         "ablation --tables failures --runs {24|1} --hours {6|0.1} --workers WORKERS",
         DEFAULT_SEARCH,
     ),
+    "progress": (
+        "progress --seeds {20|1} --scenarios {200|20} --redraws {200|5} --workers WORKERS",
+        "docs/guide/what-broke.md",
+    ),
     "shrinking": ("shrinking --runs {400|30} --workers WORKERS", "docs/explanation/findings.md"),
     "endings": ("endings --runs {2000|100} --workers WORKERS", "docs/explanation/traffic.md"),
     "every-road": ("every_road --seeds {5|1} --generations {10|1}", "docs/explanation/roads.md"),

@@ -25,6 +25,7 @@ from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.criticality import Passage, RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.criticality.temporal import above, always, below, eventually, until
+from pytest_pafot.episodes.progress_command import add_arguments as add_progress_arguments
 from pytest_pafot.episodes.rate import EpisodeRow, Rate
 from pytest_pafot.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.export.export_command import add_arguments as add_export_arguments
@@ -207,6 +208,7 @@ def sections() -> dict[str, str]:
         "run-table": _table(["Column", "Meaning"], ([_code(name), text] for name, text in COLUMNS.items())),
         "results": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(Row))),
         "bisect": _command_table(add_bisect_arguments),
+        "progress": _command_table(add_progress_arguments),
         "export": _command_table(add_export_arguments),
         "rate": _command_table(add_rate_arguments),
         "rate-marker": _table(["Argument", "Meaning"], _arguments(rate)),
