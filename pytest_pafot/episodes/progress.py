@@ -167,7 +167,7 @@ def text_of(old: str, new: str, rows: Sequence[Row]) -> str:
         notes += [f"  - worse: {row.name} {row.worse}" for row in saved if row.worse]
     for policy, is_new in ((new, True), (old, False)):
         found = [row for row in rows if row.part == "alone" and row.new.failed is is_new]
-        notes += [f"- a search found {plural(len(found), 'kind')} of failure of {policy} alone"]
+        notes += [f"- a search found {plural(len(found), 'kind')} of failure that {policy} has alone"]
         notes += [f"  - {row.name}: {ascii_text(row.told)}" for row in found]
     errors = [row for row in rows if row.part == "episodes" and row.told]
     if errors:

@@ -208,9 +208,9 @@ def _saved(plan: Plan, numbers: range) -> Iterator[Row]:
             if label == "common" and verdict.reference is not None:
                 worse = worsening(verdict.severity, verdict.reference.severity)
         except ProcessLostError:
-            label = "ending its process"
+            label = "crashing"
         except RequestError:
-            label = "not of this world"
+            label = "not to be run here"
     yield Row(part="saved", name=saved.id, old=Result(), new=Result(), told=label, worse=worse)
 
 
@@ -236,7 +236,7 @@ _ROWS: Mapping[str, Callable[[Plan, range], Iterator[Row]]] = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    of_whom = "module:factory or module:factory:argument, where a class is a factory, too"
+    of_whom = "module:factory or module:factory:argument such as policy:make:old.zip; a class is a factory, too"
     parser.add_argument("old", metavar="OLD", help=f"the policy of before: {of_whom}")
     parser.add_argument("new", metavar="NEW", help="the policy of now, likewise")
     of_world = "a highway-env environment, for its policies, and for its ordinary traffic; a planner in SI units "
@@ -257,6 +257,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", type=Path, metavar="FILE", help="write a page, in Markdown")
     of_exit = "exit with 1 where anything is worse, or unless the new one is better (default: for no verdict)"
     parser.add_argument("--fail-on", choices=("worse", "not-better"), help=of_exit)
+    parser.epilog = "A module of before: git show main:planner.py > planner_before.py"
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
