@@ -13,11 +13,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pytest_pafot.campaign.events import Judged
 from pytest_pafot.campaign.explore import explore, replays_of, request_of
 from pytest_pafot.campaign.harness import source_file
 from pytest_pafot.campaign.request import RequestError, drawn_space
@@ -171,20 +173,20 @@ def _check_set_up(plan: Plan, side: str) -> None:
 
 
 def _text(plan: Plan, task: Task, tick: Tick) -> str:
-    (part, _, count), rows = task[0].partition("-"), []
-    for row in _ROWS[part](plan, range(task[1], task[1] + int(count))):
+    (part, _, size), rows = task[0].partition("-"), []
+    for row in _ROWS[part](plan, range(task[1], task[1] + int(size)), tick):
         rows.append([json.dumps(asdict(row))])
-        tick(min(1.0, len(rows) / int(count)))
+        tick(min(1.0, len(rows) / int(size)))
     return csv_text(["row"], rows)
 
 
-def _scenarios(plan: Plan, numbers: range) -> Iterator[Row]:
+def _scenarios(plan: Plan, numbers: range, _: Tick) -> Iterator[Row]:
     sides = (plan.judged(side, numbers) for side in ("old", "new"))
     for number, old, new in zip(numbers, *sides, strict=True):
         yield Row(part="scenarios", name=str(number), old=Result.of(*old), new=Result.of(*new))
 
 
-def _episodes(plan: Plan, numbers: range) -> Iterator[Row]:
+def _episodes(plan: Plan, numbers: range, _: Tick) -> Iterator[Row]:
     for seed in range(plan.seed + numbers.start, plan.seed + numbers.stop):
         is_planner = plan.new.endswith(PLANNER)
         rows = [driven(plan.traffic, side, plan.factory(side), seed, is_planner=is_planner) for side in ("old", "new")]
@@ -192,7 +194,7 @@ def _episodes(plan: Plan, numbers: range) -> Iterator[Row]:
         yield Row(part="episodes", name=str(seed), old=old, new=new, told=rows[1].error or rows[0].error)
 
 
-def _saved(plan: Plan, numbers: range) -> Iterator[Row]:
+def _saved(plan: Plan, numbers: range, _: Tick) -> Iterator[Row]:
     saved, label, worse = read_saved_file(plan.saved[numbers[0]]), "unreadable", ""
     finding = saved.finding
     if finding is not None:
@@ -214,18 +216,20 @@ def _saved(plan: Plan, numbers: range) -> Iterator[Row]:
     yield Row(part="saved", name=saved.id, old=Result(), new=Result(), told=label, worse=worse)
 
 
-def _alone(side: str, plan: Plan, numbers: range) -> Iterator[Row]:
+def _alone(side: str, plan: Plan, _: range, tick: Tick) -> Iterator[Row]:
     """Yield what a search finds that one of the two fails, and the other passes."""
+    runs = count(1)
     found = explore(
         plan.factory(side), against=plan.factory("new" if side == "old" else "old"), holds=plan.holds, world=plan.world,
         blame="ego", runs=plan.scenarios, seed=plan.seed, node_id=plan.test, shrink_rollouts=0,
+        on_event=lambda event: tick(min(1.0, next(runs) / plan.scenarios)) if isinstance(event, Judged) else None,
     )  # fmt: skip
     old, new = Result(failed=side == "old"), Result(failed=side == "new")
     for each in found.told:
         yield Row(part="alone", name=each.finding.id, old=old, new=new, told=each.find.headline)
 
 
-_ROWS: Mapping[str, Callable[[Plan, range], Iterator[Row]]] = {
+_ROWS: Mapping[str, Callable[[Plan, range, Tick], Iterator[Row]]] = {
     "scenarios": _scenarios,
     "episodes": _episodes,
     "saved": _saved,
