@@ -88,17 +88,18 @@ class Line:
     def sentence(self) -> str:
         """Return what the line claims, or between which numbers it claims nothing."""
         of = f" of {self.pairs}" if self.unit is None else f"{self.unit} in the median of {self.pairs}"
+        old, new = (f"{value:.4g}" if self.unit is not None else str(value) for value in (self.old, self.new))
         if self.verdict == APART:
             how_sure = f"95 %: {self.interval}" if self.interval else f"better in {self.better}, worse in {self.worse}"
-            return f"{self.what} ({self.new:.4g} against {self.old:.4g}{of}, {how_sure})"
+            return f"{self.what} ({new} against {old}{of}, {how_sure})"
         claim = f"{self.words[self.verdict == 'worse']} {self.what}"
-        return f"{claim}: {self.new:.4g} instead of {self.old:.4g}{of} (p {p_text(self.p)})"
+        return f"{claim}: {new} instead of {old}{of} (p {p_text(self.p)})"
 
 
 def _line(
     what: str, words: tuple[str, str], pairs: Iterable[tuple[float, float]], by: float = 0.0, unit: str | None = None
 ) -> Line:
-    """Compare pairs of an old and a new number, which must differ by so much; a higher one is worse, unless larger."""
+    """Compare old and new numbers that differ by more than ``by``. Higher is worse, unless ``larger`` is better."""
     pairs = list(pairs)
     rises, falls = (sum(sign * (new - old) > by for old, new in pairs) for sign in (1, -1))
     worse, better = (falls, rises) if words[0] == "larger" else (rises, falls)
@@ -155,7 +156,8 @@ def text_of(old: str, new: str, rows: Sequence[Row]) -> str:
     head = ["", "old", "new", "new better in", "new worse in", "of", "new - old, 95 %", "p, Holm", ""]
     table = [
         [f"{line.what}{'' if line.unit is None else f' [{line.unit.strip()}], median' if line.unit else ', median'}"]
-        + [f"{each:.4g}" for each in (line.old, line.new, line.better, line.worse, line.pairs)]
+        + [f"{each:.4g}" if line.unit is not None else str(each) for each in (line.old, line.new)]
+        + [str(each) for each in (line.better, line.worse, line.pairs)]
         + [line.interval, f"{line.p:.2g}", line.verdict]
         for line in lines
     ]
