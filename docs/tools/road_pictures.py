@@ -1,7 +1,9 @@
-"""Make roads.png, the sheet in explanation/roads.md: one finding on each kind of road that highway-env has.
+"""Make the sheets in explanation/roads.md: a finding on each kind of road that highway-env has, and its junctions.
 
-Random scenarios run against a vehicle that keeps its lane and its speed; the first collision for which it is
-responsible is pictured, half a second before the impact. It needs Pillow besides the plugin:
+For roads.png random scenarios run against a vehicle that keeps its lane and its speed; the first collision for which it
+is responsible is pictured, half a second before the impact. For junctions.png the ways of other traffic are drawn with
+the zones in which they meet the ego's; ``--junctions`` makes that sheet alone, of the environments that are named after
+it or else of highway-env's. It needs Pillow besides the plugin:
 ``python -m pip install ".[report]" && python docs/tools/road_pictures.py``.
 """
 
@@ -98,17 +100,93 @@ def row(names: Sequence[str]) -> Image.Image:
     return framed
 
 
+JUNCTIONS: Sequence[tuple[str, dict[str, str]]] = (
+    ("intersection-v0", {"destination": "o1"}), ("intersection-v0", {"destination": "o2"}),
+    ("intersection-v0", {"destination": "o3"}), ("roundabout-v0", {}),
+)  # fmt: skip
+SIDE, WORDS = 560, 155
+"""Of the picture of a junction, and the height of what is written below it [pixels]."""
+AROUND = 18.0
+"""How far beyond its zones a junction is drawn [m]."""
+KINDS = {"crossing": "#d9480f", "oncoming": "#2563eb", "merging": "#15803d"}
+OWN, LANE, TEXT = "#111418", "#dfe3e7", "#171b20"
+SHIFT = 0.35
+"""How far beside the middle of its lane a way is drawn, each another time as far, so that all can be seen [m]."""
+
+Points = np.ndarray[tuple[int, int], np.dtype[np.float64]]
+
+
+def beside(points: Points, shift: float) -> Points:
+    """A line so far to the right of another [m]."""
+    along = np.gradient(points, axis=0)
+    return points + shift * np.stack([-along[:, 1], along[:, 0]], axis=-1) / np.hypot(*along.T)[:, None]
+
+
+def junction(env_id: str, config: dict[str, str]) -> Image.Image:
+    """The ways through a junction, thick where they meet the ego's way, which is black."""
+    world = World(env_id, config or None)
+    crossings, known, road = world.crossings, world.rules.junction, world.road
+    if crossings is None or known is None:
+        raise SystemExit(f"{env_id}: expected ways that meet the ego's, received none")
+    own = np.stack([road.line.x, road.line.y], axis=-1)[road.point(crossings.ego_start) :]
+    lines = {name: np.stack([way.line.x, way.line.y], axis=-1) for name, way in known.ways.items()}
+    stretches = {zone.way: [2 * int(place) for place in zone.npc] for zone in crossings.zones}
+    met = np.concatenate([lines[name][first:last] for name, (first, last) in stretches.items()])
+    middle, scale = (met.min(axis=0) + met.max(axis=0)) / 2, SIDE / (np.ptp(met, axis=0).max() + 2 * AROUND)
+    image = Image.new("RGB", (2 * SIDE, 2 * (SIDE + WORDS)), PAPER)
+    draw, big, small = ImageDraw.Draw(image), ImageFont.load_default(34), ImageFont.load_default(26)
+
+    def line(points: Points, width: float, fill: str) -> None:
+        pixels = [tuple(pair) for pair in (points - middle) * 2 * scale + SIDE]
+        draw.line(pixels, width=max(round(width * 2 * scale), 2), fill=fill, joint="curve")
+
+    for lane in world.network.lanes_list():
+        places = np.linspace(0.0, lane.length, max(2, int(lane.length)))
+        line(np.array([lane.position(place, 0) for place in places]), float(lane.width_at(0)), LANE)
+    line(own, 0.5, OWN)
+    for number, zone in enumerate(crossings.zones):
+        points = beside(lines[zone.way], SHIFT * (number - (len(lines) - 1) / 2))
+        first, last = stretches[zone.way]
+        line(points, 0.2, KINDS[zone.kind])
+        line(points[first : last + 1], 0.55, KINDS[zone.kind])
+    draw.rectangle((0, 2 * SIDE, 2 * SIDE, 2 * (SIDE + WORDS)), fill=PAPER)
+    title = f"{env_id}, {' '.join(f'{name} {value}' for name, value in config.items())}".rstrip(", ")
+    draw.text((24, 20), title, fill=TEXT, font=big)
+    for number, zone in enumerate(crossings.zones):
+        words = f"{zone.way}: {zone.kind}, {zone.whence}, priority: {zone.priority}"
+        draw.text((24, 2 * SIDE + 8 + 32 * number), words, fill=KINDS[zone.kind], font=small)
+    return image.resize((SIDE, SIDE + WORDS), Image.Resampling.LANCZOS)
+
+
+def junctions(names: Sequence[str]) -> Image.Image:
+    """The sheet of junctions."""
+    pictures = [junction(*each) for each in ([(name, {}) for name in names] or JUNCTIONS)]
+    height = SIDE + WORDS
+    sheet = Image.new("RGB", (2 * SIDE, height * ((len(pictures) + 1) // 2)), PAPER)
+    for number, each in enumerate(pictures):
+        sheet.paste(each, (SIDE * (number % 2), height * (number // 2)))
+    return sheet
+
+
+def write(sheet: Image.Image, path: Path) -> None:
+    """Save a sheet in few colours."""
+    sheet.quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(f"{path.name}: {path.stat().st_size} bytes")
+
+
 def main() -> None:
-    """Write the sheet."""
+    """Write the sheets."""
+    only, *names = sys.argv[1:] or ("",)
+    write(junctions(names), DOCS / "junctions.png")
+    if only == "--junctions":
+        return
     rows = [row(ENVIRONMENTS[first : first + COLUMNS]) for first in range(0, len(ENVIRONMENTS), COLUMNS)]
     sheet = Image.new("RGB", (COLUMNS * WIDTH, sum(each.height for each in rows)), PAPER)
     y = 0
     for each in rows:
         sheet.paste(each, (0, y))
         y += each.height
-    path = DOCS / "roads.png"
-    sheet.quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
-    print(f"{path.name}: {path.stat().st_size} bytes")
+    write(sheet, DOCS / "roads.png")
 
 
 if __name__ == "__main__":
