@@ -168,7 +168,7 @@ class ReferenceDriver(ABC):
         """The acceleration that one of them leaves it [m/s^2]."""
         ego = observation.ego
         lets_pass = self.held(f"lets pass {other.id}", self.lets_pass(observation, other))
-        if other.zone.kind == "merging" and leads(other):
+        if other.zone.kind == "merging" and other.is_inside and other.to_leave < other.ego_to_leave:
             gap = other.ego_to_leave - other.to_leave - (ego.length + other.length) / 2
             leader = Leader(gap=gap, speed=other.speed, closing=ego.speed - other.speed, braking=0.0)
             return -self.HARDEST if leader.is_critical else self.follow(ego.speed, leader)
@@ -439,12 +439,6 @@ def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width:
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
     stays = is_known and offset + _half_width(other) > lane_width / 2
     return next_lane and offset > KEEPING and (stays or side * drift > 0)
-
-
-def leads(other: CrossingVehicle) -> bool:
-    """Return whether one whose way leads on in the ego's lane is ahead of the ego there, and will not wait."""
-    is_ahead = other.to_leave < other.ego_to_leave
-    return is_ahead and (other.is_inside or (other.zone.priority != "ego" and other.speed > STANDING))
 
 
 def _along(vehicle: VehicleState) -> float:
