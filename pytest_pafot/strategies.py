@@ -1,7 +1,7 @@
 """Hypothesis strategies for valid Position-Instructions, chromosomes and scenarios.
 
 Valid by construction: a chain is a start cell and steps along the ring, so nothing is filtered. They shrink
-towards few NPCs, short chains, "stay" and low round speeds.
+towards few NPCs, short chains, "stay" and low round speeds; of NPCs that cross towards a slot of 0.
 
     from hypothesis import given
     import pytest_pafot as pafot
@@ -20,9 +20,13 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import (
     EGO_SPEED,
     GENE_SECONDS,
+    LARGEST_SLOT,
     PAPER_SPEED_LIMIT,
+    SLOT_STEPS_PER_SECOND,
     SPEED_STEPS_PER_MPS,
+    Act,
     Chromosome,
+    CrossingInstruction,
     PositionInstruction,
     Scenario,
 )
@@ -42,7 +46,13 @@ def _register() -> None:
 from hypothesis import strategies as st  # noqa: E402
 from hypothesis.strategies import SearchStrategy  # noqa: E402
 
-__all__ = ["chromosomes", "position_instructions", "scenarios"]
+__all__ = ["chromosomes", "position_instructions", "scenarios", "scenarios_in"]
+
+_STEPS = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
+_SLOTS = [
+    step / SLOT_STEPS_PER_SECOND for step in sorted(range(-_STEPS, _STEPS + 1), key=lambda step: (abs(step), -step))
+]
+"""All slots, those near the ego first, since examples shrink towards the beginning of a list."""
 
 
 def position_instructions(
@@ -143,6 +153,79 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
         return Scenario(npcs=npcs, seed=seed, traffic=style, **start)
 
     return build()
+
+
+def scenarios_in(
+    world: Any,
+    *,
+    min_genes: int = 1,
+    max_genes: int = 6,
+    min_npcs: int = 1,
+    max_npcs: int = 2,
+    acts: Iterable[Act] = ("pass", "hold", "stop"),
+    traffic: str | Traffic = "hostile",
+) -> SearchStrategy[Scenario]:
+    """Whole scenarios that fit a world: its lanes, its speeds, and NPCs that cross where its ways do.
+
+    Args:
+        world: such as ``pafot.World("intersection-v0")``.
+        min_genes, max_genes: bounds of the length of the chains on the grid.
+        min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8; where two that cross would be in one place at once,
+            one of them is left out.
+        acts: of those that cross, of ``pass``, ``hold``, ``stop`` and ``late``.
+        traffic: how the NPCs drive beside what their instructions ask for.
+
+    Raises:
+        ValueError: for bounds that leave nothing to draw.
+        WorldError: for a world that cannot be built.
+    """
+    from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and seldom needed)
+    from pytest_pafot.world.protocol import crossings, most_on_grid, road_start  # noqa: PLC0415
+
+    space = space_on(world, {"traffic": traffic, "acts": tuple(acts), "crossings": crossings(world)}, road_start(world))
+    crossing, starts, room = space.crossing_traffic, _starts(world, space.ego_lane), most_on_grid(world)
+    usable = [lane for lane, cells in starts.items() if crossing is not None or min(len(cells), room) >= max_npcs]
+    if not usable:
+        raise ValueError(f"max_npcs: expected one cell to start in for each, received {max_npcs}; use fewer NPCs")
+    lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
+    speeds = _speeds(space.low_step / SPEED_STEPS_PER_MPS, space.top_step / SPEED_STEPS_PER_MPS)
+    ways = (
+        []
+        if crossing is None
+        else [(zone, at) for zone in sorted(crossing.crossings.ways) if (at := crossing.speeds(zone))]
+    )
+
+    @st.composite
+    def build(draw: st.DrawFn) -> Scenario:
+        lane, count = draw(st.sampled_from(usable)), draw(counts)
+        on_grid = draw(st.integers(0, min(count, room))) if ways else count
+        told: list[CrossingInstruction] = []
+        for _ in range(count - on_grid):
+            zone, at = draw(st.sampled_from(ways))
+            speed, act = draw(st.sampled_from(at)), draw(st.sampled_from(space.acts))
+            there = (CrossingInstruction(zone, slot, speed, act) for slot in _SLOTS)
+            free = [each for each in there if crossing is not None and crossing.has_room(each, told)]
+            told += [draw(st.sampled_from(free))] if free else []
+        if not told and not on_grid:
+            told = [CrossingInstruction(ways[0][0], 0.0, ways[0][1][0])]
+        genes = draw(lengths)
+        npcs = _chains(draw, on_grid, genes, starts=starts[lane], allowed=list(Cell), speeds=speeds) if on_grid else ()
+        start: dict[str, Any] = {"ego_lane": lane, "ego_speed": min(space.ego_speed, space.speed_limit)}
+        start |= {"gene_seconds": space.gene_seconds, "traffic": space.traffic}
+        return Scenario(npcs=(*npcs, *((each,) for each in told)), seed=draw(st.integers(0, 2**16 - 1)), **start)
+
+    return build()
+
+
+def _starts(world: Any, ego_lane: int) -> dict[int, list[Cell]]:
+    """The cells in which NPCs may start, by the ego's first lane; where a road bends, each is repaired to one there."""
+    from pytest_pafot.world.protocol import straight_road  # noqa: PLC0415  (slow to import, and seldom needed)
+
+    road = straight_road(world)
+    if road is None:
+        return {ego_lane: list(Cell)}
+    lanes = sorted(range(road.lane_count), key=lambda lane: (lane != min(1, road.lane_count - 1), lane))
+    return {lane: sorted(road.cells(lane)) for lane in lanes}
 
 
 def _chains(

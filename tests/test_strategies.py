@@ -9,7 +9,7 @@ import pytest
 from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot import strategies
+from pytest_pafot import Highway, World, strategies
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell, is_adjacent
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
@@ -124,3 +124,41 @@ def test_hypothesis_finds_the_strategies_by_its_entry_point():
         "assert 'highway_env' not in sys.modules and 'numpy' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+INTERSECTION = World("intersection-v0")
+
+
+@given(strategies.scenarios_in(INTERSECTION, max_npcs=4, acts=("pass", "hold", "stop", "late")))
+def test_scenarios_in_a_world_whose_ways_cross_fit_it_and_nobody_clashes(scenario):
+    INTERSECTION.check_fits(scenario)
+    assert not INTERSECTION.crossings.clashes(scenario)
+    assert 1 <= len(scenario.npcs) <= 4
+
+
+@given(strategies.scenarios_in(Highway(lanes=3, speed_limit=20.0), max_npcs=4))
+def test_scenarios_in_a_world_fit_its_lanes_and_speeds(scenario):
+    Highway(lanes=3, speed_limit=20.0).check_fits(scenario)
+    assert not scenario.crossings
+
+
+def test_the_simplest_scenario_at_a_junction_comes_together_with_the_ego():
+    simplest = find(strategies.scenarios_in(INTERSECTION), lambda _: True, settings=SIMPLEST)
+    ((instruction,),) = simplest.npcs
+    assert (instruction.slot, instruction.act) == (0.0, "pass")
+
+
+@pytest.mark.parametrize("kind", ["both", "late", "two zones"])
+def test_every_kind_of_traffic_at_a_junction_is_drawn(kind):
+    wanted = {
+        "both": lambda scenario: scenario.positions and scenario.crossings,
+        "late": lambda scenario: any(each and each.act == "late" for each in scenario.crossings),
+        "two zones": lambda scenario: len({each.zone for each in scenario.crossings if each}) == 2,
+    }[kind]
+    drawn = strategies.scenarios_in(INTERSECTION, max_npcs=3, acts=("pass", "late"))
+    assert wanted(find(drawn, lambda scenario: bool(wanted(scenario)), settings=SIMPLEST))
+
+
+def test_more_npcs_than_cells_are_refused_where_nobody_crosses():
+    with pytest.raises(ValueError, match="max_npcs: expected one cell to start in for each, received 8; use fewer"):
+        strategies.scenarios_in(World("merge-v0"), max_npcs=8)

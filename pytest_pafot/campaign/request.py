@@ -11,8 +11,7 @@ import numpy as np
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.model.driving_style import Traffic
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
@@ -260,22 +259,8 @@ def _crossing_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     crossings = protocol.crossings(world)
     if crossings is None:
         return {}
-    counts = (count for count in range(MOST_ON_GRID, 0, -1) if _fit_on_grid(world, count))
-    drawn: dict[str, Any] = {"crossings": crossings, "most_on_grid": next(counts, 0)}
+    drawn: dict[str, Any] = {"crossings": crossings, "most_on_grid": min(MOST_ON_GRID, protocol.most_on_grid(world))}
     return drawn if "npcs" in given else drawn | {"most_npcs": (MOST_CROSSING,)}
-
-
-def _fit_on_grid(world: Any, npcs: int) -> bool:
-    """Return whether there are cells for so many NPCs where the road of a world has the ego start."""
-    start = protocol.road_start(world)
-    chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
-    try:
-        if start is not None:
-            scenario = Scenario(npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=1.0)
-            protocol.check_fits(world, scenario)
-    except ScenarioError:
-        return False
-    return True
 
 
 def _checked_world(request: Request, world: Any, origin: str) -> Any:

@@ -132,12 +132,22 @@ class CrossingTraffic:
             another = last if self.has_room(last, others) else None
         return another
 
+    def speeds(self, zone: str) -> list[float]:
+        """Return the target speeds with which an NPC can come to a zone together with the ego [m/s]."""
+        low, high = self._bounds(zone)
+        speeds = (max(step, 1) / SPEED_STEPS_PER_MPS for step in range(low, high + 1))
+        return [speed for speed in speeds if self.crossings.fits(CrossingInstruction(zone, 0.0, speed))]
+
     def _speed(self, zone: str, rng: Generator) -> float:
+        low, high = self._bounds(zone)
+        return max(int(rng.integers(low, high + 1)), 1) / SPEED_STEPS_PER_MPS
+
+    def _bounds(self, zone: str) -> tuple[int, int]:
+        """Lowest and highest target speed on the way to a zone, in steps of 0.1 m/s."""
         way = self.crossings.ways[zone]
         allowed = float(way.speeds[: math.ceil(way.zone.npc[1] / STEP) + 1].max())
         high = math.floor(min(self.high, allowed) * SPEED_STEPS_PER_MPS + 1e-6)
-        low = min(round(max(self.low, SLOWEST) * SPEED_STEPS_PER_MPS), high)
-        return max(int(rng.integers(low, high + 1)), 1) / SPEED_STEPS_PER_MPS
+        return min(round(max(self.low, SLOWEST) * SPEED_STEPS_PER_MPS), high), high
 
     def _act(self, rng: Generator) -> Act:
         others = [act for act in self.acts if act != "pass"]

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import ReferenceWorld
 from pytest_pafot.world.driving.ads import AdsFactory
@@ -152,6 +153,22 @@ def crossings(world: Any) -> Crossings | None:
     """Return the ways of a world on which other traffic meets the ego's, where it says so; None without."""
     found: Crossings | None = getattr(world, "crossings", None)
     return found
+
+
+def most_on_grid(world: Any) -> int:
+    """Return how many NPCs have a cell to start in where the road of a world has the ego start; 8 where it does not."""
+    start = road_start(world)
+    return len(Cell) if start is None else next(n for n in range(len(Cell), -1, -1) if _has_cells(world, start, n))
+
+
+def _has_cells(world: Any, start: RoadStart, npcs: int) -> bool:
+    chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
+    try:
+        if npcs:
+            check_fits(world, Scenario(npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=1.0))
+    except ScenarioError:
+        return False
+    return True
 
 
 def straight_road(world: Any) -> StraightRoad | None:
