@@ -85,9 +85,10 @@ def _event(expect: Expect) -> str:
         return expect.message or expect.failure
     what = str(expect.outcome) if expect.check is None else f"{expect.assertion} failed"
     npc = "" if expect.npc is None else f": NPC {expect.npc}"
-    cell = "" if expect.cell is None else f" in cell {int(expect.cell)} ({expect.cell.label})"
+    place = "" if expect.zone is None else f" {expect.zone}"
+    place = place if expect.cell is None else f" in cell {int(expect.cell)} ({expect.cell.label})"
     side = "" if expect.side is None else f" against the ego's {expect.side}"
-    return f"{what} after {expect.time:.1f} s{npc}{cell}{side}"
+    return f"{what} after {expect.time:.1f} s{npc}{place}{side}"
 
 
 def _told_view(told: FindTold, value: Exploration) -> FindingView:

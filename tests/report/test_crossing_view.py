@@ -19,7 +19,7 @@ from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.picture import instruction_at, picture_at
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
-from tests.report.builders import HOSTILE, bend_trace
+from tests.report.builders import HOSTILE, bend_trace, finding_of
 
 
 @cache
@@ -181,6 +181,14 @@ def test_a_run_shows_itself_and_moves_in_notebooks():
     assert notebook.plot(run, [0.0, 7.0]).startswith(b"\x89PNG")
     height = int(notebook.html(run).partition('height="')[2].partition('"')[0])
     assert height > int(render_frame(Report.of(run_view(bend_trace()))).partition('height="')[2].partition('"')[0])
+
+
+def test_a_finding_that_nobody_ran_is_told_by_what_its_file_expects():
+    finding = finding_of(junction_trace((CROSSES, 10.0), (MERGES, -60.0), hits=0, seconds=4.8))
+    assert finding.trace is None
+    (view,) = notebook.report_of(finding).findings
+    assert view.headline == "collision after 4.8 s: NPC 0 crossing from the left against the ego's front"
+    assert [row.words for row in view.instructions] == ["0.5 s after the ego leaves"] * 2
 
 
 def test_hostile_names_of_zones_are_escaped():
