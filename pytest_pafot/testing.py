@@ -125,6 +125,7 @@ def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
         "acceleration and steering of the first row are 0": not start[:, [ACCELERATION, STEERING]].any(),
         "zones are those of the instructions": [None if zone is None else zone.way for zone in trace.zones] == ways,
         "on_way has the places of who crosses, and NaN of others": (np.isfinite(on_way) == crossing).all(),
+        "track is recorded where somebody crosses": trace.track is not None or not crossing.any(),
         "track has no NaN but of who crosses": not np.isnan(track[:, ~crossing]).any(),
         "nobody touches anybody at the start": not any(overlap(a, b) for a, b in combinations(boxes, 2)),
     }

@@ -104,6 +104,7 @@ def test_an_environment_in_which_npcs_cross_passes():
     [
         ("intersection-v0", {"zones": ()}, "zones are those of the instructions"),
         ("intersection-v0", {"on_way": None}, "on_way has the places of who crosses"),
+        ("intersection-v0", {"track": None}, "track is recorded where somebody crosses"),
         ("merge-v0", {"track": np.full((46, 3, 5), np.nan)}, "track has no NaN but of who crosses"),
     ],
 )
