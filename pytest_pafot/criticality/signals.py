@@ -399,8 +399,8 @@ class NpcSignals(_Vehicle):
     @property
     def zone(self) -> Zone | None:
         """The zone in which its way meets the ego's; None for one on the grid."""
-        passage = self.passage
-        return None if passage is None else passage.zone
+        zones = self._signals.trace.zones
+        return zones[self._npc or 0] if zones else None
 
     @property
     def passage(self) -> Passage | None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -53,9 +54,12 @@ class Passage:
 
 
 def passages(trace: Trace) -> tuple[Passage | None, ...]:
-    """Return for each NPC how it and the ego passed the zone of both; None for one on the grid."""
-    none = (None,) * (trace.states.shape[1] - 1)
-    return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(trace.zones or none))
+    """Return for each NPC how it and the ego passed the zone of both; None for one on the grid.
+
+    None as well where a world of the user's own records zones, but not where anybody was.
+    """
+    zones = trace.zones if trace.on_way is not None and trace.track is not None else ()
+    return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0])))
 
 
 def time_advantage(trace: Trace) -> FloatArray:
@@ -67,6 +71,9 @@ def time_advantage(trace: Trace) -> FloatArray:
     advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
     for npc, zone in enumerate(trace.zones):
         if zone is None:
+            continue
+        if trace.on_way is None or trace.track is None:
+            advantage[:, npc] = np.nan
             continue
         ego, other = (
             [_seconds_to(place, along, trace.states[:, vehicle, SPEED], trace.physics_hz) for place in stretch]
@@ -101,9 +108,8 @@ def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
 
 def _ways(trace: Trace, npc: int, zone: Zone) -> tuple[tuple[int, FloatArray, Stretch], ...]:
     """Of the ego and of an NPC the index of the vehicle, where it is along its own way [m], and the zone's stretch."""
-    if trace.on_way is None:
-        raise ValueError("on_way: expected the places of NPCs that cross, as the trace has zones, received None")
-    return (0, trace.track_of(0)[:, ALONG], zone.ego), (npc + 1, trace.on_way[:, npc], zone.npc)
+    on_way: Any = trace.on_way
+    return (0, trace.track_of(0)[:, ALONG], zone.ego), (npc + 1, on_way[:, npc], zone.npc)
 
 
 def _first_at(place: float, along: FloatArray) -> float:

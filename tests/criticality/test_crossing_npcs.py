@@ -14,6 +14,7 @@ from pytest_pafot.criticality import Encounters, RoadFrame, passages, still_to_p
 from pytest_pafot.criticality.signals import MEASURES, Signals, ego_lane_changes, leader
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import LANE, SPEED, Y
+from pytest_pafot.oracle.run import Run
 from tests.helpers.crossing_traces import CROSSES, HZ, MERGES, ZONES, junction_trace
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of
@@ -233,6 +234,16 @@ def test_a_zone_is_still_to_be_passed_until_one_of_the_two_has_left_it():
     assert (first.ego_leaves, second.npc_leaves) == (82 / HZ, 81 / HZ)
     assert still_to_pass(trace).sum(axis=0).tolist() == [82, 81, 0]
     assert still_to_pass(trace)[81].tolist() == [True, False, False]
+
+
+@table("missing", ["on_way", "track"])
+def test_zones_without_places_are_passed_by_nobody_knows_whom(missing):
+    trace = replace(mixed(), **{missing: None})
+    assert passages(trace) == (None, None, None)
+    assert np.isnan(time_advantage(trace)[:, :2]).all()
+    assert not still_to_pass(trace).any()
+    assert Signals(trace).npcs[0].zone == ZONES[CROSSES]
+    assert Run(trace).explain().startswith("no collision")
 
 
 # As signals.
