@@ -1,6 +1,6 @@
 """What happens at the zones in which the ways of NPCs meet the ego's: who is in them when, and how narrowly they pass.
 
-Places are those of :class:`~pytest_pafot.model.crossings.Zone`, so that somebody is in a zone from when its box could
+Places are those of :class:`~pytest_pafot.Zone`, so that somebody is in a zone from when its box could
 touch that of somebody who drives there on the other way, until it no longer could.
 
 Sources: Allen, Shin, Cooper, "Analysis of traffic conflicts and collisions", Transportation Research Record 667, 1978,
