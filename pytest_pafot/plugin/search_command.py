@@ -65,7 +65,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         code = subprocess.run(session, check=False).returncode  # noqa: S603  (the user's own arguments)
     if code == pytest.ExitCode.TESTS_FAILED:
         kept = f"and commit {CONFTEST}, {TEST} and {CORPUS}/"
-        sys.stdout.write(f"keep it as a test: {shlex.join([*command, '--write-test'])}, {kept}\n")
+        own = command[: command.index("--")] if "--" in command else command
+        again = [*own, "--write-test"]
+        sys.stdout.write(f"keep it as a test: {shlex.join(again)}, {kept}\n")
     return BAD_USE if code == pytest.ExitCode.USAGE_ERROR else code
 
 
