@@ -397,8 +397,14 @@ class Scenario:
         return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
 
     def __repr__(self) -> str:
-        chains = "; ".join(" ".join(f"{g.target}@{g.speed:g}" for g in chain) for chain in self.npcs)
+        chains = "; ".join(" ".join(map(_short, chain)) for chain in self.npcs)
         return f"<Scenario {self.id}: {chains}>"
+
+
+def _short(gene: Gene) -> str:
+    if not isinstance(gene, CrossingInstruction):
+        return f"{gene.target}@{gene.speed:g}"
+    return f"{gene.zone}@{gene.speed:g} {gene.slot:+g} s{'' if gene.act == 'pass' else f' {gene.act}'}"
 
 
 def _plain(gene: Gene) -> list[Any]:
