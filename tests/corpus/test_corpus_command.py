@@ -184,9 +184,7 @@ def test_an_accepted_failure_is_one_changed_line_that_the_list_tells(folder, cap
     assert told.endswith(", accepted for good: TICKET-7")
 
 
-def test_without_the_hint_it_is_written_at_the_end_and_over_lines_left_to_a_person(
-    folder, capsys, monkeypatch
-):
+def test_without_the_hint_it_is_written_at_the_end_and_over_lines_left_to_a_person(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
     bare = file.read_text().replace('# xfail: "reason"\n', "")

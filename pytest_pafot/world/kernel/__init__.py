@@ -13,7 +13,7 @@ from importlib.util import module_from_spec
 from pathlib import Path
 
 MODULES = (
-    "driver", "action", "bodies", "lanes", "director", "crossing", "observation", "idm", "loop", "traffic",
+    "driver", "action", "bodies", "lanes", "bends", "director", "crossing", "observation", "idm", "loop", "traffic",
 )  # fmt: skip
 """Of this package, each after those that it imports."""
 VARIABLE = "PAFOT_KERNEL"

@@ -79,6 +79,11 @@ class Track:
         """Itself: highway-env copies vehicles with all that hangs on them to predict them."""
         return self
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Ways travel to other processes with their worlds."""
+        x, y, heading, lean = list(self.x), list(self.y), list(self.heading), list(self.lean)
+        return Track, (x, y, heading, lean, list(self.speed), list(self.sharpest))
+
     def point(self, along: float) -> int:
         """The nearest point to a place."""
         return min(max(int(along / STEP + 0.5), 0), self._last)

@@ -20,9 +20,10 @@ import numpy as np
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import FloatArray, Lane, Outcome
+from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, wrapped
+from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
 from pytest_pafot.world.roads.straight import StraightRoad
 
 Meeting = Literal["crosses", "joins", "oncoming"]
@@ -173,17 +174,26 @@ class NetworkRoad:
         """The lanes that exist where the ego starts."""
         return tuple(lane for lane in range(len(self.columns)) if self.exists(lane, self.start))
 
+    @cached_property
+    def bends(self) -> Bends:
+        """The same in plain numbers."""
+        line, columns = self.line, self.columns
+        exists = [flag for each in columns for flag in each.exists]
+        part = [number for each in columns for number in each.part]
+        across = [place for each in columns for place in each.across]
+        direction = [angle for each in columns for angle in each.direction]
+        lean = [angle for each in columns for angle in each.lean]
+        speed = [most for each in columns for most in each.speed]
+        points, widths = (line.x.tolist(), line.y.tolist(), line.heading.tolist()), [lane.width for lane in self.lanes]
+        return Bends(points, (exists, part), (across, direction, lean, speed), widths, self.lane_width)
+
     def exists(self, lane: int, along: float) -> bool:
         """Whether there is such a lane at a place of the road."""
-        is_on_road = 0 <= lane < len(self.columns) and 0 <= along <= self.end
-        return is_on_road and self.columns[lane].exists[self.point(along)]
+        return self.bends.exists(lane, along)
 
     def continues(self, lane: int, since: float, until: float) -> bool:
         """Whether a lane exists from one place to another, or to the end of the road."""
-        if not 0 <= lane < len(self.columns) or since < 0:
-            return False
-        first, last = self.point(since), self.point(until)
-        return all(self.columns[lane].exists[first : last + 1])
+        return self.bends.continues(lane, since, until)
 
     def cells(self, along: float, ego_lane: int, rows: float) -> frozenset[Cell]:
         """The cells whose centre is on a lane, for rows that are so far apart [m]."""
@@ -201,84 +211,41 @@ class NetworkRoad:
 
     def nearest_lane(self, lateral: float) -> int:
         """The lane whose centre is nearest, in the measure of lanes."""
-        return min(max(math.ceil(lateral / self.lane_width - 0.5), 0), len(self.columns) - 1)
+        return self.bends.nearest_lane(lateral)
 
     def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
         """Of a lane: across [m], direction [rad], lean [rad]."""
-        index, share = self._inside(along)
-        column = self.columns[lane]
-        across, direction, lean = column.across, column.direction, column.lean
-        return (
-            across[index] + share * (across[index + 1] - across[index]),
-            direction[index] + share * (direction[index + 1] - direction[index]),
-            lean[index] + share * (lean[index + 1] - lean[index]),
-        )
+        return self.bends.lane_at(lane, along)
 
     def speed_at(self, lane: int, along: float) -> float:
         """The highest speed of an NPC in a lane [m/s]."""
-        index, share = self._inside(along)
-        speed = self.columns[lane].speed
-        return speed[index] + share * (speed[index + 1] - speed[index])
+        return self.bends.speed_at(lane, along)
 
     def stretch(self, along: float, across: float) -> float:
         """Metres driven there per metre of the road: more outside of a bend, less inside."""
-        index, _ = self._between(along)
-        bend = (self._points[index + 1][2] - self._points[index][2]) / STEP
-        return max(1 - bend * across, 0.2)
+        return self.bends.stretch(along, across)
 
     def spot(self, x: float, y: float, heading: float, near: float) -> Spot:
         """A vehicle on the road, looked for near a place along it, since roads may cross themselves."""
-        along = near
-        for _ in range(4):
-            x0, y0, direction = self.reference(along)
-            cos, sin = math.cos(direction), math.sin(direction)
-            ahead, across = (x - x0) * cos + (y - y0) * sin, (y - y0) * cos - (x - x0) * sin
-            along = min(max(along + ahead / self.stretch(along, across), -self.end), 2 * self.end)
-            if abs(ahead) < 1e-9:
-                break
-        x0, y0, direction = self.reference(along)
-        across = (y - y0) * math.cos(direction) - (x - x0) * math.sin(direction)
-        index = self.point(along)
-        lanes = [lane for lane, column in enumerate(self.columns) if column.exists[index]]
-        lane = min(lanes, key=lambda each: abs(across - self.columns[each].across[index]))
-        return Spot(along, across, wrapped(heading - direction), lane, across - self.lane_at(lane, along)[0])
+        bends = self.bends
+        bends.locate(x, y, heading, near)
+        return Spot(bends.along, bends.across, bends.angle, bends.lane, bends.offset)
 
     def in_lanes(self, spot: Spot) -> float:
         """Where across the road a vehicle is, in the measure of lanes [m]."""
-        toward = spot.lane + (1 if spot.offset > 0 else -1)
-        scale = 1.0
-        if self.exists(toward, spot.along):
-            apart = abs(self.lane_at(toward, spot.along)[0] - self.lane_at(spot.lane, spot.along)[0])
-            scale = self.lane_width / apart
-        return self.centre(spot.lane) + spot.offset * scale
+        return self.bends.in_lanes(spot.lane, spot.along, spot.offset)
 
     def part(self, spot: Spot) -> int:
         """Index in ``lanes`` of the lane of the way that a vehicle's centre is on, -1 beside them."""
-        if not 0 <= spot.along <= self.end:
-            return -1
-        part = self.columns[spot.lane].part[self.point(spot.along)]
-        return part if part >= 0 and abs(spot.offset) <= self.lanes[part].width / 2 + 1e-6 else -1
+        return self.bends.part(spot.lane, spot.along, spot.offset)
 
     def reference(self, along: float) -> tuple[float, float, float]:
         """World x, y and heading of the line; straight on beyond its ends."""
-        index, share = self._between(along)
-        (x0, y0, heading0), (x1, y1, heading1) = self._points[index], self._points[index + 1]
-        turned = min(max(share, 0.0), 1.0) * (heading1 - heading0)
-        return x0 + share * (x1 - x0), y0 + share * (y1 - y0), heading0 + turned
-
-    def _between(self, along: float) -> tuple[int, float]:
-        """The point before a place and the share of the way to the next; beyond the ends, as if it went straight on."""
-        index = min(max(int(along / STEP), 0), len(self._points) - 2)
-        return index, along / STEP - index
-
-    def _inside(self, along: float) -> tuple[int, float]:
-        """The point before a place and the share of the way to the next, 0 to 1: as at the ends beyond them."""
-        index, share = self._between(along)
-        return index, min(max(share, 0.0), 1.0)
+        return self.bends.reference(along)
 
     def point(self, along: float) -> int:
         """The point of the line that is nearest to a place."""
-        return min(max(round(along / STEP), 0), len(self._points) - 1)
+        return self.bends.point(along)
 
     @cached_property
     def unused(self) -> frozenset[Meeting]:
@@ -308,12 +275,6 @@ class NetworkRoad:
         x, y = points[here + 1] - points[here]
         heading = self.line.heading[there]
         return "oncoming" if x * math.cos(heading) + y * math.sin(heading) < 0 else None
-
-    @cached_property
-    def _points(self) -> list[tuple[float, float, float]]:
-        """World x [m], y [m] and heading [rad] of each point of the line, as floats, which are faster one by one."""
-        line = self.line
-        return list(zip(line.x.tolist(), line.y.tolist(), line.heading.tolist(), strict=True))
 
 
 # Where the vehicles of one run are on the road, tick by tick, and whether the run leaves it.
@@ -355,19 +316,21 @@ class NetworkFrame:
 
         Across the road bodies are in the measure of lanes, their heading is to the ego's way; see :class:`Trace`.
         """
-        road = self._road
-        spots = [road.spot(x, y, heading, near) for (x, y, heading, _), near in zip(states, self._along, strict=True)]
-        self._along = [spot.along for spot in spots]
-        for body, spot, state in zip(bodies, spots, states, strict=True):
-            body.place(spot.along, road.in_lanes(spot), spot.angle, state[3])
-            body.lane = road.nearest_lane(body.y)
-            self._rows.extend((*spot[:3], spot.offset, road.stretch(spot.along, spot.across)))
-        lanes = [road.part(spot) for spot in spots]
-        if any(spot.along + body.length / 2 >= road.end for spot, body in zip(spots, bodies, strict=True)):
+        road, bends, lanes, has_ended = self._road, self._road.bends, [], False
+        for number, ((x, y, heading, speed), body) in enumerate(zip(states, bodies, strict=True)):
+            bends.locate(x, y, heading, self._along[number])
+            along, across, offset, lane = bends.along, bends.across, bends.offset, bends.lane
+            self._along[number] = along
+            body.place(along, bends.in_lanes(lane, along, offset), bends.angle, speed)
+            body.lane = bends.nearest_lane(body.y)
+            self._rows.extend((along, across, bends.angle, offset, bends.stretch(along, across)))
+            lanes.append(bends.part(lane, along, offset))
+            has_ended |= along + body.length / 2 >= road.end
+        if has_ended:
             return lanes, Outcome.END_OF_ROAD
         if lanes[0] >= 0:
             return lanes, None
-        own, ended = self._beside(np.array(states[0][:2]), spots[0])
+        own, ended = self._beside(np.array(states[0][:2]), road.spot(*states[0][:3], self._along[0]))
         return [own, *lanes[1:]], ended
 
     def track(self) -> FloatArray:

@@ -96,7 +96,7 @@ def test_speeds_of_a_way_hold_its_limit_and_its_bends(destination):
     for way in world.crossings.ways.values():
         line = world.rules.junction.ways[way.zone.way].line
         turned = np.abs(np.diff(np.unwrap(line.heading))) / STEP
-        assert (np.minimum(way.speeds[1:], way.speeds[:-1]) ** 2 * turned).max() < 3.3  # 0.8 of the limit, or so
+        assert (np.minimum(way.speeds[1:], way.speeds[:-1]) ** 2 * turned).max() < world.limits.lateral_acceleration
         assert way.speeds.max() <= world.limits.overspeed * 10.0
         assert way.length == pytest.approx(math.fsum(np.hypot(np.diff(line.x), np.diff(line.y))), abs=STEP)
 
