@@ -18,7 +18,12 @@ DRIVER = "careful-human"
 STEADY_BRAKING = "steady-braking"
 """The driver that brakes with 6 m/s^2 down to a standstill, and keeps its lane."""
 
-ANSWERED_BY_BRAKING: tuple[Fault, ...] = "leader-unanswered", "cut-in-unanswered"
+ANSWERED_BY_BRAKING: tuple[Fault, ...] = (
+    "leader-unanswered",
+    "cut-in-unanswered",
+    "did-not-give-way",
+    "entered-taken-zone",
+)
 """The faults of which it is looked for when braking avoids the collision."""
 
 FREE_FOR = 12.0
@@ -129,7 +134,7 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
 
     The ego then touches nobody in the 12 s after it, or up to the end of the run; nor do two NPCs touch, which ends a
     run. The decisions of the last 10 s before the impact are tried, the latest first. None where none of them avoids
-    it, where the fault is not one of an answer to somebody ahead, and where the run does not repeat. See
+    it, where the fault is not one of an answer to somebody ahead or crossing, and where the run does not repeat. See
     :func:`last_chance` for the arguments.
     """
     if trace.collision is None or fault not in ANSWERED_BY_BRAKING:

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import FlattenObservation
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import ControlledVehicle
 
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.attribution.last_chance import avoidance, last_chance
+from pytest_pafot.attribution.responsibility import rss_rule
+from pytest_pafot.attribution.right_of_way import Passing
+from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED
 from pytest_pafot.world import Highway, World, WorldError
 from pytest_pafot.world.reference_drivers import REFERENCES
@@ -115,3 +119,17 @@ def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
     trace = HIGHWAY.rollout(BRAKES, weaving)
     with pytest.raises(WorldError, match=message):
         world.take_over(trace, tick, name)
+
+
+def test_who_does_not_give_way_had_its_last_chance_between_that_of_the_rules_and_its_entry():
+    """The rules let it respond for a second before it brakes."""
+    world = World("roundabout-v0")
+    scenario = Scenario(npcs=[[CrossingInstruction("wer>wxr", 0.0, 5.0)]], ego_lane=1, ego_speed=8.0)
+    trace = world.rollout(scenario, ControlledVehicle)
+    fault = rss_rule(trace).fault
+    assert fault == "did-not-give-way"
+    passing, hz = Passing(trace, 0, trace.zones[0]), trace.physics_hz
+    careful, braking = (found(trace, fault, world.take_over) for found in (last_chance, avoidance))
+    assert passing.last_chance() / hz <= braking.time < passing.entered() / hz
+    assert passing.last_chance() / hz <= careful.time < passing.entered() / hz
+    assert careful.action[0] < -2.0
