@@ -21,8 +21,8 @@ from pytest_pafot.model.trace import ALONG, SPEED, Trace
 SPARE = 1.0
 """How far outside of its stretch of a zone a vehicle may still be touched there, or have only backed away a little: the
 stretches are those of vehicles that keep to the middle of their ways [m]."""
-STOPS = 2.0
-"""Who slows down by less does not visibly brake to stop, but comes more slowly [m/s^2]."""
+STOPS = 1.3
+"""Who slows down by less need not show a brake light (UN R13-H, 5.2.22.4), and only comes more slowly [m/s^2]."""
 LOOK = 0.6
 """Who is to give way goes by what the other does in so long up to its last chance: one tick tells nothing [s]."""
 

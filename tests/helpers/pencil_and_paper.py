@@ -951,7 +951,7 @@ class Comer:
         if v <= 0:
             return self.place[tick], 0.0
         falls = (self.speed[tick - 1] - v) * self.hz if tick > 0 else 0.0
-        if falls < 2.0:
+        if falls < 1.3:
             return self.place[tick] + v * duration, v
         if duration >= v / falls:
             return self.place[tick] + v * v / falls / 2, 0.0
