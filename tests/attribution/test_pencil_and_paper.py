@@ -5,11 +5,9 @@ The page is docs/explanation/verdicts.md.
 
 from collections import Counter
 
-import numpy as np
 import pytest
 
 from pytest_pafot.attribution.responsibility import rss_rule
-from tests.helpers.junctions import random_meeting
 from tests.helpers.pencil_and_paper import judge
 from tests.helpers.random_collisions import collision
 from tests.helpers.reasons import numbers
@@ -27,19 +25,12 @@ SAMPLE = {
     "looks-only-ahead": (1, 10),
     "sees-cut-ins-late": (0, 8),
     "erratic, other roads": (0, 16),
+    "by hand, junctions": (70, 400),
+    "constant-speed, junctions": (1, 40),
+    "idm, junctions": (0, 20),
+    "erratic, junctions": (2, 60),
 }
 """How many collisions of each policy in every session, and how many with ``-m oracle``: those soon found come first."""
-
-
-CROSSES = "crosses"
-CROSSING = (90, 900)
-"""Likewise of random collisions where ways meet, made without a world."""
-
-
-def met(numbers):
-    """Collisions where ways meet, by their numbers; where the vehicles that were drawn do not touch there is none."""
-    meetings = (((CROSSES, number), random_meeting(np.random.default_rng(number))) for number in numbers)
-    return {name: trace for name, trace in meetings if trace is not None and trace.ticks > 1}
 
 
 def drawn(policy, numbers):
@@ -49,8 +40,7 @@ def drawn(policy, numbers):
 @pytest.fixture(scope="module")
 def soon_found():
     """Collisions by policy and number."""
-    policies = {key: trace for policy, (some, _) in SAMPLE.items() for key, trace in drawn(policy, range(some)).items()}
-    return policies | met(range(CROSSING[0]))
+    return {key: trace for policy, (some, _) in SAMPLE.items() for key, trace in drawn(policy, range(some)).items()}
 
 
 @pytest.fixture(scope="module", params=mostly_oracle(["soon found", "others"], "soon found"))
@@ -58,8 +48,9 @@ def collisions(request):
     """Collisions by policy and number."""
     if request.param == "soon found":
         return request.getfixturevalue("soon_found")
-    policies = (drawn(policy, range(some, all_)) for policy, (some, all_) in SAMPLE.items())
-    return {key: trace for each in (*policies, met(range(*CROSSING))) for key, trace in each.items()}
+    return {
+        key: trace for policy, (some, all_) in SAMPLE.items() for key, trace in drawn(policy, range(some, all_)).items()
+    }
 
 
 def test_a_program_written_from_the_page_alone_comes_to_the_same_verdicts(collisions):

@@ -187,12 +187,13 @@ def driven(ego, npc, *, priority="npc", others=(), seconds=20.0):
         states[1:, ACCELERATION] = np.diff(speeds) * HZ
         vehicles.append(states)
         along.append(places)
-    track = np.stack([_track(path(ego.way), states) for states in vehicles], axis=1)
-    track[:, 0] = _on_line(along[0])
-    for number, each in enumerate((npc, *others), start=1):
-        if each.way == "grid":
-            track[:, number] = _on_line(along[number])
-        vehicles[number][:, LANE] = np.where(np.isnan(track[:, number, 0]), number, 0)
+    rows = [
+        _on_line(along[number]) if each is ego or each.way == "grid" else _track(path(ego.way), vehicles[number])
+        for number, each in enumerate((ego, npc, *others))
+    ]
+    track = np.stack(rows, axis=1)
+    for number, states in enumerate(vehicles):
+        states[:, LANE] = np.where(np.isnan(track[:, number, 0]), number, 0)
     on_way = np.stack([np.full(ticks + 1, np.nan) if met is None else along[n + 1] for n, met in enumerate(zones)], -1)
     lanes = tuple(_lane(path(ego.way if each.way == "grid" else each.way)) for each in (ego, npc, *others))
     return trace_of(*vehicles, lanes=lanes, track=track, zones=tuple(zones), on_way=on_way, physics_hz=HZ)

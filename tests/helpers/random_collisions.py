@@ -7,14 +7,17 @@ import math
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from example_ads import constant_speed, defects, idm_mobil
 from pytest_pafot import Highway, Scenario, Trace
-from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.model.scenario import Act
+from pytest_pafot.searching.space import SearchSpace, sample, space_on
+from pytest_pafot.world.protocol import road_start
 from pytest_pafot.world.reference_drivers import REFERENCES
+from tests.helpers.junctions import random_meeting
 from tests.helpers.road_cases import space_of, world_of
 from tests.helpers.sound_driver import SoundLaneChanger
 
@@ -22,6 +25,8 @@ ATTEMPTS = 400
 """Scenarios that are tried for one collision."""
 ROADS = ("merge-v0", "roundabout-v0", "racetrack-v0", "exit-v0", "two-way-v0", "u-turn-v0", "intersection-v0")
 """That are not straight."""
+JUNCTIONS = ("intersection-v0", "roundabout-v0")
+"""On which NPCs cross."""
 
 
 class Erratic:
@@ -100,6 +105,12 @@ def _controlled_vehicle(rng):
     return ControlledVehicle
 
 
+def _idm_vehicle(rng):
+    from highway_env.vehicle.behavior import IDMVehicle
+
+    return IDMVehicle
+
+
 ON_A_MOTORWAY: dict[str, Policy] = {
     "constant-speed": lambda rng: constant_speed.make,
     "idm-mobil": lambda rng: idm_mobil.make(),
@@ -117,7 +128,14 @@ ON_OTHER_ROADS: dict[str, Policy] = {
     "brakes-weakly, other roads": lambda rng: defects.make("brakes-weakly"),
     "brakes-for-ghosts, other roads": lambda rng: defects.make("brakes-for-ghosts"),
 }
-POLICIES = {**ON_A_MOTORWAY, **ON_OTHER_ROADS}
+AT_JUNCTIONS: dict[str, Policy] = {
+    "constant-speed, junctions": _controlled_vehicle,
+    "idm, junctions": _idm_vehicle,
+    "erratic, junctions": erratic_vehicle,
+}
+BY_HAND = "by hand, junctions"
+"""Collisions where ways meet that are made without a policy and a world."""
+POLICIES = {**ON_A_MOTORWAY, **ON_OTHER_ROADS, **AT_JUNCTIONS, BY_HAND: _controlled_vehicle}
 
 
 @dataclass(frozen=True)
@@ -138,11 +156,20 @@ def collision(policy: str, number: int, seed: int = 0) -> RandomCollision:
     Raises:
         LookupError: where none is found.
     """
-    rng = random.Random(f"{policy} {number} {seed}")
+    rng, roads = random.Random(f"{policy} {number} {seed}"), JUNCTIONS if policy in AT_JUNCTIONS else ROADS
     for _ in range(ATTEMPTS):
-        world = motorway(rng) if policy in ON_A_MOTORWAY else world_of(rng.choice(ROADS))
+        if policy == BY_HAND:
+            met = random_meeting(np.random.default_rng(rng.getrandbits(60)))
+            if met is None or met.ticks < 2:
+                continue
+            return RandomCollision(policy, number, seed, None, met.scenario, met)
+        world = motorway(rng) if policy in ON_A_MOTORWAY else world_of(rng.choice(roads))
         drawn = np.random.default_rng(rng.getrandbits(60))
-        scenario = sample(space(world, rng) if policy in ON_A_MOTORWAY else space_of(world, rng.randint(1, 2)), drawn)
+        if policy in AT_JUNCTIONS:
+            space = crossing_space(world, rng)
+        else:
+            space = motorway_space(world, rng) if policy in ON_A_MOTORWAY else space_of(world, rng.randint(1, 2))
+        scenario = sample(space, drawn)
         trace = world.rollout(scenario, POLICIES[policy](rng))
         if trace.collision is not None:
             return RandomCollision(policy, number, seed, world, scenario, trace)
@@ -162,7 +189,13 @@ def motorway(rng: random.Random) -> Highway:
     )
 
 
-def space(world: Highway, rng: random.Random) -> SearchSpace:
+def crossing_space(world: Any, rng: random.Random) -> SearchSpace:
+    """With NPCs that cross, and that do there whatever they can."""
+    given = {"npcs": rng.randint(1, 3), "crossings": world.crossings, "most_on_grid": 1, "acts": get_args(Act)}
+    return space_on(world, given, road_start(world))
+
+
+def motorway_space(world: Highway, rng: random.Random) -> SearchSpace:
     """With long and with short instructions."""
     genes = rng.choice([3, 6, 10, 15])
     return SearchSpace(
