@@ -197,6 +197,6 @@ class Meeting:
             ticks = (tick for tick in own.look() if tick >= since)
             return any(other.foreseen(tick, enters / own.hz)[0] < other.ends for tick in ticks)
         lead = float((own.ends - own.places[since]) - (other.ends - other.places[since]))
-        faster = max(float(own.speeds[since]) - other.slowest(since), 0.0)
+        faster = max(float(own.speeds[since] - other.speeds[since:].min()), 0.0)
         gap = lead - own.half_length - other.half_length
         return since < enters and lead > 0 and gap >= stopping(faster, HARDEST)

@@ -1036,7 +1036,7 @@ class Crossing:
         at = other.enters
         if at >= one.enters or other.left(at) >= one.left(at):
             return False
-        dv = max(0.0, one.speed[at] - other.lowest_for_a_second(at))
+        dv = max(0.0, one.speed[at] - min(other.speed[at : self.impact + 1]))
         return one.left(at) - other.left(at) - (one.length + other.length) / 2 >= dv * 1.0 + dv**2 / 12
 
 
