@@ -88,7 +88,7 @@ CRAWLING = 3.0
 """An NPC that is no faster when the danger begins can stop behind whatever stands there [m/s]."""
 DROVE_ON = 1.0
 """An NPC that gained more speed towards an ego that had braked for nothing made it dangerous itself [m/s]."""
-LEAVING = 0.5
+LEAVING = 1.0
 """An NPC that has left the ego's way for so long is still judged as on it [s]."""
 BRAKED_VISIBLY = 3.0
 BRAKED_BEFORE = 1.0

@@ -975,7 +975,7 @@ class Crossing:
         self.since = self.until
         while self.since > 0 and has_row[self.since - 1]:
             self.since -= 1
-        is_lane = self.until > self.since and self.impact - self.until <= 0.5 * self.ego.hz
+        is_lane = self.until > self.since and self.impact - self.until <= 1.0 * self.ego.hz
         self.lane = Crash(part_of(trace, self.since, self.until)) if is_lane else None
         self.decides = "nobody"
 
