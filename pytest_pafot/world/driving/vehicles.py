@@ -29,8 +29,10 @@ from pytest_pafot.world.stock import (
     Vehicle,
 )
 
-BOX_STEP = 1.0
-"""Distance of the points of a lane that its box is drawn around, and by how much it is drawn wider [m]."""
+OUTLINE_STEP = 1.0
+"""Distance of the points of a lane, at most [m]."""
+SQUARE = 4.0
+"""Side of the squares for which it is known how far lanes are [m]."""
 ROUNDING = 1e-6
 """Far more than the rounding errors of a distance [m]."""
 
@@ -59,35 +61,53 @@ class ParallelLanes(RoadNetwork):  # type: ignore[misc]
 class SearchedLanes(RoadNetwork):  # type: ignore[misc]
     """Any road network, with highway-env's own lane search, but only among the lanes that are near enough.
 
-    highway-env's distance of a vehicle to a lane is no less than that to a box around the lane, so that whatever lane
-    is further than that from one whose distance is known need not be asked.
+    highway-env's distance of a vehicle to a lane is no less than that to the points of the lane, so that whatever lane
+    is further than that from one whose distance is known need not be asked. How far lanes are at least is kept for each
+    square of the plane in which somebody has been.
     """
 
     def __init__(self, network: RoadNetwork) -> None:
         super().__init__()
         self.graph = network.graph
         self._lanes = list(network.lanes_dict().items())
-        boxes = np.array([_box(lane) for _, lane in self._lanes])
-        self._low, self._high, self._share = boxes[:, :2], boxes[:, 2:4], boxes[:, 4]
+        self._outlines = [_outline(lane) for _, lane in self._lanes]
+        self._squares: dict[tuple[int, int], list[tuple[float, int]]] = {}
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
         """highway-env's index of the lane of least lateral distance plus angle, the first of equals."""
-        aside = np.maximum(np.maximum(self._low - position, position - self._high), 0.0)
-        away = np.hypot(aside[:, 0], aside[:, 1])
-        first = int(away.argmin())
-        enough = self._lanes[first][1].distance_with_heading(position, heading) + ROUNDING
-        near = np.flatnonzero(~(self._share * away > enough))  # all, where a position is no number
-        distances = [self._lanes[each][1].distance_with_heading(position, heading) for each in near]
-        index: tuple[str, str, int] = self._lanes[near[int(np.argmin(distances))]][0]
-        return index
+        x, y = float(position[0]), float(position[1])
+        if not (math.isfinite(x) and math.isfinite(y)):
+            index: tuple[str, str, int] = super().get_closest_lane_index(position, heading)
+            return index
+        square = math.floor(x / SQUARE), math.floor(y / SQUARE)
+        near = self._squares.get(square)
+        if near is None:
+            near = self._squares[square] = self._near(square)
+        best, nearest = math.inf, 0
+        for least, number in near:
+            if least > best + ROUNDING:
+                break
+            distance = self._lanes[number][1].distance_with_heading(position, heading)
+            if distance < best or (distance == best and number < nearest):
+                best, nearest = distance, number
+        return self._lanes[nearest][0]
 
     def closest(self, x: float, y: float, heading: float | None) -> tuple[str, str, int]:
         """highway-env's index of the closest lane."""
         return self.get_closest_lane_index(np.array([x, y]), heading)
 
+    def _near(self, square: tuple[int, int]) -> list[tuple[float, int]]:
+        """How far each lane is at least from all points of a square [m], and its number; the nearest first."""
+        x, y = ((each + 0.5) * SQUARE for each in square)
+        least = []
+        for number, (points, share) in enumerate(self._outlines):
+            away = float(np.hypot(points[:, 0] - x, points[:, 1] - y).min())
+            least.append((share * max(away - SQUARE * math.sqrt(0.5) - OUTLINE_STEP, 0.0), number))
+        return sorted(least)
 
-def _box(lane: AbstractLane) -> tuple[float, float, float, float, float]:
-    """Around a lane: least x and y, largest x and y [m]; and which share of the way there a distance is, at least.
+
+def _outline(lane: AbstractLane) -> tuple[Any, float]:
+    """Points of a lane; and which share of the way there a distance is, at least.
 
     How far a vehicle is beyond an end counts along the lane, or along the axis of a lane that swings to and fro: such a
     line is longer than its axis. Nothing is known of the distances of other classes of lanes.
@@ -97,11 +117,9 @@ def _box(lane: AbstractLane) -> tuple[float, float, float, float, float]:
         share = 1.0
     elif type(lane) is SineLane:
         share = 1.0 / math.hypot(1.0, lane.amplitude * lane.pulsation)
-    count = math.ceil(lane.length / BOX_STEP / (share or 1.0)) + 1
+    count = math.ceil(lane.length / OUTLINE_STEP / (share or 1.0)) + 1
     places = np.linspace(0.0, lane.length, max(2, count))
-    points = np.array([lane.position(float(place), 0) for place in places])
-    low, high = points.min(axis=0) - BOX_STEP, points.max(axis=0) + BOX_STEP
-    return float(low[0]), float(low[1]), float(high[0]), float(high[1]), share
+    return np.array([lane.position(float(place), 0) for place in places]), share
 
 
 def is_regulated(vehicle: Vehicle) -> bool:
