@@ -168,8 +168,8 @@ def collision_in_short(run: Run) -> str:
     hit = run.collision
     if hit is None:
         return ""
-    zone = run.npcs[hit.npc].zone
-    if hit.cell is not None:
+    zone = run.zone_of(hit)
+    if zone is None and hit.cell is not None:
         place = hit.cell.label.replace("front", "ahead").replace("rear", "behind").replace("-", " ")
         place = f" on the {place}" if hit.cell in (Cell.LEFT, Cell.RIGHT) else f" {place}"
     else:

@@ -378,17 +378,25 @@ class Run(Drawn):
         event = self.collision or self.worst_ttc
         return None if event is None else event.cell
 
+    def zone_of(self, event: Collision | Moment) -> Zone | None:
+        """The zone of the NPC of an event that crosses, as long as it had not left it; None for others.
+
+        Once it has merged and left the zone, it is on the ego's way as any other.
+        """
+        zone, on_way = self.npcs[event.npc].zone, self.trace.on_way
+        if zone is None or on_way is None:
+            return None
+        return zone if event.cell is None or on_way[event.tick, event.npc] <= zone.npc[1] else None
+
     def place_of(self, event: Collision | Moment) -> str:
         """Where the NPC of an event was, in words; empty where it never left the ego's own cell.
 
-        Such as ``in cell 2 (front)``, or off the ego's way ``from the left in the zone o1>o3``.
+        Such as ``in cell 2 (front)``, or of an NPC that crosses ``from the left in the zone o1>o3``.
         """
-        if event.cell is not None:
-            return f"in cell {int(event.cell)} ({event.cell.label})"
-        zone = self.npcs[event.npc].zone
-        if zone is None or self.trace.on_way is None:
-            return ""
-        along, (enters, leaves) = self.trace.on_way[event.tick, event.npc], zone.npc
+        zone, on_way = self.zone_of(event), self.trace.on_way
+        if zone is None or on_way is None:
+            return "" if event.cell is None else f"in cell {int(event.cell)} ({event.cell.label})"
+        along, (enters, leaves) = on_way[event.tick, event.npc], zone.npc
         where = "before" if along < enters else "past" if along > leaves else "in"
         return f"{zone.whence} {where} the zone {zone.way}"
 

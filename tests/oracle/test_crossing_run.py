@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pytest_pafot.criticality import Encounters
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import ACTS, CrossingInstruction
 from pytest_pafot.model.trace import Outcome
@@ -38,11 +39,17 @@ def test_the_place_of_a_moment_is_before_in_or_past_the_zone(start, where):
     assert run.place_of(replace(run.closest_approach, tick=75)) == f"{where} the zone o3>o1"
 
 
-def test_after_a_merge_the_place_is_a_cell_again():
+def test_after_its_zone_the_place_of_who_merged_is_a_cell():
+    """It is on the ego's way from 4.1 s on, and out of the zone at 5.4 s."""
     run = Run(junction_trace((MERGES, 0.0)))
-    assert run.place_of(run.closest_approach) == "in cell 2 (front)"
-    before = Run(junction_trace((MERGES, 0.0), seconds=4.0))
-    assert before.place_of(before.closest_approach) == "from the right in the zone o2>o4"
+    for tick, place in (
+        (59, "from the right in the zone o2>o4"),
+        (80, "from the right in the zone o2>o4"),
+        (82, "in cell 2 (front)"),
+    ):
+        cell = Encounters(run.trace).cell(0, tick)
+        assert run.place_of(replace(run.closest_approach, tick=tick, cell=cell)) == place
+    assert Encounters(run.trace).cell(0, 80) == Cell.FRONT
 
 
 def test_the_place_of_a_collision_that_nobody_recorded_is_left_out():
@@ -130,7 +137,9 @@ def test_a_run_that_ends_otherwise_is_told_with_who_crosses():
     assert Run(trace).explain().splitlines()[0] == "no collision in 8.0 s, when the ego left its route"
 
 
-def test_a_collision_on_the_way_keeps_its_cell():
-    hit = collision_at(72, cell=Cell.FRONT)
-    run = crash(outcome=Outcome.COLLISION, collision=hit)
+def test_a_collision_with_who_merged_long_ago_keeps_its_cell():
+    hit = collision_at(90, cell=Cell.FRONT)
+    run = Run(junction_trace((MERGES, 0.0), seconds=6.0, outcome=Outcome.COLLISION, collision=hit))
     assert "NPC 0 in cell 2 (front)" in run.explain()
+    assert run.zone_of(hit) is None
+    assert run.zone_of(replace(hit, cell=None)) == ZONES[MERGES]

@@ -241,6 +241,7 @@ def test_the_page_draws_ways_zones_and_labels(browser, tmp_path):
     page.evaluate(f"location.hash = 'finding={mixed().id}&t=7'")
     page.until("document.querySelector('.readout').textContent.includes('past o3>o1')")
     assert "; entered at 5.6 s" in texts(page, ".readout tbody tr")[1]
+    assert "2 front" in texts(page, ".readout tbody tr")[2]  # it has merged
     titles = texts(page, ".charts text.label")
     assert "expected time between the two at their zone [s]" in titles
     assert len(texts(page, ".block-zone")) == len(texts(page, ".block-ego")) == 2

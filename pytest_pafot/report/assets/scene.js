@@ -83,12 +83,12 @@ function cellCentre(finding, ego, cell, [index, share]) {
 }
 
 function placeName(state, zone) {
-  // Where an NPC is: in a cell, or while it is not on the ego's way, where seen from its zone.
-  if (state.cell !== null || !zone) return state.cell ? cellName(state.cell) : state.cell === null ? "" : "the ego's own";
-  const [enters, leaves] = zone.stretch;
-  if (state.onWay === null) return zone.name;
-  if (state.onWay < enters) return `${fixed(enters - state.onWay, 0)} m before ${zone.name}`;
-  return state.onWay > leaves ? `past ${zone.name}` : `in the zone ${zone.name}`;
+  // Where an NPC is: in a cell, or as long as it has not left the zone in which it meets the ego's way, where seen from that.
+  const [enters, leaves] = zone ? zone.stretch : [null, null];
+  if (zone && state.onWay !== null && state.onWay < enters) return `${fixed(enters - state.onWay, 0)} m before ${zone.name}`;
+  if (zone && state.onWay !== null && state.onWay <= leaves) return `in the zone ${zone.name}`;
+  if (state.cell === null) return zone ? `past ${zone.name}` : "";
+  return state.cell ? cellName(state.cell) : "the ego's own";
 }
 
 const PHASES = {
