@@ -41,7 +41,7 @@ from pytest_pafot.campaign.verdict import judge
 from pytest_pafot.comparison.figures import SETTINGS, STYLES
 from pytest_pafot.searching import PafotSearch, RandomSearch
 from tests.benchmarks.command import BEFORE, SCENARIOS_BEFORE, as_they_end, options, print_head, seeds_of
-from tests.benchmarks.planted import PLANTED, SET_ASIDE, TUNING
+from tests.benchmarks.planted import PLANTED, SET_ASIDE, TUNING, Planted
 from tests.benchmarks.positive_controls import holds
 from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_interval
 
@@ -84,9 +84,11 @@ class EndedError(Exception):
     """The search has found the defect, or has no budget left."""
 
 
-def searched(policy: str, arm: str, seed: int, runs: int, seconds: float) -> Searched:
-    """Search until the defect of a policy is found, or so many runs or seconds are over."""
-    planted, world = PLANTED[policy], pafot.Highway()
+def searched(
+    policy: str, arm: str, seed: int, runs: int, seconds: float, planted: Planted | None = None, world: Any = None
+) -> Searched:
+    """Search until the defect of a policy is found, or so many runs or seconds are over; by default one of PLANTED."""
+    planted, world = planted or PLANTED[policy], world or pafot.Highway()
     twin = planted.twin()
     began = spent = simulated = 0.0
     count = shared = 0

@@ -1,0 +1,212 @@
+"""Drivers with one defect each where ways cross, made of the careful one of ``example_ads``.
+
+Each is written as a mistake that a planner makes: a forgotten direction, a track that is dropped, a plan that is not
+looked at again. None looks at how scenarios are drawn or searched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import pytest_pafot as pafot
+from example_ads.junctions import STANDING, CarefulDriver, seconds_for
+from tests.benchmarks.planted.policy import listed
+
+
+class Driver(CarefulDriver):
+    """The careful driver, whose one defect is in place unless it is ``repaired``."""
+
+    def __init__(self, repaired=False):
+        super().__init__()
+        self.repaired = repaired
+        self.begin()
+
+    def begin(self):
+        """Set up what a defect remembers."""
+
+    def knows(self, seen, other):
+        """Return whether it has another vehicle in mind; a repaired driver has all."""
+        return True
+
+    def relevant(self, seen):
+        found = super().relevant(seen)
+        return found if self.repaired else [other for other in found if self.knows(seen, other)]
+
+
+class LeftOnly(Driver):
+    """Looks to the left, as one does who comes from a country in which that is enough, and not to the right."""
+
+    def knows(self, seen, other):
+        return other.zone.origin != "right"
+
+
+class HiddenBehindTheFirst(Driver):
+    """Keeps one track for each road that leads here: who drives behind another becomes known 2.5 s after that one has
+    left its zone.
+    """
+
+    LATE = 2.5
+
+    def begin(self):
+        self.first = {}
+
+    def watch(self, seen):
+        super().watch(seen)
+        for road in {road_of(other) for other in seen.crossing}:
+            known = [other for other in seen.crossing if road_of(other) == road]
+            present = {other.id for other in known if other.to_leave > 0}
+            number, left = self.first.get(road, (None, None))
+            if number in present or not present:
+                continue
+            if left is None and number is not None:
+                self.first[road] = number, seen.time
+            elif number is None or seen.time - left >= self.LATE:
+                near = min((other for other in known if other.id in present), key=lambda other: other.distance)
+                self.first[road] = near.id, None
+
+    def knows(self, seen, other):
+        return self.first.get(road_of(other), (None, None))[0] == other.id
+
+
+class RollsOverTheLine(Driver):
+    """Aims at the line with its front instead of stopping before it, so that it ends up just beyond; whoever is beyond
+    the line is in the junction, and leaves it as quickly as possible.
+    """
+
+    BEYOND = 1.4
+
+    def stop_in(self, distance, speed):
+        return super().stop_in(distance if self.repaired else distance + self.BEYOND, speed)
+
+
+class DecidesOnce(Driver):
+    """Decides 45 m before a zone when it is free, by the speed that the other has then, and does not look again."""
+
+    FROM, MARGIN = 45.0, 0.7
+
+    def begin(self):
+        self.decided = {}
+
+    def waits_for(self, seen, other):
+        if self.repaired or other.ego_distance > self.FROM:
+            return super().waits_for(seen, other)
+        speed = max(other.speed, 0.1)
+        enters, leaves = other.distance / speed - self.MARGIN, other.to_leave / speed + self.MARGIN
+        own = seen.ego.speed or 1.0
+        meets = enters < other.ego_to_leave / own and other.ego_distance / own < leaves
+        return self.decided.setdefault(other.id, meets) and super().waits_for(seen, other)
+
+
+class ShortGap(Driver):
+    """Takes a gap as soon as it reaches the zone before the other does, as if it had no length and took no time."""
+
+    def arrival(self, seen, other):
+        arrival = super().arrival(seen, other)
+        if self.repaired:
+            return arrival
+        ego = seen.ego
+        leaves = seconds_for(other.ego_to_leave, ego.speed, max(9.0, ego.speed), 2.0)
+        enters = seconds_for(other.ego_distance, ego.speed, max(9.0, ego.speed), 2.0)
+        return arrival + leaves - enters + 1.8
+
+
+class BlindToOncoming(Driver):
+    """Looks for oncoming traffic in its own road, and forgets it in the next one that it turns into."""
+
+    def knows(self, seen, other):
+        return other.zone.origin != "ahead"
+
+
+class TrustsPriority(Driver):
+    """Does not look at those who have to give way to it."""
+
+    def gives_way(self, other):
+        return super().gives_way(other) if self.repaired else True
+
+    def knows(self, seen, other):
+        return other.zone.priority != "ego"
+
+
+class EyesOnOne(Driver):
+    """Keeps its eyes on one vehicle, the nearest when it began to, until that one has left its zone."""
+
+    def begin(self):
+        self.watched = None
+
+    def watch(self, seen):
+        super().watch(seen)
+        present = {other.id: other.ahead**2 + other.right**2 for other in seen.crossing if other.to_leave > 0}
+        if self.watched not in present:
+            self.watched = min(present, key=present.get, default=None)
+
+    def knows(self, seen, other):
+        return other.id == self.watched
+
+
+class ForgetsWhoStands(Driver):
+    """Takes what has stood for a second for something that is parked beside its way."""
+
+    PARKED = 1.0
+
+    def knows(self, seen, other):
+        since = self.standing.get(other.id)
+        return since is None or seen.time - since < self.PARKED
+
+
+class BrakingIsGivingWay(Driver):
+    """Takes who brakes for somebody who lets it go first, though that one only slows down for a bend or for others."""
+
+    BRAKING = 0.5
+
+    def knows(self, seen, other):
+        return other.is_inside or self.gains.get(other.id, 0.0) > -self.BRAKING
+
+
+class LooksAlongTheRing(Driver):
+    """Looks 12 m along the ring, which is enough for those who drive slowly."""
+
+    REACH = 12.0
+
+    def knows(self, seen, other):
+        return other.distance < self.REACH
+
+
+class SlowOnesLeave(Driver):
+    """Takes who drives slowly on the ring for somebody about to leave it."""
+
+    SLOW = 5.5
+
+    def knows(self, seen, other):
+        return other.speed > self.SLOW or other.speed < STANDING
+
+
+def road_of(other):
+    """Return the road from which another vehicle comes."""
+    return other.zone.way.partition(">")[0]
+
+
+LEFT, AHEAD, RIGHT = (
+    pafot.World("intersection-v0", config={"destination": destination}, planner_hz=5)
+    for destination in ("o1", "o2", "o3")
+)
+RING = pafot.World("roundabout-v0", planner_hz=5)
+"""Where the ego turns left, goes ahead and turns right at a crossroads, and the entry of a roundabout."""
+
+POLICIES = {
+    "yields-to-the-left-only": (LeftOnly, 1, AHEAD),
+    "hidden-behind-the-first": (HiddenBehindTheFirst, 2, AHEAD),
+    "rolls-over-the-line": (RollsOverTheLine, 1, LEFT),
+    "decides-once": (DecidesOnce, 2, AHEAD),
+    "short-gap": (ShortGap, 1, AHEAD),
+    "blind-to-oncoming": (BlindToOncoming, 1, LEFT),
+    "trusts-priority": (TrustsPriority, 2, RIGHT),
+    "eyes-on-one": (EyesOnOne, 2, LEFT),
+    "forgets-who-stands": (ForgetsWhoStands, 2, AHEAD),
+    "braking-is-giving-way": (BrakingIsGivingWay, 2, LEFT),
+    "looks-along-the-ring": (LooksAlongTheRing, 1, RING),
+    "slow-ones-leave": (SlowOnesLeave, 2, RING),
+}
+PLANTED = listed("junction", {name: (policy, conditions) for name, (policy, conditions, _) in POLICIES.items()})
+WORLDS: Mapping[str, pafot.World] = MappingProxyType({name: world for name, (*_, world) in POLICIES.items()})
+"""Name of a policy to where it drives."""
