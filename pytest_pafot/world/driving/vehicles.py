@@ -69,7 +69,7 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
     def __init__(self, network: RoadNetwork) -> None:
         super().__init__()
         self.graph = network.graph
-        self._lanes = list(network.lanes_dict().items())
+        self._lanes: list[tuple[tuple[str, str, int], Any]] = list(network.lanes_dict().items())
         self._outlines = [_outline(lane) for _, lane in self._lanes]
         self._squares: dict[tuple[int, int], list[tuple[float, int]]] = {}
 
