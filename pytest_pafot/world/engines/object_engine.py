@@ -219,6 +219,10 @@ class VehiclesOfRun:
             frame = NetworkFrame(rules.road, ego.road.network, places)
         self._frame = frame or StraightFrame(rules.straight)
         sizes, rows = [(body.length, body.width) for body in self._bodies], array("d")
+        self._boxes = [Box(0.0, 0.0, 0.0, *size) for size in sizes]
+        ego_box, *others = self._boxes
+        self._pairs = [(ego_box, box, Outcome.COLLISION) for box in others]
+        self._pairs += [(a, b, Outcome.INVALID) for a, b in combinations(others, 2)]
         self.record = Record(rules=rules, scenario=scenario, director=director, sizes=sizes, rows=rows, frame=frame)
         self._write(self._states(), [(0.0, 0.0)] * len(self.vehicles))
 
@@ -233,11 +237,11 @@ class VehiclesOfRun:
         self.record.tick += 1
         states = self._states()
         left = self._write(states, [self._controls(vehicle) for vehicle in self.vehicles])
-        boxes = [Box(*state[:3], *size) for state, size in zip(states, self.record.sizes, strict=True)]
-        if any(overlap(boxes[0], box) for box in boxes[1:]):
-            return self.record.trace(Outcome.COLLISION)
-        if any(overlap(a, b) for a, b in combinations(boxes[1:], 2)):
-            return self.record.trace(Outcome.INVALID)
+        for box, (x, y, heading, _) in zip(self._boxes, states, strict=True):
+            box.x, box.y, box.heading = x, y, heading
+        for npc, other, ended in self._pairs:
+            if overlap(npc, other):
+                return self.record.trace(ended)
         return None if left is None else self.record.trace(left)
 
     def _states(self) -> list[State]:
@@ -254,8 +258,10 @@ class VehiclesOfRun:
     def _write(self, states: Sequence[State], controls: Sequence[tuple[float, float]]) -> Outcome | None:
         """Record all vehicles, and show their bodies to the director; how the run leaves the road, if it does."""
         lanes, left = self._frame.see(states, self._bodies)
+        rows: list[float] = []
         for state, own, lane in zip(states, controls, lanes, strict=True):
-            self.record.rows.extend((*state, *own, lane))
+            rows += (*state, *own, lane)
+        self.record.rows.extend(array("d", rows))  # a list one by one would take several times as long
         return left
 
 

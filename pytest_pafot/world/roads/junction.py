@@ -490,33 +490,36 @@ class JunctionFrame(NetworkFrame):
     ) -> None:
         """``starts`` is where along its way each vehicle starts [m], the ego first; ``ways`` are those of the NPCs."""
         names = [None, *ways]
-        super().__init__(road, network, [start for start, name in zip(starts, names, strict=True) if name is None])
-        self._names = names
-        self._ways = [None if name is None else junction.ways[name] for name in names]
+        self._on_grid = [number for number, name in enumerate(names) if name is None]
+        self._crossers = [
+            (number, way, way.track, way.column.part, way.way.zone.npc[0])
+            for number, name in enumerate(names)
+            if name is not None and (way := junction.ways[name])
+        ]
+        super().__init__(road, network, [starts[number] for number in self._on_grid])
         self._junction = junction
         self._places = list(starts)
-        self._crossing = array("d")  # of each who crosses its place on its own way, then its row of the track
+        self._crossing: list[float] = []  # of each who crosses its place on its own way, then its row of the track
 
     def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
         """Put bodies where the vehicles are on their ways; the lane of each, and how the run leaves the road.
 
         Who crosses has its place along its own way, how far to its right it is, and its angle to it.
         """
-        on_grid = [number for number, way in enumerate(self._ways) if way is None]
+        on_grid, lanes = self._on_grid, [-1] * len(states)
         found, left = super().see([states[number] for number in on_grid], [bodies[number] for number in on_grid])
-        lanes = dict(zip(on_grid, found, strict=True))
-        for number, own in enumerate(self._ways):
-            if own is None:
-                continue
+        for number, lane in zip(on_grid, found, strict=True):
+            lanes[number] = lane
+        for number, way, track, parts, enters in self._crossers:
             x, y, heading, speed = states[number]
-            along, across, direction = own.place(x, y, self._places[number])
-            self._places[number] = along
-            bodies[number].place(along, across, wrapped(heading - direction), speed)
-            point = min(max(round(along / STEP), 0), len(own.column.part) - 1)
-            lanes[number] = own.column.part[point] if 0 <= along <= own.way.length else -1
-            self._crossing.append(along)
-            self._crossing.extend(self._row(self._junction.spot(self._road, own, along, (x, y, heading))))
-        return [lanes[number] for number in range(len(states))], left
+            track.locate(x, y, self._places[number])
+            along = self._places[number] = track.along
+            bodies[number].place(along, track.across, wrapped(heading - track.direction), speed)
+            if 0.0 <= along <= (len(parts) - 1) * STEP:
+                lanes[number] = parts[track.point(along)]
+            spot = None if along < enters else self._junction.spot(self._road, way, along, (x, y, heading))
+            self._crossing += (along, *self._row(spot))
+        return lanes, left
 
     def _row(self, spot: Spot | None) -> tuple[float, float, float, float, float]:
         """Return the row of the track of somebody who is at a spot of the ego's way; NaN where it is not on it."""
@@ -527,19 +530,18 @@ class JunctionFrame(NetworkFrame):
     def track(self) -> FloatArray:
         """Return where all were on the ego's way at every tick, as :attr:`pytest_pafot.Trace.track` has it."""
         own, others = super().track(), self._recorded
-        track = np.empty((len(own), len(self._names), own.shape[2]))
-        track[:, [name is None for name in self._names]] = own
-        track[:, [name is not None for name in self._names]] = others[..., 1:]
+        track = np.empty((len(own), len(self._places), own.shape[2]))
+        track[:, self._on_grid] = own
+        track[:, [number for number, *_ in self._crossers]] = others[..., 1:]
         return track
 
     def on_way(self) -> FloatArray:
         """Return where all NPCs were on their own ways, as :attr:`pytest_pafot.Trace.on_way` has it."""
         others = self._recorded
-        places = np.full((len(others), len(self._names) - 1), np.nan)
-        places[:, [name is not None for name in self._names[1:]]] = others[..., 0]
+        places = np.full((len(others), len(self._places) - 1), np.nan)
+        places[:, [number - 1 for number, *_ in self._crossers]] = others[..., 0]
         return places
 
     @property
     def _recorded(self) -> FloatArray:
-        crossing = sum(name is not None for name in self._names)
-        return np.array(self._crossing).reshape(-1, crossing, 1 + len(OFF_WAY))
+        return np.array(self._crossing).reshape(-1, len(self._crossers), 1 + len(OFF_WAY))

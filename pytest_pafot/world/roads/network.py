@@ -10,7 +10,6 @@ Across the road positions are given in lanes: lane ``k`` has its centre at ``k``
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -309,7 +308,7 @@ class NetworkFrame:
         self._road = road
         self._network = network  # highway-env's, to see on which lane an ego is that has left the road
         self._along = list(starts)
-        self._rows = array("d")
+        self._rows: list[float] = []
 
     def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
         """Put bodies where the vehicles are on the road; the lane of each, and how the run leaves the road, if it does.
@@ -323,7 +322,7 @@ class NetworkFrame:
             self._along[number] = along
             body.place(along, bends.in_lanes(lane, along, offset), bends.angle, speed)
             body.lane = bends.nearest_lane(body.y)
-            self._rows.extend((along, across, bends.angle, offset, bends.stretch(along, across)))
+            self._rows += (along, across, bends.angle, offset, bends.stretch(along, across))
             lanes.append(bends.part(lane, along, offset))
             has_ended |= along + body.length / 2 >= road.end
         if has_ended:
