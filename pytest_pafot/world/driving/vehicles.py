@@ -75,9 +75,10 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
         """highway-env's index of the lane of least lateral distance plus angle, the first of equals."""
+        index: tuple[str, str, int]
         x, y = float(position[0]), float(position[1])
         if not (math.isfinite(x) and math.isfinite(y)):
-            index: tuple[str, str, int] = super().get_closest_lane_index(position, heading)
+            index = super().get_closest_lane_index(position, heading)
             return index
         square = math.floor(x / SQUARE), math.floor(y / SQUARE)
         near = self._squares.get(square)
@@ -90,7 +91,8 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
             distance = self._lanes[number][1].distance_with_heading(position, heading)
             if distance < best or (distance == best and number < nearest):
                 best, nearest = distance, number
-        return self._lanes[nearest][0]
+        index = self._lanes[nearest][0]
+        return index
 
     def closest(self, x: float, y: float, heading: float | None) -> tuple[str, str, int]:
         """highway-env's index of the closest lane."""
