@@ -174,12 +174,10 @@ class ReferenceDriver(ABC):
             return -self.HARDEST if leader.is_critical else self.follow(ego.speed, leader)
         if lets_pass < EMERGENCY.perception + DELAY - EPSILON:
             return math.inf
-        if 0 < other.ego_distance < 2 * LINE and ego.speed < STANDING:
-            return -STOPPING  # it stands at the line
-        for room in (other.ego_distance - LINE, other.ego_distance):
-            if ego.speed**2 <= 2 * self.HARDEST * room:
-                needed = ego.speed**2 / (2 * room)
-                return -needed if needed >= STOPPING else math.inf
+        if other.ego_distance > 0 and ego.speed**2 <= 2 * self.HARDEST * other.ego_distance:
+            room = other.ego_distance - LINE
+            needed = ego.speed**2 / (2 * max(room, LINE / 2))  # a little beyond the line is no reason to brake hard
+            return -max(needed, STOPPING) if needed >= STOPPING or room < LINE else math.inf
         in_the_way = other.is_inside and other.ahead > 0
         return -self.HARDEST if in_the_way else math.inf  # it can stop no more: the quickest way out is ahead
 
