@@ -64,9 +64,9 @@ LINE = 1.0
 STOPPING = 2.0
 """Braking from which on a stop before a zone is begun: what comfort models take (Treiber et al. 2000) [m/s^2]."""
 CREEPING = 2.0
-"""Speed that one who sets off is counted with at least, to the zone [m/s]."""
-STANDING = 0.3
-"""Who is slower waits, and is not expected to come [m/s]."""
+"""Speed that one who may set off is counted with at least, to the zone [m/s]."""
+STANDING, PATIENCE = 0.3, 2.0
+"""Who has been slower [m/s] for so long [s] lets others go first, and is not expected to come."""
 CLEAR = 0.5
 """What is left at least between one that leaves a zone and the driver that enters behind it [s]."""
 
@@ -186,7 +186,9 @@ class ReferenceDriver(ABC):
         ego = observation.ego
         enters = max(other.ego_distance, 0.0) / max(ego.speed, CREEPING)
         leaves = other.to_leave / other.speed if other.speed > STANDING else math.inf
-        arrives = max(other.distance, 0.0) / other.speed if other.speed > STANDING else math.inf
+        arrives = max(other.distance, 0.0) / max(other.speed, CREEPING)
+        if self.held(f"stands {other.id}", other.speed <= STANDING) >= PATIENCE:
+            arrives = math.inf
         if other.is_inside:
             return leaves + CLEAR > enters
         if other.zone.priority == "ego":

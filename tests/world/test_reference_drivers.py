@@ -287,8 +287,10 @@ class TestAtAZone:
             assert min(speed for _, left, speed, _ in later if left > 0) == 10.0
             assert min(speed for _, left, speed, _ in sooner if left > 0) < 9.0
 
-    def test_does_not_wait_for_one_that_waits(self, name):
-        assert all(a == 0.0 for *_, a in drive_up(REFERENCES[name](), distance=2.0, speed=0.0))
+    def test_goes_before_one_that_has_waited_for_two_seconds(self, name):
+        rows = drive_up(REFERENCES[name](), distance=2.0, speed=0.0)
+        assert all(a >= 0.0 for time, *_, a in rows if time > 2.1)
+        assert rows[-1][1] < 0
 
     def test_with_priority_it_brakes_for_one_that_can_no_longer_stop_alone(self, name):
         stops = drive_up(REFERENCES[name](), priority="ego", distance=20.0, speed=2.0, seconds=4.0)
