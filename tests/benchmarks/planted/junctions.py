@@ -163,13 +163,11 @@ class BrakingIsGivingWay(Driver):
         return other.is_inside or self.gains.get(other.id, 0.0) > -self.BRAKING
 
 
-class LooksAlongTheRing(Driver):
-    """Looks 12 m along the ring, which is enough for those who drive slowly."""
-
-    REACH = 12.0
+class EntryAlone(Driver):
+    """Looks whether the entry of the ring is free, and not who comes along the ring."""
 
     def knows(self, seen, other):
-        return other.distance < self.REACH
+        return other.is_inside
 
 
 class SlowOnesLeave(Driver):
@@ -204,7 +202,7 @@ POLICIES = {
     "eyes-on-one": (EyesOnOne, 2, LEFT),
     "forgets-who-stands": (ForgetsWhoStands, 2, AHEAD),
     "braking-is-giving-way": (BrakingIsGivingWay, 2, LEFT),
-    "looks-along-the-ring": (LooksAlongTheRing, 1, RING),
+    "looks-at-the-entry-alone": (EntryAlone, 1, RING),
     "slow-ones-leave": (SlowOnesLeave, 2, RING),
 }
 PLANTED = listed("junction", {name: (policy, conditions) for name, (policy, conditions, _) in POLICIES.items()})
