@@ -37,6 +37,12 @@ LENGTH = 5.0
 """Of a vehicle [m]."""
 BEFORE_LINE, STOPPING = 2.0, 6.0
 """How far before its zone an NPC waits [m], and with what it can brake for that [m/s^2]."""
+WAITING = ("hold", "late")
+"""What NPCs do that come to a stop at the line."""
+EASY_BRAKING, CREEPING = 2.5, 2.0
+"""With what an NPC brakes for the line [m/s^2], and how much longer than braking evenly its last metres take [s]."""
+EARLIER = 1.0
+"""How long before it has to set off an NPC stands at the line that starts late [s]."""
 SETTING_OFF = 2.0
 """Acceleration with which a vehicle that has waited is expected to set off [m/s^2]."""
 SLOTS = {"well before": -1.0, "just before": 0.0, "together": 0.0, "just after": 1.0, "well after": math.inf}
@@ -172,13 +178,14 @@ class Crossings:
 
     Attributes:
         ways: by their names.
-        meetings: for two names in the order of the alphabet, the stretches in which those ways meet each other.
+        meetings: for two names in the order of the alphabet, the stretches of both in which those ways meet each other:
+            once, or in a circle more often; in the order of the second way.
         ego_start: where along its way the ego starts [m].
         ego_speed: with which [m/s].
     """
 
     ways: Mapping[str, Way]
-    meetings: Mapping[tuple[str, str], tuple[Stretch, Stretch]]
+    meetings: Mapping[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]]
     ego_start: float
     ego_speed: float
 
@@ -205,8 +212,22 @@ class Crossings:
     def start(self, instruction: CrossingInstruction) -> float:
         """Return where along its way an NPC starts that is to keep its slot without a change of speed [m].
 
-        Below 0 the way is too short, and beyond the beginning of its zone the slot is too early.
+        Below 0 the way is too short, and beyond the beginning of its zone the slot is too early. One that holds comes
+        to the line when it would enter, and one that starts late some time before, if it can brake for the line.
         """
+        way = self.ways[instruction.zone]
+        if instruction.act not in WAITING:
+            return self._start_of_passing(instruction)
+        line = way.zone.npc[0] - BEFORE_LINE
+        speed = min(instruction.speed, way.speed_at(line))
+        brakes = line - speed**2 / (2 * EASY_BRAKING)
+        needed = speed / EASY_BRAKING + CREEPING + (EARLIER if instruction.act == "late" else 0.0)
+        left = max(self.planned_entry(instruction) - needed, 0.0)
+        if brakes < 0:
+            return brakes - left * speed
+        return way.place_at(way.time_at(brakes, instruction.speed) - left, instruction.speed)
+
+    def _start_of_passing(self, instruction: CrossingInstruction) -> float:
         way = self.ways[instruction.zone]
         arrives = way.time_at(way.zone.npc[0], instruction.speed)
         return way.place_at(arrives - self.planned_entry(instruction), instruction.speed)
@@ -214,23 +235,27 @@ class Crossings:
     def fits(self, instruction: CrossingInstruction) -> bool:
         """Return whether an NPC can keep its slot: its way exists, and it starts on it and before its zone.
 
-        One that is to wait has to start where it can still stop before the line.
+        One that is to wait has to have the room to stop before the line.
         """
         way = self.ways.get(instruction.zone)
         if way is None:
             return False
-        waits = instruction.act in ("hold", "late")
-        room = BEFORE_LINE + instruction.speed**2 / (2 * STOPPING) if waits else 0.0
-        return 0 <= self.start(instruction) < way.zone.npc[0] - room
+        room = BEFORE_LINE + instruction.speed**2 / (2 * STOPPING) if instruction.act in WAITING else 0.0
+        return self.start(instruction) >= 0 and self._start_of_passing(instruction) < way.zone.npc[0] - room
 
     def windows(self, instruction: CrossingInstruction, stretch: Stretch) -> Stretch:
         """Return from when to when an NPC is planned to be in a stretch of its way [s]."""
-        way, entry = self.ways[instruction.zone], self.planned_entry(instruction)
+        way = self.ways[instruction.zone]
+        waits = instruction.act in WAITING
+        line = way.zone.npc[0] - (BEFORE_LINE if waits else 0.0)
+        start, entry = self.start(instruction), self.planned_entry(instruction)
         first, last = (
-            entry + way.time_at(place, instruction.speed) - way.time_at(way.zone.npc[0], instruction.speed)
+            way.time_at(place, instruction.speed) - way.time_at(start, instruction.speed)
+            if waits and place <= line
+            else entry + way.time_at(place, instruction.speed) - way.time_at(way.zone.npc[0], instruction.speed)
             for place in stretch
         )
-        if instruction.act == "pass" or last < entry:
+        if instruction.act == "pass" or stretch[1] <= line:
             return first, last
         return first, math.inf  # it stands at the line, or in the zone, for nobody knows how long
 
@@ -238,17 +263,17 @@ class Crossings:
         """Return whether two NPCs are planned to be in one place nearly at once, or to overtake in one lane."""
         if first.zone == second.zone:
             zone = self.ways[first.zone].zone.npc
-            stretches = (zone, zone)
+            meetings: tuple[tuple[Stretch, Stretch], ...] = ((zone, zone),)
         elif (first.zone, second.zone) in self.meetings:
-            stretches = self.meetings[first.zone, second.zone]
-        elif (second.zone, first.zone) in self.meetings:
-            stretches = self.meetings[second.zone, first.zone][::-1]
+            meetings = self.meetings[first.zone, second.zone]
         else:
+            meetings = tuple((b, a) for a, b in self.meetings.get((second.zone, first.zone), ()))
+        if not meetings:
             return False
-        if first.zone.split(">")[0] == second.zone.split(">")[0] and self._crowd(first, second, stretches[0][0]):
+        if first.zone.split(">")[0] == second.zone.split(">")[0] and self._crowd(first, second, meetings[0][0][0]):
             return True
-        a, b = self.windows(first, stretches[0]), self.windows(second, stretches[1])
-        return a[0] < b[1] + APART and b[0] < a[1] + APART
+        windows = ((self.windows(first, one), self.windows(second, other)) for one, other in meetings)
+        return any(a[0] < b[1] + APART and b[0] < a[1] + APART for a, b in windows)
 
     def _crowd(self, first: CrossingInstruction, second: CrossingInstruction, until: float) -> bool:
         """Return whether two NPCs that share their lane up to a place [m] start too close, or one overtakes the other.

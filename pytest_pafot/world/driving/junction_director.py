@@ -78,7 +78,7 @@ class JunctionDirector:
         size = length, width
         npc = CrossingNpc(way.track, instruction.speed, speeds, zone.npc, zone.ego, act, way.middle, size)
         npc.index, npc.slot = index, instruction.slot
-        npc.entry = self._junction.crossings.planned_entry(instruction)
+        npc.begins = self._junction.crossings.start(instruction)
         return npc
 
     def _related(self, number: int) -> tuple[list[Conflict], list[Leader]]:
@@ -91,8 +91,8 @@ class JunctionDirector:
         for other, theirs in enumerate(names):
             if other == number or mine == theirs == EGOS:
                 continue
-            if other > 0 and (stretches := self._junction.stretches(mine, theirs)) is not None:
-                conflicts.append(Conflict(other, *stretches))
+            if other > 0:
+                conflicts += [Conflict(other, *stretches) for stretches in self._junction.stretches(mine, theirs)]
             if (places := self._junction.places(mine, theirs)) is not None:
                 leaders.append(Leader(other, places))
         return conflicts, leaders
@@ -133,7 +133,7 @@ class JunctionDirector:
         return [self._start(npc) if isinstance(npc, CrossingNpc) else None for npc in self.npcs]
 
     def _start(self, npc: CrossingNpc) -> Start:
-        track, along = npc.track, npc.start(npc.entry)
+        track, along = npc.track, npc.begins
         turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length  # it lies there as in a bend, and turns
         fastest = math.sqrt(self._turning / max(turn, 1e-9))
         return along, (*track.pose(along), min(track.value(npc.speeds, along), fastest))

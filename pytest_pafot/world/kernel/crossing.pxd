@@ -5,7 +5,7 @@ from pytest_pafot.world.kernel.driver cimport NpcDriver, following_speed, gap_sp
 
 cdef double STEP, FREEZE, SLOWEST, FASTEST
 cdef int PASS, HOLD, STOP, LATE, NEVER
-cdef double WAITING, MARGIN, SETTING_OFF, EASY, CREEPING, EARLIER, RESPONSE, ANSWER, BUILDING_UP, BRAKING, APART, LEAST_SPEED, ABREAST
+cdef double WAITING, MARGIN, SETTING_OFF, RESPONSE, ANSWER, BUILDING_UP, BRAKING, APART, LEAST_SPEED, ABREAST
 cdef double UNENDING, NOWHERE
 
 @cython.final
@@ -42,15 +42,13 @@ cdef class CrossingNpc(Body):
     cdef readonly Track track
     cdef readonly double enters, leaves, ego_enters, ego_leaves, middle, wanted
     cdef readonly int act, entered
-    cdef public double slot, entry, asked, course
+    cdef public double slot, begins, entry, asked, course
     cdef readonly double stands_at
     cdef readonly double[::1] speeds, times
     cdef bint is_frozen, is_released
     cdef int noticed
     cdef public list conflicts, leaders
 
-    @cython.locals(place=double, speed=double, wanted=double, point=Py_ssize_t, last=Py_ssize_t)
-    cpdef double start(self, double entry) except? -1
 
     cpdef double lasts(self, double since, double until) except? -1
 

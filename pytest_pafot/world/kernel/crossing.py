@@ -28,11 +28,6 @@ MARGIN = 1.0
 """How far before a stretch an NPC waits until another one, or the ego, has left it [m]."""
 SETTING_OFF = 1.1
 """How long a vehicle that holds takes to its zone [s]."""
-EASY = 2.5
-"""Braking by which one comes to a line [m/s^2], as :func:`gap_speed` has it."""
-CREEPING, EARLIER = 2.0, 1.0
-"""How much longer the last metres to the line take than braking evenly [s], and how long before it has to set off one
-stands there that starts late [s]."""
 RESPONSE, ANSWER = 1.0, 6.0
 """How late an NPC answers an ego that has entered its zone [s], and how hard it brakes then at most [m/s^2]."""
 BUILDING_UP, BRAKING = 0.4, 5.0
@@ -173,6 +168,7 @@ class CrossingNpc(Body):
     Attributes:
         index: in the scenario.
         slot: as in its instruction [s].
+        begins: where it starts [m].
         asked: the acceleration asked for in the previous tick [m/s^2].
         course: direction of motion that the previous tick's steering gave [rad].
         wanted: the speed of its instruction [m/s].
@@ -196,7 +192,7 @@ class CrossingNpc(Body):
     ) -> None:
         super().__init__(size[0], size[1])
         self.index = 0
-        self.slot = 0.0
+        self.slot = self.begins = 0.0
         self.track = track
         self.enters, self.leaves = zone
         self.ego_enters, self.ego_leaves = ego_zone
@@ -226,27 +222,6 @@ class CrossingNpc(Body):
         """How long it takes from one place to another at its own speed [s]."""
         track = self.track
         return track.value(self.times, until) - track.value(self.times, since)
-
-    def start(self, entry: float) -> float:
-        """Where it starts to enter its zone after so long [m]; below 0 its way is too short.
-
-        Who holds comes to the line at that time, and who starts late some time before.
-        """
-        place = self.enters
-        if self.act in (HOLD, LATE):
-            place -= WAITING
-            speed = self.track.value(self.speeds, place)
-            place -= speed * speed / (2.0 * EASY)
-            entry = max(entry - speed / EASY - CREEPING - (EARLIER if self.act == LATE else 0.0), 0.0)
-        wanted = self.track.value(self.times, place) - entry
-        if wanted < 0.0:
-            return wanted * self.speeds[0]
-        point, last = 0, len(self.times) - 1
-        while point < last and self.times[point + 1] <= wanted:
-            point += 1
-        if point == last:
-            return point * STEP
-        return (point + (wanted - self.times[point]) / (self.times[point + 1] - self.times[point])) * STEP
 
 
 def stopping_speed(room: float, speed: float) -> float:

@@ -112,14 +112,16 @@ class Junction:
     Attributes:
         crossings: what a search draws from.
         ways: by their names.
+        meetings: as those of the crossings, and with the ego's way, which is called ``""``.
         shared: for the names of two ways, where along the first one somebody is who is at each point of the second [m];
-            NaN where that is beside the first one. The ego's way is called ``""``. Ways that share nothing are absent.
+            NaN where that is beside the first one. Ways that share nothing are absent.
         along_ego: for each way, where along the ego's way its points are that lie near to it and lead where it leads
             [m]; NaN for all others.
     """
 
     crossings: Crossings
     ways: Mapping[str, CrossingWay]
+    meetings: Mapping[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]]
     shared: Mapping[tuple[str, str], array[float]]
     along_ego: Mapping[str, list[float]]
 
@@ -142,15 +144,11 @@ class Junction:
         spot = road.spot(*pose, near)
         return spot if road.part(spot) >= 0 and abs(spot.angle) < NOT_ON_WAY else None
 
-    def stretches(self, mine: str, theirs: str) -> tuple[Stretch, Stretch] | None:
-        """Return the stretches in which two ways meet, one of which may be the ego's; None where they do not."""
-        if EGOS in (mine, theirs):
-            zone = self.ways[mine or theirs].way.zone
-            return (zone.ego, zone.npc) if mine == EGOS else (zone.npc, zone.ego)
-        meetings = self.crossings.meetings
-        if (theirs, mine) in meetings:
-            return meetings[theirs, mine][::-1]
-        return meetings.get((mine, theirs))
+    def stretches(self, mine: str, theirs: str) -> list[tuple[Stretch, Stretch]]:
+        """Return the stretches of two ways, one of which may be the ego's, in which they meet."""
+        if (theirs, mine) in self.meetings:
+            return [(own, its) for its, own in self.meetings[theirs, mine]]
+        return list(self.meetings.get((mine, theirs), ()))
 
     def places(self, mine: str, theirs: str) -> array[float] | None:
         """Return where along one way those are who are in its lane, for each point of theirs; None for nowhere."""
@@ -170,7 +168,7 @@ def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | No
     courses = {name: _course(each.line, each.column) for name, each in sorted(ways.items())}
     shared: dict[tuple[str, str], array[float]] = {}
     along_ego: dict[str, list[float]] = {}
-    meetings: dict[tuple[str, str], tuple[Stretch, Stretch]] = {}
+    meetings: dict[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]] = {}
     for (one, a), (other, b) in combinations([(EGOS, own), *courses.items()], 2):
         pairs = near_pairs(a, b)
         for mine, theirs, places in (
@@ -181,15 +179,15 @@ def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | No
                 shared[mine, theirs] = array("d", places)
         if one == EGOS:
             along_ego[other] = _places(a, b, pairs, road.lane_width, NOT_ON_WAY).tolist()
-        elif (meeting := meeting_of(a, b, pairs)) is not None:
-            meetings[one, other] = meeting.stretches
+        if found := tuple(meeting.stretches for meeting in meetings_of(a, b, pairs)):
+            meetings[one, other] = found
     crossings = Crossings(
         ways={name: each.way for name, each in ways.items()},
-        meetings=meetings,
+        meetings={pair: found for pair, found in meetings.items() if EGOS not in pair},
         ego_start=min(road.start, max(first - LEAD * road.ego_speed, lane_begins)),
         ego_speed=road.ego_speed,
     )
-    return Junction(crossings=crossings, ways=ways, shared=shared, along_ego=along_ego)
+    return Junction(crossings=crossings, ways=ways, meetings=meetings, shared=shared, along_ego=along_ego)
 
 
 def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> dict[str, CrossingWay]:
@@ -205,7 +203,7 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
             continue  # a jump from lane to lane, such as that of the ramp of merge-v0
         column = lone_column(line, pieces, limits, road.ego_speed, _parts(road, pieces, line))
         course = _course(line, column)
-        met = meeting_of(own, course, near_pairs(own, course))
+        met = next(meetings_of(own, course, near_pairs(own, course)), None)
         if met is not None and met.stretches[0][0] > road.start:
             zone = _zone(name, road, line, [piece.index for piece in pieces], network, met)
             way = Way(zone=zone, speeds=_driven(np.array(column.speed), limits))
@@ -325,8 +323,8 @@ class Meeting(NamedTuple):
     merges: bool
 
 
-def meeting_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Meeting | None:
-    """Return the first place along the second of two ways at which it meets the first one; None without.
+def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Iterator[Meeting]:
+    """Yield the places at which two ways meet, in the order of the second one.
 
     Two ways that lead on in one lane meet up to a vehicle's length after they have come together, and two that part
     from one lane meet from a vehicle's length before that on. Ways side by side, whose boxes touch only because they
@@ -335,19 +333,17 @@ def meeting_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Meetin
     wide = boxes_touch(a, b, pairs, WIDER)
     i, j = pairs[0][wide], pairs[1][wide]
     for run in np.split(np.arange(len(j)), np.flatnonzero(np.diff(j) > 1) + 1):
-        here, there = _same_place(i[run], j[run])
-        if boxes_touch(a, b, (here, there), 0.0).any():
-            return _meeting(a, b, here, there)
-    return None
+        for here, there in _places_of_run(i[run], j[run]):
+            if boxes_touch(a, b, (here, there), 0.0).any():
+                yield _meeting(a, b, here, there)
 
 
-def _same_place(i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
-    """Return those of the pairs of a run along the second way that are one run along the first one, too."""
+def _places_of_run(i: IntArray, j: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
+    """Yield the pairs of a run along the second way in runs along the first one, too."""
     known = np.unique(i)
-    runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
-    own = next((run for run in runs if i.size and run[0] <= i[0] <= run[-1]), known)
-    belongs = np.isin(i, own)
-    return i[belongs], j[belongs]
+    for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+        belongs = np.isin(i, own)
+        yield i[belongs], j[belongs]
 
 
 def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
