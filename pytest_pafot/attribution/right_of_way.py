@@ -153,7 +153,7 @@ class Meeting:
         first, owing = (without or taken)[0], (taken or without)[0]
         since = owing.last_chance()
         if taken and self._zone.kind == "merging":
-            since = (self.npc if owing is self.ego else self.ego).entered()
+            since = self._could_slow_down(owing, self.npc if owing is self.ego else self.ego)[-1]
         other = self.npc if first is self.ego else self.ego
         at = first.entered() / first.hz
         entered = Fact(
@@ -196,7 +196,17 @@ class Meeting:
         if self._zone.kind != "merging":
             ticks = (tick for tick in own.look() if tick >= since)
             return any(other.foreseen(tick, enters / own.hz)[0] < other.ends for tick in ticks)
-        lead = float((own.ends - own.places[since]) - (other.ends - other.places[since]))
-        faster = max(float(own.speeds[since] - other.speeds[since:].min()), 0.0)
-        gap = lead - own.half_length - other.half_length
-        return since < enters and lead > 0 and gap >= stopping(faster, HARDEST)
+        return bool(self._could_slow_down(own, other))
+
+    @staticmethod
+    def _could_slow_down(own: Passing, other: Passing) -> list[int]:
+        """Return the ticks at which the other was merging ahead of it and it could have slowed down to the other."""
+        ticks = range(other.entered(), own.entered())
+        leads = {tick: float(own.ends - own.places[tick] - (other.ends - other.places[tick])) for tick in ticks}
+        slowest = {tick: float(other.speeds[tick:].min()) for tick in ticks}
+        apart = own.half_length + other.half_length
+        return [
+            tick
+            for tick, lead in leads.items()
+            if lead > 0 and lead - apart >= stopping(max(float(own.speeds[tick]) - slowest[tick], 0.0), HARDEST)
+        ]

@@ -1033,11 +1033,17 @@ class Crossing:
         if not self.is_merge:
             seen = [tick for tick in one.look() if tick >= other.enters]
             return any(other.foreseen(tick, one.enters / one.hz)[0] < other.last for tick in seen)
-        at = other.enters
-        if at >= one.enters or other.left(at) >= one.left(at):
-            return False
-        dv = max(0.0, one.speed[at] - min(other.speed[at : self.impact + 1]))
-        return one.left(at) - other.left(at) - (one.length + other.length) / 2 >= dv * 1.0 + dv**2 / 12
+        return self.last_to_slow_down(one) is not None
+
+    def last_to_slow_down(self, one):
+        """The last tick at which it could have slowed down to one that merges ahead of it; None without."""
+        other = self.other(one)
+        for at in reversed(range(other.enters, one.enters)):
+            dv = max(0.0, one.speed[at] - min(other.speed[at : self.impact + 1]))
+            lead = one.left(at) - other.left(at)
+            if lead > 0 and lead - (one.length + other.length) / 2 >= dv * 1.0 + dv**2 / 12:
+                return at
+        return None
 
 
 def is_abrupt(other, place, v):

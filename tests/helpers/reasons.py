@@ -115,7 +115,7 @@ class Reading:
             return self.crash.ticks["answer"]
         one = crossing.ego if vehicle is self.ego else crossing.npc
         if one in crossing.blind and crossing.is_merge:
-            return crossing.other(one).enters
+            return crossing.last_to_slow_down(one)
         assert one in (crossing.blind or crossing.rude)
         return one.last_chance()
 

@@ -986,11 +986,9 @@ SITUATIONS = {
         Situation(
             "turns-right-in-front-and-is-hit-later",
             "The ego turns right with 4 m/s in front of one that comes with 12 m/s and has priority. That one brakes "
-            "hard, and hits the ego behind the zone.",
-            lambda: junctions.hit(
-                plan("west right", 6, 4), plan("north straight", 7.3, 12, (6.5, -6.0, 5.0))
-            ),
-            "ego", "did-not-give-way", "9", "The ego entered the merge",
+            "hard to 5 m/s, keeps that speed, and runs into the ego behind the zone.",
+            lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.3, 12, (6.5, -6.0, 5.0))),
+            "both", "did-not-give-way", "9", "NPC 0 was due to brake from",
         ),
         Situation(
             "npc-turns-right-in-front",
