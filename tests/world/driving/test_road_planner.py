@@ -115,7 +115,7 @@ def test_it_sees_what_the_run_records():
 
 
 def scenario_of(world):
-    lane, speed = world.start
+    lane, speed = world.start or (1, 20.0)
     npcs = [[PositionInstruction(2, 5.0)]]
     return Scenario(npcs=npcs, ego_lane=lane, ego_speed=speed, gene_seconds=10.0)
 
@@ -126,10 +126,10 @@ def follows():
     )
 
 
-@pytest.mark.parametrize("env_id", ["intersection-v0", "roundabout-v0"])
+@pytest.mark.parametrize("env_id", ["intersection-v0", "roundabout-v0", "highway-v0"])
 @pytest.mark.parametrize("sight", [{}, {"latency": 0.4, "noise": {"position": 0.2}}])
 def test_a_planner_drives_the_same_in_an_environment_and_by_its_own_steps(env_id, sight):
-    world = World(env_id, planner_hz=5)
+    world = World(env_id, duration=10.0, planner_hz=5)
     ads = Perception(follows, **sight)
     runs = [roll(scenario_of(world), ads) for roll in (world.rollout, world.rollout_in_gym)]
     assert runs[0].error is None
