@@ -50,7 +50,7 @@ with _later():
     from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
     from highway_env.road.regulation import RegulatedRoad
     from highway_env.road.road import Road, RoadNetwork
-    from highway_env.utils import class_from_path
+    from highway_env.utils import class_from_path, not_zero, wrap_to_pi
     from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
     from highway_env.vehicle.kinematics import Vehicle
 
@@ -69,5 +69,7 @@ __all__ = [
     "Vehicle",
     "action",
     "class_from_path",
+    "not_zero",
     "observation",
+    "wrap_to_pi",
 ]

@@ -7,6 +7,7 @@ equations are highway-env's, operation by operation.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -27,6 +28,8 @@ from pytest_pafot.world.stock import (
     SineLane,
     StraightLane,
     Vehicle,
+    not_zero,
+    wrap_to_pi,
 )
 
 OUTLINE_STEP = 1.0
@@ -248,6 +251,35 @@ class Car(Vehicle):  # type: ignore[misc]
         self.x, self.y, self.heading, self.speed = body.x, body.y, body.heading, body.speed
         self.acceleration, self.steering = body.acceleration, body.steering
         self._position = self._lane_index = None
+
+
+class DirectedVehicle(MDPVehicle):  # type: ignore[misc]
+    """highway-env's vehicle of discrete actions, steered with the same numbers in half the time.
+
+    ``numpy.clip`` takes longer for a number than all the rest.
+    """
+
+    def steering_control(self, target_lane_index: Any) -> float:
+        """Steer to the centre of a lane, as :meth:`ControlledVehicle.steering_control` does [rad]."""
+        lane = self.road.network.get_lane(target_lane_index)
+        longitudinal, lateral = lane.local_coordinates(self.position)
+        speed = not_zero(self.speed)
+        heading = np.arcsin(_clipped(-self.KP_LATERAL * lateral / speed, 1.0))
+        wanted = lane.heading_at(longitudinal + self.speed * self.TAU_PURSUIT) + _clipped(heading, np.pi / 4)
+        rate = self.KP_HEADING * wrap_to_pi(wanted - self.heading)
+        slip = np.arcsin(_clipped(self.LENGTH / 2 / speed * rate, 1.0))
+        return float(_clipped(np.arctan(2 * np.tan(slip)), self.MAX_STEERING_ANGLE))
+
+
+def _clipped(value: Any, bound: float) -> Any:
+    return bound if value > bound else -bound if value < -bound else value
+
+
+def quick(vehicle_class: Any) -> Any:
+    """Return what makes the same vehicles as a class of an environment's actions, in less time where that is known."""
+    if isinstance(vehicle_class, functools.partial) and vehicle_class.func is MDPVehicle:
+        return functools.partial(DirectedVehicle, *vehicle_class.args, **vehicle_class.keywords)
+    return vehicle_class
 
 
 def straight_network(lanes: int, length: float, lane_width: float, speed_limit: float) -> RoadNetwork:

@@ -24,7 +24,7 @@ from pytest_pafot.world.driving.ads import (
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import Policy, View, copies_on
 from pytest_pafot.world.driving.seeing import policy_sight
-from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad
+from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad, quick
 from pytest_pafot.world.engines.object_engine import ObjectRun, run
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -42,7 +42,7 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
     def make_ego(start: tuple[float, float, float]) -> EgoDriver:
         ads, view = ads_factory, None
         if not is_vehicle_class(ads):
-            put_new_ego(env, env.action_type.vehicle_class, start, scenario.ego_speed, route)
+            put_new_ego(env, quick(env.action_type.vehicle_class), start, scenario.ego_speed, route)
             if wants_env(ads_factory):
                 view = View(environment.make().unwrapped, env)
             ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
@@ -63,7 +63,7 @@ def begin(
     env = _env_of(environment, scenario)
 
     def make_ego(start: tuple[float, float, float]) -> Policy:
-        put_new_ego(env, env.action_type.vehicle_class, start, scenario.ego_speed, environment.route)
+        put_new_ego(env, quick(env.action_type.vehicle_class), start, scenario.ego_speed, environment.route)
         every = rules.physics_hz // rules.ads_hz
         return Policy(None, env, every, sight=policy_sight(env, sight, scenario))
 

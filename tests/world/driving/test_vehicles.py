@@ -13,6 +13,7 @@ from highway_env.envs.highway_env import HighwayEnv
 from highway_env.road.lane import CircularLane, SineLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +21,14 @@ from hypothesis import strategies as st
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, X, Y
 from pytest_pafot.world import World
-from pytest_pafot.world.driving.vehicles import Car, ParallelLanes, SearchedLanes, straight_network, straight_road
+from pytest_pafot.world.driving.vehicles import (
+    Car,
+    DirectedVehicle,
+    ParallelLanes,
+    SearchedLanes,
+    straight_network,
+    straight_road,
+)
 from pytest_pafot.world.kernel.bodies import Body
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
@@ -126,6 +134,14 @@ def test_a_car_steps_as_a_highway_env_vehicle_does(heading, speed, steps, physic
         assert (car.acceleration, car.steering) == (stock.action["acceleration"], stock.action["steering"])
     assert car.lane_index == stock.lane_index
     assert car.lane is stock.lane
+
+
+@given(st.tuples(st.floats(-70, 70), st.floats(-70, 70)), st.floats(-7, 7), st.floats(-20, 42), st.integers(0, 11))
+def test_a_directed_vehicle_steers_as_highway_envs_own(position, heading, speed, number):
+    network = tangled()
+    road, index = Road(network, np_random=np.random.default_rng(0)), list(network.lanes_dict())[number % 9]
+    stock, own = (each(road, position, heading, speed) for each in (MDPVehicle, DirectedVehicle))
+    assert own.steering_control(index) == stock.steering_control(index)
 
 
 def test_a_car_is_a_highway_env_vehicle_to_highway_envs_own_code():
