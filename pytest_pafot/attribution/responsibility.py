@@ -39,7 +39,7 @@ from pytest_pafot.attribution.responses import (
     answer,
     room_to_leave,
 )
-from pytest_pafot.attribution.right_of_way import Blame, Meeting
+from pytest_pafot.attribution.right_of_way import Blame, ZoneConflict
 from pytest_pafot.attribution.sentences import Fact, Reason, What, sentences
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.crossings import Zone
@@ -171,7 +171,7 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:
     lane = Conflict(_part(trace, since, until), npc) if is_lane else None
     if lane is not None and lane.has_begun_safely:
         return _later(lane.attribution, since, trace.physics_hz)
-    meeting = Meeting(trace, npc, zone)
+    meeting = ZoneConflict(trace, npc, zone)
     by_priority = meeting.is_in_zone or (meeting.has_merged and lane is not None)
     blame = meeting.blame if by_priority else None
     if blame is not None:

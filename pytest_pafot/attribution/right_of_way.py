@@ -124,7 +124,7 @@ def stopping(speed: float, deceleration: float) -> float:
     return speed * FOLLOWING.delay + speed**2 / (2 * deceleration)
 
 
-class Meeting:
+class ZoneConflict:
     """The ego and the NPC of a collision in the zone of their ways, up to the impact."""
 
     def __init__(self, trace: Trace, npc: int, zone: Zone) -> None:

@@ -43,7 +43,7 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class PairRow:
     """Both policies in one situation: a random scenario, an episode, a saved scenario, or one that a search found."""
 
     part: str  # ``scenarios``, ``episodes``, ``saved`` or ``alone``
@@ -60,7 +60,7 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class ComparedLine:
     """Numbers of both policies, compared pair by pair: a line of the table."""
 
     what: str  # that is compared
@@ -98,17 +98,19 @@ class Line:
 
 def _line(
     what: str, words: tuple[str, str], pairs: Iterable[tuple[float, float]], by: float = 0.0, unit: str | None = None
-) -> Line:
+) -> ComparedLine:
     """Compare old and new numbers that differ by more than ``by``. Higher is worse, unless ``larger`` is better."""
     pairs = list(pairs)
     rises, falls = (sum(sign * (new - old) > by for old, new in pairs) for sign in (1, -1))
     worse, better = (falls, rises) if words[0] == "larger" else (rises, falls)
     old, new = ((sum if unit is None else median)(side) for side in zip(*pairs, strict=True)) if pairs else (0.0, 0.0)
     p = mcnemar(worse, better)
-    return Line(what=what, words=words, old=old, new=new, better=better, worse=worse, pairs=len(pairs), unit=unit, p=p)
+    return ComparedLine(
+        what=what, words=words, old=old, new=new, better=better, worse=worse, pairs=len(pairs), unit=unit, p=p
+    )
 
 
-def lines_of(rows: Iterable[Row]) -> list[Line]:
+def lines_of(rows: Iterable[PairRow]) -> list[ComparedLine]:
     """Compare two policies by all that there are pairs of.
 
     What was saved, and what a search finds, was chosen since one of the two fails in it: it compares nothing.
@@ -135,12 +137,12 @@ def lines_of(rows: Iterable[Row]) -> list[Line]:
     return [replace(line, p=p) for line, p in zip(lines, adjusted, strict=True)]
 
 
-def verdict_of(lines: Iterable[Line]) -> str:
+def verdict_of(lines: Iterable[ComparedLine]) -> str:
     """Return ``better``, ``worse``, ``better and worse`` or ``not told apart``."""
     return " and ".join(sorted({line.verdict for line in lines} - {APART})) or APART
 
 
-def sentence_of(old: str, new: str, lines: Sequence[Line]) -> str:
+def sentence_of(old: str, new: str, lines: Sequence[ComparedLine]) -> str:
     """Say which of two policies is better, by what, and by what they are not told apart."""
     claims = [line.sentence for line in lines if line.verdict != APART]
     others = ", ".join(line.sentence for line in lines if line.verdict == APART)
@@ -150,7 +152,7 @@ def sentence_of(old: str, new: str, lines: Sequence[Line]) -> str:
     return f"{new} is {verdict_of(lines)} than {old}: {'; '.join(claims)}{others}"
 
 
-def text_of(old: str, new: str, rows: Sequence[Row]) -> str:
+def text_of(old: str, new: str, rows: Sequence[PairRow]) -> str:
     """Return the sentence on two policies, the table and what is known beside it, as Markdown."""
     lines = lines_of(rows)
     head = ["", "old", "new", "new better in", "new worse in", "of", "new - old, 95 %", "p, Holm", ""]

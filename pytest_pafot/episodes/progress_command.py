@@ -29,7 +29,7 @@ from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_facto
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.corpus.saved import read_saved_file
-from pytest_pafot.episodes.progress import LEVEL, Result, Row, lines_of, sentence_of, text_of, verdict_of
+from pytest_pafot.episodes.progress import LEVEL, PairRow, Result, lines_of, sentence_of, text_of, verdict_of
 from pytest_pafot.episodes.rate_command import config_of
 from pytest_pafot.episodes.rate_plan import CHUNK, PLANNER, driven
 from pytest_pafot.execution.pool import ProcessLostError
@@ -61,7 +61,7 @@ def never_at_fault_in_a_collision(run: Run) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class ProgressPlan:
     """What is compared, and by what. Every row is a function of this value and its name alone."""
 
     old: str  # as ``rate`` has it, with ``@planner`` behind it for a planner in SI units beside an environment
@@ -126,7 +126,7 @@ class Plan:
         )  # fmt: skip
 
 
-def checked(plan: Plan) -> Plan:
+def checked(plan: ProgressPlan) -> ProgressPlan:
     """Return the plan, if it can be run.
 
     Raises:
@@ -151,7 +151,7 @@ def checked(plan: Plan) -> Plan:
     return plan
 
 
-def _check_set_up(plan: Plan, side: str) -> None:
+def _check_set_up(plan: ProgressPlan, side: str) -> None:
     """Refuse a policy that cannot drive, and a check that cannot judge, whatever happens in a run."""
     first = FirstGeneration()
     try:
@@ -172,7 +172,7 @@ def _check_set_up(plan: Plan, side: str) -> None:
         ) from None
 
 
-def _text(plan: Plan, task: Task, tick: Tick) -> str:
+def _text(plan: ProgressPlan, task: Task, tick: Tick) -> str:
     (part, _, size), rows = task[0].partition("-"), []
     for row in _ROWS[part](plan, range(task[1], task[1] + int(size)), tick):
         rows.append([json.dumps(asdict(row))])
@@ -180,21 +180,21 @@ def _text(plan: Plan, task: Task, tick: Tick) -> str:
     return csv_text(["row"], rows)
 
 
-def _scenarios(plan: Plan, numbers: range, _: Tick) -> Iterator[Row]:
+def _scenarios(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
     sides = (plan.judged(side, numbers) for side in ("old", "new"))
     for number, old, new in zip(numbers, *sides, strict=True):
-        yield Row(part="scenarios", name=str(number), old=Result.of(*old), new=Result.of(*new))
+        yield PairRow(part="scenarios", name=str(number), old=Result.of(*old), new=Result.of(*new))
 
 
-def _episodes(plan: Plan, numbers: range, _: Tick) -> Iterator[Row]:
+def _episodes(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
     for seed in range(plan.seed + numbers.start, plan.seed + numbers.stop):
         is_planner = plan.new.endswith(PLANNER)
         rows = [driven(plan.traffic, side, plan.factory(side), seed, is_planner=is_planner) for side in ("old", "new")]
         old, new = (Result(failed=row.outcome != Outcome.SAFE) for row in rows)  # an error is as bad as a crash
-        yield Row(part="episodes", name=str(seed), old=old, new=new, told=rows[1].error or rows[0].error)
+        yield PairRow(part="episodes", name=str(seed), old=old, new=new, told=rows[1].error or rows[0].error)
 
 
-def _saved(plan: Plan, numbers: range, _: Tick) -> Iterator[Row]:
+def _saved(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
     saved, label, worse = read_saved_file(plan.saved[numbers[0]]), "unreadable", ""
     finding = saved.finding
     if finding is not None:
@@ -213,10 +213,10 @@ def _saved(plan: Plan, numbers: range, _: Tick) -> Iterator[Row]:
             label = "crashing"
         except RequestError:
             label = "not to be run here"
-    yield Row(part="saved", name=saved.id, old=Result(), new=Result(), told=label, worse=worse)
+    yield PairRow(part="saved", name=saved.id, old=Result(), new=Result(), told=label, worse=worse)
 
 
-def _alone(side: str, plan: Plan, _: range, tick: Tick) -> Iterator[Row]:
+def _alone(side: str, plan: ProgressPlan, _: range, tick: Tick) -> Iterator[PairRow]:
     """Yield what a search finds that one of the two fails, and the other passes."""
     runs = count(1)
     found = explore(
@@ -226,10 +226,10 @@ def _alone(side: str, plan: Plan, _: range, tick: Tick) -> Iterator[Row]:
     )  # fmt: skip
     old, new = Result(failed=side == "old"), Result(failed=side == "new")
     for each in found.told:
-        yield Row(part="alone", name=each.finding.id, old=old, new=new, told=each.find.headline)
+        yield PairRow(part="alone", name=each.finding.id, old=old, new=new, told=each.find.headline)
 
 
-_ROWS: Mapping[str, Callable[[Plan, range, Tick], Iterator[Row]]] = {
+_ROWS: Mapping[str, Callable[[ProgressPlan, range, Tick], Iterator[PairRow]]] = {
     "scenarios": _scenarios,
     "episodes": _episodes,
     "saved": _saved,
@@ -276,12 +276,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             raise PlanError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
         saved, config = files_below((given.corpus or Path(CORPUS)).resolve()), config_of(given.config)
         same = {name: getattr(given, name) for name in ("old", "new", "scenarios", "episodes", "check", "seed")}
-        plan = Plan(env_id=given.world, config=config, saved=tuple(saved), **same)
+        plan = ProgressPlan(env_id=given.world, config=config, saved=tuple(saved), **same)
         workers, job = worker_count(given.workers), checked(plan).job
         with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
             workers, clock = min(workers, len(job.tasks)), time.monotonic
             results = run_job(job, Path(folder), workers=workers, told=sys.stderr, clock=clock).read_text("utf-8")
-        rows = [Row.of_data(json.loads(each["row"])) for each in csv.DictReader(io.StringIO(results))]
+        rows = [PairRow.of_data(json.loads(each["row"])) for each in csv.DictReader(io.StringIO(results))]
         text, lines = text_of(plan.old, plan.new, rows), lines_of(rows)
         verdict, shown = verdict_of(lines), f"{text}{_hint(plan, rows)}"
         sys.stdout.write(shown)
@@ -307,7 +307,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     return int({"worse": "worse" in verdict, "not-better": verdict != "better"}.get(given.fail_on, False))
 
 
-def _hint(plan: Plan, rows: Sequence[Row]) -> str:
+def _hint(plan: ProgressPlan, rows: Sequence[PairRow]) -> str:
     """Return the command that saves and explains what the new policy fails alone, where there is such a thing."""
     if not any(row.part == "alone" and row.new.failed for row in rows) or plan.config is not None:
         return ""

@@ -26,8 +26,8 @@ import numpy as np
 
 import pytest_pafot as pafot
 from pytest_pafot import Run
-from pytest_pafot.episodes.progress import APART, LEVEL, Result, Row, lines_of, verdict_of
-from pytest_pafot.episodes.progress_command import Plan
+from pytest_pafot.episodes.progress import APART, LEVEL, PairRow, Result, lines_of, verdict_of
+from pytest_pafot.episodes.progress_command import ProgressPlan
 from tests.benchmarks import policies_with_defects
 from tests.benchmarks.command import in_processes, options, print_head, seeds_of
 from tests.benchmarks.planted import PLANTED
@@ -79,14 +79,14 @@ def driven(name: str, seed: int, scenarios: int) -> dict[str, list[Result]]:
     made: dict[str, list[Result]] = {}
     for which in ("old", "new", "same"):
         version = f"{__name__}:make:{name}/{which}"
-        plan = Plan(old=version, new=version, check=f"{__name__}:drives", seed=seed)
+        plan = ProgressPlan(old=version, new=version, check=f"{__name__}:drives", seed=seed)
         made[which] = [Result.of(*each) for each in plan.judged("new", range(scenarios))]
     return made
 
 
-def rows_of(old: Results, new: Results) -> list[Row]:
+def rows_of(old: Results, new: Results) -> list[PairRow]:
     """Return the rows of two policies in the same scenarios."""
-    return [Row(part="scenarios", name="", old=before, new=after) for before, after in zip(old, new, strict=True)]
+    return [PairRow(part="scenarios", name="", old=before, new=after) for before, after in zip(old, new, strict=True)]
 
 
 def verdict(old: Results, new: Results) -> str:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.campaign.verdict import judge
-from pytest_pafot.episodes.progress import LEVEL, Result, Row, lines_of, sentence_of, text_of, verdict_of
+from pytest_pafot.episodes.progress import LEVEL, PairRow, Result, lines_of, sentence_of, text_of, verdict_of
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.proportions import mcnemar
@@ -20,7 +20,7 @@ def rows(part, *counts):
     """Rows of one part: `(how many, old failed, new failed)`."""
     pairs = [(old, new) for count, old, new in counts for _ in range(count)]
     return [
-        Row(part=part, name=str(number), old=Result(failed=old), new=Result(failed=new))
+        PairRow(part=part, name=str(number), old=Result(failed=old), new=Result(failed=new))
         for number, (old, new) in enumerate(pairs)
     ]
 
@@ -28,7 +28,7 @@ def rows(part, *counts):
 def measured(*pairs):
     """Rows of scenarios in which both fail at these speeds [m/s], or with these margins of a check."""
     return [
-        Row(
+        PairRow(
             part="scenarios",
             name=str(number),
             old=Result(failed=True, impact=old["impact"], margins=old["margins"]),
@@ -93,22 +93,22 @@ results = st.tuples(st.sampled_from([None, True, False]), numbers).map(
 parts = st.sampled_from(["scenarios", "episodes", "saved"])
 
 
-@given(st.lists(st.builds(Row, part=parts, name=st.just(""), old=results, new=results), max_size=30))
+@given(st.lists(st.builds(PairRow, part=parts, name=st.just(""), old=results, new=results), max_size=30))
 def test_the_other_way_round_better_is_worse_and_a_policy_is_not_told_apart_from_itself(rows):
     there = lines_of(rows)
-    back = lines_of([Row(part=row.part, name=row.name, old=row.new, new=row.old) for row in rows])
+    back = lines_of([PairRow(part=row.part, name=row.name, old=row.new, new=row.old) for row in rows])
     same = [(line.what, line.p, line.old, line.better) for line in there]
     assert sorted(same) == sorted((line.what, line.p, line.new, line.worse) for line in back)
-    itself = lines_of([Row(part=row.part, name=row.name, old=row.new, new=row.new) for row in rows])
+    itself = lines_of([PairRow(part=row.part, name=row.name, old=row.new, new=row.new) for row in rows])
     assert verdict_of(itself) == "not told apart"
     assert all(line.p == 1.0 for line in itself)
 
 
 def test_a_row_is_the_same_after_a_file_of_it():
-    row = Row(
+    row = PairRow(
         part="saved", name="x", old=Result(failed=None), new=Result(failed=True, impact=3.5, margins={"gap": 0.1})
     )
-    assert Row.of_data(json.loads(json.dumps(asdict(row)))) == row
+    assert PairRow.of_data(json.loads(json.dumps(asdict(row)))) == row
 
 
 def holds(run):
@@ -128,11 +128,11 @@ def test_margins_are_those_of_checks_with_a_bound_in_a_run_that_nothing_cut_shor
 def test_the_text_names_what_was_introduced_became_worse_fails_alone_and_went_wrong():
     nothing, fails, passes = Result(), Result(failed=True), Result(failed=False)
     known = [
-        Row(part="saved", name="a", old=nothing, new=nothing, told="introduced"),
-        Row(part="saved", name="b", old=nothing, new=nothing, told="common", worse="hits at 12.1 m/s, 8.0 before"),
-        Row(part="saved", name="c", old=nothing, new=nothing, told="common"),
-        Row(part="alone", name="d", old=passes, new=fails, told="collision after 5.4 s"),
-        Row(part="episodes", name="7", old=passes, new=fails, told="BadAction: 9"),
+        PairRow(part="saved", name="a", old=nothing, new=nothing, told="introduced"),
+        PairRow(part="saved", name="b", old=nothing, new=nothing, told="common", worse="hits at 12.1 m/s, 8.0 before"),
+        PairRow(part="saved", name="c", old=nothing, new=nothing, told="common"),
+        PairRow(part="alone", name="d", old=passes, new=fails, told="collision after 5.4 s"),
+        PairRow(part="episodes", name="7", old=passes, new=fails, told="BadAction: 9"),
     ]
     text = text_of("before:make", "now:make", [*BETTER, *known])
     assert text.startswith("now:make is better than before:make: ")

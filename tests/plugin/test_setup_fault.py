@@ -290,7 +290,7 @@ MESSAGES = {
     "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
         "; did you mean pafot.World('highway-v0', config=...)?"
     ],
-    "worlds=five": ["@pafot.search(worlds=...): did you mean 'world'? Expected one of ads, *, received 'worlds'"],
+    "worlds=five": ["@pafot.search(worlds=...): did you mean 'world'? Expected one of acts, ads, *, received 'worlds'"],
     "world=pafot.World('highway-v9')": [
         "expected a registered environment, received 'highway-v9'; *; did you mean 'highway-v0'?"
     ],

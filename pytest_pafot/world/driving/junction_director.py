@@ -9,7 +9,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import ACTS, CrossingInstruction, Scenario, on_grid
 from pytest_pafot.world.driving.network_director import NetworkDirector
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.crossing import Conflict, Crosser, CrossingNpc, Leader
+from pytest_pafot.world.kernel.crossing import Crosser, CrossingNpc, LeaderAhead, SharedPlace
 from pytest_pafot.world.kernel.director import Npc
 from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter
 from pytest_pafot.world.limits import NpcLimits
@@ -81,7 +81,7 @@ class JunctionDirector:
         npc.begins = self._junction.crossings.start(instruction)
         return npc
 
-    def _related(self, number: int) -> tuple[list[Conflict], list[Leader]]:
+    def _related(self, number: int) -> tuple[list[SharedPlace], list[LeaderAhead]]:
         """Return where the way of a vehicle meets those of others, and who of them may be ahead in its lane.
 
         Those on the grid see to each other and to the ego by themselves.
@@ -92,9 +92,9 @@ class JunctionDirector:
             if other == number or mine == theirs == EGOS:
                 continue
             if other > 0:
-                conflicts += [Conflict(other, *stretches) for stretches in self._junction.stretches(mine, theirs)]
+                conflicts += [SharedPlace(other, *stretches) for stretches in self._junction.stretches(mine, theirs)]
             if (places := self._junction.places(mine, theirs)) is not None:
-                leaders.append(Leader(other, places))
+                leaders.append(LeaderAhead(other, places))
         return conflicts, leaders
 
     @property

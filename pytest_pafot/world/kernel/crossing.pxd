@@ -24,12 +24,12 @@ cdef class Track:
     cpdef double value(self, double[::1] values, double along) except? -1
 
 @cython.final
-cdef class Conflict:
+cdef class SharedPlace:
     cdef readonly Py_ssize_t other
     cdef readonly double begins, ends, its_begins, its_ends
 
 @cython.final
-cdef class Leader:
+cdef class LeaderAhead:
     cdef readonly Py_ssize_t other
     cdef readonly double[::1] places
 
@@ -88,12 +88,12 @@ cdef class Crosser:
     @cython.locals(npc=CrossingNpc)
     cdef double _comes(self, Body vehicle, double place) except? -1
 
-    @cython.locals(conflict=Conflict, theirs=Body, is_in=bint, comes=double, room=double, can_wait=bint)
+    @cython.locals(conflict=SharedPlace, theirs=Body, is_in=bint, comes=double, room=double, can_wait=bint)
     cdef double _giving_way(self, Body mine, int index, list conflicts, double wanted) except? -1
 
     cdef bint _is_beside(self, Body vehicle) except -1
 
-    @cython.locals(leader=Leader, theirs=Body, distance=double, gap=double)
+    @cython.locals(leader=LeaderAhead, theirs=Body, distance=double, gap=double)
     cdef double _following(self, Body mine, list leaders, double wanted) except? -1
 
     @cython.locals(track=Track, direction=double, lean=double, later=double, turn=double)

@@ -120,7 +120,7 @@ class Track:
         return values[index] + share * (values[index + 1] - values[index])
 
 
-class Conflict:
+class SharedPlace:
     """Where the way of an NPC meets that of another one.
 
     Attributes:
@@ -135,7 +135,7 @@ class Conflict:
         self.its_begins, self.its_ends = its
 
 
-class Leader:
+class LeaderAhead:
     """Who may be ahead of an NPC in its lane.
 
     Attributes:
@@ -215,8 +215,8 @@ class CrossingNpc(Body):
         self.is_frozen = False
         self.is_released = False
         self.noticed = 0
-        self.conflicts: list[Conflict] = []
-        self.leaders: list[Leader] = []
+        self.conflicts: list[SharedPlace] = []
+        self.leaders: list[LeaderAhead] = []
 
     def lasts(self, since: float, until: float) -> float:
         """How long it takes from one place to another at its own speed [s]."""
@@ -266,7 +266,7 @@ class Crosser:
         self._response = round(RESPONSE / dt)
         self._tick = 0
 
-    def ceiling(self, mine: Body, index: int, conflicts: list[Conflict], leaders: list[Leader]) -> float:
+    def ceiling(self, mine: Body, index: int, conflicts: list[SharedPlace], leaders: list[LeaderAhead]) -> float:
         """The highest speed of an NPC on the grid that leaves those who cross their places [m/s]."""
         return self._following(mine, leaders, self._giving_way(mine, index, conflicts, UNENDING))
 
@@ -360,7 +360,7 @@ class Crosser:
             return npc.lasts(npc.x, place) * self._slower(npc)
         return (place - vehicle.x) / max(vehicle.speed, LEAST_SPEED)
 
-    def _giving_way(self, mine: Body, index: int, conflicts: list[Conflict], wanted: float) -> float:
+    def _giving_way(self, mine: Body, index: int, conflicts: list[SharedPlace], wanted: float) -> float:
         """A wanted speed, cut to what leaves others a place that they come to at the same time [m/s].
 
         Where both could wait, the one with the higher index does; where one cannot any more, the other.
@@ -389,7 +389,7 @@ class Crosser:
         """Whether somebody on the ego's road drives beside the ego's lane."""
         return not isinstance(vehicle, CrossingNpc) and abs(vehicle.y - self._ego_lane) > ABREAST
 
-    def _following(self, mine: Body, leaders: list[Leader], wanted: float) -> float:
+    def _following(self, mine: Body, leaders: list[LeaderAhead], wanted: float) -> float:
         """A wanted speed, cut to what leaves room behind whoever is ahead in the own lane [m/s]."""
         for leader in leaders:
             theirs = self._vehicles[leader.other]
