@@ -379,8 +379,8 @@ class Crosser:
                 continue
             room = conflict.begins - MARGIN - mine.x
             if not is_in:
-                can_wait = can_stop(conflict.its_begins - MARGIN - theirs.x, theirs.speed)
-                if not can_stop(room, mine.speed) or (can_wait and conflict.other > index + 1):
+                can_wait = can_stop(conflict.its_begins - theirs.x, theirs.speed)
+                if not can_stop(room + MARGIN, mine.speed) or (can_wait and conflict.other > index + 1):
                     continue
             wanted = min(wanted, stopping_speed(room, mine.speed))
         return wanted

@@ -12,7 +12,6 @@ from highway_env.vehicle.controller import ControlledVehicle
 from pytest_pafot import World
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, STEERING, Outcome, X, Y
-from tests.helpers.engine_cases import differences
 from tests.helpers.road_cases import world_of, wrapped
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
@@ -286,25 +285,53 @@ def violations(trace, world):
     return beyond(bounds)
 
 
-def test_on_the_grid_one_gives_way_to_another_that_crosses():
-    """It is ahead of the ego and would be in the zone with the NPC from the left; it may come first or wait."""
-    for npcs in (
-        ((LEFT, -2.0, 8.0), [PositionInstruction(2, 9.0)] * 3),
-        ([PositionInstruction(2, 9.0)] * 3, (LEFT, -2.0, 8.0)),
-    ):
-        for ego in EGOS:
-            assert rollout(*npcs, ego=ego).outcome in {Outcome.SAFE, Outcome.COLLISION}
+@table("zone", [LEFT, AHEAD, RIGHT])
+def test_of_one_on_the_grid_and_one_that_crosses_the_one_with_the_higher_number_waits(zone):
+    """The one ahead of the ego and the one that crosses would be in the zone together."""
+    ahead, crossing, ego = [PositionInstruction(2, 9.0)] * 3, (zone, -0.5, 8.0), braking_at(0.0, 7.0, 2.0)
+    alone = [rollout(ahead, ego=ego).npcs[:, 0, SPEED], rollout(crossing, ego=ego).npcs[:, 0, SPEED]]
+    for npcs, waits in (((ahead, crossing), 1), ((crossing, ahead), 1)):
+        trace = rollout(*npcs, ego=ego)
+        assert trace.outcome is not Outcome.INVALID
+        for npc in range(2):
+            before = alone[npcs[npc] is crossing]
+            ticks = min(len(before), trace.ticks + 1)
+            slower = (before[:ticks] - trace.npcs[:ticks, npc, SPEED]).max()
+            assert (slower > 2.5) == (npc == waits), (npcs, npc, slower)
+
+
+def test_one_on_the_grid_does_not_move_in_beside_one_that_has_merged():
+    world = world_of("roundabout-v0")
+    scenario = scenario_of(("wer>exr", 1.0, 8.0), [PositionInstruction(2, 8.0)], world=world)
+    director, road = world.rules.director(scenario, 5.0), world.road
+    crossing, on_grid = director.npcs
+    crossing.place(world.crossings.ways["wer>exr"].zone.npc[1], 0.0, 0.0, 8.0)
+    along = world.crossings.ways["wer>exr"].zone.ego[1]
+    for ahead, speed, has_room in ((0.0, 8.0, False), (6.0, 8.0, False), (-6.0, 8.0, False), (12.0, 8.0, True)):
+        on_grid.place(along + ahead, road.centre(0), 0.0, speed)
+        assert director.leaves_room(on_grid, road.ego_lane) is has_room, ahead
+        assert director.leaves_room(on_grid, 0)
+    on_grid.place(along + 12.0, road.centre(0), 0.0, 1.0)
+    assert not director.leaves_room(on_grid, road.ego_lane)
 
 
 # What is recorded, and the same run by other means.
 
 
-def test_a_run_is_the_same_again_and_by_the_environments_own_steps():
-    world, rng = world_of("intersection-v0"), np.random.default_rng(8)
-    for run in range(6):
-        ego = EGOS[run % 3]
+def steering():
+    """A policy of continuous actions that holds the wheel straight and speeds up a little."""
+    return lambda seen: np.array([0.3, 0.0], dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "egos"), [("intersection-v0", EGOS), ("intersection-v1", [steering]), oracle("roundabout-v0", EGOS)]
+)
+def test_a_run_is_the_same_again_and_by_the_environments_own_steps(env_id, egos):
+    world, rng = world_of(env_id), np.random.default_rng(8)
+    for run in range(6 if len(egos) > 1 else 2):
+        ego = egos[run % len(egos)]
         trace = world.rollout(drawn(rng, world, on_grid=run % 2), ego)
-        assert differences(trace, world.rollout(trace.executed, ego)) == []
+        assert np.array_equal(world.rollout(trace.executed, ego).states, trace.states)
         again = world.rollout_in_gym(trace.executed, ego)
         assert again.outcome is trace.outcome
         for name in ("states", "track", "on_way"):

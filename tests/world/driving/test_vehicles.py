@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from highway_env.envs.highway_env import HighwayEnv
 from highway_env.road.lane import CircularLane, SineLane, StraightLane
+from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
@@ -24,6 +25,7 @@ from pytest_pafot.world import World
 from pytest_pafot.world.driving.vehicles import (
     Car,
     DirectedVehicle,
+    EgosRegulatedRoad,
     ParallelLanes,
     SearchedLanes,
     straight_network,
@@ -142,6 +144,40 @@ def test_a_directed_vehicle_steers_as_highway_envs_own(position, heading, speed,
     road, index = Road(network, np_random=np.random.default_rng(0)), list(network.lanes_dict())[number % 9]
     stock, own = (each(road, position, heading, speed) for each in (MDPVehicle, DirectedVehicle))
     assert own.steering_control(index) == stock.steering_control(index)
+
+
+def crossroads(kind, seed, ego_class):
+    """An ego and others near the middle of an intersection, on a road of a kind, and how others foresee them."""
+    rng, network = np.random.default_rng(seed), World("intersection-v0").network
+    road = kind(network, np_random=rng)
+    lanes = [lane for index, lane in network.lanes_dict().items() if index[0].startswith("o")]
+    for number in range(4):
+        lane, at = lanes[(seed + number) % len(lanes)], rng.uniform(70.0, 90.0)
+        start = lane.position(at, 0.0), lane.heading_at(at), rng.uniform(6.0, 10.0)
+        vehicle = (Car if number else ego_class)(road, *start)
+        vehicle.check_collisions = False
+        road.vehicles.append(vehicle)
+    road.vehicles[0].plan_route_to("o1")
+    return road
+
+
+@pytest.mark.parametrize("ego_class", [IDMVehicle, MDPVehicle])
+def test_the_ego_is_told_to_yield_exactly_where_highway_envs_regulated_road_tells_it(ego_class):
+    told = 0
+    for seed in range(8):
+        stock, own = (crossroads(kind, seed, ego_class) for kind in (RegulatedRoad, EgosRegulatedRoad))
+        for _ in range(45):
+            for road in (stock, own):
+                road.vehicles[0].act()
+            own.regulate(1 / 15)
+            Road.step(own, 1 / 15)
+            stock.step(1 / 15)
+            yields = [getattr(road.vehicles[0], "is_yielding", None) for road in (stock, own)]
+            assert yields[0] == yields[1]
+            told += bool(yields[0])
+            assert stock.vehicles[0].target_speed == own.vehicles[0].target_speed
+            assert np.array_equal(stock.vehicles[0].position, own.vehicles[0].position)
+    assert (told > 0) == (ego_class is IDMVehicle)
 
 
 def test_a_car_is_a_highway_env_vehicle_to_highway_envs_own_code():
