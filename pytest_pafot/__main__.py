@@ -10,13 +10,13 @@ from contextlib import suppress
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command, from the arguments of the command line without the program's name; its exit code."""
+    from pytest_pafot.commands import bisect_command as bisecting  # noqa: PLC0415
+    from pytest_pafot.commands import search_command as searching  # noqa: PLC0415
     from pytest_pafot.comparison import command as comparison  # noqa: PLC0415
     from pytest_pafot.corpus import corpus_command as corpus  # noqa: PLC0415
     from pytest_pafot.episodes import progress_command as progressing  # noqa: PLC0415
     from pytest_pafot.episodes import rate_command as rating  # noqa: PLC0415
     from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
-    from pytest_pafot.plugin import bisect_command as bisecting  # noqa: PLC0415
-    from pytest_pafot.plugin import search_command as searching  # noqa: PLC0415
 
     given = sys.argv[1:] if arguments is None else arguments
     about = "Commands of pytest-pafot beside pytest."

@@ -19,6 +19,8 @@ from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
 from pytest_pafot.campaign.run_table import COLUMNS
+from pytest_pafot.commands.bisect_command import add_arguments as add_bisect_arguments
+from pytest_pafot.commands.search_command import add_arguments as add_search_arguments
 from pytest_pafot.comparison.algorithm_run import Row
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.corpus.file_format import text_of
@@ -39,9 +41,7 @@ from pytest_pafot.model.trace import AdsError, Collision, Outcome, Trace
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Moment, Run
 from pytest_pafot.plugin import fixtures
-from pytest_pafot.plugin.bisect_command import add_arguments as add_bisect_arguments
 from pytest_pafot.plugin.marks import rate
-from pytest_pafot.plugin.search_command import add_arguments as add_search_arguments
 from pytest_pafot.report.session_record import FindingRecord, OrphanRecord, SearchRecord, SessionRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace

@@ -13,6 +13,7 @@ import pytest
 
 from pytest_pafot.campaign.replays import FLAKY
 from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.commands.bisect_command import TOLD
 from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.replay import ending, replay_label, unhandled
 from pytest_pafot.findings.situation import missed
@@ -21,9 +22,6 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.marks import SAVED_MARK
 from pytest_pafot.plugin.replay_item import REPLAYED
 from pytest_pafot.support.text import one_line, visible
-
-TOLD = "PYTEST_PAFOT_BISECT"
-"""The variable that names the file, and the paths of the policy in the user's folder, as JSON."""
 
 
 def pytest_runtest_teardown(item: pytest.Item) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.__main__ import main
-from pytest_pafot.plugin.bisect_command import Trials, parted
+from pytest_pafot.commands.bisect_command import Trials, parted
 from pytest_pafot.plugin.bisect_session import TOLD
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide" / "what-broke.md"

@@ -15,14 +15,14 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import pytest
-
 from pytest_pafot.campaign.request import BLAMES
 from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory, module_of
 from pytest_pafot.corpus.layout import CORPUS
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
+TESTS_FAILED, USAGE_ERROR = 1, 4
+"""Exit codes of pytest, which the help of commands does not wait for."""
 NO_TESTS = "[pytest]\n"
 """Keeps the settings of a project out of a session that has none of its tests."""
 
@@ -63,12 +63,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         fixed = [f"--rootdir={folder}", f"--pafot-corpus={here / CORPUS}", "-pno:cacheprovider", "-rN"]
         session = [sys.executable, "-m", "pytest", folder, *fixed, *options, *arguments.pytest]
         code = subprocess.run(session, check=False).returncode  # noqa: S603  (the user's own arguments)
-    if code == pytest.ExitCode.TESTS_FAILED:
+    if code == TESTS_FAILED:
         kept = f"and commit {CONFTEST}, {TEST} and {CORPUS}/"
         own = command[: command.index("--")] if "--" in command else command
         again = [*own, "--write-test"]
         sys.stdout.write(f"keep it as a test: {shlex.join(again)}, {kept}\n")
-    return BAD_USE if code == pytest.ExitCode.USAGE_ERROR else code
+    return BAD_USE if code == USAGE_ERROR else code
 
 
 def _written(here: Path, files: dict[str, str]) -> int:

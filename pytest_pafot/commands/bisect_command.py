@@ -17,9 +17,11 @@ from typing import Any
 from pytest_pafot.campaign.saved_scenario import load
 from pytest_pafot.commands.history import History, HistoryError, halved, inside
 from pytest_pafot.commands.policy_reference import BAD_USE
-from pytest_pafot.plugin.bisect_session import TOLD
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.text import one_line, plural, visible
+
+TOLD = "PYTEST_PAFOT_BISECT"
+"""The variable that tells the session of a commit what it is about."""
 
 SHOWN = 60  # lines of a diff
 VERDICTS = {True: "passes", False: "fails", None: "not judged"}
