@@ -28,8 +28,9 @@ NPCS = 4
 """In a scenario, where neither the algorithm nor the mark says otherwise: beside the ego in any lane of a Highway."""
 MOST_NPCS = 6
 """Where their number is drawn; fewer in the outer lanes, so that a cell is left to go to."""
-MOST_CROSSING = 4
-"""NPCs where ways of other traffic meet the ego's: enough to hide one behind another."""
+MOST_CROSSING = 3
+"""NPCs where ways of other traffic meet the ego's: enough to hide one behind another. An ego that waits for one of many
+meets none of the others as they were told, so that more of them show less."""
 GENE_DURATIONS = (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
 """Of which that of a scenario's genes is drawn [s]."""
 SLOWEST_START = 12.0

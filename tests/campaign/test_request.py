@@ -75,8 +75,8 @@ def test_a_lane_that_equals_a_whole_number_is_refused_in_words():
 def test_where_ways_cross_most_npcs_come_from_there_but_in_the_papers_searches():
     world = World("intersection-v0")
     drawn = space_of(world)
-    assert (drawn.crossings, drawn.most_npcs, drawn.most_on_grid) == (world.crossings, (4,), 2)
-    assert drawn.described.startswith("1 to 4 NPCs in hostile traffic, most of them on 6 ways that meet the ego's; the")
+    assert (drawn.crossings, drawn.most_npcs, drawn.most_on_grid) == (world.crossings, (3,), 2)
+    assert drawn.described.startswith("1 to 3 NPCs in hostile traffic, most of them on 6 ways that meet the ego's; the")
     assert space_of(world, npcs=3, acts=("pass", "late")).most_npcs == ()
     assert space_of(world, acts=("pass", "late")).acts == ("pass", "late")
     for algorithm in ("pafot", "cma-es"):
