@@ -161,13 +161,18 @@ class ReferenceDriver(ABC):
     def at_junction(self, observation: Observation) -> float:
         """The acceleration that those leave it who come on other ways [m/s^2]; infinite where nobody does."""
         meeting = [other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0]
-        wishes = [self.before_zone(observation, other) for other in meeting]
+        passes = [self.lets_pass(observation, other) for other in meeting]
+        stops = [other.ego_distance for other, first in zip(meeting, passes, strict=True) if first]
+        wishes = []
+        for other, first in zip(meeting, passes, strict=True):
+            is_stop_in_it = any(other.ego_distance < stop < other.ego_to_leave + LINE for stop in stops)
+            wishes.append(self.before_zone(observation, other, first or is_stop_in_it))
         return min(wishes, default=math.inf)
 
-    def before_zone(self, observation: Observation, other: CrossingVehicle) -> float:
-        """The acceleration that one of them leaves it [m/s^2]."""
+    def before_zone(self, observation: Observation, other: CrossingVehicle, waits: bool) -> float:
+        """The acceleration that one of them leaves it [m/s^2]; it may have to wait for that one."""
         ego = observation.ego
-        lets_pass = self.held(f"lets pass {other.id}", self.lets_pass(observation, other))
+        lets_pass = self.held(f"lets pass {other.id}", waits)
         if other.zone.kind == "merging" and other.is_inside and other.to_leave < other.ego_to_leave:
             gap = other.ego_to_leave - other.to_leave - (ego.length + other.length) / 2
             leader = Leader(gap=gap, speed=other.speed, closing=ego.speed - other.speed, braking=0.0)
