@@ -335,8 +335,8 @@ class Scenario:
     @property
     def crossings(self) -> tuple[CrossingInstruction | None, ...]:
         """Per NPC its Crossing-Instruction, or None; empty where no NPC has one."""
-        found = tuple(chain[0] if isinstance(chain[0], CrossingInstruction) else None for chain in self.npcs)
-        return found if any(found) else ()
+        found = [chain[0] if type(chain[0]) is CrossingInstruction else None for chain in self.npcs]
+        return tuple(found) if any(found) else ()
 
     @property
     def genes(self) -> int:

@@ -113,13 +113,14 @@ class Rules:
             fix = "give NPCs PositionInstruction(cell, speed), or take a straight road such as pafot.Highway()"
             raise WorldError(field="scenario", expected=expected, received=received, fix=fix)
         self._check_lane(scenario.ego_lane)
-        cells, on_grid = self.start_cells(scenario), len(scenario.npcs) - sum(map(bool, scenario.crossings))
+        cells, crossings = self.start_cells(scenario), scenario.crossings
+        on_grid = crossings.count(None) if crossings else len(scenario.npcs)
         if on_grid > len(cells):
-            kind = " on the grid" if scenario.crossings else ""
+            kind = " on the grid" if crossings else ""
             expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists beside lane {scenario.ego_lane}"
             raise ScenarioError(field="npcs", expected=expected, received=str(on_grid))
         self._check_speeds(scenario)
-        for npc, instruction in enumerate(scenario.crossings):
+        for npc, instruction in enumerate(crossings):
             if instruction is not None:
                 self._check_crossing(f"npcs[{npc}][0]", instruction)
         ticks = scenario.gene_seconds * self.physics_hz

@@ -80,9 +80,10 @@ class Record:
 
     @property
     def _zones(self) -> tuple[Zone | None, ...]:
-        told = self.scenario.crossings
-        ways = self.rules.crossings.ways if told and self.rules.crossings is not None else {}
-        return tuple(None if each is None else ways[each.zone].zone for each in told)
+        if self.rules.crossings is None:
+            return ()
+        ways = self.rules.crossings.ways
+        return tuple(None if each is None else ways[each.zone].zone for each in self.scenario.crossings)
 
     def _collision(self, states: FloatArray, track: FloatArray | None) -> Collision:
         now = self._boxes(states[-1])
