@@ -1,7 +1,7 @@
-"""The pytest plugin: options, marks, fixtures, items and how they run, and what the terminal shows of them.
+"""The pytest plugin: options, marks, fixtures, items, and their reports on the terminal.
 
-Sessions without a marked test pay for the light modules imported here and nothing else: everything that needs
-numpy, yaml or highway-env is imported when a marked test is collected or run.
+A session without a marked test imports only the light modules below. Everything that needs numpy, yaml or highway-env
+is imported when a marked test is collected or run.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pytest_pafot.plugin.terminal_reporter import Reporter
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Declare the options."""
+    """Declare the command-line options and ini keys."""
     add_options(parser)
 
 
@@ -71,10 +71,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Register what runs the items, where there are any and they will run."""
+    """Register the plugins that run the marked items, if the session will run any."""
     is_marked = any(item.get_closest_marker(name) for item in session.items for name in (SEARCH_MARK, ANY_MARK))
     if not is_marked or session.config.getoption("collectonly"):
-        return  # what runs items imports the simulation, for which an editor that lists tests would wait
+        return  # these plugins import the simulation, and an editor that only lists tests would wait for it
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
 

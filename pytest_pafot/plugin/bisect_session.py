@@ -1,4 +1,4 @@
-"""What a session that ``python -m pytest_pafot bisect`` starts for one commit tells it, in a file of JSON."""
+"""The plugin of a session that ``python -m pytest_pafot bisect`` starts for one commit: it writes a result as JSON."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pytest_pafot.support.text import one_line, visible
 
 
 def pytest_runtest_teardown(item: pytest.Item) -> None:
-    """Tell what the replay of the saved scenario came to."""
+    """Write the result of the saved scenario's replay."""
     if REPLAYED not in item.stash:
         return
     label, run, verdict = item.stash[REPLAYED]
@@ -40,7 +40,7 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
 
 
 def pytest_exception_interact(call: pytest.CallInfo[Any]) -> None:
-    """Tell why there may be no replay: what was raised first, and why."""
+    """Write why there may be no replay: the first error that was raised."""
     if call.excinfo is not None and not Path(json.loads(os.environ[TOLD])["file"]).exists():
         error = call.excinfo.value.__cause__ or call.excinfo.value  # pytest wraps what an import raises
         text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
@@ -48,13 +48,14 @@ def pytest_exception_interact(call: pytest.CallInfo[Any]) -> None:
 
 
 def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | None) -> tuple[bool | None, str]:
-    """Return whether a replay passes, None where nobody can tell, and how it ended.
+    """Return whether a replay passes, or None if that cannot be decided, and how it ended.
 
-    It fails by the failure of the file alone: with the saved event, or one of the same signature. It passes where the
-    situation came up and the test function is content, whatever came of it; all commits run with the packages of now.
+    A replay fails only by the failure that the file describes: the saved event, or one of the same signature. It passes
+    if the saved situation occurred and the test function accepted the run. Versions of packages are ignored, because
+    all commits run with the packages that are installed now.
     """
     if run is None or verdict is None:
-        return (False if label == "still failing" else None), "the process did not come back"
+        return (False if label == "still failing" else None), "the process died or hung"
     if label == FLAKY or not (verdict.failed or verdict.passes):
         return None, label if label == FLAKY else f"the test function did not judge the run: {verdict.kind}"
     failure = verdict.failure if verdict.failed else None
@@ -69,10 +70,13 @@ def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | Non
 
 
 def decided(trace: Trace) -> dict[str, Any]:
-    """Return what an ego decided, at which ticks, and how fast it was; what it did, where it decides nothing."""
+    """Return an ego's decisions with their interval in ticks, and its speed [m/s].
+
+    For an ego of one of highway-env's vehicle classes, which decides nothing, they are what it did at each tick.
+    """
     actions: list[Any] = [list(action) if _is_pair(action) else repr(action) for action in trace.actions]
     every = trace.physics_hz // trace.ads_hz
-    if not actions:  # of a class of highway-env's vehicles
+    if not actions:  # an ego of one of highway-env's vehicle classes
         actions, every = trace.ego[1:, [ACCELERATION, STEERING]].tolist(), 1
     return {"decisions": actions, "speeds": trace.ego[::every, SPEED].tolist(), "every": every, "hz": trace.physics_hz}
 
@@ -82,7 +86,7 @@ def _is_pair(action: Any) -> bool:
 
 
 def _imported_from_elsewhere() -> str:
-    """Return the file of a module that the user's folder has in the place of the worktree's; empty for none."""
+    """Return the file of a module that came from the user's folder instead of the commit's worktree; empty if none."""
     policy = json.loads(os.environ[TOLD])["policy"]
     files = {
         os.path.realpath(file) for module in [*sys.modules.values()] if (file := getattr(module, "__file__", None))

@@ -1,4 +1,4 @@
-"""Items: one for the search of each marked test, then one for each of its saved scenarios."""
+"""Collection of items: each marked test has one for its search and one for each of its saved scenarios."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
 from pytest_pafot.support.text import visible
 
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
-"""The saved scenarios that were there when the session collected its items, by folder and name of the file."""
+"""The saved scenarios that existed when the session collected its items, by folder and file name."""
 
-SEARCH = "search"  # the argument of an item, until a simulated run takes its place
+SEARCH = "search"  # a placeholder for the argument of an item, which a simulated run replaces
 
 
 def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
-    """Let corpus files be given on the command line; these, and the test files that are collected for them alone."""
+    """Accept corpus files on the command line; return them, and the test files that are collected only for them."""
     given = [arg for arg in config.args if arg.endswith(layout.SUFFIX)]
     if not given:
         return set(), set()
     others = [_given_path(config, arg).resolve() for arg in config.args if arg not in given]
     paths = [config.invocation_params.dir / arg for arg in given]
-    files = [path.parent.resolve() / path.name for path in paths]  # A file that is a link has an item of its own.
+    files = [path.parent.resolve() / path.name for path in paths]  # not resolved: a link has its own item
     modules = dict.fromkeys(_module_of(file, config) for file in files)
     added = [module for module in modules if not any(other in (module, *module.parents) for other in others)]
     config.args[:] = [*(arg for arg in config.args if arg not in given), *map(str, added)]
@@ -50,22 +50,25 @@ class Collection:
         self._rootpath = config.rootpath
         self._given_files, self._modules_for_them = accept_files(config)
         self._collected = Collected(rootpath=config.rootpath)
-        self._corpora: set[Path] = set()  # that were met where test files are looked for
+        self._corpora: set[Path] = set()  # the corpora found while pytest looked for test files
         self._saved = config.stash.setdefault(COLLECTED, {})
         config.stash[UNRUN] = Unrun({}, {}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
-        """What lies in a corpus is data, whatever its name."""
+        """Ignore everything in a corpus: it is data, whatever its name."""
         folders = [collection_path, *collection_path.parents]
         if not any(self._is_corpus(folder) for folder in folders):
             return None
-        # All tests beside it may be gone, and no item would lead to it.
+        # Noted here, because all tests next to it may be gone, and then no item leads to it.
         if self._corpus is not None and layout.is_corpus(collection_path, self._corpus):
             self._corpora.add(collection_path)
         return True
 
     def _is_corpus(self, folder: Path) -> bool:
-        """What pytest runs in is none, nor, but by the usual name, what it was asked for."""
+        """Return whether a folder is a corpus.
+
+        The rootdir and the folders above it are not. Neither is a requested folder, unless it has the default name.
+        """
         if folder.name == layout.CORPUS:
             return not self._rootpath.is_relative_to(folder)
         return self._corpus is not None and layout.is_corpus(folder, self._corpus) and folder not in self._asked_for
@@ -77,25 +80,25 @@ class Collection:
 
     @cached_property
     def _asked_for(self) -> set[Path]:
-        """Folders that the rootdir or an argument is, or lies in."""
+        """The rootdir, the folders given as arguments, and all folders above them."""
         folders = [self._rootpath, *self._folders_given]
         return {each for folder in folders for each in (folder, *folder.parents)}
 
     @property
     def _folders_given(self) -> list[Path]:
-        """Folders that the session was asked to collect; it was asked for none by names of files and tests."""
+        """The folders given on the command line; arguments that name files or tests give none."""
         given = (_given_path(self._config, arg) for arg in self._config.args)
         return [path for path in given if path.is_dir()]
 
-    @pytest.hookimpl(trylast=True)  # so that its part of the name stands behind those of marks: test_x[1-search]
+    @pytest.hookimpl(trylast=True)  # so that its part of the name is behind those of the user's marks: test_x[1-search]
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """The search first, then every file that may belong to an item of the function."""
+        """Parametrize the function with its search, then with every file that may belong to one of its items."""
         arguments = arguments_of(metafunc.definition)
         if arguments is None:
             return
         arg = arguments.get("arg", DEFAULT_ARG)
         if arg not in metafunc.fixturenames or _is_parametrised(metafunc, arg):
-            return  # The one item that this leaves says what is wrong when it is set up.
+            return  # One item is left. It reports what is wrong when it is set up.
         saved = [
             pytest.param(SEARCH, id=saved_part(each.id), marks=[getattr(pytest.mark, SAVED_MARK)(each)])
             for each in self._saved_by_id(metafunc.definition, arguments)
@@ -103,7 +106,7 @@ class Collection:
         metafunc.parametrize(arg, [pytest.param(SEARCH, id=SEARCH_PART), *saved])
 
     def _saved_by_id(self, definition: pytest.Item, arguments: Mapping[str, Any]) -> Iterable[Saved]:
-        """One for each id among the files of every parametrisation of a function, in the order of folders and ids."""
+        """Return one saved scenario per id, from the files of all parametrisations."""
         corpus = corpus_name(self._config, arguments)
         if corpus is None:
             return []
@@ -124,7 +127,7 @@ class Collection:
     def pytest_pycollect_makeitem(self, collector: pytest.Collector) -> Generator[None, Any, Any]:
         """Drop the combinations of parameters and files that do not belong together."""
         made = yield
-        # Classes are noted whatever becomes of their members: an orphan's test may be gone together with its class.
+        # Note every class, even one whose members are dropped: an orphan's test may be gone together with its class.
         if isinstance(collector, pytest.Class):
             self._collected.opened.add(collector.nodeid)
         if isinstance(made, pytest.Class):
@@ -134,7 +137,7 @@ class Collection:
         return [item for item in made if self._belongs(item)]
 
     def _belongs(self, item: pytest.Item) -> bool:
-        """Whether an item is to be kept: files belong to one parametrisation, and others drop out here."""
+        """Return whether an item stays: a file belongs to one parametrisation, and other items of it are dropped."""
         arguments = arguments_of(item)
         if arguments is None:
             return True
@@ -149,8 +152,8 @@ class Collection:
         saved = None if folder is None else self._saved.get(folder, {}).get(mark.args[0].path.name)
         frozen = self._config.stash[SHARED].frozen
         if saved is None or (frozen is not None and item.nodeid not in frozen):
-            return False  # pytest-xdist ends a session whose workers collect different items
-        # Now that the parameters are known, so is the one file that the item replays.
+            return False  # a new file is dropped, since pytest-xdist ends a session whose workers differ in their items
+        # Only now are the parameters known, and with them the one file that the item replays.
         item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
         if saved.is_accepted(date.fromisoformat(self._config.stash[SHARED].today)):
             item.add_marker(pytest.mark.xfail(strict=True, reason=visible(saved.xfail or "")), append=False)
@@ -158,11 +161,11 @@ class Collection:
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> Generator[None, None, None]:
-        """Find what no item runs before any selection, drop known searches after all."""
+        """Find files that no item runs before tests are selected; drop searches that need not run again afterwards."""
         self._find_unrun(items)
         self._deselect(items, self._is_beside_given)
         yield
-        # Under --lf, a search that failed by finds which are items by now need not run again.
+        # Under --lf, a search need not run again if its findings have become items since.
         if self._config.getoption("lf", False) and getattr(self._config, "cache", None) is not None:
             failed = self._config.cache.get("cache/lastfailed", {})
             known = {base_id(item) for item in items if saved_of(item) is not None and item.nodeid in failed}
@@ -175,12 +178,12 @@ class Collection:
             files = {item.path.parent: item.path for item in items}
             roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
             met = [each for each in sorted(self._corpora) if any(map(each.is_relative_to, self._folders_given))]
-            for given in self._config.getoption(BY_NAME["merge"].key) or ():  # corpora of other machines
+            for given in self._config.getoption(BY_NAME["merge"].key) or ():  # corpora that come from other machines
                 merged = self._config.invocation_params.dir / given
                 met = [each for each in met if not each.is_relative_to(merged)]
             roots = dict(_roots_in(met, Path(corpus), self._rootpath)) | roots
         links = {root: layout.link_out(directory, root, self._rootpath) for root, directory in roots.items()}
-        for link in sorted(set(filter(None, links.values()))):  # Not even the names of what lies behind it are listed.
+        for link in sorted(set(filter(None, links.values()))):  # A link is refused before its target is listed.
             self._config.stash[SUMMARY_LINES].problems.append(refusal(link))
         roots = {root: directory for root, directory in roots.items() if links[root] is None}
         if not self._collected.roots and not any(map(layout.is_folder, roots)):
@@ -199,7 +202,7 @@ class Collection:
         unrun.strays.update(find_strays(collected, unrun.orphans))
 
     def _is_beside_given(self, item: pytest.Item) -> bool:
-        """Whether its module is collected only for the sake of a corpus file that the item does not replay."""
+        """Return whether an item's module was collected only for a corpus file that the item does not replay."""
         saved = saved_of(item)
         return item.path in self._modules_for_them and (saved is None or saved.path not in self._given_files)
 
@@ -211,7 +214,7 @@ class Collection:
             items[:] = [item for item in items if item not in gone]
 
     def pytest_report_collectionfinish(self, items: list[pytest.Item]) -> str | None:
-        """How many items are searches and replays."""
+        """Return how many items are searches and how many replay saved scenarios."""
         searches = sum(map(is_search, items))
         saved = sum(saved_of(item) is not None for item in items)
         if (not searches and not saved) or self._config.getoption(BY_NAME["merge"].key):
@@ -221,12 +224,12 @@ class Collection:
 
 
 def is_search(item: pytest.Item) -> bool:
-    """Whether an item is the search itself."""
+    """Return whether an item is a search, not a replay."""
     return item.get_closest_marker(SEARCH_MARK) is not None and item.get_closest_marker(SAVED_MARK) is None
 
 
 def saved_of(item: pytest.Item) -> Saved | None:
-    """The saved scenario that an item replays, or None."""
+    """Return the saved scenario that an item replays, or None."""
     mark = item.get_closest_marker(SAVED_MARK)
     return mark.args[0] if mark is not None and mark.args and isinstance(mark.args[0], Saved) else None
 
@@ -240,12 +243,12 @@ def _is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
 
 
 def _given_path(config: pytest.Config, arg: str) -> Path:
-    """The path of an argument of the command line, without names of tests in it."""
+    """Return the path in a command-line argument, without the names of tests."""
     return Path(os.path.normpath(config.invocation_params.dir / arg.split("::", 1)[0]))
 
 
 def _roots_in(corpora: Iterable[Path], corpus: Path, rootpath: Path) -> Iterator[tuple[Path, Path]]:
-    """Yield the corpora in folders of an option ``corpus``, each with the folder of the test files that it serves."""
+    """Yield the corpora in folders that the option ``corpus`` names, each with the folder of its test files."""
     for met in corpora:
         if not corpus.is_absolute():
             yield met, met.parents[len(corpus.parts) - 1]
@@ -261,7 +264,7 @@ def _module_of(file: Path, config: pytest.Config) -> Path:
     corpus = corpus_name(config, {})
     module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():
-        where = "its folder does not lie in a corpus" if module is None else f"{module} does not exist"
+        where = "its folder is not in a corpus" if module is None else f"{module} does not exist"
         told = f"{file}: expected a saved scenario of a test file, but {where}"
         raise pytest.UsageError(f"{visible(told)}; move the folder to where the test is now")
     return module

@@ -1,7 +1,7 @@
-"""How a failing item is shown: the frames in short, lines that fit the terminal, and one line for the summary.
+"""The report of a failing item: short frames, lines that fit the terminal, and one line for the summary.
 
-A search may find dozens of failures, and pytest shows each three times: in its section, in the short summary, where
-CI gets the message as a whole, and in files for other tools. Frames in full come back with ``-v`` or ``--tb=long``.
+A search may find dozens of failures, and pytest prints each three times: in its own section, in the short summary,
+which is not shortened on CI, and in files for other tools. ``-v`` or ``--tb=long`` brings the full frames back.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
 
-SUMMARY = pytest.StashKey[str]()  # what the summary line of a failing item says
+SUMMARY = pytest.StashKey[str]()  # the summary line of a failing item
 
 SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+(, position rule: \w+)?(, [a-z]+ traffic.*)?")
-"""Closes what ``run.explain()`` says; its file and its report have it."""
+"""The last line of ``run.explain()``, which the saved file and the report page contain, too."""
 
 REPEATED = (
     SCENARIO,
     re.compile(r"E +assert not <Collision [^<>]*>"),
     re.compile(r"E +\+  where .* = <Run [^<>]*>\.\w+"),
 )
-"""Lines that say again what an explanation and the line of the assertion say."""
+"""Lines that repeat what the explanation and the line of the assertion say."""
 
 _COLOUR = re.compile("\x1b\\[[0-9;]*m")
-"""In which pytest shows a difference of two values; a file may have it, too, to hide a text in."""
+"""A colour code. pytest colours the difference of two values with them; a malicious file may hide a text in them."""
 
 
 class Failures:
-    """The hook that makes the reports of failing items."""
+    """The hook that shortens the reports of failing items."""
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
@@ -48,7 +48,7 @@ class Failures:
         if call.excinfo is None or not any(map(item.get_closest_marker, (SEARCH_MARK, RATE_MARK))):
             return (yield)
         option, is_brief = item.config.option, is_compact(item.config)
-        style = getattr(option, "tbstyle", None)  # an option of the terminal's plugin, which may be off
+        style = getattr(option, "tbstyle", None)  # declared by pytest's terminal plugin, which may be off
         if is_brief and call.when == "call" and style == "auto":
             option.tbstyle = "short"
         try:
@@ -67,20 +67,20 @@ class Failures:
 
 
 def is_compact(config: pytest.Config) -> bool:
-    """Whether what a file and a report have too is left out."""
+    """Return whether a report leaves out what the saved file and the report page contain, too."""
     return config.get_verbosity() <= 0
 
 
 def explained(run: Run, exception: BaseException, config: pytest.Config) -> str:
-    """What a run was like; where a check failed, as the line on the rest of the run below that."""
+    """Return the explanation of a run; if a check failed, as the line that follows the check's own explanation."""
     text = run.explain()
-    if is_compact(config):  # without its last line, which names the scenario as the file does
+    if is_compact(config):  # drop the last line: it names the scenario, as the file does
         text = text.rpartition("\n")[0]
     return f"run        {text}" if isinstance(exception, CheckFailed) else text
 
 
 def summarise(report: pytest.TestReport, text: str) -> None:
-    """Let the summary line say a text, or the first line of the message where there is none."""
+    """Set the summary line of a report to a text, or to the first line of its message if the text is empty."""
     crash = getattr(report.longrepr, "reprcrash", None)
     if crash is not None:
         first = _COLOUR.sub("", crash.message).removeprefix("Failed: ").partition("\n")[0]
@@ -88,7 +88,7 @@ def summarise(report: pytest.TestReport, text: str) -> None:
 
 
 def _make_visible(report: pytest.TestReport) -> None:
-    """Make texts safe to show that are no lines of a traceback: an error, why an item skips or may fail."""
+    """Make the texts safe to display that are not part of a traceback: an error, the reason of a skip or an xfail."""
     match report.longrepr:
         case str() as text:
             report.longrepr = visible_lines(text)
@@ -99,7 +99,7 @@ def _make_visible(report: pytest.TestReport) -> None:
 
 
 def _fit(longrepr: Any, width: int, *, is_brief: bool) -> None:
-    """Fit the lines of a failure's message into the width; lines of code keep theirs. All are safe to show."""
+    """Fit the lines of a failure's message into the width, but not lines of code; make all of them safe to display."""
     tracebacks = [each[0] for each in getattr(longrepr, "chain", ())] or [getattr(longrepr, "reprtraceback", None)]
     for entry in (entry for each in tracebacks if each is not None for entry in each.reprentries):
         lines = [_COLOUR.sub("", line) for line in entry.lines]

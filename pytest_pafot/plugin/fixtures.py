@@ -1,4 +1,4 @@
-"""Fixtures for searches and for ordinary tests that simulate, and what they give."""
+"""Fixtures for searches and for ordinary tests that simulate, and the types of their values."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
 
 
 class Simulate(Protocol):
-    """What the fixture ``pafot_simulate`` gives."""
+    """The function that the fixture ``pafot_simulate`` returns."""
 
     def __call__(self, scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
-        """One run of a scenario; without a world in that of the fixture ``pafot_world``."""
+        """Run a scenario in a world, by default in the world of the fixture ``pafot_world``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Corpus:
-    """What the fixture ``pafot_corpus`` gives: the saved scenarios of the module that asks for it.
+    """The value of the fixture ``pafot_corpus``: the saved scenarios of the module that requests it.
 
     Attributes:
-        folder: in which a folder for each test lies; it may not exist.
+        folder: contains a folder for each test; it may not exist.
     """
 
     folder: Path
 
     def __iter__(self) -> Iterator[Finding]:
-        """Every finding, by test and id.
+        """Iterate over all findings, in the order of tests and ids.
 
         Raises:
-            CorpusError: for a file that cannot be read.
+            CorpusError: if a file cannot be read.
         """
         from pytest_pafot.corpus.reader import load  # noqa: PLC0415
 
@@ -58,13 +58,13 @@ class Corpus:
 
     @property
     def paths(self) -> list[Path]:
-        """Of the files."""
+        """The paths of the saved files."""
         return sorted(self.folder.glob(f"*/*{SUFFIX}"))
 
 
 @pytest.fixture(scope="session")
 def pafot_world() -> WorldLike:
-    """The world of searches whose mark gives none: a straight motorway. Override it in a conftest.py."""
+    """Return the world of searches whose mark gives none: a straight motorway. Override it in a conftest.py."""
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
     return Highway()
@@ -72,7 +72,7 @@ def pafot_world() -> WorldLike:
 
 @pytest.fixture(scope="session")
 def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
-    """What makes the runs of searches: the workers of --pafot-dask, or None. Override it in a conftest.py."""
+    """Yield the executor that runs scenarios: the workers of --pafot-dask, or None. Override it in a conftest.py."""
     address = pytestconfig.getoption(BY_NAME["dask"].key)
     if address is None:
         yield None
@@ -90,9 +90,9 @@ def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
 
 @pytest.fixture(scope="session")
 def pafot_simulate(pafot_world: WorldLike) -> Simulate:
-    """A function (scenario, ads_factory, world=None) -> Run, warm, so that the first call is no slower.
+    """Return a function (scenario, ads_factory, world=None) -> Run, warmed up so that its first call is not slower.
 
-    It fails the test where the ADS raises, hangs or returns no action.
+    The function fails the test if the ADS raises, hangs or returns no action.
     """
     from pytest_pafot.campaign.verdict import ads_text  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
@@ -107,11 +107,11 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
         trace = world.rollout(scenario, ads_factory)
         run = Run(trace, world=reference_world(world), take_over=taking_over(world))
         failure = ads_failure(run)
-        if failure is not None:  # Such a run is short, and passes nearly any assertion on what did not happen in it.
+        if failure is not None:  # Such a run is short, and would pass most assertions that something did not happen.
             pytest.fail(ads_text(failure), pytrace=False)
         return run
 
-    # The first run imports highway-env, about a second, which would look like a slow test to hypothesis.
+    # The first run imports highway-env, which takes about a second: hypothesis would call the test too slow.
     still = Scenario(npcs=((PositionInstruction(Cell.FRONT, 22.0),),))
     simulate(still, lambda: lambda observation: (0.0, 0.0), Highway(duration=0.2))
     return simulate
@@ -119,7 +119,7 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
 
 @pytest.fixture
 def pafot_corpus(request: pytest.FixtureRequest) -> Corpus:
-    """The saved scenarios of all tests of the module, to iterate over."""
+    """Return the saved scenarios of all tests of the module, to iterate over."""
     corpus = corpus_name(request.config, arguments_of(request.node) or {}) or CORPUS
     folder = folder_of_module(request.path, corpus, request.config.rootpath)
     link = link_out(chosen_folder(request.path, corpus), folder.parent, request.config.rootpath)

@@ -1,4 +1,4 @@
-"""What must be right with a marked item before it runs: checked before its fixtures, and told as its own failure."""
+"""Checks of a marked item before its fixtures are set up, and the hooks that then run it."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 
 
 class Checks:
-    """Hooks that turn whatever is wrong with a marked item into its own failure."""
+    """Hooks that turn anything wrong with a marked item into the item's own failure."""
 
-    # Neither tryfirst nor trylast: after the skip marks are looked at, before pytest sets the fixtures up.
+    # Neither tryfirst nor trylast: it must run after pytest reads the skip marks and before it sets up the fixtures.
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Refuse an item that cannot run as it is written; skip a search without generations."""
-        # Not hidden: pytest 9 adds a line on hidden frames to a failure that has no other frame.
+        # No __tracebackhide__: pytest 9 adds a line about hidden frames to a failure that has no other frame.
         arguments = arguments_of(item)
         if arguments is None:
-            # The mark by which pytest selects searched tests makes none: that is the decorator's work.
+            # The mark that selects tests does not make a test a search. Only the decorator does.
             if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in getattr(item, "fixturenames", ()):
                 pytest.fail(
                     f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
@@ -46,7 +46,7 @@ class Checks:
             request = request_of_mark(item.config, arguments, item.config.stash[SHARED].fresh_seed)
             _check_parameters(item, request)
         except RequestError as error:
-            raise pytest.fail.Exception(str(error), pytrace=False) from None  # shown once
+            raise pytest.fail.Exception(str(error), pytrace=False) from None  # else pytest prints the message twice
         item.stash[REQUEST] = request
         is_idle = is_search(item) and not request.settings.is_search and MERGES not in item.config.stash
         if is_idle and not left_by(base_id(item), records_folder(item, request.settings)):
@@ -56,7 +56,7 @@ class Checks:
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Say what to do where the fixture of the ADS does not exist."""
+        """Say what to do if the fixture of the ADS does not exist."""
         report = yield
         request = item.stash.get(REQUEST, None)
         if request is None or call.when != "setup" or call.excinfo is None:
@@ -81,8 +81,8 @@ def _check_function(item: pytest.Item) -> None:
         raise RequestError(f"expected a test function, received {item!r}")
     if getattr(item.obj, "is_hypothesis_test", False) or hasattr(item.obj, "hypothesis"):
         raise RequestError(
-            "expected @pafot.search or @given, received both, which would each run the function many "
-            "times; use @given(scenario=pafot.strategies.scenarios()) with the fixture pafot_simulate"
+            "expected @pafot.search or @given, received both, and each of them runs the function many times; "
+            "use @given(scenario=pafot.strategies.scenarios()) with the fixture pafot_simulate"
         )
     if inspect.iscoroutinefunction(item.obj) or inspect.isasyncgenfunction(item.obj):
         raise RequestError(
@@ -103,24 +103,24 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
     if saved_of(item) is None and SEARCH_PART not in item.name.removeprefix(item.originalname or ""):  # type: ignore[attr-defined]
         raise RequestError(
             f"expected the parameter {arg!r} to be free for the simulated run, but the test is "
-            "parametrised by it already; rename one of the two, with @pafot.search(arg=...)"
+            "already parametrised by it; rename one of the two, with @pafot.search(arg=...)"
         )
     for name in (request.ads, WORLD_FIXTURE):
         if isinstance(name, str) and name not in item.fixturenames:  # type: ignore[attr-defined]
             raise RequestError(
                 f"expected the fixture {name!r} among those of the test; mark it with @pafot.search(...), "
-                f"which asks for it, and not with @pytest.mark.{SEARCH_MARK}"
+                f"which requests it, and not with @pytest.mark.{SEARCH_MARK}"
             )
     against = request.settings.against
     if isinstance(against, str) and ":" not in against and against not in item.fixturenames:  # type: ignore[attr-defined]
         raise RequestError(
-            f"against: expected module:factory, such as planner_before:make, received {against!r}; the name of a "
-            "fixture can be given in @pafot.search(against=...) alone"
+            f"against: expected module:factory, such as planner_before:make, received {against!r}; only "
+            "@pafot.search(against=...) accepts the name of a fixture"
         )
 
 
 def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
-    """What to do about a fixture that does not exist, in lines of a width but for those of code."""
+    """Say what to do about a fixture that does not exist, in lines that fit the width, except lines of code."""
     near = difflib.get_close_matches(name, available, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else "."
     text = (
@@ -129,13 +129,13 @@ def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
         "    @pytest.fixture\n"
         f"    def {name}():\n"
         "        return lambda: MyPlanner()    # a fresh ADS for each scenario\n\n"
-        'or name another fixture with @pafot.search(ads="..."), or give a factory with @pafot.search(ads=MyPlanner).'
+        'Or name a different fixture with @pafot.search(ads="..."), or give a factory: @pafot.search(ads=MyPlanner).'
     )
     lines = ([line] if line.startswith(" ") else wrapped_to(line, width) for line in text.splitlines())
     return "\n".join(part for parts in lines for part in parts)
 
 
-# Running an item: a search calls the test function for each simulated run, a replay for one.
+# Running an item: a search calls the test function for each simulated run, a replay calls it once.
 
 
 class Execution:
@@ -143,9 +143,9 @@ class Execution:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> None:
-        """Count searches that begin, whether they are skipped or not: they no longer wait for their time.
+        """Count the search as begun, and name the file of a saved scenario, before anything can skip or fail the item.
 
-        What an item of a saved scenario is called and where it lies is known whatever becomes of it.
+        A search that has begun, skipped or not, no longer needs a share of the session's time.
         """
         saved = saved_of(item)
         if saved is not None:
@@ -155,7 +155,7 @@ class Execution:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
-        """Search, merge or replay in place of the one call that pytest would make."""
+        """Search, merge or replay instead of making pytest's one call of the test function."""
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None

@@ -1,6 +1,6 @@
-"""The decorators by which a test function asks for a search or a rate, and the marks that they set.
+"""The decorators that request a search or a rate for a test function, and the marks that they set.
 
-This module is imported by every test file that uses the plugin: it imports nothing but pytest.
+Every test file that uses the plugin imports this module, so it imports only pytest.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ EXECUTOR_FIXTURE = "pafot_executor"
 DEFAULT_ADS = "ads"
 DEFAULT_ARG = "run"
 RATE_ARG = "rate"
-POSITIONAL = "<positional>"  # key of positional arguments, which a search does not take, so that the item can say so
+POSITIONAL = "<positional>"  # stores positional arguments, which a search does not take, for the item's error message
 
 Target = TypeVar("Target", bound=Callable[..., Any] | type)
 
@@ -37,8 +37,8 @@ def search(**arguments: Unpack[SearchArguments]) -> Callable[[Target], Target]: 
 def search(*target: Any, **arguments: Any) -> Any:
     """Search for scenarios that make the decorated test function raise.
 
-    Works bare, with arguments, on functions and on classes of test functions. Arguments are checked when the test
-    is about to run, so that a wrong one is one failing item and not a module that cannot be imported.
+    Works with and without arguments, on functions and on classes of test functions. Arguments are checked right before
+    the test runs, so a wrong argument fails one item and does not prevent the import of the module.
     """
     if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
         return _decorated(target[0], (), {})
@@ -46,13 +46,13 @@ def search(*target: Any, **arguments: Any) -> Any:
 
 
 def _may_be_decorated(target: object) -> bool:
-    """Whether ``@pafot.search`` stands bare at a test function or class, and is not given an ADS or its factory.
+    """Return whether the argument of ``@pafot.search`` is the decorated test, and not an ADS or its factory.
 
-    An ADS is a class with calls, or a vehicle of highway-env; a factory has neither the run as a parameter nor the name
-    of a test.
+    An ADS is a class with ``__call__``, or a vehicle class of highway-env. A factory has neither the parameter ``run``
+    nor the name of a test.
     """
     if inspect.isclass(target):
-        kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # whoever has a vehicle class has imported it
+        kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # if not imported, there is no vehicle class
         is_vehicle = kinematics is not None and issubclass(target, kinematics.Vehicle)
         return not is_vehicle and not any("__call__" in vars(base) for base in target.__mro__)
     if not inspect.isfunction(target):
@@ -63,7 +63,7 @@ def _may_be_decorated(target: object) -> bool:
 def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
     given = (arguments.get("ads", DEFAULT_ADS), arguments.get("against"))
     fixtures = [WORLD_FIXTURE, EXECUTOR_FIXTURE, *(each for each in given if isinstance(each, str) and ":" not in each)]
-    # usefixtures, and not getfixturevalue at run time: a parametrised fixture must be known at collection.
+    # usefixtures, not getfixturevalue at run time: a parametrised fixture must be known at collection.
     target = pytest.mark.usefixtures(*fixtures)(target)
     target = getattr(pytest.mark, SEARCH_MARK).with_args(*positional, **arguments)(target)
     return getattr(pytest.mark, ANY_MARK)(target)
@@ -74,20 +74,20 @@ def rate(target: Target, /) -> Target: ...
 @overload
 def rate(**arguments: Unpack[RateArguments]) -> Callable[[Target], Target]: ...
 def rate(*target: Any, **arguments: Any) -> Any:
-    """Fail the decorated test function where an ADS crashes too often in an environment's own traffic.
+    """Fail the decorated test function if an ADS crashes too often in an environment's own traffic.
 
     The function may have a parameter ``rate``, a :class:`pytest_pafot.Rate`. Arguments are checked when it runs.
 
     Args:
-        at_most: crashes per episode; 0.02 fails where more than two in a hundred of the episodes that were driven
-            ended in a crash.
-        world: such as ``"highway-fast-v0"`` or ``pafot.World("highway-v0", config={...})``.
-        ads: the factory, or the name of the fixture that gives it; by default ``"ads"``.
-        episodes: how many, by default 300.
-        seed: of the first episode, by default 0; the next ones follow.
-        confidence: such as 0.95, for a stricter test: it fails unless the episodes show with so much confidence that
+        at_most: the crash rate [crashes per episode] above which the test fails; 0.02 allows two crashes in a hundred
+            episodes.
+        world: the environment, such as ``"highway-fast-v0"`` or ``pafot.World("highway-v0", config={...})``.
+        ads: the factory, or the name of the fixture that returns it; by default ``"ads"``.
+        episodes: the number of episodes, by default 300.
+        seed: the seed of the first episode, by default 0; each following episode adds 1.
+        confidence: a level such as 0.95, for a stricter test: it fails unless the episodes show at this confidence that
             the true rate is at most ``at_most``.
-        planner: whether the ADS sees a :class:`pytest_pafot.Observation` and answers in SI units.
+        planner: True if the ADS receives :class:`pytest_pafot.Observation` values and answers in SI units.
     """
 
     def decorated(function: Any, *positional: Any) -> Any:
@@ -98,12 +98,12 @@ def rate(*target: Any, **arguments: Any) -> Any:
         return getattr(pytest.mark, ANY_MARK)(function)
 
     if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
-        return decorated(target[0])  # bare: what it lacks is told when the test runs
+        return decorated(target[0])  # without arguments: the test reports what is missing when it runs
     return lambda function: decorated(function, *target)
 
 
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
-    """The arguments of an item's searching marks, the closest winning; None without such a mark."""
+    """Return the merged arguments of an item's search marks, where the closest mark wins; None without such a mark."""
     marks = list(item.iter_markers(SEARCH_MARK))
     if not marks:
         return None

@@ -1,4 +1,4 @@
-"""``--pafot-merge``: in the place of its search, each test takes the finds of other machines into its corpus."""
+"""``--pafot-merge``: instead of searching, each test adds the findings of other machines to its corpus."""
 
 from __future__ import annotations
 
@@ -24,23 +24,24 @@ if TYPE_CHECKING:
 MERGE = BY_NAME["merge"].key
 
 MERGES: pytest.StashKey[dict[str, list[Path]]] = pytest.StashKey()
-"""In a session that merges: by the node id of a test the folders of its files in other corpora."""
+"""The folders of each test's files in other corpora, by the node id of the test, in a session that merges."""
 
 
 class Merging:
-    """Hooks that leave the items of searches alone, and find out which folder of another corpus is of which test."""
+    """Hooks that keep only the items of searches, and match the folders of other corpora with tests."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._roots = [config.invocation_params.dir / given for given in config.getoption(MERGE)]
         for root in self._roots:
             if not root.is_dir():
                 flag = BY_NAME["merge"].flag
-                raise pytest.UsageError(f"{flag}: expected the folder of a corpus, received {root}, which is none")
+                raise pytest.UsageError(f"{flag}: expected the folder of a corpus, received {root}, not a folder")
         config.stash[MERGES] = {}
 
-    @pytest.hookimpl(tryfirst=True)  # before any selection, so that the files of a test that is left out are not told
+    # First, before tests are selected: the files of a deselected test would be reported as files without a test.
+    @pytest.hookimpl(tryfirst=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
-        """Drop all items but searches; tell folders of other corpora that no test has, or several."""
+        """Drop all items except searches; report folders of other corpora that match no test, or several."""
         others = [item for item in items if not is_search(item)]
         items[:] = [item for item in items if is_search(item)]
         config.hook.pytest_deselected(items=others)
@@ -60,7 +61,7 @@ class Merging:
 
 
 def run_merge(item: pytest.Function, request: Request) -> None:
-    """Merge what other corpora have for a test; fail where something in them is to be mended."""
+    """Merge the files of other corpora into that of a test; fail if one of them has an error to fix."""
     __tracebackhide__ = True
     from pytest_pafot.campaign.merging import merge  # noqa: PLC0415  (imports the simulation)
     from pytest_pafot.campaign.replays import Replays  # noqa: PLC0415
@@ -79,10 +80,11 @@ def run_merge(item: pytest.Function, request: Request) -> None:
 
 
 def _refuse(file: Path, job: Job, scenario: Scenario) -> None:
-    """No session of its own can replay a file that lies in no corpus of this project."""
+    """Refuse a replay in its own session: such a session needs a file in a corpus of this project."""
     from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
 
     raise RequestError(
-        f"{file}: expected another process for a scenario that may end it, received an ADS that can be sent to none; "
-        "give --pafot-isolate and an ADS that can be pickled, or merge where processes are forked"
+        f"{file}: expected an ADS that can be sent to a different process, since the scenario may end the process that "
+        "runs it, received one that cannot be pickled; use --pafot-isolate and an ADS that can be pickled, or merge on "
+        "a system that forks processes"
     )

@@ -1,7 +1,7 @@
-"""What a running item tells the controller, as it happens and from any worker.
+"""Messages from a running item to the controller, sent at once and from any worker.
 
-A message is a test report of a phase of its own. Such a report reaches the controller under pytest-xdist like any
-other, at once; everybody else takes it for a passed phase that shows nothing.
+A message is a test report of a phase that only this plugin knows. pytest-xdist passes it to the controller at once, as
+it does every report. Other plugins take it for a passed phase without output.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from pytest_pafot.findings.severity import Severity
 
 
-PHASE = "pafot"  # of a report that is a message
-PAGE = "page"  # kind of the messages for a report page
+PHASE = "pafot"  # the phase of a report that is a message
+PAGE = "page"  # the kind of messages for a report page
 
 
 class Message(NamedTuple):
-    """What an item tells."""
+    """A message of an item."""
 
-    kind: str  # of the data, such as ``progress``
-    data: dict[str, Any]  # plain
+    kind: str  # the kind of the data, such as ``progress``
+    data: dict[str, Any]  # plain values, which pytest-xdist can send
 
 
 def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
-    """Tell the controller; the data must be plain."""
+    """Send a message to the controller; its data must be plain values."""
     report = pytest.TestReport(
         nodeid=item.nodeid,
         location=item.location,
@@ -46,51 +46,52 @@ def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
 
 
 def received(report: pytest.TestReport | pytest.CollectReport) -> Message | None:
-    """The message in a report, or None for an ordinary report."""
+    """Return the message in a report, or None for an ordinary report."""
     return Message(*report.pafot) if getattr(report, "when", None) == PHASE else None
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_report_teststatus(report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
-    """Keep messages out of the results, in the controller and in workers: they are no category of them."""
+    """Exclude messages from the counted results, in the controller and in workers."""
     return ("", "", "") if getattr(report, "when", None) == PHASE else None
 
 
-# Properties of items, which files for other tools have, such as those of ``--junitxml``.
+# Properties of items, which appear in files for other tools, such as the file of ``--junitxml``.
 #
-# They are those of pytest's own ``record_property``, each with the prefix ``pafot_``, so that workers of pytest-xdist
-# hand them over and none is taken for one of the user's.
+# They are stored as pytest's own ``record_property`` stores them, so workers of pytest-xdist pass them on. The prefix
+# ``pafot_`` distinguishes them from the user's properties.
 
 PREFIX = "pafot_"
 
 AS_SAVED = "pafot_saved"
-"""Attribute of the report of a saved scenario that fails: its id and file as they are, for programs.
+"""The attribute of a failing saved scenario's report that holds its id and file unchanged, for programs.
 
-It is JSON in ASCII: pytest-xdist sends no text with bytes in it that are no characters, as names of files may have.
+It is JSON in ASCII, because file names may contain bytes that are not valid characters, and pytest-xdist cannot send
+such a text.
 """
 
 
 def set_properties(properties: MutableSequence[tuple[str, Any]], **values: object) -> None:
-    """Set properties of an item or of a report, each once and safe to show; those that are empty are left out."""
+    """Set properties of an item or a report, each once and safe to display; leave out empty ones."""
     names = {f"{PREFIX}{name}": visible(str(value)) for name, value in values.items() if value not in (None, "")}
     others = [each for each in properties if each[0] not in names]
     properties[:] = [*others, *names.items()]
 
 
 def set_of_saved(item: pytest.Item, saved: Saved) -> None:
-    """Set those of the item of a saved scenario, before anything can go wrong with it."""
+    """Set the properties of a saved scenario's item, before anything can go wrong with it."""
     finding, file = saved.finding, relative(saved.path, item.config.rootpath)
     seed, signature = (None, None) if finding is None else (finding.found.seed, finding.signature.text)
     set_properties(item.user_properties, seed=seed, id=saved.id, signature=signature, file=file)
 
 
 def severity_text(severity: Severity | None) -> str:
-    """Return how bad a failure is, as a property."""
+    """Return the severity of a failure as the text of a property."""
     return "none" if severity is None else str(severity)
 
 
 def of_findings(findings: Iterable[tuple[Finding, str, Severity | None]]) -> dict[str, str]:
-    """Those that tell findings, with their files: for several, what stands in each is separated by commas."""
+    """Return the properties that describe findings and their files; several values are separated by commas."""
     columns: dict[str, list[str]] = {"id": [], "signature": [], "file": [], "severity": []}
     for finding, file, severity in findings:
         texts = (finding.id, finding.signature.text, file, severity_text(severity))

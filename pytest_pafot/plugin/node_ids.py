@@ -1,6 +1,6 @@
-"""What the name of an item says: ``test_x[1-search]`` is a search, ``test_x[1-saved-<id>]`` replays a saved scenario.
+"""The names of items: ``test_x[1-search]`` is a search, ``test_x[1-saved-<id>]`` replays a saved scenario.
 
-Both belong to the test ``test_x[1]``, whose name is here the base name.
+Both belong to the test ``test_x[1]``, which is called the base name here.
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ SEARCH_PART, SAVED_PART = "search", "saved-"
 
 
 def saved_part(id_: str) -> str:
-    """What the name of an item says of its file. What pytest would rewrite, or a reader obey, is quoted."""
+    """Return the part of an item's name that identifies its file.
+
+    Quote an id that pytest would rewrite, or that contains control characters, which a terminal would obey.
+    """
     if id_.isascii() and "\\" not in id_ and visible(id_) == id_:
         return f"{SAVED_PART}{id_}"
     from urllib.parse import quote  # noqa: PLC0415
@@ -25,7 +28,7 @@ def saved_part(id_: str) -> str:
 
 
 def base_name(item: pytest.Item) -> str:
-    """The name without the plugin's own part: ``test_x[1-search]`` is ``test_x[1]``."""
+    """Return the name without the plugin's own part: ``test_x[1]`` for ``test_x[1-search]``."""
     mark = item.get_closest_marker(SAVED_MARK)
     parts = _around(SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name)
     if parts is None:
@@ -37,22 +40,22 @@ def base_name(item: pytest.Item) -> str:
 
 
 def base_id(item: pytest.Item) -> str:
-    """The node id without the plugin's own part; equal for a search and its saved scenarios."""
+    """Return the node id without the plugin's own part, which is equal for a search and its saved scenarios."""
     return _node_id(item, base_name(item))
 
 
 def saved_node_id(item: pytest.Item, id_: str) -> str:
-    """The node id that a finding of a search will have as an item."""
+    """Return the node id that a finding of a search will have as an item."""
     return _node_id(item, _renamed(item.name, id_))
 
 
 def saved_name(item: pytest.Item, id_: str) -> str:
-    """What the third part of a report's location will say of a finding of a search."""
+    """Return the name that the location of a report will have for a finding of a search."""
     return _renamed(item.location[2], id_)
 
 
 def qualified_name(item: pytest.Item) -> str:
-    """The test with its classes and parameters: ``TestBraking::test_x[1]``."""
+    """Return the test with its classes and parameters: ``TestBraking::test_x[1]``."""
     classes = [node.name for node in item.listchain() if isinstance(node, pytest.Class)]
     return "::".join([*classes, base_name(item)])
 
@@ -67,6 +70,6 @@ def _renamed(text: str, id_: str) -> str:
 
 
 def _around(part: str, text: str) -> tuple[str, str] | None:
-    """What stands before and after the last occurrence of a part of a parametrised name."""
+    """Return the text before and after the last occurrence of a part in a parametrised name, or None without one."""
     found = re.fullmatch(rf"(.*[\[-]){re.escape(part)}([\]-].*)", text, re.DOTALL)
     return None if found is None else (found[1], found[2])

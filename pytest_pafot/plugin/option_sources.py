@@ -1,4 +1,4 @@
-"""Where the values of options come from.
+"""The sources of option values.
 
 Precedence: command line, marker, environment, a profile that was named, ini, the automatic profile, the default.
 """
@@ -31,12 +31,13 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
 
 _INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
-"""Types of ini keys; those of other kinds are strings."""
+"""The types of ini keys by kind of option; keys of all other kinds are strings."""
 _LAST = re.compile(r"(?<=')[^']*(?='$)|[^\s']+$")
+"""The value that a message of pytest about an ini key ends with."""
 
 
 def add_options(parser: pytest.Parser) -> None:
-    """Declare the whole table to pytest."""
+    """Declare the whole table of options to pytest."""
     group = parser.getgroup("pafot", "search for traffic that makes a driving policy crash (pytest-pafot)")
     for option in OPTIONS:
         value: dict[str, Any] = {"type": option.read, "metavar": option.metavar}
@@ -51,13 +52,13 @@ def add_options(parser: pytest.Parser) -> None:
 
 
 def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | None:
-    """The option ``corpus`` alone; None where it, or the choice of a profile, is wrong."""
+    """Return the option ``corpus``; None if it, or the choice of a profile, is wrong."""
     value = option_value(config, BY_NAME["corpus"], marker)
     return None if value is None else str(value)
 
 
 def option_value(config: pytest.Config, option: Option, marker: Mapping[str, object]) -> Any:
-    """Return what an option is under a mark, or under none; None where its value is wrong, which each search says."""
+    """Return the value of an option under a mark, or under none; None if it is wrong, which each search reports."""
     try:
         return Sources(config=config, marker=marker, environ=os.environ).value(option, None, LOCAL)
     except OptionError:
@@ -65,7 +66,7 @@ def option_value(config: pytest.Config, option: Option, marker: Mapping[str, obj
 
 
 def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_seed: int) -> Request:
-    """Check the arguments of a mark, with those that it gives by position under :data:`POSITIONAL`.
+    """Check the arguments of a mark; its positional arguments are stored under :data:`POSITIONAL`.
 
     Raises:
         RequestError: on the first wrong argument or option.
@@ -92,12 +93,12 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_s
 def resolve(
     config: pytest.Config, marker: Mapping[str, object], fresh_seed: int, environ: Mapping[str, str] = os.environ
 ) -> Settings:
-    """The settings of an item whose marker has these arguments; those that are no options are not looked at.
+    """Return the settings of an item whose marker has these arguments; arguments that are not options are ignored.
 
-    The base seed is ``fresh_seed`` when no source gives one.
+    The base seed is ``fresh_seed`` if no source gives one.
 
     Raises:
-        OptionError: naming the source, what was expected and received.
+        OptionError: names the source, and what was expected and received.
     """
     sources = Sources(config=config, marker=marker, environ=environ)
     named = sources.given(BY_NAME["profile"]) or sources.ini(BY_NAME["profile"])
@@ -109,28 +110,28 @@ def resolve(
     }
     values |= sources.budget(named, automatic)
     if values["seed"] is None:
-        values["seed"] = fresh_seed if values["resume"] is None else 0  # a search that goes on has one seed
+        values["seed"] = fresh_seed if values["resume"] is None else 0  # a resumed search needs a constant seed
     return Settings(profile=named or automatic, **values)
 
 
 class Sources(NamedTuple):
-    """Where values come from, read one option at a time so that an error names its place."""
+    """The sources of values, read one option at a time, so that an error can name the source."""
 
     config: pytest.Config
     marker: Mapping[str, object]
     environ: Mapping[str, str]
 
     def value(self, option: Option, named: str | None, automatic: str) -> Any:
-        """The value of an option, by the precedence; ``named`` and ``automatic`` are profiles.
+        """Return the value of an option, by the precedence; ``named`` and ``automatic`` are profiles.
 
         Raises:
-            OptionError: naming the source, what was expected and received.
+            OptionError: names the source, and what was expected and received.
         """
         sources = self._sources(option, named, automatic)
         return next((value for source in sources if (value := source()) is not None), option.default)
 
     def budget(self, named: str | None, automatic: str) -> dict[str, Any]:
-        """The values of :data:`BUDGETS`, all from the first source that gives any of them."""
+        """Return the values of :data:`BUDGETS`, all from the first source that gives any of them."""
         each = [self._sources(BY_NAME[name], named, automatic) for name in BUDGETS]
         together = ([source() for source in sources] for sources in zip(*each, strict=True))
         given = next((values for values in together if any(value is not None for value in values)), (None, None))
@@ -145,12 +146,12 @@ class Sources(NamedTuple):
         )
 
     def given(self, option: Option) -> Any:
-        """The value on the command line, in the marker or in the environment; None in none of them."""
+        """Return the value on the command line, in the marker or in the environment; None if none of them has one."""
         read = (_read(option, place, value) for place, value in self._places(option))
         return next((value for value in read if value is not None), None)
 
     def _places(self, option: Option) -> tuple[tuple[str, object], ...]:
-        """The command line, the marker and the environment, with what they say of an option."""
+        """Return the command line, the marker and the environment, each with its value of an option."""
         return (
             (option.flag, self.config.getoption(option.key)),
             (f"@pafot.search({option.name}=...)", self.marker.get(option.name) if option.is_argument else None),
@@ -158,11 +159,11 @@ class Sources(NamedTuple):
         )
 
     def ini(self, option: Option) -> Any:
-        """The value in a file of settings; None where there is none."""
+        """Return the value in a configuration file; None if there is none."""
         place = f"ini key {option.key}"
         try:
             value = self.config.getini(option.key)
-        except (TypeError, ValueError, pytest.UsageError) as error:  # its words end with the text of the value
+        except (TypeError, ValueError, pytest.UsageError) as error:  # the message ends with the value
             value = "".join(_LAST.findall(str(error)))
         return _read(option, place, value)
 

@@ -1,7 +1,7 @@
-"""Saved scenarios that no test runs: orphans, whose test is gone, and strays, which lie beside the folders of tests.
+"""Saved scenarios that no test runs: orphans, whose test is gone, and strays, which are outside the folders of tests.
 
-They are found without blaming a selection. Orphans are removed, and only when asked for. A session of a CI fails where
-a test is gone: what it once found would be replayed by nobody, and nobody would notice.
+A test that was only deselected makes no orphans. Only orphans are removed, and only on request. On CI, a session fails
+if a test is gone: its findings would never be replayed again, and no one would notice.
 """
 
 from __future__ import annotations
@@ -41,31 +41,31 @@ from pytest_pafot.support.text import plural, visible
 if TYPE_CHECKING:
     from pytest_pafot.findings.signature import Signature
 
-# A node id and nothing else: the name of a test is shown of broken files, too, and a file may be anything.
+# Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 
 
-MAX_NAME = 120  # of a test that a file names, in an error: a file may be anything
+MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
-"""Node id of the error by which a session fails whose saved scenarios have lost their test."""
+"""The node id of the error that fails a session whose saved scenarios have lost their test."""
 
 
 class Orphan(NamedTuple):
-    """What is known of a folder of saved scenarios whose test is gone."""
+    """A folder of saved scenarios whose test is gone."""
 
     removable: list[str]  # paths of the files that may be removed
-    expected: str  # which test, and what is there in its place, in words
+    expected: str  # a sentence on which test was expected and what was found instead
     way_out: str
-    is_gone: bool  # neither the module nor the function is there any more, though the session collected their folder
+    is_gone: bool  # True if the module or the function no longer exists, although the session collected its folder
 
 
 class Unrun(NamedTuple):
-    """What a session found."""
+    """The saved scenarios of a session that no item runs, or that two items run."""
 
     orphans: dict[Path, Orphan]  # by folder
-    strays: dict[str, str]  # saved scenarios that lie in no folder of a test, each with where it should be, in words
-    unmerged: dict[str, str]  # folders of other corpora whose files no test takes, each with why
-    # what to say of files of one kind that lie side by side, with the node ids of the items that replay them
+    strays: dict[str, str]  # saved scenarios outside of all folders of tests, each with the place where it should be
+    unmerged: dict[str, str]  # folders of other corpora that match no single test, each with the reason
+    # warnings about files of one kind in one folder, each with the node ids of the items that replay them
     doubles: dict[str, list[str]]
 
 
@@ -74,13 +74,13 @@ UNRUN = pytest.StashKey[Unrun]()
 
 @dataclass(slots=True, kw_only=True)
 class Collected:
-    """What a session collected, before any selection."""
+    """The items and corpora of a session, before tests are selected."""
 
     rootpath: Path  # of the session
-    asked_for: list[Path] = field(default_factory=list)  # folders that the session was asked to collect
+    asked_for: list[Path] = field(default_factory=list)  # the folders given on the command line
     folders: dict[Path, str] = field(default_factory=dict)  # corpus folders of the items, with the ids of their tests
     saved: Mapping[Path, Collection[Saved]] = field(default_factory=dict)  # in these folders
-    roots: dict[Path, Path] = field(default_factory=dict)  # corpora, with the folder of the test files that each serves
+    roots: dict[Path, Path] = field(default_factory=dict)  # corpora, each with the folder of its test files
     # node ids of the classes that exist in collected modules and classes
     classes: set[str] = field(default_factory=set)
     opened: set[str] = field(default_factory=set)  # node ids of the classes whose members were collected
@@ -88,11 +88,11 @@ class Collected:
 
 
 def find_orphans(collected: Collected) -> dict[Path, Orphan]:
-    """Return the folders that hold saved scenarios of no test.
+    """Return the folders of saved scenarios that belong to no test.
 
-    A folder is an orphan when its module is gone, or when the module or class where its test would be was collected
-    and made no such item. Selections by ``-k``, ``-m`` or node ids do not matter: pytest collects all members of a
-    module or class before it selects. A module that failed or was skipped at import blames nobody.
+    A folder is an orphan if its module is gone, or if its module or class was collected without such a test. Selections
+    by ``-k``, ``-m`` or node ids make no orphans: pytest collects all members of a module or class before it selects.
+    Neither does a module that failed or was skipped at import.
     """
     kinds = {folder: kinds_in(saved) for folder, saved in collected.saved.items()}
     return {
@@ -100,16 +100,16 @@ def find_orphans(collected: Collected) -> dict[Path, Orphan]:
         for root, directory in sorted(collected.roots.items())
         for module in modules_in(root)
         for folder in entries_of(module)
-        # A folder of one test has no folders: those of one corpus for all lie side by side with modules.
+        # The folder of a test has no subfolders. In a shared corpus, subfolders of packages are next to modules.
         if files_in(folder) and not any(map(is_folder, entries_of(folder)))
         if _is_orphan(folder, directory, collected)
     }
 
 
 def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]:
-    """Files between the rootdir and the folders of tests, each with where it should be, in words.
+    """Return the files that are outside of all folders of tests, each with a description of its right place.
 
-    No folder is searched for them but those on the way.
+    Only the folders between the rootdir and the folders of tests are searched.
     """
     top = collected.rootpath
     on_the_way = {
@@ -122,9 +122,9 @@ def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]
 
 
 def find_doubles(collected: Collected, items: Iterable[pytest.Item]) -> Iterator[tuple[str, list[str]]]:
-    """Yield what to say of files of one kind in the folder of a test, with the node ids of the items that replay them.
+    """Yield a warning about files of one kind in a test's folder, with the node ids of the items that replay them.
 
-    Two branches that have found the same failure, each by itself, leave such files once both are merged.
+    Such files appear if two branches find the same failure independently and are then merged.
     """
     marks = ((item.nodeid, mark) for item in items for mark in item.iter_markers(SAVED_MARK) if mark.args)
     ids = {mark.args[0].path: node_id for node_id, mark in marks if isinstance(mark.args[0], Saved)}
@@ -134,18 +134,18 @@ def find_doubles(collected: Collected, items: Iterable[pytest.Item]) -> Iterator
             names = " and ".join(each.path.name for each in group)
             command = shlex.join(["python", "-m", "pytest_pafot", "corpus", "join", place])
             yield (
-                f"{names} in {place} fail in one way; one of them will do: {command}",
+                f"{names} in {place} fail in the same way; join them into one: {command}",
                 [ids[each.path] for each in group if each.path in ids],
             )
 
 
 def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
-    """Remove files, and the folders around them that are empty then; returns those removed, and what failed."""
+    """Remove files and folders that they leave empty; return the files that were removed, and errors."""
     removed: list[Path] = []
     failures: list[str] = []
     for file in files:
         try:
-            file.unlink(missing_ok=True)  # Another session may have been faster.
+            file.unlink(missing_ok=True)  # A different session may have removed it already.
             removed.append(file)
         except OSError as error:
             from pytest_pafot.support.files import way_out  # noqa: PLC0415  a session that prunes nothing does not load it
@@ -153,18 +153,18 @@ def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
             fix = way_out(error, "then prune again")
             failures.append(f"--pafot-prune: {file}: not removed: {error.strerror or error}; {fix}")
     for folder in dict.fromkeys(file.parent for file in removed):
-        with suppress(OSError):  # It holds something else, which stays.
+        with suppress(OSError):  # A folder with other content stays.
             folder.rmdir()
             folder.parent.rmdir()
     return removed, failures
 
 
 class Guard:
-    """Fails a session whose saved scenarios have lost their test, once, on the controller."""
+    """The hook that fails a session whose saved scenarios have lost their test, once, on the controller."""
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
-        """Report the error when all items have run: workers of pytest-xdist have said by then what they collected."""
+        """Report the error after all items have run: only then have all pytest-xdist workers reported their items."""
         result = yield
         lines = _error(session.config)
         if lines:
@@ -173,13 +173,13 @@ class Guard:
 
 
 def _error(config: pytest.Config) -> list[str]:
-    """Return why the session fails: what is wrong, then each folder with what to do below it, or nothing."""
+    """Return why the session fails, then each folder with the way out below it; empty if it does not fail."""
     strict, allow, prune = (BY_NAME[name] for name in ("strict_health", "allow_orphans", "prune"))
     cause = "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
     if not cause or config.getoption("collectonly") or option_value(config, allow, {}):
         return []
     gone = {folder: orphan for folder, orphan in config.stash[UNRUN].orphans.items() if orphan.is_gone}
-    if config.getoption(prune.key):  # What that does not remove stays a failure.
+    if config.getoption(prune.key):  # Folders with files that cannot be removed still fail.
         gone = {folder: orphan for folder, orphan in gone.items() if len(orphan.removable) < len(files_in(folder))}
     if not gone:
         return []
@@ -193,16 +193,16 @@ def _error(config: pytest.Config) -> list[str]:
 
 
 def _report(session: pytest.Session, lines: Sequence[str]) -> None:
-    """Report an error of the session like that of an item, so that it counts and is in files for other tools."""
+    """Report an error of the session like an item's error, so that it counts and appears in files for other tools."""
     try:
         pytest.fail("\n".join(lines), pytrace=False)
     except pytest.fail.Exception as error:
         longrepr = pytest.ExceptionInfo.from_exception(error).getrepr(style="value")
         crash = getattr(longrepr, "reprcrash", None)
-        if crash is not None:  # It is the line of the short summary, too, and names the first folder.
+        if crash is not None:  # This line is also the one in the short summary, so it names the first folder.
             crash.message = " ".join(lines[:2])
     manager = session.config.pluginmanager
-    # These would wait for an item of this name in the next session, which collects none.
+    # Do not inform --lf and --sw: they would wait for an item of this name, which the next session does not collect.
     rerunning = [manager.get_plugin(name) for name in ("lfplugin", "stepwiseplugin")]
     log = manager.subset_hook_caller("pytest_runtest_logreport", rerunning)
     place = ("pafot", None, ERROR_ID.partition("::")[2])
@@ -216,7 +216,7 @@ def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
     if folder in collected.folders:
         return False
     module = module_named(directory, folder.parent.name)
-    if not os.path.lexists(module):  # which takes no error for a name that is too long
+    if not os.path.lexists(module):  # lexists, because it returns False for a name that is too long, and does not raise
         return True
     if module not in collected.files:
         return False
@@ -227,14 +227,14 @@ def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
         if prefix not in collected.classes:
             return True
         if prefix not in collected.opened:
-            return False  # Its members were not collected, since another node id was asked for.
+            return False  # Its members were not collected, because a different node id was requested.
     return True
 
 
 def _orphan(
     folder: Path, root: Path, directory: Path, collected: Collected, kinds: Mapping[Path, set[Signature]]
 ) -> Orphan:
-    """Say of a folder which test is gone, and where that may be now; ``kinds`` are those in folders of tests."""
+    """Describe an orphan: which test is gone, and where it may be now; ``kinds`` are the failures in tests' folders."""
     module = module_named(directory, folder.parent.name)
     file = relative(module, collected.rootpath)
     saved = saved_in(folder) if link_below(root, folder) is None else []
@@ -261,10 +261,10 @@ def _orphan(
 
 
 def _way_out(folder: Path, root: Path, alike: list[Path], collected: Collected) -> str:
-    """Say where the files of a folder belong now, as far as names and kinds of failures tell, or how to remove them.
+    """Return where the files of a folder belong now, by names and kinds of failures, or how to remove them.
 
-    A test without saved scenarios may have got a new name; one with scenarios of the same kinds shows the same. The
-    former comes first, as tests of many policies fail in the same few ways.
+    A test without saved scenarios may be the renamed test; a test with scenarios of the same kinds shows the same
+    failures. Names are tried first, since tests of many policies fail in the same few ways.
     """
     new = [each for each, saved in collected.saved.items() if not saved]
     beside = [each for each in new if each.parent == folder.parent]
@@ -286,18 +286,18 @@ def _way_out(folder: Path, root: Path, alike: list[Path], collected: Collected) 
 
 
 def _is_folder_of(folder: Path, name: str) -> bool:
-    """Return whether a folder is where the files of a test lie, by its own name and that of the module's folder."""
+    """Return whether a folder belongs to a test, by its own name and the name of the module's folder."""
     module, _, test = name.partition("::")
     return (safe_name(Path(module).stem), safe_name(test)) == (folder.parent.name, folder.name)
 
 
 def _test_of(saved: Saved) -> str:
-    """Return the node id of the test that a saved scenario names; empty where it names none."""
+    """Return the node id of the test that a saved scenario names; empty if it names none."""
     return _named_test(saved.path) if saved.finding is None else saved.finding.test
 
 
 def _named_test(file: Path) -> str:
-    """The node id of the test that a saved scenario names, also where it is broken; empty where it names none."""
+    """Return the node id of the test that a file names, even if the file is broken; empty if it names none."""
     from pytest_pafot.corpus.reader import content_of  # noqa: PLC0415  (yaml, which few sessions need)
     from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415
 
@@ -309,13 +309,15 @@ def _named_test(file: Path) -> str:
 
 
 def _own_files(folder: Path, saved: Iterable[Saved], directory: Path, rootpath: Path) -> list[Path]:
-    """Files of a folder that name a test of this rootdir whose folder it is, and that no link leads to.
+    """Return the files in a folder, not behind a link, that name the test of this rootdir to which the folder belongs.
 
-    A corpus outside of the rootdir may serve other projects, too: there a test is of this rootdir if its module is.
+    A corpus outside of the rootdir may be shared with other projects. Its files are removable only if the module that
+    they name exists in this rootdir.
     """
     inside = folder.is_relative_to(rootpath)
     depth = len(directory.relative_to(rootpath).parts) if directory.is_relative_to(rootpath) else 0
-    # Outside, the corpus itself: below it lie the folders from the rootdir to the test file, its module and its test.
+    # Outside of the rootdir, the top is the corpus. It contains the path from the rootdir to the test file, then the
+    # folders of the module and the test.
     top = rootpath if inside else folder.parents[1 + depth]
     if any(each.is_symlink() for each in _up(folder, top) if each != top):
         return []
@@ -329,7 +331,7 @@ def _own_files(folder: Path, saved: Iterable[Saved], directory: Path, rootpath: 
 
 
 def _home(file: Path, collected: Collected) -> str:
-    """Where a file should lie, by the test that it names, in words."""
+    """Describe the folder where a file should be, by the test that it names."""
     name = _named_test(file)
     module, _, test = name.partition("::")
     test_file = collected.rootpath / module
@@ -342,7 +344,7 @@ def _home(file: Path, collected: Collected) -> str:
 
 
 def _up(folder: Path, top: Path) -> Iterator[Path]:
-    """A folder and those above it up to a top one; nothing above it where it lies elsewhere."""
+    """Yield a folder and the folders above it up to a top folder; only the folder itself if it is outside of that."""
     yield folder
     if folder.is_relative_to(top):
         yield from (each for each in folder.parents if each.is_relative_to(top))

@@ -1,6 +1,6 @@
-"""The session of its own that replays one file, where a process that may die cannot be forked from this one.
+"""A separate session that replays one file, used if this process cannot fork a process that may die.
 
-``python -m pytest <file>`` needs nothing that can be pickled: it sets up the fixtures of the test by itself.
+``python -m pytest <file>`` needs nothing that can be pickled, because it sets up the fixtures of the test itself.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from pytest_pafot.plugin.session import HERE, is_worker
 from pytest_pafot.plugin.terminal_reporter import uncaptured
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
-# The end of a session whose ADS takes no interruption: what was found so far is reported, and the process ends.
+# The end of a session whose ADS ignores interrupts: the findings so far are reported, and the process ends.
 #
-# The scenario is on disk by then, and the next session takes it up. Under pytest-xdist only the worker ends, as one
-# that crashes, and pytest-xdist starts another.
+# The scenario is already on disk, and the next session runs it. Under pytest-xdist only the worker ends, and
+# pytest-xdist replaces it like a worker that crashed.
 
 STATUS = pytest.ExitCode.INTERRUPTED
-"""Of the process; where no thread of Python's comes to run, it is 1, which faulthandler ends it with."""
+"""The exit status of the process. If no Python thread gets to run, faulthandler ends the process with 1 instead."""
 
-FLUSH = 120.0  # how long the summary may take, in which plugins may wait for what the ADS holds [s]
-SHOWN = 6  # innermost frames that are told
+FLUSH = 120.0  # the longest time for the summary, since plugins may wait for something that the ADS holds [s]
+SHOWN = 6  # the number of innermost frames that are printed
 
 
 @contextmanager
 def session_ends_if_stuck(item: pytest.Item) -> Iterator[None]:
-    """End the session where a decision inside cannot be interrupted."""
+    """End the session if a decision of the ADS inside cannot be interrupted."""
     main, file = threading.get_ident(), _real_stderr(item.config)
     try:
         with last_resort(LastResort(end=lambda: _end(item, main), grace=GRACE, file=file)):
@@ -65,11 +65,11 @@ def _end(item: pytest.Item, thread: int) -> None:
 
 
 def _flush(item: pytest.Item, stack: str) -> None:
-    """Report the item and end the session as an interrupt does, but from another thread."""
+    """Report the item and end the session as an interrupt does, but from a different thread."""
     reason = (
-        f"{item.nodeid}: a decision of the ADS exceeds the hang limit of the world and ignores each interruption, so "
-        "that only the end of this session ends it. Its scenario is on disk: the next session runs it again in a "
-        "process of its own, and saves it. With --pafot-isolate such a search goes on"
+        f"{item.nodeid}: a decision of the ADS exceeds the hang limit of the world and ignores every interrupt, so "
+        "this session has to end. The scenario is on disk: the next session runs it again in a separate process and "
+        "saves it. With --pafot-isolate the search would go on"
     )
     item.ihook.pytest_runtest_logreport(
         report=pytest.TestReport(
@@ -90,7 +90,7 @@ def _flush(item: pytest.Item, stack: str) -> None:
 
 
 def _real_stderr(config: pytest.Config) -> int | None:
-    """A descriptor for faulthandler, unless pytest uses its one timer, for the option ``faulthandler_timeout``."""
+    """Return a descriptor for faulthandler; None if pytest uses its only timer (``faulthandler_timeout``)."""
     if config.pluginmanager.has_plugin("faulthandler") and float(config.getini("faulthandler_timeout") or 0.0) > 0.0:
         return None
     with suppress(OSError), uncaptured(config):
@@ -99,11 +99,11 @@ def _real_stderr(config: pytest.Config) -> int | None:
 
 
 def replay_in_own_session(item: pytest.Function, file: Path, job: Job, scenario: Scenario) -> None:
-    """Replay the scenario of a file in a session of its own, which runs the same job, where this is not that one.
+    """Replay the scenario of a file in a separate session that runs the same job, unless this is such a session.
 
     Raises:
-        ProcessLostError: where that session died.
-        RequestError: where it did not come to the file.
+        ProcessLostError: if that session died.
+        RequestError: if that session ended before it replayed the file.
     """
     __tracebackhide__ = True
     if os.environ.get(HERE):
@@ -126,11 +126,11 @@ def replay_in_own_session(item: pytest.Function, file: Path, job: Job, scenario:
         try:
             code = session.wait()
         finally:
-            session.kill()  # after an interrupt; it has ended by itself otherwise
+            session.kill()  # only has an effect after an interrupt; otherwise the session has ended already
     if code < 0 or any(leftover.pid == session.pid for leftover in left_by(job.owner, job.records)):
         raise ProcessLostError(scenario, pid=session.pid, how=ending(code), is_hang=code == STATUS)
     if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         raise RequestError(
-            f"{file}: expected a session of its own to replay what a process died in, received {ending(code)} of: "
-            f"{shlex.join(command)}; run that to see why"
+            f"{file}: expected a separate session to replay the scenario in which a process died, received "
+            f"{ending(code)} of: {shlex.join(command)}; run this command to see why"
         )

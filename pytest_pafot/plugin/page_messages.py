@@ -1,6 +1,6 @@
-"""The item's side of a report page: what is to be seen of a find, of a replay and of a search, told as it happens.
+"""The item's side of a report page: it sends what the page shows of findings, replays and searches as they happen.
 
-Imported only where a page is asked for, or a row in the report of pytest-html.
+Imported only if a page, or a row in the report of pytest-html, is requested.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from pytest_pafot.searching.plain import plain
 
 
 def label_of(find: Find) -> str:
-    """What a page calls a find."""
+    """Return the label of a new finding on a page."""
     return f"{NEW} ({find.remark})" if find.remark else NEW
 
 
 @dataclass(slots=True, kw_only=True)
 class PageMessages:
-    """Sends what a page shows of one item, a search or a replay."""
+    """A sender of everything that a page shows of one item, a search or a replay."""
 
-    item: pytest.Item  # that runs
-    settings: Settings  # of it; they name the page
-    events: list[Event] = field(default_factory=list)  # of the search's algorithm so far
-    responsibilities: Counter[str] = field(default_factory=Counter)  # runs by who is responsible for a collision
-    speed_limit: float = 0.0  # of the search's world [m/s]
+    item: pytest.Item  # the running item
+    settings: Settings  # the item's settings, which name the page
+    events: list[Event] = field(default_factory=list)  # the events of the search's algorithm so far
+    responsibilities: Counter[str] = field(default_factory=Counter)  # number of runs by responsibility for a collision
+    speed_limit: float = 0.0  # the speed limit in the search's world [m/s]
 
     def __call__(self, event: SearchEvent) -> None:
-        """Take an event of a search."""
+        """Process an event of a search."""
         match event:
             case SearchStarted():
                 self.speed_limit = event.speed_limit
@@ -51,7 +51,7 @@ class PageMessages:
             case FindTold():
                 self._find(event)
             case SearchSummary():
-                if self.events:  # else it only replayed
+                if self.events:  # without events, the item only replayed
                     self._searched(event)
             case Progress():
                 pass
@@ -59,7 +59,7 @@ class PageMessages:
                 self.events.append(event)
 
     def _find(self, told: FindTold) -> None:
-        """Show a find. Telling it again, when more is known of it, replaces what was told."""
+        """Send a new finding; it is sent again when more is known about it, and replaces the earlier message."""
         find, finding = told.find, told.finding
         view = finding_view(
             None if told.run is None else told.run.trace,
@@ -69,14 +69,14 @@ class PageMessages:
             check=told.exception.check if isinstance(told.exception, CheckFailed) else None,
         )
         command = view.command
-        if not find.path:  # What lies in no file is found again by its search.
+        if not find.path:  # An unsaved finding can only be reproduced by its search.
             options = f"{self.settings.budget} --pafot-seed={self.settings.seed}"
             command = f"pytest {shlex.quote(self.item.nodeid)} {options}"
         view = replace(view, label=label_of(find), severity=find.severity, path=find.path, command=command)
         self._tell(view=plain(view))
 
     def _searched(self, summary: SearchSummary) -> None:
-        """Show the search, and what is known at its end of the finds."""
+        """Send the search, and what its end adds to its findings."""
         campaign = campaign_view(
             self.item.nodeid,
             self.events,
@@ -104,10 +104,10 @@ class PageMessages:
         check: Check | None = None,
         severity: Severity | None = None,
     ) -> None:
-        """Count a replay of a saved scenario, and show it where it fails, which its headline says.
+        """Send a replay of a saved scenario for the counts, and its picture if it fails, i.e. if it has a headline.
 
-        The detail says what has drifted. Without a trace where its process did not come back; with the check that
-        failed, if any, and how bad it is.
+        The detail states what has drifted. The trace is None if the process died or hung. The check is the one that
+        failed, if any.
         """
         self._tell(replayed=label, drifted={self.item.nodeid: detail} if label == "drifted" else {})
         if headline:

@@ -1,4 +1,4 @@
-"""Items that count crashes in ordinary traffic: what ``@pafot.rate`` makes of a test function."""
+"""Items of ``@pafot.rate``, which count crashes in ordinary traffic."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from pytest_pafot.plugin.session import is_worker
 
 
 class Rates:
-    """Hooks that give such a function its rate, and fail it where that is too high."""
+    """Hooks that measure the rate for such a test function, and fail it if the rate is too high."""
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """The parameter that takes the rate, where the function has one."""
+        """Parametrize the function with its rate, if it has a parameter for it."""
         if metafunc.definition.get_closest_marker(RATE_MARK) is not None and RATE_ARG in metafunc.fixturenames:
             metafunc.parametrize(RATE_ARG, [pytest.param(None, id=RATE_ARG)])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
-        """Drive the episodes, then call the function."""
+        """Drive the episodes, then call the test function."""
         mark = pyfuncitem.get_closest_marker(RATE_MARK)
         if mark is None:
             return None

@@ -1,4 +1,4 @@
-"""The item of a saved scenario: one replay, whose failure reaches pytest as the test function raised it."""
+"""The item of a saved scenario: one replay, whose failure reaches pytest unchanged."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 
 REPLAYED = pytest.StashKey[tuple[str, Run | None, Verdict | None]]()
-"""What a replay came to, for other plugins of the session; no run where its process did not come back."""
+"""The label, run and verdict of a replay, for other plugins; no run and verdict if its process died or hung."""
 
 
 def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
-    """Run the item of a saved scenario; what the test function raises reaches pytest as it is."""
+    """Run the item of a saved scenario; an exception of the test function reaches pytest unchanged."""
     __tracebackhide__ = True
     finding = saved.finding
     if finding is None:
@@ -54,10 +54,10 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     except ProcessLostError as error:
         lost = error
     beside = ""
-    if lost is not None:  # Outside of the handler, so that the same is not shown twice.
+    if lost is not None:  # Outside of the handler, so that pytest does not print the error twice, once as a cause.
         beside = BESIDE[replays.passes_reference(saved, replays.world_of(saved), item.nodeid)]
     for leftover in harness.left_behind(item.nodeid):
-        leftover.discard()  # What came of it is told now.
+        leftover.discard()  # The item reports its result now.
     if lost is not None:
         _conclude_lost(item, replays, saved, finding, lost, beside)
     worse = _worsening(verdict) if label == BESIDE[False] else ""
@@ -92,7 +92,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
 def _conclude_lost(
     item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, lost: LostRun, beside: str
 ) -> NoReturn:
-    """Fail for a scenario whose process did not come back; ``beside`` is what to call it beside a reference."""
+    """Fail an item whose process died or hung; ``beside`` is its label in a comparison with a reference, or empty."""
     __tracebackhide__ = True
     path = relative(saved.path, replays.harness.root)
     was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
@@ -117,11 +117,11 @@ def _against(replays: Replays) -> str:
 
 
 def _worsening(verdict: Verdict) -> str:
-    """Say how much worse a failure is than that of the reference in the same scenario; empty where it is not."""
+    """Describe how much worse a failure is than the reference's in the same scenario; empty if it is not worse."""
     return "" if verdict.reference is None else worsening(verdict.severity, verdict.reference.severity)
 
 
-def _tell(  # noqa: PLR0913  (all that a record has)
+def _tell(  # noqa: PLR0913  (the fields of a record)
     item: pytest.Function,
     replays: Replays,
     saved: Saved,
@@ -133,7 +133,7 @@ def _tell(  # noqa: PLR0913  (all that a record has)
     verdict: Verdict | None = None,
     worse: str = "",
 ) -> None:
-    """Tell the controller of a replay, whose verdict is None where its process did not come back."""
+    """Report a replay to the controller; the verdict is None if its process died or hung."""
     path, finding = relative(saved.path, replays.harness.root), saved.finding
     against, worse = replays.harness.against_name, f"{saved.id} {worse}" if worse else ""
     summary = ReplaySummary(node_id=item.nodeid, label=label, detail=detail, against=against, worse=worse)
@@ -149,7 +149,8 @@ def _tell(  # noqa: PLR0913  (all that a record has)
             summary = replace(summary, id=finding.id, severity=severity, responsible=responsible)
         if finding.xfail is not None and not finding.is_accepted(today):
             over = (
-                f"{path}: accepted ({finding.accepted}), which is over: mend it, write a later day, or remove the line"
+                f"{path}: accepted ({finding.accepted}), but that day is over: mend the failure, write a later day, or "
+                "remove the line"
             )
             messages.send(item, "warning", {"text": over})
         tell_finding(
@@ -178,7 +179,7 @@ def _conclude(item: pytest.Function, run: Run, verdict: Verdict, label: str, det
     if verdict.failed and verdict.exception is not None:
         item.stash[SUMMARY] = ascii_text(headline(run, verdict))
         lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
-        if isinstance(verdict.exception, CheckFailed):  # else the test function says what the run was like
+        if isinstance(verdict.exception, CheckFailed):  # any other exception has the test function's own message
             lines += explained(run, verdict.exception, item.config).splitlines()
         _add_section(item, lines)
         raise shown(verdict.exception)
@@ -189,4 +190,4 @@ def _conclude(item: pytest.Function, run: Run, verdict: Verdict, label: str, det
     if verdict.kind == "rejected":
         pytest.skip("the test function rejected the saved scenario with pafot.reject()")
     if verdict.kind == "invalid":
-        pytest.skip(f"drifted: two NPCs touched after {run.duration:.1f} s, which says nothing of the ADS")
+        pytest.skip(f"drifted: two NPCs touched after {run.duration:.1f} s, which says nothing about the ADS")

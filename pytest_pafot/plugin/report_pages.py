@@ -1,6 +1,6 @@
-"""The report page: what items show is gathered on the controller, and written when the session ends.
+"""The report page: the controller gathers what items send, and writes the page when the session ends.
 
-Nothing that makes pages is imported before there is one to make.
+The modules that make pages are imported only when there is a page to make.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def page_messages_of(item: pytest.Item, settings: Settings) -> PageMessages | None:
-    """Who sends what a page shows of an item; None where nobody asked for one."""
+    """Return the sender of what a page shows of an item; None if no page is requested."""
     if settings.report is None and not _has_rows(item.config):
         return None
     from pytest_pafot.plugin.page_messages import PageMessages  # noqa: PLC0415
@@ -36,7 +36,7 @@ def page_messages_of(item: pytest.Item, settings: Settings) -> PageMessages | No
 
 
 class Pages:
-    """Gathers what is shown, on the controller alone."""
+    """Hooks that gather the content of pages, only on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -50,7 +50,7 @@ class Pages:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Take what items show; add it to the row of an ordinary report."""
+        """Store what items send; add it to the row of an ordinary report."""
         message = messages.received(report)
         if message is not None:
             if message.kind == messages.PAGE:
@@ -87,7 +87,7 @@ class Pages:
         finding = from_plain(FindingView, data["view"]) if "view" in data else None
         campaign = from_plain(CampaignView, data["campaign"]) if "campaign" in data else None
         if finding is not None:
-            self._shown |= {finding.node_id, node_id}  # the search that found it fails for it, too
+            self._shown |= {finding.node_id, node_id}  # the search that found it fails because of it, too
             if _has_rows(self._config):
                 self._rows[finding.node_id] = finding
         if campaign is not None and campaign.reason == "error":
@@ -110,7 +110,8 @@ class Pages:
         errors = tuple(
             (node_id, text)
             for (node_id, when), text in sorted(self._failures.items())
-            # In items of this page, or in those that never came to name one, and shown by no finding.
+            # Errors of this page's items, and of items that failed before they named a page; not failures that a
+            # finding shows already.
             if self._targets.get(node_id, path) == path and not (when == "call" and node_id in self._shown)
         )
         report = draft.report(
@@ -123,12 +124,12 @@ class Pages:
         return write_report(draft.target, path, report)
 
     def _completed(self, finding: FindingView) -> FindingView:
-        """With what is known only at the end of its search."""
+        """Return a finding with the number of runs and the label, which are known only at the end of its search."""
         node_id = finding.node_id
         runs, label = self._runs.get(node_id, finding.runs), self._labels.get(node_id, finding.label)
         return replace(finding, runs=runs, label=label)
 
 
 def _has_rows(config: pytest.Config) -> bool:
-    """Whether pytest-html writes a report."""
+    """Return whether pytest-html writes a report."""
     return bool(config.getoption("htmlpath", None))

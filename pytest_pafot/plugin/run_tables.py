@@ -1,7 +1,7 @@
 """``--pafot-table``: all runs of a session's searches in one file, written by the controller.
 
-A CSV file grows with each generation, so that a session that is killed leaves its runs; at the end its rows are in the
-order of tests and runs, from however many workers they came.
+A CSV file grows with each generation, so a session that is killed leaves its runs. At the end, the rows are sorted by
+test and run, however many workers there were.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ TABLE = BY_NAME["table"]
 
 
 def table_messages_of(item: pytest.Item) -> TableMessages | None:
-    """Return who sends the rows of a search; None where nobody asked for a table."""
+    """Return the sender of a search's rows; None if no table is requested."""
     return TableMessages(item) if item.config.getoption(TABLE.key) else None
 
 
 class TableMessages:
-    """Sends the rows of a search to the controller, a generation at a time."""
+    """A sender of the rows of a search to the controller, one generation at a time."""
 
     def __init__(self, item: pytest.Item) -> None:
         from pytest_pafot.campaign.run_table import RunTable  # noqa: PLC0415
@@ -40,7 +40,7 @@ class TableMessages:
         self._table: RunTable = RunTable()
 
     def __call__(self, event: SearchEvent) -> None:
-        """Take an event of the search."""
+        """Process an event of the search."""
         from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
         from pytest_pafot.searching.events import GenerationFinished  # noqa: PLC0415
 
@@ -50,14 +50,14 @@ class TableMessages:
 
 
 class Tables:
-    """Writes the file, on the controller alone."""
+    """Hooks that write the file, only on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
         self._name: str = config.getoption(TABLE.key)
         self._path = Path(os.path.normpath(config.invocation_params.dir / self._name))
         self._is_parquet = self._path.suffix.lower() == ".parquet"
-        self._rows: list[list[Any]] = []  # of a Parquet file, which is written as a whole
+        self._rows: list[list[Any]] = []  # only for a Parquet file, which cannot grow
         self._problem = refused_output(config, self._name, self._path.parent)
 
     @pytest.hookimpl(trylast=True)
@@ -76,7 +76,7 @@ class Tables:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Take the rows that a search tells."""
+        """Store the rows that a search sends."""
         message = messages.received(report)
         if message is None or message.kind != "runs":
             return
@@ -87,7 +87,7 @@ class Tables:
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self) -> None:
-        """Bring the rows into their order, also when the session was interrupted."""
+        """Sort the rows, even if the session was interrupted."""
         lines = self._config.stash[SUMMARY_LINES]
         if not self._problem:
             self._finish()

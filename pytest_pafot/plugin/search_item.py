@@ -1,4 +1,4 @@
-"""The item of a search: a campaign whose events become messages of the item, and whose finds make it fail."""
+"""The item of a search: a campaign whose events become messages of the item, and whose new findings fail it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
-"""Folders of saved scenarios in which this session has removed what processes that were killed left half written."""
+"""Folders of saved scenarios in which this session has already removed the unfinished files of killed processes."""
 
 IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in several processes already"
 
@@ -56,10 +56,10 @@ DRAWS = (
 
 
 def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) -> Harness:
-    """What an item whose fixtures are set up runs and judges with; ``writes`` says whether it may save anything.
+    """Return the harness of an item whose fixtures are set up; ``writes`` is True if it may save scenarios.
 
     Raises:
-        RequestError: when a fixture gives something that cannot be used, or it would write behind a link.
+        RequestError: if the value of a fixture cannot be used, or if it would write behind a link.
     """
     world = build_world(request, item.funcargs[WORLD_FIXTURE])
     name, root = node_ids.qualified_name(item), item.config.rootpath
@@ -68,7 +68,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     here = item.config.invocation_params.dir
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
     tidied = item.config.stash.setdefault(TIDIED, set())
-    if link is None and folder not in tidied:  # once a session: to list thousands of files takes as long as a replay
+    if link is None and folder not in tidied:  # once per session: listing thousands of files takes as long as a replay
         tidied.add(folder)
         remove_unfinished(folder)
     if link is not None and writes and request.settings.save != "none":
@@ -106,11 +106,11 @@ def _checked_executor(given: object) -> Executor | None:
 
 
 def bound_test(item: pytest.Function, arg: str) -> Test:
-    """The test function with its fixtures, called as pytest calls it, with a run in the place of its argument.
+    """Return a function that calls the test function with its fixtures, as pytest does, and with a run as its argument.
 
     Raises:
-        RequestError: for a fixture that keeps failures from leaving the function; when it is called, for a function
-            that has collected failures with pytest-check.
+        RequestError: for a fixture that collects failures instead of raising them. The returned function raises it for
+            failures that pytest-check has collected.
     """
     for name, value in item.funcargs.items():
         if isinstance(value, pytest.Subtests) or type(value).__module__.partition(".")[0] == "pytest_subtests":
@@ -119,7 +119,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
     fixed = {name: item.funcargs[name] for name in names if name in item.funcargs}
 
     def test(run: Any) -> Any:
-        # pytest's own traceback filter cuts everything up to the user's function.
+        # No __tracebackhide__ is needed: pytest's traceback filter cuts everything above the user's function.
         result = item.obj(**{**fixed, arg: run})
         check = sys.modules.get("pytest_check")
         if check is not None and check.any_failures():
@@ -130,7 +130,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
 
 
 def run_search(item: pytest.Function, request: Request) -> None:
-    """Search, and fail the item when there is something new, or nothing was tested."""
+    """Search, and fail the item if there is a new finding, or if nothing was tested."""
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
     harness = harness_of(item, request)
@@ -144,7 +144,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
             sessions=sessions,
             replays=replace(replays, harness=chosen),
             limit=limit,
-            # The session ends at the first failure then, which a loop inside of an item must do by itself.
+            # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
             stops_at_first=bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1,
             progress_seconds=shared.progress_seconds,
             notes=[] if chosen is harness else [AFTER_A_DEATH],
@@ -157,14 +157,14 @@ def run_search(item: pytest.Function, request: Request) -> None:
         if item.config.getoption("usepdb", False) and result.first is not None:
             first = shown(result.first)
             first.add_note(terminal.failure_message(summary))
-            raise first  # The debugger then stands where the test function failed.
+            raise first  # so that the debugger starts where the test function failed
         pytest.fail(terminal.failure_message(summary), pytrace=False)
-    # A failure must not go without an item that fails for it, and a file that is newer than the items has none here.
+    # Each failure needs an item that fails for it. A file saved after the collection has no item in this session.
     here = item.config.stash[COLLECTED].get(harness.folder, {})
     late = [file.name.removesuffix(SUFFIX) for file in files_in(harness.folder) if file.name not in here]
     covered = [f"{plural(summary.known[id_], 'run')} covered by {id_}" for id_ in late if id_ in summary.known]
     if covered:
-        _fail(item, "failures that were saved since this session collected its tests; run it again", covered)
+        _fail(item, "failures that were saved after this session collected its tests; run it again", covered)
     if summary.reason == "replay only":
         return
     if result.skip is not None:
@@ -176,9 +176,9 @@ def run_search(item: pytest.Function, request: Request) -> None:
 
 
 def searches_left(item: pytest.Item) -> int:
-    """Searches that this process has yet to run, that of the item included.
+    """Return how many searches this process still has to run, including the item's.
 
-    A worker of pytest-xdist does not know which searches the others run: it counts on as many as they.
+    A worker of pytest-xdist does not know which searches the other workers run. It assumes an equal share for each.
     """
     searches = sum(map(is_search, item.session.items))
     workers: int = getattr(item.config, "workerinput", {}).get("workercount", 1)
@@ -187,23 +187,23 @@ def searches_left(item: pytest.Item) -> int:
 
 
 def shown(exception: BaseException) -> BaseException:
-    """An exception as pytest shows it best: what is told by its text alone without a traceback of this package."""
+    """Return the exception that pytest should print: for a plain failure its text without a traceback."""
     is_plain = isinstance(exception, PlainFailure)
     return pytest.fail.Exception(str(exception), pytrace=False) if is_plain else exception
 
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """Sends what happens in a search as messages of its item, and tells a page and a table where one is asked for."""
+    """A listener that sends events of a search as messages, and passes them to a page and a table, if requested."""
 
     item: pytest.Function
     page: Listener | None
     table: Listener | None
     settings: Settings
-    told: dict[str, FindTold] = field(default_factory=dict)  # the finds so far, by id
+    told: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
 
     def __call__(self, event: SearchEvent) -> None:
-        """Send a message, for those events that the terminal tells."""
+        """Send a message for each event that the terminal reports."""
         if isinstance(event, SearchStarted):
             seeds = {"seed": event.seed, "base_seed": self.settings.seed}
             set_properties(self.item.user_properties, **seeds)
@@ -230,7 +230,7 @@ class SearchMessages:
         if not is_compact(config):
             details += [f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}"]
             details += terminal.effort_lines(kept.finding)
-        advice = "what does not repeat is not shrunk" if kept.find.is_flaky else ""
+        advice = "it does not repeat, so it is not shrunk" if kept.find.is_flaky else ""
         if kept.find.difference == NOT_REPEATED:
             advice += DRAWS
         section = terminal.find_section(
@@ -261,9 +261,9 @@ class SearchMessages:
 
 
 def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
-    """The report of a find as the item that it will be next time, serialised.
+    """Return the serialised report of a new finding, as the item that it will be in the next session.
 
-    Made by pytest's own hooks, so that marks of the function, such as xfail, act on it.
+    pytest's own hooks make it, so marks of the function, such as xfail, apply to it.
     """
 
     def fail() -> None:
@@ -290,7 +290,6 @@ def _fail(item: pytest.Function, what: str, why: Sequence[str]) -> None:
 
 def _no_collecting(what: str) -> str:
     return (
-        f"expected a test function that raises at its first failure, which is the finding, received one with {what}, "
-        "which collects failures, so that the function ends as if it had passed; write `assert ...`, and a test of its "
-        "own for each property"
+        f"expected a test function that raises at its first failure, received one with {what}, which collects failures "
+        "and lets the function end as if it had passed; write `assert ...`, and a separate test for each property"
     )

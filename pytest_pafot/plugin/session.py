@@ -1,4 +1,4 @@
-"""What holds for the whole session, the same in the controller and in each worker of pytest-xdist."""
+"""Values of the whole session, which are the same in the controller and in each worker of pytest-xdist."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ from pytest_pafot.support.text import plural
 
 KERNEL = Path(__file__).parents[1] / "world" / "kernel"
 
-LOG_SECONDS = 10.0  # how often a search reports its progress where nobody looks at a terminal [s]
+LOG_SECONDS = 10.0  # the interval between reports of a search's progress in a log [s]
 
 
 HERE = "PAFOT_REPLAY_HERE"
-"""Set in the environment of a session that was started to replay a file in its own process."""
+"""The environment variable that marks a session started only to replay a file in a separate process."""
 
 
 def terminal_width() -> int:
-    """Columns of the terminal, as pytest counts them."""
+    """Return the number of columns of the terminal, as pytest counts them."""
     columns = shutil.get_terminal_size((80, 24)).columns
     return columns if columns >= 40 else 80
 
 
 @dataclass(slots=True, kw_only=True)
 class Shared:
-    """Values that the controller decides and every worker uses, at first those of a session that begins now."""
+    """Values that the controller chooses and every worker uses; the defaults are those of a session that begins now."""
 
     fresh_seed: int = field(default_factory=lambda: int.from_bytes(os.urandom(4), "big"))  # base seed if none is given
     progress_seconds: float = field(default_factory=lambda: LOG_SECONDS)  # between two reports of progress
-    width: int = field(default_factory=terminal_width)  # in columns, which a worker cannot ask
-    began: float = field(default_factory=time.monotonic)  # when the session did, by the clock of this process [s]
-    # The day by which last days of accepted failures are held, as text, which a worker can be sent
+    width: int = field(default_factory=terminal_width)  # of the terminal, which a worker cannot query [columns]
+    began: float = field(default_factory=time.monotonic)  # start of the session, by the clock of this process [s]
+    # the day with which the last days of accepted failures are compared, as a text that can be sent to workers
     today: str = field(default_factory=lambda: date.today().isoformat())
-    # node ids of the saved scenarios that the first workers collected; a worker that replaces a crashed one collects
-    # these and no files that were written since. None before
+    # node ids of the saved scenarios that the first workers collected, or None before. A worker that replaces a crashed
+    # one collects only these, and no file written since: pytest-xdist needs the same items in all workers
     frozen: frozenset[str] | None = None
     begun: set[str] = field(default_factory=set)  # node ids of the searches that this process has begun
 
@@ -60,15 +60,15 @@ class Shared:
 class SummaryLines:
     """Lines for the summary of the session, on the controller."""
 
-    problems: list[str] = field(default_factory=list)  # anything that went wrong beside the tests
-    reports: list[str] = field(default_factory=list)  # where reports are
-    warnings: list[str] = field(default_factory=list)  # of saved scenarios
+    problems: list[str] = field(default_factory=list)  # anything that went wrong outside of the tests
+    reports: list[str] = field(default_factory=list)  # the files that were written
+    warnings: list[str] = field(default_factory=list)  # warnings about saved scenarios
 
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:
-        """Tell of a fault in work at the end of a session, where pytest would lose the texts of all failures by it.
+        """Report an error in some work at the end of a session as a problem; pytest would lose all failures by it.
 
-        An interrupt ends the work, which is given in a few words, and not the session, which ends by itself.
+        ``work`` names the work in a few words. An interrupt ends only the work: the session is ending anyway.
         """
         try:
             yield
@@ -81,7 +81,7 @@ SUMMARY_LINES = pytest.StashKey[SummaryLines]()
 
 
 def base_line(config: pytest.Config) -> str:
-    """The profile and the base seed of searches whose mark gives none, in one line; empty when none runs."""
+    """Return one line with the default profile and base seed of searches; empty if no search runs."""
     try:
         settings = resolve(config, {}, config.stash[SHARED].fresh_seed)
     except OptionError as error:
@@ -92,9 +92,9 @@ def base_line(config: pytest.Config) -> str:
 
 
 def records_folder(item: pytest.Item, settings: Settings) -> Path:
-    """A folder in pytest's cache, which no repository keeps; without a cache the corpus.
+    """Return a folder in pytest's cache, which is not committed; the corpus if there is no cache.
 
-    Where a link is on the way it is that, which is refused as a folder of records.
+    If a link is on the way, return the link, which is later refused as a folder of records.
     """
     cached = _cached_folder(item.config)
     if cached is not None:
@@ -104,9 +104,9 @@ def records_folder(item: pytest.Item, settings: Settings) -> Path:
 
 
 def misspelt(environ: Mapping[str, str]) -> list[str]:
-    """Which variables have nearly the name of one that is read; those of other names may be somebody's own."""
+    """Report variables whose name is similar to one that is read; all other names may be the user's own."""
     read = [*(option.variable for option in OPTIONS if option.everywhere), HERE, "PAFOT_KERNEL"]
-    # Compared without what all begin with, by which any two would be near
+    # Compared without the common prefix, which would make any two names similar
     known = {name.removeprefix("PAFOT_"): name for name in read}
     others = sorted(name for name in environ if name.startswith("PAFOT_") and name not in read)
     near = {name: difflib.get_close_matches(name.removeprefix("PAFOT_"), known, n=1) for name in others}
@@ -119,7 +119,7 @@ def misspelt(environ: Mapping[str, str]) -> list[str]:
 
 
 def unclaimed(config: pytest.Config) -> list[str]:
-    """What died processes have left behind that no test of this session took up."""
+    """Report records left by processes that died, if no test of this session has processed them."""
     folder = _cached_folder(config)
     if folder is None:
         return []
@@ -131,7 +131,7 @@ def unclaimed(config: pytest.Config) -> list[str]:
         return [str(error)]
     own = [
         f"a process (pid {each.pid}) died while {each.owner or 'an unknown test'} ran {each.scenario or 'a scenario'}; "
-        f"that test takes it up when it runs, or delete {each.path}"
+        f"that test runs it again, or delete {each.path}"
         for each in found
         if each.is_own
     ]
@@ -145,7 +145,10 @@ def unclaimed(config: pytest.Config) -> list[str]:
 
 
 def refused_output(config: pytest.Config, name: str, folder: Path) -> str:
-    """Return why an output of a relative name is not written, or an empty text: links may come with a checkout."""
+    """Return why an output is not written, or an empty text.
+
+    A relative path that leads through a link is refused, since a link may come with a checkout.
+    """
     link = None if os.path.isabs(name) else link_below(config.rootpath, folder)  # noqa: PTH117  (a text of the user)
     return "" if link is None else refusal(link)
 
@@ -154,36 +157,36 @@ def _cached_folder(config: pytest.Config) -> Path | None:
     try:
         link = link_below(config.rootpath, config.rootpath / config.getini("cache_dir") / "d" / "pafot")
         return link or Path(config.cache.mkdir("pafot"))
-    # No cache plugin, or a read-only checkout: the record itself says what is wrong.
+    # There is no cache plugin, or the checkout is read-only: writing the record reports what is wrong.
     except (AttributeError, ValueError, OSError):
         return None
 
 
-# What the controller and the workers of pytest-xdist tell each other when a worker starts and when it ends.
+# Data that the controller and the workers of pytest-xdist exchange when a worker starts and when it ends.
 #
-# What they tell while items run are messages, like those of a session without workers.
+# While items run, they exchange messages, as in a session without workers.
 
-KEY = "pafot"  # of what this plugin adds to the input and the output of a worker
+KEY = "pafot"  # the key of this plugin's data in the input and the output of a worker
 
 
 def is_worker(config: pytest.Config) -> bool:
-    """Whether this process is a worker."""
+    """Return whether this process is a worker of pytest-xdist."""
     return hasattr(config, "workerinput")
 
 
 def shared_by_controller(config: pytest.Config) -> Shared:
-    """What the controller of a worker has decided."""
-    # The wall clock is the one that both have; should it have been set back since, the session begins now.
+    """Return the values that the controller of this worker has chosen."""
+    # Both processes share only the wall clock. If it was set back since, the session begins now.
     values = config.workerinput[KEY]  # type: ignore[attr-defined]
     return Shared(**values | {"began": time.monotonic() - max(0.0, time.time() - values["began"])})
 
 
 class Controller:
-    """Hooks of the controller."""
+    """Hooks of pytest-xdist's controller."""
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: Any) -> None:
-        """Give a worker what it shares with this session, as plain data."""
+        """Pass the shared values to a worker, as plain data."""
         shared = node.config.stash[SHARED]
         node.workerinput[KEY] = asdict(shared) | {"began": time.time() - (time.monotonic() - shared.began)}
 
@@ -198,7 +201,7 @@ class Controller:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
-        """Take what a worker collected and no item runs."""
+        """Store the saved scenarios that a worker collected and that no item runs."""
         told = getattr(node, "workeroutput", {}).get(KEY)
         if told is None:  # It died.
             return
@@ -210,13 +213,13 @@ class Controller:
 
 
 class Worker:
-    """Hooks of a worker."""
+    """Hooks of a worker of pytest-xdist."""
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Hand over what this worker collected and no item runs.
+        """Pass the saved scenarios that no item runs to the controller.
 
-        It is JSON in ASCII: pytest-xdist sends no text with bytes in it that are no characters, as names of files may
-        have, and replaces a worker that tries to by one that tries the same.
+        They are JSON in ASCII, because file names may contain bytes that are not valid characters. pytest-xdist cannot
+        send such a text: it would replace the worker, and the new one would fail in the same way.
         """
         unrun = session.config.stash[UNRUN]
         orphans = {str(folder): orphan for folder, orphan in unrun.orphans.items()}
@@ -225,10 +228,10 @@ class Worker:
 
 
 class Header:
-    """The hook of a verbose session."""
+    """The hook that adds a line to the header of a verbose session."""
 
     def pytest_report_header(self) -> str:
-        """How the kernel runs, found out without importing it."""
+        """Return whether the kernel runs compiled, without importing it."""
         if not any((KERNEL / f"loop{suffix}").exists() for suffix in EXTENSION_SUFFIXES):
             return "pafot: kernel interpreted (not compiled at installation)"
         if os.environ.get("PAFOT_KERNEL") == "interpreted":

@@ -1,7 +1,7 @@
-"""``--pafot-json`` and the summary of a CI job: what items tell is gathered on the controller, and written at the end.
+"""``--pafot-json`` and the summary of a CI job, which the controller writes from the messages of items.
 
-The JSON file is there from the beginning of the session, and written again with each find: a session that is killed
-leaves what it has found, and no file of an earlier one.
+The JSON file is written at the beginning of the session and again with each new finding. A session that is killed
+leaves its own findings, never the file of an earlier session.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
 JSON = BY_NAME["json"]
 SUMMARY = "GITHUB_STEP_SUMMARY"
-"""The variable with which GitHub names the file for the summary of a step."""
+"""The environment variable that names the file for the summary of a step on GitHub."""
 
 
 def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
-    """Whether anybody reads what a session comes to; of one that only replays a file for another one nobody does."""
+    """Return whether a record is requested; never in a session that only replays a file for a different session."""
     is_wanted = bool(config.getoption(JSON.key) or environ.get(SUMMARY))
     return is_wanted and not environ.get(HERE) and not config.getoption("collectonly", False)
 
@@ -41,10 +41,10 @@ def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
 def tell_finding(
     item: pytest.Item, finding: Finding, *, file: str | None, again: Sequence[str] = (), **told: Any
 ) -> None:
-    """Tell the controller of a finding, where anybody reads it.
+    """Send a finding to the controller, if a record is requested.
 
-    What is told are attributes of its record. One that lies in no file is found again by its search, which ``again``
-    gives the options of.
+    ``told`` are attributes of its record. A finding without a file can only be reproduced by its search, with the
+    options ``again``.
     """
     if not is_asked_for(item.config, os.environ):
         return
@@ -55,7 +55,7 @@ def tell_finding(
 
 
 class Records:
-    """Gathers what items tell, and how they end."""
+    """Hooks that gather the messages of items and their results."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -70,26 +70,26 @@ class Records:
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
-        """Replace what an earlier session has left, by the record of one that has not ended."""
+        """Replace the file of an earlier session by the record of a session that has not ended."""
         self._write_json(None)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Take what items tell, and how each phase of theirs ended."""
+        """Store the messages of items, and the result of each of their phases."""
         message = messages.received(report)
         if message is None:
             self._take_phase(report)
         elif message.kind in ("record", "start", "search", *self._texts):
             self._take(report.nodeid, message)
 
-    @pytest.hookimpl(trylast=True)  # when pages are written and finds are reported
+    @pytest.hookimpl(trylast=True)  # after the pages are written and the new findings are reported
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Write both, also when the session was interrupted."""
+        """Write the JSON file and the summary, even if the session was interrupted."""
         self._write_json(int(session.exitstatus))
         path = os.environ.get(SUMMARY)
         orphans = self._config.stash[UNRUN].orphans
         if not path or not any((self._searches, self._findings, *self._texts.values(), orphans, self._lines.problems)):
-            return  # Nothing is imported for it in a session that has nothing to tell.
+            return  # A session without anything to report imports nothing for it.
         with self._lines.faults(f"the summary in {SUMMARY}"):
             from pytest_pafot.report.job_summary import markdown  # noqa: PLC0415
             from pytest_pafot.support.files import way_out  # noqa: PLC0415
@@ -114,7 +114,7 @@ class Records:
             case "record":
                 finding = FindingRecord(**data)
                 told = self._findings.get(finding.node_id)
-                if told is not None and told.unshrunk:  # by a search, whose file is replayed as well
+                if told is not None and told.unshrunk:  # from a search whose new file this session replays as well
                     finding = replace(finding, unshrunk=told.unshrunk)
                 self._findings[finding.node_id] = finding
                 if finding.is_new:
@@ -128,12 +128,12 @@ class Records:
                 self._texts[kind].append(f"{data['text']}")
 
     def _take_phase(self, report: pytest.TestReport) -> None:
-        """A saved scenario that tells nothing of itself could not be read or run."""
+        """Store the result of a phase; a saved scenario that failed without a message could not be read or run."""
         if SEARCH_MARK not in report.keywords:
             return
-        if report.when == "call" or not report.passed:  # One whose setup passed has not come to its end.
+        if report.when == "call" or not report.passed:  # A setup that passed is not yet a result.
             self._results.setdefault(report.nodeid, []).append(_result(report))
-        if report.failed:  # by the line of the short summary, or the first one of the text
+        if report.failed:  # the reason is the line of the short summary, or the first line of the text
             crash = getattr(report.longrepr, "reprcrash", None)
             text = report.longreprtext if crash is None else str(crash.message)
             reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
@@ -143,7 +143,7 @@ class Records:
         if report.failed and SAVED_MARK in report.keywords:
             from pytest_pafot.report.session_record import ERROR, FindingRecord, command_for  # noqa: PLC0415
 
-            told = json.loads(getattr(report, AS_SAVED, "{}"))  # without one where a worker of pytest-xdist died
+            told = json.loads(getattr(report, AS_SAVED, "{}"))  # absent if a worker of pytest-xdist died
             self._findings[report.nodeid] = FindingRecord(
                 node_id=report.nodeid,
                 id=told.get("id", ""),
@@ -183,7 +183,7 @@ class Records:
         )
 
     def _orphans(self) -> list[OrphanRecord]:
-        """Folders of saved scenarios whose test is gone, without those that are pruned by now."""
+        """Return the folders of saved scenarios whose test is gone, without those that were pruned."""
         from pytest_pafot.report.session_record import OrphanRecord  # noqa: PLC0415
 
         left = ((folder, each, len(files_in(folder))) for folder, each in self._config.stash[UNRUN].orphans.items())
@@ -214,7 +214,7 @@ class Records:
         try:
             write_whole(path, to_text(self._record(code)))
         except OSError as error:
-            if code is not None:  # told once, at the end
+            if code is not None:  # reported once, at the end
                 fix = way_out(error, "or name another file")
                 self._lines.problems.append(f"{JSON.flag}={self._file}: not written: {error.strerror or error}; {fix}")
             return
@@ -223,7 +223,7 @@ class Records:
 
 
 def _result(report: pytest.TestReport) -> str:
-    """What a phase says of its item."""
+    """Return the result of a phase."""
     if report.failed:
         return "failed" if report.when == "call" else "error"
     if report.skipped:

@@ -1,4 +1,4 @@
-"""The controller's side: messages of running items become live progress, reports of finds, and the summary."""
+"""The controller's side, which turns messages of items into live progress, reports of findings, and the summary."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from pytest_pafot.report import terminal
 
 FAILING = ("still failing", "introduced", "common")
-"""Labels of replays that fail as their files say."""
+"""The labels of replays that fail as their files describe."""
 
-TERMINAL_SECONDS = 0.25  # how often a search reports its progress on a terminal [s]
+TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
 
 
 class LiveTerminal:
-    """What is written while tests run: lines, and on a terminal one of progress that is written again and again."""
+    """The output while tests run: lines, and on a terminal one line of progress that is overwritten."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -46,19 +46,19 @@ class LiveTerminal:
 
     @property
     def is_parallel(self) -> bool:
-        """Whether workers of pytest-xdist run the items."""
+        """True if workers of pytest-xdist run the items."""
         return self._config.pluginmanager.has_plugin("dsession")
 
     @property
     def rewrites(self) -> bool:
-        """Whether one line can be written again and again: a terminal, and one item at a time."""
+        """True if the line of progress can be overwritten: on a terminal, with one item at a time."""
         if self._writer is None or self.is_parallel:
             return False
         is_terminal = self._writer.isatty  # A value in earlier versions of pytest, a method in later ones.
         return bool(is_terminal() if callable(is_terminal) else is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
-        """Write a line of progress, made for the width that it has."""
+        """Write a line of progress; ``line`` makes it for a width in columns."""
         if self._config.get_verbosity() < 0:
             return
         if not self.rewrites:
@@ -71,7 +71,7 @@ class LiveTerminal:
         self._has_line = True
 
     def erase_progress(self) -> None:
-        """Remove the line of progress, before anybody else writes."""
+        """Remove the line of progress, before anything else is written."""
         if self._has_line:
             with uncaptured(self._config):
                 self._writer.rewrite("", erase=True)
@@ -94,7 +94,7 @@ class LiveTerminal:
 
 
 class Reporter:
-    """Gathers what items tell, on the controller alone."""
+    """Hooks that gather and report the messages of items, only on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -112,14 +112,14 @@ class Reporter:
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
-        """Know the session, and how often progress can be told."""
+        """Store the session, and choose how often progress is reported."""
         self._session = session
         if self._live.rewrites:
             self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> Generator[None, object, object]:
-        """Take messages; report the finds of a search after its teardown."""
+        """Process messages; report the new findings of a search after its teardown."""
         message = received(report)
         if message is None:
             self._live.erase_progress()
@@ -132,7 +132,7 @@ class Reporter:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
-        """The label of a replay that passes is shown by ``-v``."""
+        """Return the label of a replay that passes, which ``-v`` prints."""
         if report.when != "call" or hasattr(report, "wasxfail"):
             return None
         label = dict(report.user_properties).get("pafot")
@@ -140,16 +140,17 @@ class Reporter:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
-        """Report what is left, prune orphans when asked."""
+        """Report the remaining findings, and prune orphans if requested."""
         self._live.erase_progress()
-        # An interrupt or a dead worker leaves finds whose search never came to its teardown.
+        # After an interrupt or the death of a worker, a search with new findings has had no teardown.
         for node_id in list(self._pending):
             with self._lines.faults(f"report of what {node_id} found"):
                 self._expand(node_id)
         with self._lines.faults("records of processes that died"):
             if self._searches or self._replays or self._running:
                 self._lines.problems.extend([*misspelt(os.environ), *unclaimed(self._config)])
-        # One that passes now says nothing of another one of its kind, which a search has found since.
+        # Warn of files of one kind only if all of them fail: a file that passes now does not show the failure of the
+        # other one, which a search may have found since.
         failing = {replay.node_id for replay in self._replays if replay.label in FAILING}
         unrun = self._config.stash[UNRUN]
         self._lines.warnings.extend(told for told, ids in unrun.doubles.items() if failing.issuperset(ids))
@@ -163,7 +164,7 @@ class Reporter:
                 self._lines.problems.extend(failures)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
-        """One section for searches, replays, orphans and problems."""
+        """Write one section for searches, replays, orphans and problems."""
         own = SummaryLines()
         with own.faults("summary of pytest-pafot"):
             lines = self._summary()
@@ -201,7 +202,7 @@ class Reporter:
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)
 
     def _take(self, report: pytest.TestReport, message: Message) -> None:
-        """Messages of a page have a plugin of their own."""
+        """Process a message; a separate plugin processes the messages of pages."""
         from pytest_pafot.campaign.events import Progress, SearchSummary  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
         from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
@@ -227,7 +228,7 @@ class Reporter:
                 self._warnings[data["text"]] = None
 
     def _take_start(self, report: pytest.TestReport) -> None:
-        # Under pytest-xdist nobody reports a collection here, and a fresh seed must be known should this end early.
+        # Under pytest-xdist no line on the collection is printed, and the seed must be known if the session ends early.
         is_first = not self._running and not self._searches
         if self._live.is_parallel and is_first and self._config.get_verbosity() >= 0:
             base = base_line(self._config)
@@ -243,7 +244,7 @@ class Reporter:
             self._live.write(data["lines"])
 
     def _expand(self, search_id: str) -> None:
-        """Report the finds of a search as the items that they will be in the next session, the worst first."""
+        """Report the findings of a search as the items that they will be in the next session, the worst first."""
         pending = sorted(self._pending.pop(search_id, {}).items(), key=lambda each: each[1][2])
         for node_id, (data, node, _) in pending:
             self._expanded.add(node_id)
@@ -260,7 +261,7 @@ class Reporter:
 
 
 def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
-    """For messages of this process that come from inside a running test, whose output pytest captures."""
+    """Return a context in which output of a running test reaches the terminal, and is not captured by pytest."""
     manager = config.pluginmanager.get_plugin("capturemanager")
     silent: AbstractContextManager[None] = nullcontext() if manager is None else manager.global_and_fixture_disabled()
     return silent

@@ -231,6 +231,6 @@ def test_a_failure_that_another_session_saves_meanwhile_still_fails(saved):
     saved.pytester.makeconftest(CONFTEST + late)
     result = saved.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*failures that were saved since*run it again:", f"*runs covered by {id_}"])
+    result.stdout.fnmatch_lines(["*failures that were saved after*run it again:", f"*runs covered by {id_}"])
     saved.pytester.makeconftest(CONFTEST)
     saved.run().assert_outcomes(failed=1, passed=1)

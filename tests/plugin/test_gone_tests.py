@@ -218,7 +218,7 @@ def test_two_files_of_one_kind_that_both_fail_are_told_with_the_command(saved):
     second = first.with_name("a-000000.pafot.yaml")
     shutil.copy(first, second)
     told = (
-        f"  warning: {second.name} and {first.name} in {FOLDER} fail in one way; one of them will do: "
+        f"  warning: {second.name} and {first.name} in {FOLDER} fail in the same way; join them into one: "
         f"python -m pytest_pafot corpus join {FOLDER}"
     )
     result = replay(saved, "--pafot-json=p.json")

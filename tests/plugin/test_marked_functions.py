@@ -230,8 +230,8 @@ def test_a_missing_ads_fixture_comes_with_the_one_that_is_near_in_lines_of_the_t
             "the fixture 'adss' that gives the ADS factory was not found; did you",
             "  mean 'ads'[?]",
             "    def adss():",
-            'or name another fixture with @pafot.search(ads="..."), or give a',
-            "  factory with @pafot.search(ads=MyPlanner).",
+            'Or name a different fixture with @pafot.search(ads="..."), or give a',
+            "  factory: @pafot.search(ads=MyPlanner).",
         ]
     )
 

@@ -195,4 +195,4 @@ def test_the_corpora_of_several_folders_are_told_apart_by_what_lies_above(projec
 def test_a_folder_that_is_none_is_refused(failing):
     result = merge(failing, "nowhere")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["*--pafot-merge: expected the folder of a corpus, received *nowhere, which is none"])
+    result.stderr.fnmatch_lines(["*--pafot-merge: expected the folder of a corpus, received *nowhere, not a folder"])

@@ -88,7 +88,7 @@ def test_an_xfailed_file_that_passes_fails_and_asks_for_the_removal_of_the_line(
 
 
 UNTIL = 'xfail: {reason: "planner issue 12", until: 2027-01-31}'
-OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), which is over: mend it, *"
+OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day is over: mend *"
 
 
 def test_a_failure_is_accepted_on_its_last_day_and_counts_with_a_warning_on_the_next(saved):

@@ -87,7 +87,7 @@ def test_a_failure_that_is_no_longer_accepted_is_recorded_with_a_warning(saved):
     assert [record.findings[0].xfail["until"] for record in records] == ["2027-01-31"] * 2
     assert records[0].warnings == []
     (warning,) = records[1].warnings
-    assert warning.startswith(f"{saved.files[0]}: accepted (issue 12, until 2027-01-31), which is over: ")
+    assert warning.startswith(f"{saved.files[0]}: accepted (issue 12, until 2027-01-31), but that day is over: ")
 
 
 def test_a_file_that_cannot_be_read_is_recorded_with_why(saved):

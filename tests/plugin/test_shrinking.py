@@ -265,8 +265,8 @@ def test_brakes(run):
     result.stdout.fnmatch_lines(["  * is flaky, so never called fixed: *", "*(flaky: running it*"])
     result.stdout.fnmatch_lines(
         [
-            "note       flaky: running it again gave another run; what does not repeat is not shrunk; the ADS probably "
-            "draws random numbers: seed it in its factory, or * predict(..., deterministic=True))"
+            "note       flaky: running it again gave another run; it does not repeat, so it is not shrunk; the ADS "
+            "probably draws random numbers: seed it in its factory, or * predict(..., deterministic=True))"
         ]
     )
     finding = load(project.only_file)
