@@ -1,1 +1,1 @@
-"""What the commands beside pytest share: the policy that they are given, and work that goes on where it was stopped."""
+"""The commands ``search`` and ``bisect``, and what several commands share: names of policies and resumable tasks."""

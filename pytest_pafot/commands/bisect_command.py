@@ -1,4 +1,4 @@
-"""``python -m pytest_pafot bisect``: which commit of a policy made a saved scenario fail."""
+"""``python -m pytest_pafot bisect``: find the commit of a policy that made a saved scenario fail."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.text import one_line, plural, visible
 
 TOLD = "PYTEST_PAFOT_BISECT"
-"""The variable that tells the session of a commit what it is about."""
+"""The environment variable with the paths that the session of a commit needs."""
 
-SHOWN = 60  # lines of a diff
+SHOWN = 60  # number of lines of a diff that are printed
 VERDICTS = {True: "passes", False: "fails", None: "not judged"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     rest = "--good REV [--bad REV] --policy PATH... [--copy PATH...] [--any-pass] [--timeout S]"
-    parser.usage = f"%(prog)s FILE {rest}"  # argparse puts FILE last, where it would be one more PATH
+    parser.usage = f"%(prog)s FILE {rest}"  # argparse would put FILE last, where it reads it as one more PATH
     parser.add_argument("file", metavar="FILE", help="a saved scenario that fails now")
     parser.add_argument("--good", required=True, metavar="REV", help="a commit in which it passed")
     of_bad = "a later commit in which it fails (default: %(default)s)"
     parser.add_argument("--bad", default="HEAD", metavar="REV", help=of_bad)
-    of_policy = "files and folders of the policy, which come from each commit; all others are those of now"
+    of_policy = "files and folders of the policy, taken from each commit; all other files stay as they are now"
     parser.add_argument("--policy", required=True, nargs="+", metavar="PATH", help=of_policy)
-    of_copy = "what the test needs and git ignores, such as weights: the copy has nothing else of that"
+    of_copy = "files that git ignores but the test needs, such as weights; no other ignored file is copied"
     parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
-    of_any = "count as passing, too, where the test passes as the situation of the file does not come up"
+    of_any = "also count a commit as passing if its test passes but the situation of the file does not occur"
     parser.add_argument("--any-pass", action="store_true", help=of_any)
-    of_timeout = "seconds after which a commit is given up (default: %(default)g)"
+    of_timeout = "seconds after which a commit is abandoned (default: %(default)g)"
     parser.add_argument("--timeout", type=float, default=300.0, metavar="S", help=of_timeout)
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Look for the commit; the exit code: 0 where it is found, 1 where several are left."""
+    """Search for the commit; return the exit code: 0 if it is found, 1 if several are left."""
     try:
         return _bisect(arguments)
     except (HistoryError, CorpusError) as error:
@@ -69,39 +69,41 @@ def _bisect(arguments: argparse.Namespace) -> int:
     own = [path for path in (file, *above) if history.is_policy(path.as_posix()) and (history.root / path).is_file()]
     if own:
         raise HistoryError(
-            f"--policy: expected paths of the policy alone, received some with {visible(own[0].as_posix())}, which is "
-            "that of now in all commits; name the files and folders beside it"
+            f"--policy: expected only paths of the policy, received paths that contain {visible(own[0].as_posix())}, "
+            "which must be the same in all commits; name the other files and folders one by one"
         )
     dirty = [visible(name) for name in history.uncommitted() if history.is_policy(name)]
     if dirty:
-        _say(f"not committed, and so not tried: {', '.join(dirty)}")
+        _say(f"not committed, so not tried: {', '.join(dirty)}")
     _say(f"{plural(len(commits), 'commit')} of {', '.join(map(visible, history.paths))} after {good:.10}")
     with history.worktree([*extra, file.as_posix()]) as tree:
         trials = Trials(
             history, tree, tree / here.relative_to(history.root), tree / file, arguments.timeout, arguments.any_pass
         )
         if trials.passes(bad) is not False:
-            hint = "commit what is not committed" if dirty else "try `python -m pytest FILE`, or another --bad"
-            hint = hint if trials.passes(bad) else f"{hint}; what git ignores needs --copy"
-            raise HistoryError(f"expected --bad to fail as the file tells, received: {trials.why(bad)}; {hint}")
-        for start, name in ((good, "--good"), (history.parents(commits[0])[0], "what comes before these commits")):
+            hint = "commit your changes" if dirty else "try `python -m pytest FILE`, or a different --bad"
+            hint = hint if trials.passes(bad) else f"{hint}; files that git ignores need --copy"
+            raise HistoryError(f"expected --bad to fail as the file describes, received: {trials.why(bad)}; {hint}")
+        for start, name in ((good, "--good"), (history.parents(commits[0])[0], "the commit before these")):
             if trials.passes(start) is not True:
-                hint = ", or --any-pass where that will do" if trials.told(start).get("is_other") else ""
-                raise HistoryError(f"expected {name} to pass, received: {trials.why(start)}; give another --good{hint}")
+                hint = ", or --any-pass if such a pass is enough" if trials.told(start).get("is_other") else ""
+                raise HistoryError(
+                    f"expected {name} to pass, received: {trials.why(start)}; give a different --good{hint}"
+                )
         left = first_failing(history, trials, commits)
         return _conclude(history, trials, left)
 
 
 def _commits(history: History, good: str, bad: str) -> list[str]:
-    """Return the commits to look in.
+    """Return the commits to search.
 
     Raises:
-        HistoryError: where there are none.
+        HistoryError: if there are none.
     """
     if not history.is_ancestor(good, bad):
         raise HistoryError(
-            f"expected a --good that led to --bad, received {good:.10}, which did not lead to {bad:.10}; give an "
-            "ancestor of it, such as `git merge-base` tells"
+            f"expected a --good that is an ancestor of --bad, received {good:.10}, which is not an ancestor of "
+            f"{bad:.10}; give one, such as `git merge-base` prints"
         )
     lost = [
         path for path in history.paths if not any(replace(history, paths=(path,)).content(at) for at in (good, bad))
@@ -114,18 +116,21 @@ def _commits(history: History, good: str, bad: str) -> list[str]:
     if not commits:
         raise HistoryError(
             f"--policy: expected paths that change from {good:.10} to {bad:.10}, received "
-            f"{', '.join(map(visible, history.paths))}, which do not; give those of all that the policy imports, too"
+            f"{', '.join(map(visible, history.paths))}, which do not; add the paths of all that the policy imports"
         )
     return commits
 
 
 def first_failing(history: History, trials: Trials, commits: Sequence[str]) -> Sequence[str]:
-    """Return the commits of which one is the first to fail, on the line that a merge brought where that fails, too."""
+    """Return the commits of which one is the first to fail.
+
+    If that is a merge, and the branch that it merged fails as well, search in the branch.
+    """
     left = halved(commits, trials.passes)
     while len(left) == 1 and len(parents := history.parents(left[0])) > 1:
         fork = history.fork(parents[0], parents[1])
         if fork is None or trials.passes(fork) is not True or trials.passes(parents[1]) is not False:
-            break  # It is the merge that fails.
+            break  # The merge itself fails, not the branch.
         side = history.between(fork, parents[1])
         if trials.passes(history.parents(side[0])[0]) is not True:
             break
@@ -135,18 +140,18 @@ def first_failing(history: History, trials: Trials, commits: Sequence[str]) -> S
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Sessions that replay the file with the policy of a commit, one for each content of its paths."""
+    """Sessions that replay the file with the policy of a commit, one session for each content of the policy's paths."""
 
     history: History
     tree: Path
-    folder: Path  # of the worktree, in which the sessions run
+    folder: Path  # the folder in the worktree in which the sessions run
     file: Path
     timeout: float  # [s]
-    any_pass: bool  # counts, whether or not the situation came up
-    known: dict[str, dict[str, Any]] = field(default_factory=dict)  # what they told, by the content
+    any_pass: bool  # True if a pass counts even if the situation did not occur
+    known: dict[str, dict[str, Any]] = field(default_factory=dict)  # results of the sessions, by the content
 
     def passes(self, commit: str) -> bool | None:
-        """Return whether a commit passes; None where it cannot be judged."""
+        """Return whether a commit passes; None if it cannot be judged."""
         told = self.told(commit)
         verdict: bool | None = told["passes"]
         return True if self.any_pass and told.get("is_other") else verdict
@@ -156,19 +161,19 @@ class Trials:
         return f"{VERDICTS[self.passes(commit)]}: {self.told(commit)['why']}"
 
     def told(self, commit: str) -> dict[str, Any]:
-        """Return what the session of a commit told, which may be that of another commit with the same policy."""
+        """Return the result of a commit's session, or of the session of a different commit with the same policy."""
         content = self.history.content(commit)
         if content not in self.known:
             try:
                 self.history.put(self.tree, commit)
                 self.known[content] = self._session()
-            except HistoryError as error:  # such as a folder in the place of a file of now
+            except HistoryError as error:  # such as a folder where there is a file now
                 self.known[content] = {"passes": None, "why": one_line(str(error))}
             _say(f"  {commit:.10} {self.why(commit)} | {self.history.described(commit, '%s')}")
         return self.known[content]
 
     def _session(self) -> dict[str, Any]:
-        """Return what a session of the policy that is there tells, or its last words."""
+        """Run a session with the policy that is in the worktree; return its result, or its last line as the reason."""
         told = self.tree.parent / "told.json"
         told.unlink(missing_ok=True)
         policy = [str(self.history.root / path) for path in self.history.paths]
@@ -177,9 +182,10 @@ class Trials:
         environ = {
             **os.environ,
             TOLD: json.dumps({"file": str(told), "policy": policy}),
-            # Where a package is installed as editable, its place in the worktree has to come first.
+            # First the worktree: otherwise an editable installation would import the user's own files.
             "PYTHONPATH": os.pathsep.join([*(str(path) for path in moved if path.is_dir()), *above]),
-            # Python takes a compiled file for that of any source of its size and second, as two commits may be.
+            # Python takes a compiled file as valid if the source has the same size and time in seconds. Two commits
+            # checked out within a second may agree in both.
             "PYTHONDONTWRITEBYTECODE": "1",
         }
         command = [
@@ -213,7 +219,7 @@ def _import_folders(root: Path) -> list[Path]:
 
 @contextmanager
 def _group(command: Sequence[str], folder: Path, environ: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """Run a program, and kill it and all that it has started where it has not ended in the end."""
+    """Run a program; at the end of the context, kill it with all processes that it started, if it still runs."""
     pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     session = subprocess.Popen(  # noqa: S603  (no shell)
         command, cwd=folder, env=environ, text=True, errors="replace", start_new_session=True, **pipes
@@ -227,13 +233,13 @@ def _group(command: Sequence[str], folder: Path, environ: dict[str, str]) -> Ite
 
 
 def _conclude(history: History, trials: Trials, left: Sequence[str]) -> int:
-    """Tell the commit, what it changed, and when its decisions part from those before; the exit code."""
+    """Print the commit, its diff, and the first decision that differs from before; return the exit code."""
     if len(left) > 1:
-        _say(f"one of these {len(left)} is the first that fails; those before the last could not be judged:")
+        _say(f"one of these {len(left)} commits is the first that fails; all but the last could not be judged:")
         _say("\n".join(f"  {history.described(each, '%H %s')}" for each in left))
         return 1
     before = history.parents(left[0])[0]
-    _say(f"{history.described(left[0], '%H is the first that fails, of %aI by %an:')}")
+    _say(f"{history.described(left[0], '%H is the first that fails, by %an on %aI:')}")
     _say(f"  {history.described(left[0], '%s')}\n")
     lines = history.diff(before, left[0])
     more = [f"... and {plural(len(lines) - SHOWN, 'line')} more"] if len(lines) > SHOWN else []
@@ -243,7 +249,7 @@ def _conclude(history: History, trials: Trials, left: Sequence[str]) -> int:
 
 
 def parted(before: dict[str, Any], now: dict[str, Any]) -> str:
-    """Return a sentence on the first decision in which two runs differ, of what their sessions told."""
+    """Return a sentence on the first decision in which the runs of two sessions differ."""
     if not (before.get("decisions") and now.get("decisions")):
         return f"decisions cannot be compared: before, {before['why']}; now, {now['why']}"
     pairs = enumerate(zip(before["decisions"], now["decisions"], strict=False))
@@ -252,7 +258,7 @@ def parted(before: dict[str, Any], now: dict[str, Any]) -> str:
         return "both decide the same as long as both drive"
     tick, speed = place * now["every"], now["speeds"][place]
     was, became = map(_decision, decisions)
-    when = f"decisions part at tick {tick}, after {tick / now['hz']:.1f} s at {speed:.1f} m/s"
+    when = f"decisions differ from tick {tick} on, after {tick / now['hz']:.1f} s at {speed:.1f} m/s"
     return f"{when}\n  before: {was}\n  now:    {became}"
 
 

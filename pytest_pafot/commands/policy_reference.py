@@ -1,4 +1,4 @@
-"""The policy that a command is given, by name; and what its exit codes say."""
+"""The policy that a command receives by name, and the exit code for wrong arguments."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from typing import Any
 from pytest_pafot.world.driving.ads import weights_digest
 
 BAD_USE = 2
-"""Exit code for wrong arguments, as argparse has it."""
+"""The exit code for wrong arguments, the same as argparse's."""
 
 EXAMPLES = "example_ads"
-"""The package of example policies: at the top of a clone, inside of this package where it is installed."""
+"""The package of example policies: at the top of a clone, or inside this package if it is installed."""
 
 OF_FILE = "file:"
-"""How the identity of a policy begins that tells no hash of its weights."""
+"""The prefix of the identity of a policy that has no hash of its weights."""
 
 
 class PlanError(ValueError):
-    """A comparison that cannot be made; the message says what was expected and what to do."""
+    """Wrong arguments of a command; the message says what was expected and what to do."""
 
 
 def ads_factory(reference: str) -> Callable[..., Any]:
-    """The factory that a name stands for.
+    """Return the factory with a name.
 
     Raises:
-        PlanError: when there is none.
+        PlanError: if there is none.
     """
     parts = reference.split(":")
     if len(parts) > 3 or not all(parts):
@@ -51,24 +51,24 @@ def ads_factory(reference: str) -> Callable[..., Any]:
             near = difflib.get_close_matches(reference, policies, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise PlanError(
-                f"--ads: expected one of {', '.join(policies)}, or module:factory for a policy of your own, received "
+                f"--ads: expected one of {', '.join(policies)}, or module:factory for your own policy, received "
                 f"{reference!r}{hint}"
             ) from None
         raise PlanError(
-            f"--ads: expected a module that can be imported, received {reference!r} ({error}); run the command where "
-            f"the module is, or give module:factory"
+            f"--ads: expected a module that can be imported, received {reference!r} ({error}); run the command in the "
+            f"folder of the module, or give module:factory"
         ) from None
     if not callable(factory):
-        raise PlanError(f"--ads: expected a factory in {module_name}, received {reference!r}, which is none")
+        raise PlanError(f"--ads: expected a factory in {module_name}, received {reference!r}, which cannot be called")
     return functools.partial(factory, parts[2]) if len(parts) == 3 else factory
 
 
 def identity(reference: str) -> str:
-    """What tells a policy from another one of its name: the hash of its weights, else of the file of its module.
+    """Return what identifies a version of a policy: the hash of its weights, or else of its module's file.
 
     Raises:
-        PlanError: when there is none of this name.
-        AdsFactoryError: for weights that cannot be read.
+        PlanError: if there is no policy of this name.
+        AdsFactoryError: if the weights cannot be read.
     """
     told = weights_digest(ads_factory(reference))
     if told:
@@ -78,18 +78,18 @@ def identity(reference: str) -> str:
 
 
 def module_of(reference: str) -> str:
-    """The module that a name stands for, as it can be imported; only of a name that :func:`ads_factory` accepts."""
+    """Return the importable name of a policy's module; :func:`ads_factory` must accept the policy's name."""
     return _imported(_module_name(reference)).__name__
 
 
 def caution(references: Iterable[str]) -> str:
-    """What to mind of policies of which only the file of the module is known to be the same; empty for nothing."""
+    """Return a warning about policies of which only the module's file is known to be unchanged; empty if none."""
     names = [each for each in references if identity(each).startswith(OF_FILE)]
     if not names:
         return ""
     return (
-        f"{' and '.join(names)} tell{'s' if len(names) == 1 else ''} no hash of weights, so that only the file of the "
-        "module is known to be the same: if it was trained or changed since then, give another --out"
+        f"{' and '.join(names)} provide{'s' if len(names) == 1 else ''} no hash of weights, so only the module's file "
+        "is known to be the same: if the policy was trained or changed since then, give a different --out"
     )
 
 
@@ -99,7 +99,7 @@ def _module_name(reference: str) -> str:
 
 
 def _imported(module_name: str) -> ModuleType:
-    """The module; one of the examples comes from the clone in which the command runs, or as it was installed."""
+    """Import a module; an example comes from the clone in which the command runs, or else from the installation."""
     try:
         return importlib.import_module(module_name)
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""Tasks of a command that takes long, in one process or several, resumable at every finished task."""
+"""Tasks of a long command, in one process or several; a command that was stopped resumes after its finished tasks."""
 
 from __future__ import annotations
 
@@ -18,38 +18,40 @@ from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.support.files import way_out, write_whole
 
 RUNS = "runs"
-"""Folder of the results of single tasks."""
+"""The folder of the results of single tasks."""
 RESULTS = "results.csv"
 TIME = ".seconds"
-"""Ending of the file with the wall-clock time of a task, the only thing that is not reproducible, and a digest of its
-rows, by which a file is known that was damaged or changed since."""
+"""The suffix of the file with the wall-clock time of a task, which is not reproducible, and a digest of its rows.
 
-AGAIN = "then give the same command again: what is finished is kept"
-"""The way out where something could not be written after work was done."""
+The digest detects a file that was damaged or changed later.
+"""
+
+AGAIN = "then run the same command again: finished tasks are not repeated"
+"""The way out if something could not be written after work was done."""
 
 POLL_SECONDS = 0.5
-TOLD_EVERY = 10.0  # how often progress is told where it cannot be rewritten in place [s]
+TOLD_EVERY = 10.0  # the interval between reports of progress if a line cannot be overwritten [s]
 
 Task = tuple[str, int]
-Tick = Callable[[float], None]  # is told the share of a task that is done
+Tick = Callable[[float], None]  # receives the finished share of a task
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResumableJob:
-    """What a command has to do.
+    """The work of a command.
 
     Attributes:
-        command: its name.
-        noun: what its results are, such as ``comparison``.
+        command: the name of the command.
+        noun: the name of its results, such as ``comparison``.
         units: what its progress counts, such as ``runs``.
-        tasks: in the order in which they are started.
-        in_order: the same in the order of their rows.
-        question: on what results depend, as canonical text; results of equal questions go together.
-        question_file: where that stands.
-        differs: in what another question may differ, in words.
-        text: the rows of a task as CSV; must be possible to pickle.
-        sizes: units of each task that is not one; then progress counts units of tasks that are going on, too.
-        caution: what to mind where results from before are kept; empty for nothing.
+        tasks: the tasks in the order in which they are started.
+        in_order: the tasks in the order of their rows.
+        question: everything on which results depend, as canonical text; only results of equal questions are combined.
+        question_file: the name of the file with the question.
+        differs: in what a different question may differ, in words.
+        text: returns the rows of a task as CSV; it must be picklable.
+        sizes: the units of each task that has more than one; progress then counts the units of running tasks, too.
+        caution: a warning that is printed if earlier results are reused; empty if there is none.
     """
 
     command: str
@@ -65,39 +67,39 @@ class ResumableJob:
     caution: str = ""
 
     def size(self, task: Task) -> int:
-        """How many units a task is."""
+        """Return the number of units of a task."""
         return self.sizes.get(task, 1)
 
     @property
     def total(self) -> int:
-        """How many units all tasks are."""
+        """The number of units of all tasks."""
         return sum(map(self.size, self.tasks))
 
 
 def file_name(name: str, run: int) -> str:
-    """Of the results of one task."""
+    """Return the name of the file with the results of one task."""
     return str(PurePath(RUNS) / f"{name}-{run:03}.csv")
 
 
 def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
-    """Run what is not finished yet; the file with all rows.
+    """Run the tasks that are not finished; return the file with all rows.
 
-    What the folder has of the job is kept, unless it was changed since. One worker is this process itself. The progress
-    is ``told`` with the time that is left, by a clock of seconds.
+    Results in the folder are reused, unless they were changed. With one worker, the tasks run in this process. Progress
+    is written to ``told`` with the remaining time, by a clock in seconds.
 
     Raises:
-        PlanError: when the folder holds the results of another question, or cannot be written.
-        ChildProcessError: when a worker is killed.
-        Exception: what a task raises.
+        PlanError: if the folder holds the results of a different question, or cannot be written.
+        ChildProcessError: if a worker is killed.
+        Exception: any exception of a task.
     """
     claim(job, folder)
     left = [task for task in job.tasks if seconds_of(folder / file_name(*task)) is None]
     for task in left:
         if (folder / file_name(*task)).exists():
-            told.write(f"{job.command}: {folder / file_name(*task)} is not as it was written, and is made again\n")
+            told.write(f"{job.command}: {folder / file_name(*task)} was changed or damaged, so its task runs again\n")
     done = job.total - sum(map(job.size, left))
     if done and job.caution:
-        told.write(f"{job.command}: {done} of {job.total} {job.units} are from before; {job.caution}\n")
+        told.write(f"{job.command}: {done} of {job.total} {job.units} are reused from before; {job.caution}\n")
     progress = ProgressLine(job=job, done=done, told=told, clock=clock)
     for task in _done(job, folder, left, progress, workers):
         progress.finished(task)
@@ -110,10 +112,10 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
 
 
 def worker_count(given: int | None) -> int:
-    """How many processes ``--workers`` asks for: one for each core where it is not given.
+    """Return the number of processes that ``--workers`` requests, by default one for each core.
 
     Raises:
-        PlanError: for less than one.
+        PlanError: if it is less than one.
     """
     if given is not None and given < 1:
         raise PlanError(f"--workers: expected at least 1, received {given}")
@@ -121,10 +123,10 @@ def worker_count(given: int | None) -> int:
 
 
 def claim(job: ResumableJob, folder: Path) -> None:
-    """Make the folder one of this job.
+    """Reserve the folder for this job.
 
     Raises:
-        PlanError: when it is of another one, or cannot be written.
+        PlanError: if it holds the results of a different job, or cannot be written.
     """
     path = folder / job.question_file
     with written_into(folder):
@@ -134,22 +136,22 @@ def claim(job: ResumableJob, folder: Path) -> None:
             why = f"differs in {job.differs}" if is_there else "is gone"
             raise PlanError(
                 f"--out: expected an empty folder or one of this {job.noun}, received {folder}, whose "
-                f"{job.question_file} {why}; give another folder, or the same arguments"
+                f"{job.question_file} {why}; give a different folder, or the same arguments"
             )
         write_whole(path, job.question)
 
 
 @contextmanager
-def written_into(folder: Path, elsewhere: str = "or give another folder") -> Iterator[None]:
-    """Call a folder that cannot be written a wrong ``--out``, with the rest of the way out.
+def written_into(folder: Path, elsewhere: str = "or give a different folder") -> Iterator[None]:
+    """Report a folder that cannot be written as a wrong ``--out``; ``elsewhere`` ends the way out.
 
     Raises:
-        PlanError: in place of an OSError.
+        PlanError: instead of an OSError.
     """
     try:
         yield
     except OSError as error:
-        # What is in the way is named; of a file that was being written the name says nothing.
+        # Name an existing file that is in the way, but not a temporary file that was being written.
         what = error.filename2 or (error.filename if isinstance(error, FileExistsError) else folder)
         raise PlanError(
             f"--out: expected a folder that can be written, received {what}: {error.strerror or error}; "
@@ -159,12 +161,12 @@ def written_into(folder: Path, elsewhere: str = "or give another folder") -> Ite
 
 @dataclass(slots=True)
 class ProgressLine:
-    """Tells how far a command is and how long it will take."""
+    """A report of how far a command is and how long it will take."""
 
     job: ResumableJob
-    done: int  # units
-    told: TextIO  # where to
-    clock: Callable[[], float]  # seconds since any moment
+    done: int  # number of finished units
+    told: TextIO  # the stream for the report
+    clock: Callable[[], float]  # returns the seconds since some fixed moment
     started: float = field(init=False)
     told_at: float = field(default=-math.inf, init=False)
     first_done: int = field(init=False)
@@ -173,19 +175,19 @@ class ProgressLine:
         self.started, self.first_done = self.clock(), self.done
 
     def tick(self, shares: float) -> None:
-        """Told the sum of the shares of the tasks that are going on."""
+        """Report progress, given the sum of the shares of the running tasks, unless the last report is recent."""
         now = self.clock()
         is_terminal = self.told.isatty()
         if now - self.told_at < (POLL_SECONDS if is_terminal else TOLD_EVERY):
             return
         if not is_terminal and self.done + shares >= self.job.total:
-            return  # the line of the end follows at once
+            return  # the last line follows at once
         self.told_at = now
         line = self.line(shares, now)
         self._tell(f"\r{line}\x1b[K" if is_terminal else f"{line}\n")
 
     def line(self, shares: float, now: float) -> str:
-        """``compare: 12 of 30 runs, 43 %, 6 min left``."""
+        """Return a line such as ``compare: 12 of 30 runs, 43 %, 6 min left``."""
         job, gained = self.job, self.done - self.first_done + shares
         share = (self.done + shares) / max(job.total, 1)
         missing = job.total - self.done - shares
@@ -194,7 +196,7 @@ class ProgressLine:
         return f"{job.command}: {done} of {job.total} {job.units}, {share:.0%}{left}".replace("%", " %")
 
     def finished(self, task: Task) -> None:
-        """One more task; those of many units show in :meth:`tick`, which also knows what the others have done."""
+        """Count a finished task and report it; :meth:`tick` reports tasks of many units, except the last one."""
         job = self.job
         self.done += job.size(task)
         if self.told.isatty():
@@ -205,7 +207,7 @@ class ProgressLine:
             self._tell(f"{job.command}: {self.done} of {job.total} {job.units}, {which} after {spent}\n")
 
     def close(self) -> None:
-        """End the line that was rewritten."""
+        """Erase the line of progress on a terminal."""
         if self.told.isatty():
             self._tell("\r\x1b[K")
 
@@ -216,14 +218,14 @@ class ProgressLine:
 def _done(
     job: ResumableJob, folder: Path, tasks: Sequence[Task], progress: ProgressLine, workers: int
 ) -> Iterator[Task]:
-    """Each task when its results are written."""
+    """Yield each task when its results are written."""
     work = partial(_run_task, job, folder)
     if workers == 1:
         for task in tasks:
             work(task, progress.tick)
             yield task
         return
-    # Started anew on every system, so that nothing of this process has a part in the results.
+    # Spawned on every system, not forked, so that no state of this process can affect the results.
     with WorkerPool[Task, None](work, workers, method="spawn", patience=math.inf, grace=math.inf) as pool:
         pool.expect(tasks)
         for task, answer in pool.completed(progress.tick):
@@ -231,7 +233,7 @@ def _done(
                 ended = f"its process {answer.how}" if isinstance(answer, ProcessLostError) else pool.failure
                 raise ChildProcessError(
                     f"{job.command}: expected a worker to finish {task!r}, received: {ended}; the system may be short "
-                    "of memory: use fewer --workers, then run it again, what is finished is kept"
+                    "of memory: use fewer --workers and run it again; finished tasks are not repeated"
                 )
             if isinstance(answer, Exception):
                 raise answer
@@ -239,10 +241,10 @@ def _done(
 
 
 def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:
-    """Do a task, then write all its rows at once, and beside them the wall-clock time."""
+    """Run a task, then write all its rows at once, and next to them the wall-clock time."""
     started, told = time.perf_counter(), -1.0
 
-    def tick_sparsely(share: float) -> None:  # every hundredth, so that telling costs nothing
+    def tick_sparsely(share: float) -> None:  # only each hundredth, because a report costs time
         nonlocal told
         if share - told >= 0.01:
             told = share
@@ -257,11 +259,11 @@ def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:
 
 
 def seconds_of(results: Path) -> float | None:
-    """Return how long a task took whose rows are there as they were written [s], and None where they are not."""
+    """Return how long a task took [s]; None if its rows are missing or were changed."""
     try:
         seconds, digest = results.with_suffix(TIME).read_text(encoding="utf-8").split()
         return float(seconds) if digest == _digest(seconds, results.read_bytes()) else None
-    except (OSError, ValueError):  # a folder in its place, or text that is none
+    except (OSError, ValueError):  # also if a folder has this name, or the content is not text
         return None
 
 

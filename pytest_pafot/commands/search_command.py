@@ -1,7 +1,7 @@
-"""``python -m pytest_pafot search``: a search without files of one's own, in a pytest session that has them for itself.
+"""``python -m pytest_pafot search``: a search without test files, in a pytest session with temporary ones.
 
-The session runs the same two files that ``--write-test`` leaves, from a folder of its own; findings are saved where
-those two would find them, so that they become its regression tests.
+The session runs the same two files that ``--write-test`` writes, from a temporary folder. Findings are saved where
+these files would find them, so they become regression tests.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from pytest_pafot.corpus.layout import CORPUS
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
 TESTS_FAILED, USAGE_ERROR = 1, 4
-"""Exit codes of pytest, which the help of commands does not wait for."""
+"""Exit codes of pytest, copied because importing pytest would slow down the help of commands."""
 NO_TESTS = "[pytest]\n"
-"""Keeps the settings of a project out of a session that has none of its tests."""
+"""An empty configuration, so that the project's settings do not apply to the session."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    of_whom = "the policy: module:factory or module:factory:argument, where a class is a factory, too"
+    of_whom = "the policy: module:factory or module:factory:argument; a class is a factory, too"
     parser.add_argument("ads", metavar="ADS", help=of_whom)
     parser.add_argument("--world", metavar="ID", help="a highway-env environment (default: a highway, in SI units)")
-    parser.add_argument("--runs", type=int, metavar="N", help="after which the search ends (default: 40)")
-    parser.add_argument("--seed", type=int, metavar="N", help="(default: a fresh one, which is told)")
-    of_blame = "which collisions count, by who answers for them (default: %(default)s)"
+    parser.add_argument("--runs", type=int, metavar="N", help="number of runs of the search (default: 40)")
+    parser.add_argument("--seed", type=int, metavar="N", help="base seed (default: a random one, which is printed)")
+    of_blame = "which collisions count, by who is responsible for them (default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
-    of_check = "a function of a run that asserts what must hold, in place of that there is no collision"
+    of_check = "a function that receives a run and asserts what must hold, instead of the absence of collisions"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     parser.add_argument("--report", metavar="FILE", default=PAGE, help="the page (default: %(default)s)")
-    of_test = f"write {CONFTEST} and {TEST} here, and do not search: `pytest` then does"
+    of_test = f"write {CONFTEST} and {TEST} here, and do not search; `pytest` then searches"
     parser.add_argument("--write-test", action="store_true", help=of_test)
     parser.usage = "%(prog)s ADS [option ...] [-- option of pytest ...]"
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Search, or write the test that does; the exit code, which is that of pytest."""
+    """Search, or write the test that does; return pytest's exit code."""
     here = Path.cwd()
-    sys.path.insert(0, str(here))  # The policy is where the command is run, as with `python -m pytest`.
+    sys.path.insert(0, str(here))  # Import the policy from the current folder, as `python -m pytest` does.
     try:
         files = {CONFTEST: _conftest(arguments), TEST: _test(arguments)}
         if arguments.write_test:
@@ -75,8 +75,8 @@ def _written(here: Path, files: dict[str, str]) -> int:
     there = [name for name in files if (here / name).exists()]
     if there:
         raise PlanError(
-            f"--write-test: expected a folder without {' and '.join(there)}, received {here}; give the command in "
-            "another one, or write the test by hand"
+            f"--write-test: expected a folder without {' and '.join(there)}, received {here}; run the command in a "
+            "different folder, or write the test by hand"
         )
     for name, text in files.items():
         (here / name).write_text(text, encoding="utf-8")
@@ -85,7 +85,7 @@ def _written(here: Path, files: dict[str, str]) -> int:
 
 
 def _conftest(arguments: argparse.Namespace) -> str:
-    """Return the file that says what to test."""
+    """Return the file with the fixture of the policy."""
     ads_factory(arguments.ads)
     _, name, *argument = f"{arguments.ads}{'' if ':' in arguments.ads else ':make'}".split(":")
     made = f"lambda: {name}({argument[0]!r})" if argument else name
@@ -96,7 +96,7 @@ def _conftest(arguments: argparse.Namespace) -> str:
 
 
 def _test(arguments: argparse.Namespace) -> str:
-    """Return the file that says what must hold."""
+    """Return the file with the test."""
     given = [] if arguments.blame == "any" else [f'blame="{arguments.blame}"']
     given += [] if arguments.world is None else [f"world=pafot.World({arguments.world!r})"]
     name, holds, imports = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()", ""
@@ -109,7 +109,7 @@ def _test(arguments: argparse.Namespace) -> str:
             raise PlanError(str(error).replace("--ads", "--check")) from None
         _, _, function = arguments.check.partition(":")
         if not function.isidentifier() or keyword.iskeyword(function):
-            expected = "expected module:function of a function of a run"
+            expected = "expected module:function for a function that receives a run"
             raise PlanError(f"--check: {expected}, received {arguments.check!r}")
         name, holds, imports = function, f"{function}(run)", _import(module_of(arguments.check), function)
     name = name if name.startswith("test") else f"test_{name}"

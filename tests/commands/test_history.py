@@ -143,7 +143,7 @@ def test_what_is_no_history_is_told(repository, tmp_path, monkeypatch):
     for revision in ("nothing", "--help", "main:policy", "-"):
         with pytest.raises(HistoryError, match="expected a commit, a branch or a tag, received"):
             history.named(revision)
-    with pytest.raises(HistoryError, match=r"--policy: expected a path inside of the repository .*, received \.\./x"):
+    with pytest.raises(HistoryError, match=r"--policy: expected a path inside the repository .*, received \.\./x"):
         History.of(["../x"], repository)
     with pytest.raises(HistoryError, match="not a git repository"):
         History.of(["policy"], tmp_path)

@@ -169,7 +169,7 @@ def test_results_that_are_not_as_they_were_written_are_made_again(tmp_path, quic
         path.write_bytes(change(path.read_bytes()))
         told = io.StringIO()
         run_all(small, tmp_path, workers=1, told=told, clock=clock)
-        assert f"{path.with_suffix('.csv')} is not as it was written, and is made again" in told.getvalue()
+        assert f"{path.with_suffix('.csv')} was changed or damaged, so its task runs again" in told.getvalue()
         assert all(
             contents(tmp_path)[f"runs/random-00{run}.csv"] == whole[f"runs/random-00{run}.csv"] for run in (0, 1)
         )
@@ -183,7 +183,7 @@ def test_results_whose_question_is_gone_or_no_text_are_refused(tmp_path, quick, 
     with pytest.raises(PlanError, match="json differs in"):
         run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
     question.unlink()
-    with pytest.raises(PlanError, match="json is gone; give another folder"):
+    with pytest.raises(PlanError, match="json is gone; give a different folder"):
         run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
 
 

@@ -48,8 +48,14 @@ def test_a_finding_is_found_by_its_name_below_the_folder_of_the_command(tmp_path
 @pytest.mark.parametrize(
     ("below", "received"),
     [
-        ("file", "{}: File exists; a file lies where a folder should be: rename or delete it, or give another folder"),
-        ("file/new", "{}: Not a directory; a file lies where a folder should be: rename or delete it, or give another"),
+        (
+            "file",
+            "{}: File exists; a file lies where a folder should be: rename or delete it, or give a different folder",
+        ),
+        (
+            "file/new",
+            "{}: Not a directory; a file lies where a folder should be: rename or delete it, or give a different",
+        ),
         ("n" * 300, "{}: File name too long; shorten the names of the folders, of the test or of its parameters, or"),
         ("taken", "{}/collision-xfail.csv: Is a directory; a folder of that name lies there: rename or delete it, or"),
     ],

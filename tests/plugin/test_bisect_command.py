@@ -104,12 +104,12 @@ def test_it_tells_the_commit_what_it_changed_and_since_when_it_decides_otherwise
     before = git("status"), git("worktree", "list"), Path(".git/index").read_bytes()
     assert bisect("--good", first[:8]) == 0
     told = capsys.readouterr().out
-    assert f"\n{last} is the first that fails, of 2026-10-05T09:00:00+00:00 by Ann:\n  Go \\x1b[31mfaster\n" in told
+    assert f"\n{last} is the first that fails, by Ann on 2026-10-05T09:00:00+00:00:\n  Go \\x1b[31mfaster\n" in told
     assert "\n-good # 7\n" in told
     assert "\n+bad # \\x1b[31m\n" in told
     assert "\x1b" not in told
     assert told.endswith(
-        "decisions part at tick 6, after 0.4 s at 22.0 m/s\n  before: acceleration -6 m/s^2, steering 0 rad\n"
+        "decisions differ from tick 6 on, after 0.4 s at 22.0 m/s\n  before: acceleration -6 m/s^2, steering 0 rad\n"
         "  now:    acceleration 0.5 m/s^2, steering 0 rad\n"
     )
     assert len(tried) <= 2 + 5
@@ -126,7 +126,7 @@ def test_commits_that_cannot_be_judged_are_passed_over_and_named_where_they_hide
     commit(BAD, "The same again")
     assert bisect("--good", first) == 1
     told = capsys.readouterr().out
-    assert "one of these 4 is the first that fails; those before the last could not be judged:\n" in told
+    assert "one of these 4 commits is the first that fails; all but the last could not be judged:\n" in told
     assert re.findall(r"^  ([0-9a-f]{40}) ", told, re.MULTILINE) == [*hidden, last]
     assert len(tried) == len(set(tried)), "the same policy is tried once"
 
@@ -146,9 +146,7 @@ def test_a_merge_is_looked_into_and_is_to_blame_itself_where_both_its_parents_pa
     assert bisect("--good", first) == 0
     assert f"\n{guilty} is the first that fails" in capsys.readouterr().out
     assert bisect("--good", guilty, "--bad", "main") == 2
-    assert (
-        "bisect: expected --good to pass, received: fails: as it says; give another --good" in capsys.readouterr().err
-    )
+    assert "expected --good to pass, received: fails: as it says; give a different --good" in capsys.readouterr().err
 
     git("checkout", "-qB", "side", first)
     commit(f"{GOOD} # other side")
@@ -168,14 +166,14 @@ def test_a_good_commit_beside_the_line_of_the_bad_one_vouches_for_nothing_on_it(
     commit(f"{BAD} # own")
     git("merge", "-q", "-s", "ours", "--no-edit", "side")
     assert bisect("--good", good) == 2
-    assert "expected what comes before these commits to pass, received: fails" in capsys.readouterr().err
+    assert "expected the commit before these to pass, received: fails" in capsys.readouterr().err
 
 
 def test_a_run_that_passes_outside_of_the_situation_passes_where_that_is_asked_for(commit, tried, capsys):
     first = commit(OTHER)
     last = commit(BAD)
     assert bisect("--good", first) == 2
-    assert "received: not judged: as it says; give another --good, or --any-pass" in capsys.readouterr().err
+    assert "received: not judged: as it says; give a different --good, or --any-pass" in capsys.readouterr().err
     assert bisect("--good", first, "--any-pass") == 0
     assert f"\n{last} is the first that fails" in capsys.readouterr().out
 
@@ -186,8 +184,8 @@ def test_what_is_not_committed_is_told_and_not_tried(commit, tried, capsys):
     Path("planner.py").write_text(BAD)
     assert bisect("--good", first) == 2
     told = capsys.readouterr()
-    assert "not committed, and so not tried: planner.py\n" in told.out
-    assert "expected --bad to fail as the file tells, received: passes: as it says; commit what is not" in told.err
+    assert "not committed, so not tried: planner.py\n" in told.out
+    assert "expected --bad to fail as the file describes, received: passes: as it says; commit your" in told.err
     assert tried == [f"{GOOD} # more"]
     assert Path("planner.py").read_text() == BAD
 
@@ -196,16 +194,19 @@ def test_what_is_not_committed_is_told_and_not_tried(commit, tried, capsys):
     ("arguments", "told"),
     [
         (["--good", "nothing"], "bisect: expected a commit, a branch or a tag, received 'nothing'"),
-        (["--good", "HEAD", "--bad", "HEAD~1"], "bisect: expected a --good that led to --bad, received"),
+        (["--good", "HEAD", "--bad", "HEAD~1"], "bisect: expected a --good that is an ancestor of --bad, received"),
         (["--good", "HEAD"], "bisect: --policy: expected paths that change from"),
         (["--good", "HEAD~1", "--policy", "planner.py", "absent"], "bisect: --policy: expected paths in"),
-        (["--good", "HEAD~1", "--policy", "/etc"], "bisect: --policy: expected a path inside of the repository"),
+        (["--good", "HEAD~1", "--policy", "/etc"], "bisect: --policy: expected a path inside the repository"),
         (
             ["--good", "HEAD~1", "--policy", "."],
-            "bisect: --policy: expected paths of the policy alone, received some with",
+            "bisect: --policy: expected only paths of the policy, received paths that contain",
         ),
         (["--good", "HEAD~1", "--copy", "absent"], "bisect: --copy: expected files and folders, received absent"),
-        (["--good", "HEAD~1"], "bisect: expected --bad to fail as the file tells, received: not judged: as it says"),
+        (
+            ["--good", "HEAD~1"],
+            "bisect: expected --bad to fail as the file describes, received: not judged: as it says",
+        ),
     ],
 )
 def test_wrong_arguments_are_told_before_anything_is_tried(commit, tried, capsys, arguments, told):
