@@ -1,1 +1,1 @@
-"""Saved scenarios as files: the only room that knows yaml."""
+"""Saved scenarios as files; only this package imports yaml."""

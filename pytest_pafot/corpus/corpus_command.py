@@ -1,7 +1,7 @@
-"""``python -m pytest_pafot corpus``: which saved scenarios lie in folders, told to people or to programs.
+"""``python -m pytest_pafot corpus``: list the saved scenarios in folders, for people or programs.
 
-What it changes are files of one kind in one folder, of which ``join --write`` keeps one, and the line of a file that
-``accept`` writes.
+It changes files only with ``join --write``, which leaves one file of each kind in a folder, and with ``accept``, which
+writes one line of a file.
 """
 
 from __future__ import annotations
@@ -28,36 +28,36 @@ from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import ascii_text, day_of, plural, quiet_json, visible
 
 XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)
-"""The line of a file in which its failure is accepted, or the hint that stands in its place."""
+"""The line of a file that accepts its failure, or the hint in its place."""
 
 NO_FOLDER = 2
-"""Exit code where a folder is none, as for wrong arguments."""
+"""The exit code if a path is not a folder, the same as for wrong arguments."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     kinds = parser.add_subparsers(required=True, metavar="WHAT", dest="what")
-    of_folders = "in which, or below which, saved scenarios lie (default: here)"
-    for name, about in (("list", "a line for each saved scenario"), ("stats", "how many there are of each kind")):
+    of_folders = "searched for saved scenarios, with all folders below (default: here)"
+    for name, about in (("list", "print a line for each saved scenario"), ("stats", "count saved scenarios by kind")):
         each = kinds.add_parser(name, help=about, description=about.capitalize())
-        each.add_argument("--json", action="store_true", help="as JSON, for programs")
+        each.add_argument("--json", action="store_true", help="print JSON, for programs")
         each.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
-    about = "of files in one folder that were saved for the same kind of failure, keep one; nothing is run"
+    about = "keep one of the files in a folder that were saved for the same kind of failure; nothing is run"
     joining = kinds.add_parser("join", help=about, description=about.capitalize())
-    joining.add_argument("--write", action="store_true", help="remove the others; without, it only says which")
+    joining.add_argument("--write", action="store_true", help="remove the other files; without it, only list them")
     joining.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
-    about = "accept the failure of a saved scenario: it is expected to fail, up to a day"
+    about = "accept the failure of a saved scenario, so that it is expected to fail, for good or up to a day"
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
-    accepting.add_argument("id", metavar="ID", help="of a scenario that is saved here or below, or a file")
+    accepting.add_argument("id", metavar="ID", help="id of a scenario saved here or below, or its file")
     accepting.add_argument("--reason", required=True, metavar="TEXT", help="why, such as the number of an issue")
     accepting.add_argument("--until", type=_day, metavar="YYYY-MM-DD", help="the last day (default: for good)")
     accepting.set_defaults(folders=[Path()])
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Tell what lies in the folders, join it, or accept a failure; the exit code.
+    """List the files in the folders, join them, or accept a failure; return the exit code.
 
-    It is 1 where a file cannot be read or written, or something cannot be joined.
+    The exit code is 1 if a file cannot be read or written, or if files cannot be joined.
     """
     for folder in arguments.folders:
         if not folder.is_dir():
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         told = [ascii_text(line) for lines, _ in joined for line in lines] or ["nothing to join"]
         sys.stdout.write("".join(f"{line}\n" for line in told))
         return int(any(failed for _, failed in joined))
-    files = [file for folder in sorted(below.values()) for file in files_in(folder)]  # each once, however it is reached
+    files = [file for folder in sorted(below.values()) for file in files_in(folder)]  # each once
     if arguments.what == "accept":
         return _accept(files, arguments)
     rows = [_row(read_saved_file(file)) for file in files]
@@ -84,17 +84,17 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
-    """Say which files of a folder are not needed beside another one of their kind, and remove them where asked to.
+    """List the files of a folder that duplicate a different file of the same kind, and remove them if requested.
 
-    The simplest is kept, in the order of shrinking, and one whose failure is accepted before all others: no acceptance
-    is lost, and none goes to a scenario that it was not written for. A flaky one is kept where there is no other.
-    Files that name different tests are not joined.
+    The simplest file stays, by the order of shrinking. A file whose failure is accepted goes before all others: so no
+    acceptance is lost, and none passes to a scenario for which it was not written. A flaky file stays only if there is
+    no other. Files that name different tests are not joined.
 
     Returns:
-        Lines, and whether something in the folder is left for a person to mend.
+        Lines, and True if something in the folder needs to be mended by hand.
     """
     files = [read_saved_file(path) for path in files_in(folder) if not path.is_symlink()]
-    lines = [f"left alone: {saved.error}" for saved in files if saved.finding is None]
+    lines = [f"left as it is: {saved.error}" for saved in files if saved.finding is None]
     failed = bool(lines)
     for group in of_one_kind(files):
         findings = {saved.path: saved.finding for saved in group if saved.finding is not None}
@@ -102,8 +102,8 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
         if len(accepted) > 1:
             names = ", ".join(path.name for path in findings)
             lines.append(
-                f"{folder}: {names}: left alone: expected one reason and one day in their lines `xfail:`, "
-                f"received {len(accepted)}; write the same in these files, and join again"
+                f"{folder}: {names}: left as they are: expected the same reason and day in their lines `xfail:`, "
+                f"received {len(accepted)} different ones; write the same line in these files, and join again"
             )
             failed = True
             continue
@@ -115,7 +115,7 @@ def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
             is_firmer = findings[path].flaky is not None and findings[kept].flaky is None
             why = "not flaky" if is_firmer else "as simple or simpler"
             why = "accepted" if findings[kept].xfail is not None else why
-            lines.append(f"{verb}: {path}: {problem or f'{kept.name} shows the same, and is {why}'}")
+            lines.append(f"{verb}: {path}: {problem or f'{kept.name} shows the same failure and is {why}'}")
     return lines, failed
 
 
@@ -131,13 +131,13 @@ def _day(text: str) -> date:
 
 
 def _accept(files: Sequence[Path], arguments: argparse.Namespace) -> int:
-    """Write the line in which the failure of one file is accepted; the rest of the file stays as it is."""
+    """Write the line that accepts the failure of one file; the rest of the file is unchanged."""
     asked = Path(arguments.id)
     named = [asked] if asked.is_file() else [each for each in files if each.name == f"{asked.name}{SUFFIX}"]
     try:
         if len(named) != 1:
             received = f"{len(named)} of this name: {', '.join(map(str, named))}" if named else "none"
-            fix = "`corpus list` tells the names; give the file where two have one name"
+            fix = "`corpus list` prints the names; give the path of the file if two have the same name"
             raise ValueError(f"expected one saved scenario {asked.name}, received {received}; {fix}")
         path, content = named[0], content_of(named[0])
         finding = replace(parsed(path, content), xfail=arguments.reason, xfail_until=arguments.until)
@@ -161,16 +161,16 @@ def _accepted(reason: str | None, until: object) -> str:
 
 
 def _removed(path: Path) -> str:
-    """Remove a file; return what is wrong where that is not possible, or an empty text."""
+    """Remove a file; return why that is not possible, or an empty text."""
     try:
-        path.unlink(missing_ok=True)  # Another command may have been faster.
+        path.unlink(missing_ok=True)  # A different command may have removed it already.
     except OSError as error:
         return f"{error.strerror or error}; {way_out(error, 'then join again')}"
     return ""
 
 
 def _row(saved: Saved) -> dict[str, Any]:
-    """A file as plain data: what its finding is, or why it cannot be read."""
+    """Return a file as plain data: its finding, or why it cannot be read."""
     finding, file = saved.finding, saved.path.as_posix()
     if finding is None:
         return {"file": file, "id": saved.id, "error": saved.error}
@@ -209,7 +209,7 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _lines(told: list[dict[str, Any]] | dict[str, Any]) -> Iterator[str]:
-    """The same for people."""
+    """Yield the lines of a list or of counts, for people."""
     if isinstance(told, list):
         for row in told:
             marks = f", flaky: {row['flaky']}" if row.get("flaky") else ""

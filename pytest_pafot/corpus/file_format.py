@@ -1,7 +1,7 @@
-"""The format of corpus files: which keys there are, and the text, which people read and version control compares.
+"""The format of corpus files: the keys, and the text, which people read and version control compares.
 
-Version 2 holds the world complete, so that no default that changes later changes what a saved scenario is. A key that
-comes to it later is optional, and a file without it means what it meant before.
+Version 2 stores the whole world, so a later change of a default does not change a saved scenario. Keys that are added
+later are optional, and a file without them keeps its meaning.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from pytest_pafot.findings.finding import Expect, Finding, Perceived
 from pytest_pafot.model.driving_style import BOUNDS, PAPERS
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
 
-# Which keys there are.
+# The keys.
 
 VERSION = 2
-"""The one that is written and read."""
+"""The only version that is written and read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """Of a mapping in a file."""
+    """The keys of a mapping in a file."""
 
     required: tuple[str, ...]
     optional: tuple[str, ...] = ()
@@ -45,23 +45,23 @@ WORLDS: Mapping[str, Keys] = MappingProxyType(
         "own": Keys(("kind",), ("class", "data")),
     }
 )
-"""Of worlds, by kind; what ``data`` is, the user's own world says by its ``to_dict``."""
+"""The keys of worlds, by kind; the content of ``data`` is what ``to_dict`` of the user's own world returns."""
 
 LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"))
-"""Of the key ``limits`` of a world."""
+"""The keys of ``limits`` in a world."""
 
 SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic"))
-"""Of ``scenario`` and ``original``; ``npcs`` is a list of lists of genes, in one of the next three forms."""
+"""The keys of ``scenario`` and ``original``; ``npcs`` is a list of lists of genes, each in one of three forms below."""
 
 EGO = Keys(("lane", "speed"))
 POSITION_INSTRUCTION = Keys(("cell", "speed"))
 LANE_INSTRUCTION = Keys(("lane", "speed"))
 CROSSING_INSTRUCTION = Keys(("zone", "slot", "speed"), ("act",))
 TRAFFIC = Keys(("style",), tuple(BOUNDS))
-"""Of ``traffic`` where it is no style alone."""
+"""The keys of ``traffic``, unless it is only the name of a style."""
 
 XFAIL = Keys(("reason",), ("until",))
-"""Of ``xfail`` where it is no plain text."""
+"""The keys of ``xfail``, unless it is only a reason."""
 
 EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
@@ -72,23 +72,23 @@ EXPECT = Keys(
 )
 EXPECT_OF_COLLISION = Keys((*EXPECT.required, "npc", "cell", "side"), EXPECT.optional)
 EXPECT_IN_ZONE = Keys((*EXPECT.required, "npc", "zone", "side"), EXPECT.optional)
-"""Of a collision with an NPC that crosses, off the ego's way."""
+"""The keys of ``expect`` for a collision with a crossing NPC, off the ego's way."""
 CHECK = Keys((), ("value", "at_most", "at_least", "unit"))
-"""Of ``expect.check``."""
+"""The keys of ``expect.check``."""
 SITUATION = Keys(("npc", "time", "ahead", "lane", "ego_speed", "npc_speed"))
-"""Of ``expect.situation``."""
+"""The keys of ``expect.situation``."""
 ZONE_SITUATION = Keys(("npc", "time", "npc_enters", "ego_enters", "ego_speed", "npc_speed"))
-"""Of that with an NPC that crosses."""
+"""The keys of ``expect.situation`` with a crossing NPC."""
 LAST_CHANCE = Keys(("time", "driver", "action", "ego_action"))
-"""Of ``expect.last_chance``."""
+"""The keys of ``expect.last_chance``."""
 AVOIDANCE = Keys(("time", "braking"))
-"""Of ``expect.avoided_by``."""
+"""The keys of ``expect.avoided_by``."""
 
 FOUND = Keys(("seed", "generation", "algorithm", "versions"), ("weights",))
 PERCEPTION = Keys((), ("range", "latency", "noise", "dropout", "occlusion", "needed"))
 SHRUNK = Keys(("rollouts", "is_minimal", "speeds"))
 SPEEDS = Keys(("npc", "gene", "low", "high"))
-"""Of each entry of the list ``shrunk.speeds``."""
+"""The keys of each entry of the list ``shrunk.speeds``."""
 
 
 WIDTH = 120
@@ -97,15 +97,15 @@ DEFAULT_GENE_SECONDS = 10.0
 
 _SAFE = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.+-/()<>=*' ")
 _BEGINS = re.compile(r"[A-Za-z_]|\d+\.\d+\.\d")  # a word, or the number of a version
-_TRUTHS = frozenset("yYnN")  # for YAML 1.1, but not for PyYAML
+_TRUTHS = frozenset("yYnN")  # booleans in YAML 1.1, which PyYAML reads as text
 _RESOLVER: Any = yaml.resolver.Resolver()
 
 
 def text_of(finding: Finding) -> str:
-    """The file's whole text, with LF line ends."""
+    """Return the whole text of a file, with LF line ends."""
     test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
     found = {key: getattr(finding.found, key) for key in (*FOUND.required, *FOUND.optional)}
-    xfail = '# xfail: "reason"'  # the hint how to accept the failure
+    xfail = '# xfail: "reason"'  # a hint on how to accept the failure
     if finding.xfail is not None:
         reason, until = _quoted(finding.xfail), finding.xfail_until
         xfail = f"xfail: {reason}" if until is None else f"xfail: {{reason: {reason}, until: {until}}}"
@@ -153,7 +153,7 @@ def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
 
 
 def _expect_lines(expect: Expect) -> Iterator[str]:
-    """One flow mapping; a block of lines where a text has several lines itself."""
+    """Yield ``expect`` as a flow mapping, or as a block if one of its texts has several lines."""
     first = (
         "failure",
         "assertion",
@@ -189,17 +189,19 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
 
 
 def _fits_literal(text: str) -> bool:
-    """Whether a literal block gives the text back: printable lines, the first and the last with a beginning."""
+    """Return whether YAML reads a text unchanged from a literal block.
+
+    All lines must be printable, and the first and the last must not be empty or indented.
+    """
     lines = text.removesuffix("\n").split("\n")
     is_plain = all(line.replace("\t", "").isprintable() for line in lines)
     return "\n" in text and is_plain and all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
 
 
 def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]:
-    """Lines of a head, a mapping or list in flow style, and a tail, filled up to the width.
+    """Return a head, a mapping or list in flow style, and a tail, as lines that are filled up to the width.
 
-    What does not fit into a line goes on under its own first entry. The head begins in a column other than 0 where
-    whoever calls puts the first line there.
+    A value that does not fit into a line continues below its first entry. ``column`` is where the caller puts the head.
     """
     if not value:
         return [head + _flow(value) + tail]
@@ -226,7 +228,7 @@ def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]
 
 
 def _flow(value: object) -> str:
-    """A value in flow style, on one line."""
+    """Return a value in flow style, on one line."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_scalar(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, (list, tuple)):
@@ -248,9 +250,9 @@ def _scalar(value: object) -> str:
 
 
 def _is_plain(text: str, also: str = "") -> bool:
-    """Whether a text needs no quotes: YAML 1.1 and 1.2 read it as that very text, inside brackets too.
+    """Return whether a text needs no quotes: YAML 1.1 and 1.2 read it unchanged, even inside brackets.
 
-    Further characters may be named that YAML gives no meaning outside brackets.
+    ``also`` allows characters that have a meaning only inside brackets.
     """
     if not _SAFE.union(also).issuperset(text) or not _BEGINS.match(text):
         return False
@@ -268,9 +270,9 @@ def _number(value: float) -> str:
 
 
 def _quoted(text: str) -> str:
-    """In double quotes, with everything escaped that is not printable.
+    """Return a text in double quotes, with all characters escaped that are not printable.
 
-    A lone surrogate, which no text file can hold, becomes the replacement character.
+    A lone surrogate, which no text file can contain, becomes the replacement character.
     """
     return '"' + "".join(map(_escaped, text)) + '"'
 
@@ -282,4 +284,4 @@ def _escaped(character: str) -> str:
         return character
     if "\ud800" <= character <= "\udfff":
         return "\ufffd"
-    return character.encode("unicode_escape").decode("ascii")  # \n, \x1b, \u2028, as YAML writes them too
+    return character.encode("unicode_escape").decode("ascii")  # \n, \x1b, \u2028: YAML uses the same escapes

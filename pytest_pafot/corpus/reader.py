@@ -1,6 +1,6 @@
-"""Reads a corpus file: the finding in it, checked strictly, or one error with the line, the field and the way out.
+"""Read a corpus file: return its finding, checked strictly, or raise one error with line, field and way out.
 
-The format is in docs/reference/corpus-files.md; which keys a file may have stands in
+The format is described in docs/reference/corpus-files.md. The keys are defined in
 :mod:`pytest_pafot.corpus.file_format`.
 """
 
@@ -45,12 +45,12 @@ from pytest_pafot.support.errors import RESTORE, CorpusError, FieldError, plain_
 from pytest_pafot.support.files import open_regular
 from pytest_pafot.support.text import day_of
 
-# Values of a corpus file with their places: every access checks, and a fault names line, field and way out.
+# Values of a corpus file with their places. Every access checks the type; every error names line, field and way out.
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A value of a document with its place; every accessor checks the type or raises the error of that place."""
+    """A value of a document with its place; each accessor checks the type, and raises an error that names the place."""
 
     path: Path
     lines: Lines
@@ -59,21 +59,21 @@ class Field:
 
     @property
     def name(self) -> str:
-        """As in an error: ``scenario.npcs[0][3].cell``."""
+        """The name in an error, such as ``scenario.npcs[0][3].cell``."""
         return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place).lstrip(".")
 
     def error(self, expected: str, fix: str = RESTORE, received: str | None = None) -> CorpusError:
-        """What is wrong with the value, at the nearest line that is known."""
+        """Return an error about the value, with the nearest known line."""
         places = (self.place[:end] for end in range(len(self.place), -1, -1))
         line = next(self.lines[place] for place in places if place in self.lines)
         return CorpusError(self.path, expected, received or f"{self.value!r:.80}", fix, field=self.name, line=line)
 
     def at(self, part: str | int) -> Field:
-        """The value under a key, or at an index, of this one."""
+        """Return the value under a key or at an index of this one."""
         return Field(self.path, self.lines, (*self.place, part), self.value[part])
 
     def mapping(self, keys: Keys) -> dict[str, Field]:
-        """The values of a mapping that has all required keys and no unknown ones."""
+        """Return the values of a mapping that has all required keys and no unknown ones."""
         fields = self.any_mapping()
         known = [*keys.required, *keys.optional]
         for key in fields:
@@ -86,37 +86,37 @@ class Field:
         return fields
 
     def any_mapping(self) -> dict[str, Field]:
-        """The values of a mapping with any keys."""
+        """Return the values of a mapping with any keys."""
         if not isinstance(self.value, dict):
             raise self.error("a mapping (key: value)")
         return {key: self.at(key) for key in self.value}
 
     def items(self) -> list[Field]:
-        """The values of a list."""
+        """Return the values of a list."""
         if not isinstance(self.value, list):
             raise self.error("a list")
         return [self.at(index) for index in range(len(self.value))]
 
     def text(self) -> str:
-        """Any text."""
+        """Return any text."""
         if not isinstance(self.value, str):
             raise self.error("text", "put it in quotes")
         return self.value
 
     def some_text(self, fix: str) -> str:
-        """A text that is not blank."""
+        """Return a text that is not blank."""
         if not isinstance(self.value, str) or not self.value.strip():
             raise self.error("some text", fix)
         return self.value
 
     def choice(self, options: Collection[str]) -> Any:
-        """One of these texts."""
+        """Return a text that is one of the options."""
         if not isinstance(self.value, str) or self.value not in options:
             raise self.error(_one_of(options), _guess(str(self.value), options))
         return self.value
 
     def whole(self, low: int = 0, high: int | None = None) -> int:
-        """A whole number."""
+        """Return a whole number within limits."""
         number = plain_whole(self.value)
         if number is None or number < low or (high is not None and number > high):
             top = "" if high is None else f" to {high}"
@@ -124,20 +124,20 @@ class Field:
         return number
 
     def day(self) -> date:
-        """A day of the calendar, as 2027-01-31."""
+        """Return a day of the calendar, written as 2027-01-31."""
         day = day_of(self.value) if isinstance(self.value, str) else None
         if day is None:
             raise self.error("a day of the calendar, as year-month-day", "write it as 2027-01-31")
         return day
 
     def truth(self) -> bool:
-        """True or false."""
+        """Return true or false."""
         if not isinstance(self.value, bool):
             raise self.error("true or false", "correct it")
         return self.value
 
     def number(self, low: float = 0.0) -> float:
-        """A finite number, at least so large."""
+        """Return a finite number that is not below the lower limit."""
         number = plain_number(self.value)
         if number is None or not low <= number <= MAX_NUMBER:
             raise self.error(f"a finite number, at least {low:g}", "correct it")
@@ -145,12 +145,12 @@ class Field:
 
 
 def _one_of(options: Collection[str]) -> str:
-    """What is expected where there is a choice."""
+    """Return the expectation in an error about a choice."""
     return f"one of {', '.join(options)}"
 
 
 def _guess(word: str, options: Collection[str]) -> str:
-    """The way out of a word that is unknown."""
+    """Return the way out of an unknown word."""
     close = difflib.get_close_matches(word, list(options), n=1)
     return f"did you mean {close[0]!r}?" if close else "correct or remove it"
 
@@ -161,17 +161,17 @@ _OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.
 
 
 def load(path: str | os.PathLike[str]) -> Finding:
-    """The finding in a corpus file; its id is the file's name.
+    """Return the finding in a corpus file; its id is the file's name.
 
     Raises:
-        CorpusError: on any fault, with the place and the way out.
+        CorpusError: for anything wrong, with the place and the way out.
     """
     path = Path(path)
     return parsed(path, content_of(path))
 
 
 def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Finding:
-    """The finding in the content of a file; see :func:`load`. ``loader`` is for :func:`yaml_document.parse`."""
+    """Return the finding in the content of a file, as :func:`load`; :func:`yaml_document.parse` uses ``loader``."""
     __tracebackhide__ = True  # pytest's --showlocals would print the content
     top = _top(path, content, loader)
     name = path.name.removesuffix(SUFFIX)
@@ -198,21 +198,21 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
 
 
 def located(path: Path, part: str, error: Exception) -> CorpusError:
-    """What is wrong with the part ``world`` or ``scenario`` of a file that could be read, with its line.
+    """Return an error about the part ``world`` or ``scenario`` of a valid file, with its line.
 
-    The error came of that part when it was built or run.
+    ``error`` was raised when that part was built or run.
     """
     try:
         return _rule_broken(_top(path, content_of(path)).at(part), error)
-    except CorpusError as changed:  # the file is another one by now
+    except CorpusError as changed:  # the file was changed since it was read
         return changed
 
 
 def content_of(path: Path) -> bytes:
-    """The content of a corpus file; of one that is too large, as much as shows that.
+    """Return the content of a corpus file; for a file that is too large, one byte more than the limit.
 
     Raises:
-        CorpusError: for a file that cannot be read, and for a link that leads out of its corpus.
+        CorpusError: if the file cannot be read, or is a link that leads out of its corpus.
     """
     try:
         with open_regular(_at_the_end_of_links(path)) as file:
@@ -223,14 +223,15 @@ def content_of(path: Path) -> bytes:
 
 
 def _at_the_end_of_links(path: Path) -> Path:
-    """Where a file is read, given that it may be a link, or in a folder that is one.
+    """Return the path from which a file is read; it may be a link, or in a folder that is a link.
 
-    A link may lead to another saved scenario of its corpus, which is the folder around those of a module and of a test.
-    Tools that keep every file behind a link lead elsewhere, but not to where others could: git-annex to its store,
-    which no commit can have a file in, build systems such as Bazel to the same place of another tree.
+    A link may lead to a different saved scenario in the same corpus, i.e. the folder above those of module and test.
+    Some tools put every file behind a link that leads elsewhere. They are accepted, because a pull request cannot place
+    files there: git-annex links to its store, which no commit can change, and build systems such as Bazel link to the
+    same place of a different tree.
 
     Raises:
-        CorpusError: for a link that leads out of its corpus.
+        CorpusError: if a link leads out of its corpus.
     """
     path = path.absolute()
     real, folder = Path(os.path.realpath(path)), Path(os.path.realpath(path.parent))
@@ -252,19 +253,19 @@ def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
     top = Field(path, lines, (), value)
     if not isinstance(value, dict):
         raise top.error("a mapping (key: value)", received=NOT_SHOWN)
-    if "pafot" not in value:  # it comes first: of a newer version, nothing else can be judged
+    if "pafot" not in value:  # checked first: nothing else can be checked in a file of a newer version
         raise top.error(f"the key 'pafot' with the version {VERSION}", received="a document without it")
     version = top.at("pafot")
     is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
     if not is_whole or version.value != VERSION:
         fix = f"install the pytest-pafot that wrote it; this one reads version {VERSION}"
-        # Without a version the file may be anybody's, a secret with that key included.
+        # Without a version, this may be some other file with a secret under that key, so its value is not printed.
         raise version.error(f"the format version {VERSION}", fix, None if is_whole else "no whole number")
     return top
 
 
 def _given(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
-    """The value of an optional key."""
+    """Return the value of an optional key, or the default."""
     return get(fields[key]) if key in fields else default
 
 
@@ -335,13 +336,13 @@ def _gene(field: Field) -> Gene:
     except ScenarioError as error:
         raise _rule_broken(field, error) from None
     for name, unit in (("slot", "seconds"), ("speed", "m/s")):
-        if name in numbers and getattr(gene, name) != numbers[name]:  # as near as floats come, for whoever computes it
+        if name in numbers and getattr(gene, name) != numbers[name]:  # the gene has rounded the number
             raise fields[name].error(f"{unit} in steps of 0.1", f"write {getattr(gene, name)}")
     return gene
 
 
 def _rule_broken(field: Field, error: Exception) -> CorpusError:
-    """The error of a scenario or world itself, at the place in the file that it is about."""
+    """Return the error of a scenario or a world with the place in the file that caused it."""
     if not isinstance(error, FieldError) or not error.expected:
         return field.error(f"a {field.name} that can run", "correct it, or delete the file", str(error)[:MAX_RECEIVED])
     key, *others = re.findall(r"\w+", error.field.removeprefix(f"{field.place[-1]}.")) or [""]
@@ -353,7 +354,8 @@ def _rule_broken(field: Field, error: Exception) -> CorpusError:
         place = place.at(part)
     if len(inner) == 3 and _has(place.value, "cell"):
         place = place.at("cell")
-    fix = error.fix if error.fix and error.fix != REPAIR else "correct it, or delete the file"  # a file is no code
+    # REPAIR is advice for code, not for a file.
+    fix = error.fix if error.fix and error.fix != REPAIR else "correct it, or delete the file"
     return place.error(error.expected, fix, error.received[:MAX_RECEIVED])
 
 
@@ -396,7 +398,7 @@ def _expect(field: Field, npcs: int) -> Expect:
 
 
 def _xfail(field: Field) -> tuple[str, date | None]:
-    """Why the failure is accepted, and the last day on which it is."""
+    """Return why the failure is accepted, and the last day on which it is."""
     fix = 'write the reason in quotes, as in xfail: "issue 12" or xfail: {reason: "issue 12", until: 2027-01-31}'
     if not isinstance(field.value, dict):
         return field.some_text(fix), None

@@ -1,4 +1,4 @@
-"""A corpus file as it was found: with its finding, or with the reason why it cannot be read."""
+"""A corpus file with its finding, or with the reason why it cannot be read."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from pytest_pafot.corpus.layout import SUFFIX, files_in
 from pytest_pafot.support.text import visible
 
-if TYPE_CHECKING:  # pytest sessions that collect no such file import nothing of findings
+if TYPE_CHECKING:  # sessions without saved scenarios do not import findings
     from pytest_pafot.findings.finding import Finding
     from pytest_pafot.findings.signature import Signature
 
 
 class Saved(NamedTuple):
-    """A corpus file as collected: its finding, or without one the error that says why it cannot be read."""
+    """A corpus file as collected: its finding, or an error that says why it cannot be read."""
 
     path: Path
     finding: Finding | None = None
@@ -33,17 +33,17 @@ class Saved(NamedTuple):
         return None if self.finding is None else self.finding.xfail
 
     def is_accepted(self, today: date) -> bool:
-        """Whether the failure is accepted on a day."""
+        """Return whether the failure is accepted on a day."""
         return self.finding is not None and self.finding.is_accepted(today)
 
     @property
     def is_crash(self) -> bool:
-        """Whether a process died in this scenario."""
+        """True if a process died in this scenario."""
         return self.finding is not None and self.finding.expect.is_crash
 
     @property
     def needs_own_process(self) -> bool:
-        """Whether running it may end the process, never end, or take all memory."""
+        """True if a run of this scenario may end the process, never end, or use up all memory."""
         expect = None if self.finding is None else self.finding.expect
         return expect is not None and (self.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError")
 
@@ -52,7 +52,7 @@ class Saved(NamedTuple):
 
 
 def read_saved_file(path: Path) -> Saved:
-    """A file as it is; one that cannot be read says why when its item runs."""
+    """Read a file; if it cannot be read, its item reports the error when it runs."""
     from pytest_pafot.corpus.reader import load  # noqa: PLC0415
     from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415  (yaml, which few sessions need)
 
@@ -63,19 +63,20 @@ def read_saved_file(path: Path) -> Saved:
 
 
 def saved_in(folder: Path) -> list[Saved]:
-    """All files of one test, by id."""
+    """Return all files of one test, sorted by id."""
     return [read_saved_file(path) for path in files_in(folder)]
 
 
 def kinds_in(files: Iterable[Saved]) -> set[Signature]:
-    """Return the kinds of failures that files were saved for, of those that can be read."""
+    """Return the kinds of failures of all files that can be read."""
     return {saved.finding.signature for saved in files if saved.finding is not None}
 
 
 def of_one_kind(files: Iterable[Saved]) -> list[list[Saved]]:
-    """Return the groups of two files or more that name the same test, for the same kind of failure.
+    """Return the groups of two or more files that name the same test and have the same kind of failure.
 
-    A file of a lane change does not tell where the other was, so that nobody knows whether two of them are of one kind.
+    A fault without a mistake is left out: such a file does not store where the other vehicle was, so it is unknown
+    whether two of them are of one kind.
     """
     groups: dict[tuple[str, Signature], list[Saved]] = {}
     for saved in files:
@@ -86,13 +87,13 @@ def of_one_kind(files: Iterable[Saved]) -> list[list[Saved]]:
 
 
 def refused_in(folder: Path, link: Path) -> list[Saved]:
-    """The same of a corpus that is not read, since a link leads to it out of the project."""
+    """Return the files of a folder as unreadable, because a link leads to it out of the project."""
     return [Saved(path=path, error=f"{path}: {refusal(link)}") for path in files_in(folder)]
 
 
 def refusal(link: Path) -> str:
-    """Why nothing is read, written or removed behind a link to a folder, with the way out."""
+    """Return why nothing is read, written or removed behind a link to a folder, with the way out."""
     return (
-        f"expected a folder, received the link {link}, behind which may be anybody's files; "
-        "put the folder itself in its place, or give the one that you mean by its absolute path"
+        f"expected a folder, received the link {link}, which may lead to files of other people; "
+        "put the folder itself in its place, or give its absolute path"
     )

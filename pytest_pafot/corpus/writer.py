@@ -1,4 +1,4 @@
-"""Writes corpus files: a new one without touching another, a rewritten one under the name that it has."""
+"""Write corpus files: a new file never replaces a different one, and a rewritten file keeps its name."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 class CorpusWriteError(RuntimeError):
-    """A finding that could not be written to a path; nothing half written is left."""
+    """A finding that could not be written to a path; no unfinished file is left."""
 
     def __init__(self, path: Path, reason: str, fix: str) -> None:
         super().__init__(f"{path}: expected to write a finding, received: {reason}; {fix}")
@@ -28,21 +28,21 @@ class CorpusWriteError(RuntimeError):
 
 
 def write(path: Path, finding: Finding) -> bool:
-    """Write a new file, all at once; False when the file is there already, as when another process was first.
+    """Write a new file, all at once; return False if the file exists already, e.g. written by a different process.
 
     Raises:
-        CorpusWriteError: when it cannot be written.
+        CorpusWriteError: if it cannot be written.
     """
     return _written(path, finding, write_if_free)
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
-    """Replace a file's content, all at once, and give the finding as written: an ``xfail`` that it has stays.
+    """Replace a file's content, all at once; return the finding as written, with the ``xfail`` that the file had.
 
-    A file that has gone is written anew; one that cannot be read is not overwritten.
+    A missing file is written again; a file that cannot be read is not overwritten.
 
     Raises:
-        CorpusWriteError: when it cannot be written.
+        CorpusWriteError: if it cannot be written.
     """
     kept = finding
     if finding.xfail is None and os.path.lexists(path):
@@ -56,22 +56,21 @@ def rewrite(path: Path, finding: Finding) -> Finding:
 
 
 def overwrite(path: Path, finding: Finding) -> None:
-    """Write a file, all at once, whatever is there.
+    """Write a file, all at once, even over an existing one.
 
     Raises:
-        CorpusWriteError: when it cannot be written.
+        CorpusWriteError: if it cannot be written.
     """
     _written(path, finding, write_whole)
 
 
 def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
-    """The path for a new finding, and the finding under the id that this gives it.
+    """Return the path for a new finding, and the finding with the id of that path.
 
-    The id is the finding's own, with ``-2``, ``-3`` ... appended while a file of that name holds another scenario
-    or another failure: a file that was rewritten keeps its name, and what was first found under it can come back.
-    A file that holds this very finding, shrunk by now or not, is no obstacle; :func:`write` then leaves it alone. Not
-    so one that was shrunk from the finding's scenario and has ``passed``, which does not show the failure any more: it
-    is a guard of its own, and stays as it is.
+    The id gets ``-2``, ``-3`` ... appended if a file of that name holds a different scenario or failure. That happens
+    if a file was rewritten, as it keeps its name, and its first failure is found again. If a file holds this very
+    finding, shrunk or not, its path is returned, and :func:`write` leaves it unchanged. The exception is a file that
+    was shrunk from this scenario and is in ``passed``: it no longer shows the failure, but stays as a guard.
     """
     number = 1
     while True:
@@ -83,7 +82,7 @@ def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> 
 
 
 def _holds(path: Path, finding: Finding, *, shrunk: bool) -> bool:
-    """Whether a file is of a finding; ``shrunk`` says whether one that was shrunk from it is."""
+    """Return whether a file holds a finding, or with ``shrunk`` also one that was shrunk from it."""
     try:
         saved = load(path)
     except CorpusError:
@@ -100,5 +99,5 @@ def _written(path: Path, finding: Finding, write: Callable[[Path, bytes], T]) ->
     try:
         return write(path, content)
     except OSError as error:
-        fix = way_out(error, "or choose another folder with --pafot-corpus")
+        fix = way_out(error, "or choose a different folder with --pafot-corpus")
         raise CorpusWriteError(path, error.strerror or str(error), fix) from error

@@ -1,7 +1,7 @@
-"""YAML as untrusted input: plain data with line numbers, and nothing else that YAML can do.
+"""YAML as untrusted input: plain data with line numbers, and no other feature of YAML.
 
-No aliases, anchors, tags, merge keys, repeated keys or second documents, and dates in one place alone; limited in
-size and depth. Errors show the content of saved scenarios alone: another file of that name may be a secret.
+Aliases, anchors, tags, merge keys, repeated keys and second documents are refused, and dates are allowed in only one
+place. Size and depth are limited. Errors quote only saved scenarios: any other file of that name may be a secret.
 """
 
 from __future__ import annotations
@@ -19,15 +19,18 @@ from pytest_pafot.support.errors import CorpusError
 MAX_BYTES = 256 * 1024
 DEPTH = MAX_DEPTH + 4
 MOST_VALUES = 40_000
-"""Of a document. A file as it is written is too large before it has so many; each takes some 10 microseconds."""
+"""The largest number of values in a document, each of which takes about 10 microseconds.
+
+A file that this plugin writes would exceed the limit of size before it has so many.
+"""
 
 Place = tuple[str | int, ...]
-"""Keys and indices from the top of the document."""
+"""The keys and indices from the top of the document to a value."""
 
 XFAIL, REASON = "xfail", "reason"
-"""In the mapping ``xfail`` a date needs no quotes: it is read as its text, under any key but that of the reason.
+"""The keys around a date without quotes: in ``xfail``, it is read as text under any key except ``reason``.
 
-So a key that is misspelt is named as unknown, rather than its date as one that wants quotes.
+Any key, so that the error about a misspelt ``until`` names the key, and does not ask for quotes around the date.
 """
 
 _PREFIX = "tag:yaml.org,2002:"
@@ -38,8 +41,8 @@ _WORD = re.compile(r"true|false|null|")
 _IS_SAVED = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:[ \t]*(?:#[^\n]*)?\r?\n)*pafot:[ \t]+[0-9]+[ \t]*(?:#[^\n]*)?\r?(?:\n|\Z)"
 )
-"""How saved scenarios begin, comments aside, by which those that are faulty are known."""
-NOT_SHOWN = "a file that does not begin as a saved scenario does, so that nothing of it is shown"
+"""The beginning of a saved scenario after its comments, which distinguishes a faulty one from other files."""
+NOT_SHOWN = "a file that does not begin like a saved scenario, so its content is not printed"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 Lines = dict[Place, int]
@@ -47,14 +50,15 @@ Lines = dict[Place, int]
 
 
 def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[Any, Lines]:
-    """The YAML document in the content of a file: None, bool, int, float, str, and lists and dicts of these.
+    """Return the YAML document in the content of a file: None, bool, int, float, str, and lists and dicts of these.
 
     Args:
-        content: UTF-8, with or without a byte order mark.
-        base: PyYAML's safe loader to build on; the compiled one where it is there.
+        path: the path of the file, for errors.
+        content: the content in UTF-8, with or without a byte order mark.
+        base: one of PyYAML's safe loaders; by default the compiled one, if it is installed.
 
     Raises:
-        CorpusError: on a fault in the text or the syntax, and for anything that is not plain data.
+        CorpusError: for an error in the text or the syntax, and for anything that is not plain data.
     """
     __tracebackhide__ = True  # pytest's --showlocals would print the content
     if len(content) > MAX_BYTES:
@@ -80,7 +84,7 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
     if bad is not None:
         line, received = text.count("\n", 0, bad.start()) + 1, f"the character U+{ord(bad[0]):04X}"
         raise CorpusError(path, "printable text", received, "remove it", line=line)
-    # The compiled loader takes these in places where the other one does not; a file is to be read alike everywhere.
+    # The compiled loader accepts tabs and "?" in places where the other one does not, but all must read a file alike.
     is_odd = "\t" in text or "?" in text
     kind: Any = base or (yaml.SafeLoader if is_odd else getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     loader = kind(text)
@@ -88,7 +92,7 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
         return _Builder(path, loader).document()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        raise _syntax_error(path, None if mark is None else mark.line + 1, error.problem or "a fault") from None
+        raise _syntax_error(path, None if mark is None else mark.line + 1, error.problem or "unknown") from None
     except yaml.YAMLError as error:
         raise _syntax_error(path, None, str(error).splitlines()[0]) from None
     finally:
@@ -96,12 +100,12 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
 
 
 def _syntax_error(path: Path, line: int | None, problem: str) -> CorpusError:
-    received = f"text with this fault: {problem}"
+    received = f"text with this error: {problem}"
     return CorpusError(path, "valid YAML", received, "correct it, or restore the file", line=line)
 
 
 class _Builder:
-    """Builds plain data from a loader's events, so that what is not wanted is refused before it is expanded."""
+    """A builder of plain data from a loader's events, so that refused features are never expanded."""
 
     def __init__(self, path: Path, loader: Any) -> None:
         self.path = path
@@ -123,7 +127,7 @@ class _Builder:
     def _next(self, kind: type[yaml.Event]) -> None:
         event = self.loader.get_event()
         if not isinstance(event, kind):
-            raise self._error(event, "exactly one document", "another one or none", "keep one in each file")
+            raise self._error(event, "exactly one document", "a second one or none", "keep one in each file")
 
     def _value(self, place: Place, event: Any) -> Any:
         self.lines[place] = _line(event)
@@ -148,10 +152,10 @@ class _Builder:
         if is_day and tag == f"{_PREFIX}timestamp":
             return str(event.value)
         if tag not in _PLAIN_TAGS:
-            received = f"{event.value!r:.60}, which YAML takes for a {tag.removeprefix(_PREFIX)}"
+            received = f"{event.value!r:.60}, which YAML reads as a {tag.removeprefix(_PREFIX)}"
             raise self._error(event, "a number, text, true, false or null", received, "put it in quotes")
         if event.implicit[0]:
-            # What the versions of YAML, or people, read as different values: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~.
+            # Versions of YAML, or people, read these as different values: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~.
             text, kind = event.value, tag.removeprefix(_PREFIX)
             is_number = kind in ("int", "float")
             if (is_number and not _NUMBER.fullmatch(text)) or (kind == "str" and _NUMBER_LIKE.fullmatch(text)):

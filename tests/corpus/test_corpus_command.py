@@ -93,7 +93,7 @@ def test_join_keeps_the_simplest_of_each_kind_of_a_folder_once_it_may_write(tmp_
     save(one, a=(3, {}), b=(1, {}), c=(2, {}), d=(4, other_kind), e=(4, {"test": "tests/test_safety.py::test_other"}))
     save(two, f=(3, {}))
     (one / "notes.md").write_text("why")
-    told = [f"would remove: test_it/test x/{name}: b.pafot.yaml shows the same, and is as simple or simpler"
+    told = [f"would remove: test_it/test x/{name}: b.pafot.yaml shows the same failure and is as simple or simpler"
             for name in ("c.pafot.yaml", "a.pafot.yaml")]  # fmt: skip
     assert join(tmp_path, capsys) == (0, told)
     assert names(tmp_path) == list("abcdef")
@@ -124,11 +124,11 @@ def test_join_loses_no_acceptance_and_keeps_firm_ones(tmp_path, capsys):
     assert code == 1
     assert names(tmp_path) == list("bdefh")
     assert lines == [
-        "removed: accepted/c.pafot.yaml: b.pafot.yaml shows the same, and is accepted",
-        "removed: accepted/a.pafot.yaml: b.pafot.yaml shows the same, and is accepted",
-        "differing: d.pafot.yaml, e.pafot.yaml, f.pafot.yaml: left alone: expected one reason and one "
-        "day in their lines `xfail:`, received 2; write the same in these files, and join again",
-        "removed: flaky/g.pafot.yaml: h.pafot.yaml shows the same, and is not flaky",
+        "removed: accepted/c.pafot.yaml: b.pafot.yaml shows the same failure and is accepted",
+        "removed: accepted/a.pafot.yaml: b.pafot.yaml shows the same failure and is accepted",
+        "differing: d.pafot.yaml, e.pafot.yaml, f.pafot.yaml: left as they are: expected the same reason "
+        "and day in their lines `xfail:`, received 2 different ones; write the same line in these files, and join again",
+        "removed: flaky/g.pafot.yaml: h.pafot.yaml shows the same failure and is not flaky",
     ]
 
 
@@ -143,7 +143,7 @@ def test_join_leaves_broken_files_and_what_lies_behind_links_alone(tmp_path, cap
     code, lines = join(own, capsys, "--write")
     assert code == 1
     (line,) = lines
-    assert line.startswith("left alone: e.pafot.yaml:1: ")
+    assert line.startswith("left as it is: e.pafot.yaml:1: ")
     assert names(tmp_path) == ["a", "b", "c", "d", "e"]
     monkeypatch.chdir(own)
     assert main(["corpus", "join", "--write", "sub"]) == 2

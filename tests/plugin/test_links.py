@@ -81,7 +81,7 @@ def test_a_search_writes_and_removes_nothing_behind_a_linked_folder(failing, els
     before = all_in(elsewhere)
     result = failing.run("--pafot-prune", *cache, seed=2)
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines([f"*expected a folder, received the link {folder}, behind which may be*"])
+    result.stdout.fnmatch_lines([f"*expected a folder, received the link {folder}, which may lead to*"])
     failing.run("--pafot-save=none", *cache, seed=2)
     failing.run("--pafot-merge", elsewhere, *cache)
     failing.run(*cache, generations=0)
@@ -97,7 +97,7 @@ def test_a_link_within_the_project_is_read_and_not_written_through(failing):
     result = failing.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines([f"*saved-{id_}*", "replay: still failing"])
-    failing.run(seed=2).stdout.fnmatch_lines([f"*received the link {corpus}, behind which*"])
+    failing.run(seed=2).stdout.fnmatch_lines([f"*received the link {corpus}, which may lead to*"])
     assert all_in(failing.path / "shared") == before
 
 
@@ -128,7 +128,7 @@ def test_nothing_behind_a_corpus_that_leads_out_is_listed(project, elsewhere):
     corpus = project.path / "pafot_corpus"
     corpus.symlink_to(elsewhere.parent)
     result = project.run(generations=0)
-    result.stdout.fnmatch_lines([f"*problem: expected a folder, received the link {corpus}, behind which*"])
+    result.stdout.fnmatch_lines([f"*problem: expected a folder, received the link {corpus}, which may lead to*"])
     assert "secret_name" not in result.stdout.str()
 
 
