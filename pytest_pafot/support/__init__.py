@@ -1,1 +1,1 @@
-"""What every room may need, and what knows nothing of scenarios."""
+"""Tools that every room may need. They know nothing about scenarios."""

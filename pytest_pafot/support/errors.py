@@ -1,4 +1,4 @@
-"""Errors that the user can mend: what was expected of which value, what was received, and the way out."""
+"""Errors that the user can fix: they state what was expected, what was received, and the way out."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ RESTORE = "restore the file from version control, or delete it"
 
 
 class FieldError(ValueError):
-    """A value that breaks a rule, told in one line: values, keys and paths in it may come from a stranger's file.
+    """A value that breaks a rule. The message is one line: values, keys and paths in it may be from a stranger's file.
 
     Attributes:
         field: path of the value, such as ``npcs[0][2].speed``; empty where it has none.
-        expected, received: what should be there, and what is; empty where the text says it in its own way.
-        fix: the way out; empty where it is plain.
+        expected, received: what should be there, and what is there; empty if the text already says it.
+        fix: the way out; empty if it is obvious.
     """
 
     def __init__(
@@ -29,13 +29,13 @@ class FieldError(ValueError):
 
 
 def sentence(field: str, expected: str, received: str, fix: str) -> str:
-    """``field: expected this, received that; do so``, without the parts that are empty."""
+    """Return ``field: expected this, received that; do so``, without the parts that are empty."""
     place, way_out = f"{field}: " if field else "", f"; {fix}" if fix else ""
     return f"{place}expected {expected}, received {received}{way_out}"
 
 
 POSITIVE = math.ulp(0.0)
-"""As the least that a number may be, it refuses zero."""
+"""The smallest positive float: used as the lower limit of a number, it excludes zero."""
 
 
 def checked_number(
@@ -47,10 +47,10 @@ def checked_number(
     most: float = math.inf,
     error: type[FieldError] = FieldError,
 ) -> float:
-    """A finite number within bounds, as a float; numbers of other libraries, such as numpy's, are numbers too.
+    """Return a finite number within its limits as a float; numbers of other libraries, such as numpy's, are accepted.
 
     Raises:
-        FieldError: or the given kind of it, unless the value is such a number.
+        FieldError: or the given subclass, unless the value is such a number.
     """
     number = plain_number(value)
     if number is None or not least <= number <= most:
@@ -67,10 +67,10 @@ def checked_whole(
     most: float = math.inf,
     error: type[FieldError] = FieldError,
 ) -> int:
-    """A whole number within bounds, as an int.
+    """Return a whole number within its limits as an int.
 
     Raises:
-        FieldError: or the given kind of it, unless the value is such a number.
+        FieldError: or the given subclass, unless the value is such a number.
     """
     number = plain_whole(value)
     if number is None or not least <= number <= most:
@@ -79,7 +79,7 @@ def checked_whole(
 
 
 def plain_number(value: object) -> float | None:
-    """Python's own int or float of a finite number; None for everything else, and for truth values."""
+    """Return a finite number as Python's own int or float, or None for everything else, including booleans."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return None
     try:
@@ -90,29 +90,29 @@ def plain_number(value: object) -> float | None:
 
 
 def plain_whole(value: object) -> int | None:
-    """Python's own int of a whole number; None for everything else, and for truth values."""
+    """Return a whole number as Python's own int, or None for everything else, including booleans."""
     if isinstance(value, bool) or not hasattr(type(value), "__index__"):
         return None
     try:
         return operator.index(value)  # type: ignore[arg-type]
-    except TypeError:  # numpy's arrays and truth values
+    except TypeError:  # numpy's arrays and booleans have __index__, but it raises
         return None
 
 
 class WorldError(FieldError):
-    """A world, or a scenario for it, that cannot be run."""
+    """A world that cannot be run, or a scenario that does not fit the world."""
 
 
 class AdsFactoryError(TypeError):
-    """What was given as the ADS factory does not make an ADS for this world."""
+    """The given ADS factory does not make an ADS for this world."""
 
 
-class BadAction(Exception):  # noqa: N818  (named in findings as the fault it is)
-    """What an ADS returned is no action; the message says what was expected."""
+class BadAction(Exception):  # noqa: N818  (findings show this name, so it names the mistake)
+    """The ADS returned something that is no action; the message states what was expected."""
 
 
 class CorpusError(FieldError):
-    """A file of the corpus that cannot be used, with the line, from 1, and the field of the fault where it has them."""
+    """A corpus file that cannot be used, with the line (counted from 1) and the field at fault if they are known."""
 
     def __init__(
         self, path: Path, expected: str, received: str, fix: str = RESTORE, *, field: str = "", line: int | None = None

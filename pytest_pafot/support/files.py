@@ -1,7 +1,7 @@
-"""Files that are written as a whole or not at all, whoever else reads or writes them at that moment.
+"""Files that are written as a whole or not at all, even if other processes read or write them at the same time.
 
-The content goes to a temporary file beside the path first. Its name has the process id and it is locked while it is
-written, so that the next writer removes what a process that was killed left behind, and nothing else.
+The content is first written to a temporary file next to the path. Its name contains the process id, and it is locked
+while it is written, so that the next writer can remove what a killed process left behind, and nothing else.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import BinaryIO, TypeVar, cast
 
-# Locks that say whether the process that wrote a file still lives; the system releases them however it ends.
-#
-# Process ids would not do alone: in containers each session may have the same one.
+# A lock shows whether the process that wrote a file is still alive: the system releases it however the process ends.
+# Process ids are not enough, because sessions in different containers may have the same id.
 
 if sys.platform == "win32":
     import msvcrt
@@ -28,24 +27,24 @@ else:
     import fcntl
 
 _HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK})
-_LOCK_AT = 1 << 30  # beyond any content: Windows keeps others from reading the bytes that are locked
+_LOCK_AT = 1 << 30  # beyond any content, because on Windows no other process can read locked bytes
 
 
 def hold(descriptor: int, *, is_inherited: bool = True) -> bool:
-    """Lock a new file; False when another session looked at it before that, and so took it for a dead process's.
+    """Lock a new file; return False if another session found it unlocked before that and took it for abandoned.
 
-    Processes that are forked inherit the lock and keep it, also when this one has ended, unless they are not to. Then
-    this process must open the file but once, as it loses the lock by closing it again.
+    Forked processes inherit the lock and hold it even after this process has ended, unless ``is_inherited`` is False.
+    Then this process must open the file only once, because closing it a second time would release the lock.
     """
     try:
         _lock(descriptor) if is_inherited else _lock_here(descriptor)
     except OSError as error:
-        return error.errno not in _HELD  # without locks on this file system, the process id in the name decides
+        return error.errno not in _HELD  # this file system has no locks; the process id in the name decides
     return os.fstat(descriptor).st_nlink > 0
 
 
 def is_held(descriptor: int, pid: int) -> bool:
-    """Whether the process that wrote a file still holds it; without locks on this file system, whether it lives."""
+    """Return whether the process that wrote a file still holds it or, on a file system without locks, is alive."""
     try:
         _lock(descriptor)
     except OSError as error:
@@ -54,23 +53,22 @@ def is_held(descriptor: int, pid: int) -> bool:
 
 
 def pid_of(path: Path) -> int:
-    """The process id that the name of a file begins with, after a dot and a word if there is one; 0 without."""
+    """Return the process id at the start of a file's name, after an optional dot and word; 0 if there is none."""
     digits = re.match(r"(?:\.[a-z]+-)?(\d{1,11})-", path.name, re.ASCII)
     return int(digits[1]) if digits else 0
 
 
 def _is_alive(pid: int) -> bool:
-    """Whether a process of this id runs; only asked where the file system has no locks.
+    """Return whether a process with this id is running; only needed on file systems without locks.
 
-    Windows has no harmless question of this kind (``os.kill(pid, 0)`` ends a process there), so that a file
-    counts as held.
+    Windows has no harmless check (``os.kill(pid, 0)`` ends the process there), so the file counts as held.
     """
     if sys.platform == "win32" or pid <= 0:
         return pid > 0
     try:
         os.kill(pid, 0)
     except OSError as error:
-        return not isinstance(error, ProcessLookupError)  # another error is of a process that is somebody else's
+        return not isinstance(error, ProcessLookupError)  # any other error means that it is a different user's process
     return True
 
 
@@ -84,7 +82,7 @@ if sys.platform == "win32":
         finally:
             os.lseek(descriptor, position, os.SEEK_SET)
 
-    _lock_here = _lock  # Nothing is forked there.
+    _lock_here = _lock  # Windows does not fork.
 
 else:
 
@@ -98,7 +96,7 @@ else:
 T = TypeVar("T")
 
 TEMPORARY = ".pafot-"
-"""How the names of files begin that are being written."""
+"""The prefix of the names of files that are being written."""
 
 _WAYS_OUT: Mapping[int, str] = MappingProxyType(
     {
@@ -106,56 +104,56 @@ _WAYS_OUT: Mapping[int, str] = MappingProxyType(
         errno.EDQUOT: "free some of your quota of the disk, {}",
         errno.EROFS: "the file system is read-only: mount it so that it can be written, {}",
         errno.ENAMETOOLONG: "shorten the names of the folders, of the test or of its parameters, {}",
-        errno.ENOTDIR: "a file lies where a folder should be: rename or delete it, {}",
-        errno.EEXIST: "a file lies where a folder should be: rename or delete it, {}",
-        errno.EISDIR: "a folder of that name lies there: rename or delete it, {}",
-        errno.ENOENT: "make the folder that it is to lie in, {}",
+        errno.ENOTDIR: "there is a file where a folder should be: rename or delete it, {}",
+        errno.EEXIST: "there is a file where a folder should be: rename or delete it, {}",
+        errno.EISDIR: "there is a folder with that name: rename or delete it, {}",
+        errno.ENOENT: "create the folder that should contain it, {}",
         errno.EINVAL: "a link or a special file is in its place: delete that, {}",
-        errno.ELOOP: "a link on the way leads to itself: remove it, {}",
+        errno.ELOOP: "a link in the path points to itself: remove it, {}",
         errno.EMFILE: "close the files that the ADS and the tests open, or raise the limit of open files (ulimit -n)",
         errno.ENFILE: "close files that programs of this machine have open, or raise its limit of open files",
-        errno.EIO: "the disk or the network has failed: look after it, {}",
+        errno.EIO: "the disk or the network has failed: check it, {}",
     }
 )
-"""By the error, with a gap for another folder."""
+"""The way out of each error, with a gap for how to name a different folder."""
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file, with the folders that it lies in: whoever reads it finds all of it, or what was there before.
+    """Write a file and create its folders: a reader finds the whole new content, or the content from before.
 
     Raises:
-        OSError: when it cannot be written; nothing half written is left.
+        OSError: if it cannot be written; no partial file is left behind.
     """
     _through_temporary(path, content.encode() if isinstance(content, str) else content, Path.replace)
 
 
 def write_if_free(path: Path, content: bytes) -> bool:
-    """Write a new file as :func:`write_whole` does; False when the path is taken.
+    """Write a new file as :func:`write_whole` does; return False if the path is taken.
 
-    Of two processes that try at once, the system chooses one.
+    If two processes try at once, the system lets one of them win.
 
     Raises:
-        OSError: when it cannot be written; nothing half written is left.
+        OSError: if it cannot be written; no partial file is left behind.
     """
     return _through_temporary(path, content, _publish)
 
 
 def way_out(error: OSError, elsewhere: str) -> str:
-    """What to do when a file cannot be written; ``elsewhere`` says how to name another folder."""
+    """Return what to do if a file cannot be written; ``elsewhere`` says how to name a different folder."""
     return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
 
 
 def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
-    """Open a file in a binary mode, if it is a regular one: no link is followed, no pipe and no device is touched.
+    """Open a regular file in a binary mode, without following a link or touching a pipe or a device.
 
     Raises:
-        OSError: when it is something else, or cannot be opened.
+        OSError: if it is something else, or cannot be opened.
     """
-    with contextlib.suppress(FileNotFoundError):  # a mode that makes the file goes on
-        _check_regular(path, path.lstat())  # before it is opened, which alone has effects on some devices
+    with contextlib.suppress(FileNotFoundError):  # some modes create the file
+        _check_regular(path, path.lstat())  # check before opening: opening alone has effects on some devices
     file = cast("BinaryIO", open(path, mode, opener=_open_in_place))  # noqa: SIM115  (the caller closes it)
     try:
-        _check_regular(path, os.fstat(file.fileno()))  # it may be another one by now
+        _check_regular(path, os.fstat(file.fileno()))  # it may have been replaced in between
     except OSError:
         file.close()
         raise
@@ -163,14 +161,14 @@ def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove what processes that were killed left half written; what a live one writes stays."""
+    """Remove files that killed processes left half written; files that a live process is writing stay."""
     for path in folder.glob(f"{TEMPORARY}*.tmp"):
-        with contextlib.suppress(OSError):  # what cannot be removed does no harm: nobody reads a file of its name
+        with contextlib.suppress(OSError):  # a leftover does no harm: no code reads files with such a name
             with open_regular(path, "r+b") as file:
                 if is_held(file.fileno(), pid_of(path)):
                     continue
-                with contextlib.suppress(PermissionError):  # Windows removes no open file
-                    path.unlink(missing_ok=True)  # while the lock is held, so that nobody begins to write it
+                with contextlib.suppress(PermissionError):  # Windows does not remove open files
+                    path.unlink(missing_ok=True)  # while the lock is held, so that no process starts to write to it
             path.unlink(missing_ok=True)
 
 
@@ -181,7 +179,7 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _open_in_place(path: str, flags: int) -> int:
-    """Open what has the name itself; a pipe that nobody writes to does not block. Windows knows neither flag."""
+    """Open the file with exactly this name; a pipe without a writer does not block. Windows has neither flag."""
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
 
 
@@ -193,16 +191,16 @@ def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path]
         with file:
             file.write(content)
             file.flush()
-            os.fsync(file.fileno())  # down to the disk
+            os.fsync(file.fileno())  # so that the content is on the disk before the file gets its name
             if os.name != "nt":
-                return finish(temporary, path)  # while the lock is held
+                return finish(temporary, path)  # still locked, so that no process removes the file as a leftover
         return finish(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def _create(folder: Path) -> tuple[Path, BinaryIO]:
-    """A new file under a lock that says that this process writes it."""
+    """Create a new file, locked to mark that this process is writing it."""
     while True:
         temporary = folder / f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(8)}.tmp"
         file = temporary.open("xb")
@@ -213,18 +211,18 @@ def _create(folder: Path) -> tuple[Path, BinaryIO]:
 
 
 def _publish(temporary: Path, path: Path) -> bool:
-    """Give a new file its name unless that is taken."""
+    """Give a new file its name unless that name is taken."""
     try:
         path.hardlink_to(temporary)
     except FileExistsError:
         return False
-    except (OSError, NotImplementedError):  # without hard links
+    except (OSError, NotImplementedError):  # this file system has no hard links
         if os.path.lexists(path):
             return False
         try:
             temporary.rename(
                 path
-            )  # Windows refuses to rename onto a file; elsewhere the later of two equal files stays
+            )  # Windows refuses to rename onto a file; on other systems the later of two equal files wins
         except FileExistsError:
             return False
     return True

@@ -1,7 +1,7 @@
-"""Values that show themselves in notebooks, with the view of the report page.
+"""Values that display themselves in notebooks, with the view of the report page.
 
-The one place that reaches for a room above its own: what draws a run knows all others, and is looked up only when a
-notebook, or a caller, asks for a view.
+This is the only place that uses a room above its own. The room that draws a run knows all others, so it is imported
+only when a notebook or a caller requests a view.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ VIEWS = "pytest_pafot.report.notebook"
 
 
 class Shown:
-    """Shows itself where it is the last value of a notebook's cell."""
+    """A value that a notebook displays as a view if it is the last value of a cell."""
 
     __slots__ = ()
 
@@ -29,42 +29,42 @@ class Shown:
 
 
 class Drawn(Shown):
-    """A run that can be drawn, besides."""
+    """A run, which can be displayed and also drawn."""
 
     __slots__ = ()
 
     def plot(self, times: Sequence[float] | None = None) -> PngPicture:
-        """The run from above at several moments, one below the other; needs Pillow.
+        """Draw the run from above at several moments, one below the other; needs Pillow.
 
         Args:
-            times: of the moments [s]; by default the last four seconds up to the one that the run is about.
+            times: the moments [s]; by default the last four seconds before the moment that the run is about.
 
         Raises:
             AnimationError: without Pillow.
-            ValueError: for a time that is not of the run.
+            ValueError: if a time is outside the run.
         """
         return PngPicture(_views().plot(self, times))
 
     def animate(self) -> PngPicture:
-        """The last eight seconds of the run from above, as a moving picture; needs Pillow.
+        """Draw the last eight seconds of the run from above as a moving picture; needs Pillow.
 
         Raises:
-            AnimationError: without Pillow, or with more vehicles than a small picture can show.
+            AnimationError: without Pillow, or if the run has too many vehicles for a small picture.
         """
         return PngPicture(_views().animate(self))
 
 
 @dataclass(frozen=True, slots=True)
 class PngPicture:
-    """The content of a PNG file, which notebooks show; one of several frames moves there, and in browsers (APNG)."""
+    """The content of a PNG file, which notebooks display; several frames move there and in browsers (APNG)."""
 
     content: bytes = field(repr=False)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write it to a file.
+        """Write the picture to a file.
 
         Raises:
-            ValueError: for a name that does not end in ``.png``.
+            ValueError: if the name does not end in ``.png``.
         """
         if Path(path).suffix.lower() != ".png":
             raise ValueError(f"path: expected a name that ends in .png, received {str(path)!r}; the picture is a PNG")

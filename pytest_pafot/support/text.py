@@ -1,4 +1,4 @@
-"""Words that every room may need: texts that no terminal obeys, nouns that agree with their number, and tables."""
+"""Text tools for every room: text that no terminal obeys, nouns that agree with their number, and tables."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from datetime import date
 from typing import Any
 
 _COMMAND = re.compile(r"(?<!\S)::|##(?=\w*\[)")
-"""What CI runners obey: ``::`` where a line may begin, also after it was wrapped, and ``##[``, ``##vso[`` anywhere."""
+"""Commands to CI runners: ``::`` where a line may begin, also after wrapping, and ``##[``, ``##vso[`` anywhere."""
 
 
 def visible(text: str) -> str:
-    r"""Return a text on one line that is safe to show, whoever wrote it: what acts on its reader is shown as an escape.
+    r"""Return a text on one line that is safe to print, whoever wrote it: whatever acts on its reader is escaped.
 
-    That is every character that does not print, such as ``\n``, ``\x1b`` and ``\u202e``, which reorders what follows,
-    and the beginnings of commands to CI runners. Applied again, it changes nothing more.
+    This covers every character that does not print, such as ``\n``, ``\x1b`` and ``\u202e``, which reorders what
+    follows, and the beginnings of commands to CI runners. Applying it twice changes nothing more.
     """
     if not text.isprintable():
         text = "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
@@ -26,50 +26,50 @@ def visible(text: str) -> str:
 
 
 def visible_lines(text: str) -> str:
-    """Return a text of several lines that is safe to show, with its line breaks and tabs; see :func:`visible`."""
+    """Return a text of several lines that is safe to print, with its line breaks and tabs; see :func:`visible`."""
     return "\n".join("\t".join(map(visible, line.split("\t"))) for line in text.split("\n"))
 
 
 def ascii_text(text: str) -> str:
-    """Return a text on one line that any terminal and log can show; see :func:`visible`."""
+    """Return a text on one line that any terminal and log can print; see :func:`visible`."""
     return visible(text).encode("ascii", "backslashreplace").decode("ascii")
 
 
 def shown(value: Any) -> str:
-    """A value in an error message, cut to a line; its class where its ``repr`` raises."""
+    """Return a value's ``repr`` for an error message, cut to a line; name its class if its ``repr`` raises."""
     try:
         return one_line(repr(value))
-    except Exception as error:  # noqa: BLE001  (any code of the user's)
+    except Exception as error:  # noqa: BLE001  (the user's code may raise anything)
         return f"a {type(value).__name__} whose repr raises {type(error).__name__}"
 
 
 def one_line(text: str) -> str:
-    """A text on one line, cut to what one can hold."""
+    """Join a text to one line and cut it to 120 characters."""
     line = " ".join(text.split())
     return line if len(line) <= 120 else f"{line[:117]}..."
 
 
 def quiet_json(text: str) -> str:
-    """Return the same JSON without ``##``, by which commands to CI runners begin; only strings can have it."""
+    """Return the same JSON without ``##``, which starts commands to CI runners; only strings can contain it."""
     return text.replace("##", r"#\u0023")
 
 
 def day_of(text: str) -> date | None:
-    """The day of the calendar that a text like ``2027-01-31`` names; None for any other text."""
+    """Return the date that a text such as ``2027-01-31`` names; None for any other text."""
     try:
         day = date.fromisoformat(text)
     except ValueError:
         return None
-    return day if day.isoformat() == text else None  # no week dates, and nothing without its hyphens
+    return day if day.isoformat() == text else None  # rejects week dates and dates without hyphens
 
 
 def plural(count: int, noun: str) -> str:
-    """A number with its noun: ``1 run``, ``2 runs``."""
+    """Return a number with its noun: ``1 run``, ``2 runs``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
-    """Rows as CSV with a header; None as nothing, and numbers as Python writes them, which is exact."""
+    """Format rows as CSV with a header: None is an empty cell, and numbers are exact, as Python writes them."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(columns)
@@ -78,32 +78,32 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
 
 
 def markdown_table(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
-    """Rows as a table in Markdown, with a header. Cells are Markdown; none can end its cell."""
+    """Format rows as a Markdown table with a header. Cells are Markdown; no cell can end its cell early."""
     lines = [columns, ["---"] * len(columns), *rows]
     texts = ([visible(str(cell)).replace("|", r"\|") for cell in cells] for cells in lines)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in texts)
 
 
-# Lines broken between words to the width of the terminal.
+# Wrapping lines between words to the width of the terminal.
 
 MARKER = "E   "
-"""Before each line of a failure's message, as pytest writes it."""
+"""The prefix of each line of a failure's message, as pytest writes it."""
 
 _GLUED = re.compile(r"(?<=\d) (?=(?:%|h|m|s|m/s|m/s\^[23])(?![\w/^]))|(?<=\bNPC) (?=\d)")
 _GLUE = "\N{NO-BREAK SPACE}"
 
 
 def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
-    """Lines of a width at most."""
+    """Wrap lines to a width."""
     return [part for line in lines for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
 
 
 def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
-    """A line in lines of a width, broken between words, but not between a number and its unit or an NPC and its number.
+    """Wrap a line between words, but not between a number and its unit, or between NPC and its number.
 
-    Each has the prefix and the indentation of the first, and is safe to show.
+    Each line has the prefix and the indentation of the first one, and is safe to print.
     """
-    line = visible(line.expandtabs())  # before it is wrapped, which would make spaces of other line breaks
+    line = visible(line.expandtabs())  # before wrapping, which would turn other line breaks into spaces
     text = line.removeprefix(prefix)
     indent = prefix + text[: len(text) - len(text.lstrip())]
     wrapper = textwrap.TextWrapper(width, indent, f"{indent}  ", break_long_words=False, break_on_hyphens=False)

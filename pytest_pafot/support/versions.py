@@ -9,11 +9,11 @@ PACKAGES = ("pytest-pafot", "highway-env", "numpy")
 
 
 def installed_versions() -> dict[str, str]:
-    """By package; ``unknown`` for one that is not installed as a package."""
+    """Return the installed version by package; ``unknown`` for one that is not installed as a package."""
     return {package: _version_of(package) for package in PACKAGES}
 
 
-@cache  # What is loaded stays as it is, and to read the metadata of a package takes as long as to replay a file.
+@cache  # A loaded package does not change, and reading its metadata takes as long as replaying a file.
 def _version_of(package: str) -> str:
     try:
         return metadata.version(package)

@@ -338,7 +338,9 @@ def test_a_file_that_is_too_large_is_refused_unread(search, monkeypatch):
 
 def test_a_folder_that_is_none_is_refused_with_the_way_out(search, tmp_path):
     (tmp_path / "states").write_text("a file in the place of the folder")
-    assert "a file lies where a folder should be: rename or delete it" in refused(search, "expected a file that can be")
+    assert "there is a file where a folder should be: rename or delete it" in refused(
+        search, "expected a file that can be"
+    )
 
 
 def test_a_state_that_cannot_be_written_is_told_and_ends_no_search(search, monkeypatch):

@@ -242,7 +242,7 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
             ["--ads", "constant_speedd"],
             "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, "
             "intersection_policy, junctions, ppo, roundabout_policy, sumo, or module:factory "
-            "for your own policy, received 'constant_speedd'; did you mean 'constant_speed'",
+            "for a policy of your own, received 'constant_speedd'; did you mean 'constant_speed'",
         ),
         (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
         (["--ads", "example_ads.ppo:train_me"], "--ads: expected a factory in example_ads.ppo"),
@@ -282,7 +282,7 @@ def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, be
     assert error.startswith(
         f"compare: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
     )
-    assert error.endswith("; a file lies where a folder should be: rename or delete it, or give a different folder\n")
+    assert error.endswith("; there is a file where a folder should be: rename or delete it, or give another folder\n")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
@@ -295,7 +295,7 @@ def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp
     assert compare(tmp_path, *arguments) == command.BAD_USE
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.startswith(f"compare: --out: expected a folder that can be written, received {taken}: ")
-    assert told.endswith(": rename or delete it, then run the same command again: finished tasks are not repeated")
+    assert told.endswith(": rename or delete it, then give the same command again: what is finished is kept")
     taken.unlink() if name == "runs" else taken.rmdir()
     assert compare(tmp_path, *arguments) == 0
 

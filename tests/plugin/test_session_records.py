@@ -195,7 +195,7 @@ def test_a_file_that_cannot_be_written_is_a_problem_of_the_summary(failing):
 def test_a_folder_where_the_file_should_be_is_named(failing):
     (failing.path / "taken").mkdir()
     result = failing.run("--pafot-json=taken")
-    told = "a folder of that name lies there: rename or delete it, or name another file"
+    told = "there is a folder with that name: rename or delete it, or name another file"
     result.stdout.fnmatch_lines([f"  problem: --pafot-json=taken: not written: *; {told}"])
 
 
@@ -236,7 +236,7 @@ def test_a_summary_that_cannot_be_written_costs_nothing_else(project, failing, m
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "none" / "summary.md"))
     result = failing.run("--pafot-json=pafot.json")
     result.assert_outcomes(failed=2)
-    told = "not written: No such file or directory; make the folder that it is to lie in, or name another file"
+    told = "not written: No such file or directory; create the folder that should contain it, or name another file"
     result.stdout.fnmatch_lines([f"  problem: GITHUB_STEP_SUMMARY=*summary.md: {told}"])
 
 
