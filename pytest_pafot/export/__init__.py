@@ -1,1 +1,1 @@
-"""Runs of findings as files for other tools; each format is a module that is imported when it is asked for."""
+"""Runs of findings as files for other tools. Each format is a module that is imported only when it is requested."""

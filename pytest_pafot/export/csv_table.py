@@ -1,4 +1,4 @@
-"""CSV: a row for each vehicle at each tick."""
+"""CSV files with a row for each vehicle at each tick."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pytest_pafot.model.trace import LANE, Trace
 from pytest_pafot.support.text import csv_text
 
 COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "acceleration", "steering", "lane", "length", "width")
-"""In s, m, rad, m/s and m/s^2; the lane counts from 0 at the left, -1 off the road."""
+"""Columns in s, m, rad, m/s and m/s^2; the lane counts from 0 at the left, and is -1 off the road."""
 
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """One file, with all digits: what is read back is what was driven."""
+    """Return one file with all digits: reading it gives exactly what was driven."""
     rows = (
         [time, name_of(number), *state[:LANE], int(state[LANE]), *size]
         for time, vehicles in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True)

@@ -21,7 +21,7 @@ from pytest_pafot.support.files import write_whole
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
     names = ", ".join(entry.name for entry in BUILT_IN)
-    parser.add_argument("finding", metavar="FILE|FINDING", help="a saved scenario, or its id, below here")
+    parser.add_argument("finding", metavar="FILE|FINDING", help="a saved scenario, or the id of one below this folder")
     parser.add_argument(
         "--to", required=True, metavar="FORMAT", help=f"the format: {names}, or one that a package registers in {GROUP}"
     )
@@ -30,17 +30,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADS",
         help="the policy that drives the ego: a module of example_ads, module:factory, or module:factory:argument",
     )
-    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="where the files go (default: here)")
+    parser.add_argument(
+        "--out", type=Path, default=Path(), metavar="DIR", help="the folder for the files (default: the current one)"
+    )
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Drive the scenario of a finding, and write the run in a format; the exit code."""
-    sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
+    """Drive the scenario of a finding and write the run in a format; return the exit code."""
+    sys.path.insert(0, str(Path.cwd()))  # The policy is in the current folder, as with pytest.
     try:
         export, saved = exporter(arguments.to), load(_file_of(arguments.finding))
         if arguments.ads is None:
-            expected = f"the policy that drives the ego, as in --ads module:factory: of the test {saved.finding.test}"
-            received = "none; a file holds what the others are told, not where anybody drove"
+            expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
+            received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
             raise ExportError(field="--ads", expected=expected, received=received)
         driven = saved.replay(ads_factory(arguments.ads))
         for name, content in export(saved.finding, driven.trace).items():
@@ -50,19 +52,21 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     except (ExportError, PlanError, CorpusError, ScenarioError, WorldError, AdsFactoryError) as error:
         sys.stderr.write(f"export: {error}\n")
         return BAD_USE
-    if saved.expect.check is None and not saved.matches(driven):  # as far as a run tells that by itself
+    # Without its test function a failed check cannot be compared.
+    if saved.expect.check is None and not saved.matches(driven):
         event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
         sys.stderr.write(
-            f"export: {saved.id} was saved with {event}, and this is {ending(driven)}: with the policy of its test?\n"
+            f"export: {saved.id} was saved with {event}, but this run ended with {ending(driven)}. "
+            "Is this the policy of its test?\n"
         )
     return 0
 
 
 def _file_of(given: str) -> Path:
-    """The file that a path or an id stands for.
+    """Return the file that a path or an id stands for.
 
     Raises:
-        ExportError: where there is no such file, or more than one.
+        ExportError: if there is no such file, or more than one.
     """
     if (path := Path(given)).is_file():
         return path

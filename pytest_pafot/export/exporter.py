@@ -1,4 +1,4 @@
-"""What an exporter is, and which one a name stands for: one of this package, or one that a package has registered."""
+"""The interface of exporters, and their lookup by name: one of this package, or one that a package has registered."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import HEADING, STEERING, FloatArray, Lane, Trace, Y
 from pytest_pafot.support.errors import FieldError
 
-# A trace in the frame of the formats: x ahead, y to the left, headings anticlockwise.
+# A trace in the coordinates of the formats: x ahead, y to the left, headings anticlockwise.
 
 
 def states_of(trace: Trace) -> FloatArray:
-    """The states of a trace, with its columns, in that frame; shape [ticks + 1, vehicles, 7]."""
+    """Return the states of a trace, with its columns, in these coordinates; shape [ticks + 1, vehicles, 7]."""
     states = trace.states.copy()
     states[..., [Y, HEADING, STEERING]] *= -1
     return states
 
 
 def centre_line(lane: Lane) -> FloatArray:
-    """Points of the centre line of a lane, in that frame [m], shape [points, 2]: two of a straight lane.
+    """Return the points of a lane's centre line in these coordinates [m], shape [points, 2]: two for a straight lane.
 
-    A lane of a closed track, which a run may follow for several laps, is one lap, since tools take a line that passes
-    the same place twice for a loop to cut off.
+    The lane of a closed track, which a run may follow for several laps, is cut to one lap: tools would treat a line
+    that passes the same place twice as a loop and remove it.
     """
     end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
     line = np.array(lane.points or [(lane.x, lane.y), end]) * (1, -1)
@@ -39,7 +39,7 @@ def centre_line(lane: Lane) -> FloatArray:
 
 
 def tangents(line: FloatArray) -> FloatArray:
-    """Unit vectors along a line at its points, shape [points, 2], by differences of the second order."""
+    """Return the unit tangents of a line at its points, shape [points, 2], by second-order differences."""
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
     slopes: FloatArray = np.gradient(line, along, axis=0, edge_order=2 if len(line) > 2 else 1)
     unit: FloatArray = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
@@ -47,19 +47,19 @@ def tangents(line: FloatArray) -> FloatArray:
 
 
 def edges(lane: Lane) -> tuple[FloatArray, FloatArray]:
-    """Points of the left and of the right edge of a lane, in that frame [m], shape [points, 2] each."""
+    """Return the points of a lane's left and right edges in these coordinates [m], shape [points, 2] each."""
     line = centre_line(lane)
     left = tangents(line) @ np.array([[0, 1], [-1, 0]]) * lane.width / 2
     return line + left, line - left
 
 
 def name_of(vehicle: int) -> str:
-    """Of a vehicle of a trace, in files: ``ego``, or ``npc0`` for the NPC 0 of the scenario."""
+    """Return a vehicle's name in files: ``ego``, or ``npc0`` for NPC 0 of the scenario."""
     return f"npc{vehicle - 1}" if vehicle else "ego"
 
 
 GROUP = "pytest_pafot.exporters"
-"""Of entry points; each is an :class:`Exporter` under the name of its format."""
+"""The group of entry points; each is an :class:`Exporter` under the name of its format."""
 
 BUILT_IN = tuple(
     metadata.EntryPoint(name, f"{__package__}.{module}:export", GROUP)
@@ -70,30 +70,30 @@ BUILT_IN = tuple(
         ("xosc", "openscenario"),
     )
 )
-"""Those of this package, whose names no other can take."""
+"""The exporters of this package; no other package can take their names."""
 
 EXTRAS: Mapping[str, str] = MappingProxyType(
     {"scenariogeneration": "export", "foxglove": "export", "commonroad": "commonroad"}
 )
-"""By the library that a format needs, the extra that installs it."""
+"""The extra that installs each library that a format needs."""
 
 
 class Exporter(Protocol):
-    """A run of a finding as files; a function is one."""
+    """A function that turns a run of a finding into files."""
 
     def __call__(self, finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-        """The content of each file by its name, which begins with the finding's id. Writes nothing itself."""
+        """Return the content of each file by its name, which begins with the finding's id. Write nothing."""
 
 
 class ExportError(FieldError):
-    """A finding that cannot be exported as it was asked for."""
+    """A finding that cannot be exported as requested."""
 
 
 def exporter(name: str) -> Exporter:
-    """The exporter of a format.
+    """Return the exporter of a format.
 
     Raises:
-        ExportError: for an unknown name, and where the library that it needs, or the exporter, cannot be imported.
+        ExportError: for an unknown name, or if the exporter, or the library that it needs, cannot be imported.
     """
     entries = {entry.name: entry for entry in (*metadata.entry_points(group=GROUP), *BUILT_IN)}
     if name not in entries:

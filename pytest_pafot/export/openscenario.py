@@ -14,17 +14,17 @@ from pytest_pafot.export.exporter import centre_line, name_of, states_of, tangen
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Lane, Trace, X, Y
 
-# OpenDRIVE: the lanes of a trace as roads, which tell where lanes lie and not how they are joined.
+# OpenDRIVE: the lanes of a trace become roads. The file has the position of each lane, but no junctions between lanes.
 
 NO_DATE = "2000-01-01T00:00:00"
-"""In the place of today, so that equal runs are equal files."""
+"""The date in every file instead of today's, so that equal runs give equal files."""
 
 
 def road_file(name: str, trace: Trace) -> bytes:
-    """One road where all lanes are straight and lie side by side; else a road for each lane, none joined to another."""
+    """Return one road if all lanes are straight and adjacent; otherwise a separate, unconnected road for each lane."""
     drive = xodr.OpenDrive(name)
     for number, group in enumerate([trace.lanes] if _are_one(trace.lanes) else [(lane,) for lane in trace.lanes]):
-        # The reference line is the centre of the leftmost lane, with that and all others to the right of it.
+        # The reference line is the centre of the leftmost lane, which is to the right of it like all other lanes.
         plan, section, parts = xodr.PlanView(), xodr.LaneSection(0, xodr.standard_lane()), xodr.Lanes()
         for geometry, start, heading in _geometries(group[0]):
             plan.add_fixed_geometry(geometry, *start.tolist(), heading)
@@ -42,7 +42,7 @@ def road_file(name: str, trace: Trace) -> bytes:
 
 
 def _are_one(lanes: Sequence[Lane]) -> bool:
-    """Whether lanes are straight, begin and end on one line, and each touches the right edge of the one before."""
+    """Return whether lanes are straight, start and end on one line, and each touches the right edge of the last."""
     first = lanes[0]
     widths = np.array([lane.width for lane in lanes])
     right = np.cumsum(widths) - widths / 2 - widths[0] / 2
@@ -53,16 +53,16 @@ def _are_one(lanes: Sequence[Lane]) -> bool:
 
 
 def text_of(element: ElementTree.Element) -> bytes:
-    """The file of a tree."""
+    """Write a tree as the content of a file."""
     ElementTree.indent(element)
     content: bytes = ElementTree.tostring(element, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
 
 
 def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, FloatArray, float]]:
-    """The centre line of a lane as pieces, each with where it starts [m] and its heading there [rad].
+    """Yield the centre line of a lane as pieces, each with its start [m] and its heading there [rad].
 
-    Between two points of a bend it is the cubic with the line's directions in both (Hermite).
+    Between two points of a bend, the piece is the cubic with the line's directions at both (Hermite).
     """
     line = centre_line(lane)
     if not lane.points:
@@ -72,7 +72,7 @@ def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, Float
     for start, end, first, last in zip(line, line[1:], directions, directions[1:], strict=False):
         chord = end - start
         length = math.hypot(*chord)
-        # In the frame of the piece: its start at the origin, its first direction ahead.
+        # The coordinates of the piece have its start at the origin and its first direction ahead.
         turned = np.array([first, (-first[1], first[0])])
         u, v = turned @ chord, turned @ last * length
         to, leaving, entering = u, np.array([length, 0.0]), v
@@ -83,13 +83,13 @@ def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, Float
 
 MINOR_VERSION = 2
 REAR_AXLE = 0.3
-"""Behind the centre of a vehicle, by its length. OpenSCENARIO says where that axle is, a trace where the centre is."""
+"""Distance of the rear axle behind the centre, as a share of the length. OpenSCENARIO uses the axle's position."""
 ANY_SPEED, ANY_ACCELERATION = 100.0, 20.0
-"""Limits that no vehicle of a trace reaches [m/s], [m/s^2], so that none is held back from its trajectory."""
+"""Limits that no vehicle of a trace reaches [m/s], [m/s^2], so that each one can follow its trajectory."""
 
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """The scenario, and the road that it names."""
+    """Return the scenario's file, and the file of the road that it refers to."""
     road = f"{finding.id}.xodr"
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("replay", _at("begin", 0))
@@ -101,7 +101,7 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
         entities.add_scenario_object(name, _vehicle(name, *size))
         init.add_init_action(name, xosc.TeleportAction(positions[0]))
         init.add_init_action(name, xosc.AbsoluteSpeedAction(states[0, SPEED], at_once))
-        if trace.ticks:  # A run that ends with its first decision has no trajectories.
+        if trace.ticks:  # A run that ends at its first decision has no trajectories.
             act.add_maneuver_group(_replay(name, trace.times.tolist(), positions))
     board = xosc.StoryBoard(init, _at("end", trace.duration, "stop"))
     if trace.ticks:
@@ -123,7 +123,7 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
 
 
 def _rear_axles(states: FloatArray, length: float) -> list[xosc.WorldPosition]:
-    """Where the middle of the rear axle of a vehicle is, at each tick."""
+    """Return the position of the middle of a vehicle's rear axle at each tick."""
     heading = states[:, HEADING]
     back = REAR_AXLE * length * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     places = states[:, [X, Y]] - back

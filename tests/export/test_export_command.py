@@ -50,14 +50,14 @@ def test_a_finding_is_found_by_its_name_below_the_folder_of_the_command(tmp_path
     [
         (
             "file",
-            "{}: File exists; a file lies where a folder should be: rename or delete it, or give a different folder",
+            "{}: File exists; there is a file where a folder should be: rename or delete it, or give another folder",
         ),
         (
             "file/new",
-            "{}: Not a directory; a file lies where a folder should be: rename or delete it, or give a different",
+            "{}: Not a directory; there is a file where a folder should be: rename or delete it, or give another",
         ),
         ("n" * 300, "{}: File name too long; shorten the names of the folders, of the test or of its parameters, or"),
-        ("taken", "{}/collision-xfail.csv: Is a directory; a folder of that name lies there: rename or delete it, or"),
+        ("taken", "{}/collision-xfail.csv: Is a directory; there is a folder with that name: rename or delete it, or"),
     ],
 )
 def test_a_folder_that_cannot_be_written_is_refused_with_the_way_out(below, received, tmp_path, capsys):
@@ -74,15 +74,15 @@ def test_a_folder_that_cannot_be_written_is_refused_with_the_way_out(below, rece
 def test_a_run_that_is_not_the_saved_one_is_written_and_told(tmp_path, capsys):
     assert export(FILE, "--to", "csv", "--ads", "idm_mobil", "--out", tmp_path) == 0
     told = capsys.readouterr().err
-    assert told.startswith("export: collision-xfail was saved with collision at 6.3 s, and this is ")
-    assert told.endswith(": with the policy of its test?\n")
+    assert told.startswith("export: collision-xfail was saved with collision at 6.3 s, but this run ended with ")
+    assert told.endswith(". Is this the policy of its test?\n")
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((FILE, "--to", "csv"), r"--ads: expected the policy that drives the ego, as in --ads module:factory: of the "
-         "test test_golden.py::test_never_at_fault, received none; a file holds what the others are told, not where"),
+        ((FILE, "--to", "csv"), r"--ads: expected the policy that drives the ego in the test "
+         "test_golden.py::test_never_at_fault, such as --ads module:factory, received none; a file contains the NPCs'"),
         ((FILE, "--to", "xslx", "--ads", "constant_speed"), "--to: expected one of commonroad, csv, mcap, xosc, "
          "received 'xslx'; a package that registers it may not be installed here"),
         (("no-such", "--to", "csv", "--ads", "constant_speed"), "received 'no-such', which no file has; give the path"),
