@@ -121,8 +121,8 @@ class TestAPullRequest:
         assert find.against == "planner_before:Planner"
         assert summary.read_text() == (
             "### pafot: 1 new\n\n"
-            "1 search, 150 runs; again with `--pafot-runs=150 --pafot-seed=5`.\n"
-            "Only what `planner_before:Planner` passes is a failure.\n\n"
+            "1 search, 150 runs; repeat with `--pafot-runs=150 --pafot-seed=5`.\n"
+            "A run counts as a failure only if `planner_before:Planner` passes it.\n\n"
             "**New**\n\n"
             f"- `test_safety.py::test_never_at_fault`: {find.headline}; delta-v {find.severity['delta_v']:.1f} m/s\n"
             f"  <br>`python -m pytest {file}`\n"

@@ -1,1 +1,1 @@
-"""Text for people. Renders values, decides nothing."""
+"""Texts, pages and pictures for people. This room renders values and decides nothing."""

@@ -1,4 +1,4 @@
-"""A finding as an animated picture (APNG), for places that show no pages. Drawn by ``drawing``, with Pillow."""
+"""A finding as an animated picture (APNG), for places that show no pages. ``drawing`` draws it with Pillow."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from pytest_pafot.report.page_data import FindingView
 from pytest_pafot.report.picture import picture_at
 
 MAX_SECONDS = 8.0
-"""Only so much of a longer run is shown."""
+"""The longest part of a run that is shown [s]."""
 
 AFTER = 2.0
-"""What is shown after the moment that a finding is about [s]; a collision ends its run."""
+"""Time that is shown after the moment that a finding is about [s]. A collision ends its run, so it has none."""
 
 HOLD_MILLISECONDS = 2500
-"""How long the last frame stays."""
+"""Time for which the last frame stays [ms]."""
 
 MAX_BYTES = 300_000
-"""Of a file; mail and code review refuse or shrink larger pictures."""
+"""The largest allowed file; mail and code review refuse or shrink larger pictures."""
 
 RATES = (8, 6, 4, 2, 1)
-"""Frames per second; the first with which the file is small enough is taken."""
+"""Frames per second, tried in this order; the first rate with a small enough file is used."""
 
 
 class AnimationError(RuntimeError):
@@ -30,14 +30,14 @@ class AnimationError(RuntimeError):
 
 
 def animate(finding: FindingView) -> bytes:
-    """The end of a finding's run as a file's content; the same view gives the same bytes with the same Pillow.
+    """Return the end of a finding's run as the content of a file; equal views give equal bytes with the same Pillow.
 
     Raises:
-        AnimationError: without Pillow, for a finding without frames, or with more vehicles than a small file can show.
+        AnimationError: without Pillow, for a finding without frames, or with too many vehicles for a small file.
     """
     if not finding.times:
         raise AnimationError(
-            f"finding: expected frames to draw, received none for {finding.id}; nobody saw a run of it"
+            f"finding: expected frames to draw, received none for {finding.id}; no run of it was recorded"
         )
     drawing = _drawing()
     content: bytes = b""
@@ -54,7 +54,7 @@ def animate(finding: FindingView) -> bytes:
 
 
 def strip(finding: FindingView, times: Sequence[float]) -> bytes:
-    """The moments of a finding's run at these times [s], one below the other, as a PNG file's content.
+    """Draw the moments of a finding's run at these times [s] one below the other, as the content of a PNG file.
 
     Raises:
         AnimationError: without Pillow.
@@ -69,12 +69,12 @@ def _drawing() -> ModuleType:
     except ImportError as error:
         raise AnimationError(
             "expected Pillow to draw pictures, received an environment without it; "
-            'install it with pip install "pytest-pafot[report]", or ask for a page: --pafot-report=report.html'
+            'install it with pip install "pytest-pafot[report]", or write a page instead: --pafot-report=report.html'
         ) from error
 
 
 def moments(finding: FindingView, rate: int) -> tuple[float, ...]:
-    """The times that are shown [s], so many a second: eight seconds up to the end, or to shortly after the moment."""
+    """Return the times of the frames [s] at a rate [1/s]: 8 s up to the end, or to shortly after the moment."""
     end = min(finding.duration, max(finding.moment + AFTER, MAX_SECONDS))
     count = int(min(MAX_SECONDS, end) * rate + 1e-9)
     return tuple(round(end - step / rate, 6) for step in range(count, -1, -1))

@@ -31,10 +31,11 @@ def campaign_view(
     responsibilities: Mapping[str, int] | None = None,
     cut_by: str = "",
 ) -> CampaignView:
-    """The view of a search from everything that it told; also of one that was cut short.
+    """Build the view of a search from its events, also if the search was cut short.
 
-    The speed limit, the highest target speed [m/s], says how many bins there are. Responsibilities are simulated runs
-    by who was responsible. ``cut_by`` is ``error`` or ``interrupted`` where that ended it, which no event tells.
+    The speed limit is the highest target speed [m/s] and determines the number of speed bins. Responsibilities are
+    counts of simulated runs by who was responsible. ``cut_by`` is ``error`` or ``interrupted`` if that ended the
+    search, because no event reports it.
     """
     events = list(events)
     simulated = [event.evaluation for event in events if isinstance(event, Evaluated) and not event.reused]
@@ -97,11 +98,11 @@ def _speed_labels(speed_limit: float) -> Iterable[tuple[str, Key]]:
 
 
 def _zone_labels(coverage: Coverage) -> Iterable[tuple[str, Key]]:
-    """Of each zone that anybody was sent to all five slots, under the name of the NPC's way."""
+    """Yield a label and a key for each of the five slots of every zone that an NPC was sent to."""
     for zone in sorted({str(key[1]) for key in coverage.requested if key[0] == "zone"}):
         yield from ((f"{zone} {slot}", ("zone", zone, slot)) for slot in SLOTS)
 
 
 def _by_count(names: Iterable[str]) -> tuple[tuple[str, int], ...]:
-    """The most frequent first, then by name."""
+    """Count names, the most frequent first, then by name."""
     return tuple(Counter(sorted(names)).most_common())

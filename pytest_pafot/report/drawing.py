@@ -1,4 +1,4 @@
-"""Draws pictures of a finding with Pillow, which no other module knows; imported only where one is asked for."""
+"""Pictures of a finding, drawn with Pillow. Only this module uses Pillow, and it is imported only for a picture."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from pytest_pafot.report.picture import DrawnCell, DrawnVehicle, Picture, Point,
 
 WIDTH = 720
 SCALE = 8.0
-"""Pixels per metre."""
+"""Scale [px/m]."""
 
 SMOOTH = 2
-"""Everything is drawn so many times larger, then reduced."""
+"""Everything is drawn larger by this factor and then reduced, for smooth edges."""
 
 HEAD, FOOT = 26, 26
 """Height of the lines of text above and below the road [px]."""
 SHOULDER = 1.4
-"""What is shown beside the outer lanes [m]."""
+"""Width of the strips beyond the outer lanes [m]."""
 HALF_HEIGHT = 18.0
-"""What a picture of a road that is not straight shows above and below the ego [m]."""
+"""Half of the height that the picture of a bent road shows, above and below the ego [m]."""
 EGO_AT = 0.42
-"""Share of the width at which the ego is drawn."""
+"""Position of the ego, as a share of the picture's width."""
 CROSSED_SCALE, CROSSED_HALF_HEIGHT, CROSSED_EGO_AT = 5.0, 45.0, 0.5
-"""The same three where somebody crosses, who else would come in sight 2 s before the contact."""
+"""The same three values if a vehicle crosses; with the others it would come into sight only 2 s before contact."""
 
 PAPER, ROAD, EDGE, DASH = "#fbfbfa", "#e6e8e9", "#8b939b", "#ffffff"
 INK, SOFT, EGO_INK, DANGER = "#171b20", "#535c66", "#ffffff", "#b3261e"
@@ -38,11 +38,11 @@ NPC_TINTS = ("#f0d2c0", "#bcd9d5", "#d8cbe6", "#e0d6bd", "#c0d5ea", "#e7c4d5", "
 
 OUTLINE = (-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)
 WINDSCREEN = (0.2, -0.36), (0.34, -0.28), (0.34, 0.28), (0.2, 0.36)
-"""Corners of a vehicle and of what tells its front from its rear, in shares of its length and width."""
+"""Corners of a vehicle, and of the windscreen that marks its front, as shares of its length and width."""
 
 
 def draw_animation(finding: FindingView, pictures: Sequence[Picture], durations: Sequence[int]) -> bytes:
-    """Pictures of a finding, each for its duration [ms], as the content of an APNG file that goes round."""
+    """Draw pictures of a finding, each for its duration [ms], as the content of an APNG file that plays in a loop."""
     # One palette for all frames, so that colours do not flicker and the file stays small.
     palette = Images.new("P", (1, 1))
     palette.putpalette(_palette(len(finding.vehicles) - 1))
@@ -54,7 +54,7 @@ def draw_animation(finding: FindingView, pictures: Sequence[Picture], durations:
 
 
 def draw_strip(finding: FindingView, pictures: Sequence[Picture]) -> bytes:
-    """Pictures of a finding one below the other, under one headline, as the content of a PNG file."""
+    """Draw pictures of a finding one below the other under one headline, as the content of a PNG file."""
     first, *others = (Sheet(finding, picture).draw() for picture in pictures)
     frames = [first, *(frame.crop((0, HEAD, WIDTH, frame.height)) for frame in others)]
     whole = Images.new("RGB", (WIDTH, sum(frame.height for frame in frames)))
@@ -68,7 +68,7 @@ def draw_strip(finding: FindingView, pictures: Sequence[Picture]) -> bytes:
 
 
 def _palette(npcs: int) -> list[int]:
-    """Red, green and blue of every colour in a picture, one after the other: those drawn, and their smooth edges."""
+    """Return red, green and blue of every colour in a picture, one after the other: pure colours and blended edges."""
     grounds, inks, tints = (
         [ImageColor.getrgb(colour) for colour in colours]
         for colours in ((PAPER, ROAD), (INK, SOFT, EDGE, DANGER, *NPC_INKS[:npcs]), (DASH, *NPC_TINTS[:npcs]))
@@ -83,7 +83,7 @@ def _palette(npcs: int) -> list[int]:
 
 
 class Sheet:
-    """One frame in the making; lengths in metres become pixels of the finished frame here."""
+    """One frame while it is drawn; it converts lengths in metres to pixels of the finished frame."""
 
     def __init__(self, finding: FindingView, picture: Picture) -> None:
         self.finding = finding
@@ -104,7 +104,7 @@ class Sheet:
         self.pen = ImageDraw.Draw(self.image)
 
     def draw(self) -> Image:
-        """The frame, from the road at the bottom to the words on top."""
+        """Draw the frame from the road at the bottom to the words on top."""
         self._road()
         self._zones()
         self._cells()
@@ -123,7 +123,7 @@ class Sheet:
 
     def _road(self) -> None:
         if self.is_bent:
-            # All lanes wide, narrower and narrower still: what stays is an edge around them and a line between two.
+            # Every lane is painted three times, ever narrower: this leaves an outer edge and a line between two lanes.
             for more, ink in ((0.5, EDGE), (0.0, DASH), (-0.3, ROAD)):
                 for shape in self.finding.road.shapes:
                     self._line([self._at(*point) for point in shape.points], ink, (shape.width + more) * self.scale)
@@ -139,7 +139,7 @@ class Sheet:
                 self._line([(self._x(start), y), (self._x(start + 3), y)], DASH, 2)
 
     def _zones(self) -> None:
-        """The ways of NPCs that cross, and the parts of them that are in the ego's way."""
+        """Draw the ways of NPCs that cross, and the parts of them that are in the ego's way."""
         zones = [(npc, each.zone) for npc, each in enumerate(self.finding.vehicles[1:]) if each.zone is not None]
         for npc, zone in zones if self.is_bent else ():
             area = [self._at(*point) for point in zone.area]
@@ -150,7 +150,7 @@ class Sheet:
 
     def _cells(self) -> None:
         for cell in self.picture.cells:
-            if cell.exists and self.finding.instructions:  # ordinary traffic knows no cells
+            if cell.exists and self.finding.instructions:  # ordinary traffic has no cells
                 self._cell(cell, EDGE, 1, shrink=3)
                 x, y = self._at(cell.along, cell.across)
                 corner = self._x(cell.along - self.finding.vehicles[0].length / 2) + 7, y - 6
@@ -188,7 +188,7 @@ class Sheet:
             self._text((x, above), f"{told[0].zone} {told[0].slot}", INK, 10, "mm", halo=2)
 
     def _words(self) -> None:
-        if self.is_bent:  # The road goes on under the words.
+        if self.is_bent:  # A bent road would continue under the words.
             self.pen.rectangle(_large([(0, 0), (WIDTH, HEAD)]), fill=PAPER)
             self.pen.rectangle(_large([(0, self.bottom), (WIDTH, self.height)]), fill=PAPER)
         self._text((10, HEAD / 2), _cut(self.finding.headline, 88), INK, 13, "lm")
@@ -197,7 +197,7 @@ class Sheet:
         self._text((64, foot), _cut(speeds_text(self.finding, self.picture), 110), SOFT, 12, "lm")
 
     def _pointer(self, npc: int, box: DrawnVehicle, y: float) -> None:
-        """What stands for an NPC outside of the picture, below those that are at that place already."""
+        """Draw an arrow for an NPC outside the picture, below any arrows that are already at that place."""
         ego = self.picture.ego
         is_behind = box.along < ego.along
         while any(side == is_behind and abs(other - y) < 16 for side, other in self.pointers):
@@ -258,12 +258,12 @@ class Sheet:
 
 
 def _large(points: Sequence[Point]) -> list[Point]:
-    """Places in the large drawing of places in the finished frame [px]."""
+    """Convert places in the finished frame [px] to places in the enlarged drawing."""
     return [(x * SMOOTH, y * SMOOTH) for x, y in points]
 
 
 def speeds_text(finding: FindingView, picture: Picture) -> str:
-    """The speed of each vehicle [m/s], and the cell that an NPC is on its way to, in a line."""
+    """Return a line with the speed of each vehicle [m/s], and the cell that each NPC is driving to."""
     parts = [f"ego {picture.ego.speed:.1f} m/s"]
     for npc, box in enumerate(picture.vehicles[1:]):
         told = instruction_at(finding, npc, picture.time)
@@ -274,6 +274,6 @@ def speeds_text(finding: FindingView, picture: Picture) -> str:
 
 
 def _cut(words: str, length: int) -> str:
-    """A line that fits, without characters that fonts lack."""
+    """Cut a line to a length and replace characters that fonts lack."""
     line = "".join(character if character.isprintable() and ord(character) < 0x250 else "?" for character in words)
     return line if len(line) <= length else line[: length - 3] + "..."

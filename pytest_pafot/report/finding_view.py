@@ -1,4 +1,4 @@
-"""What the page shows of a finding, taken from its file and from the record of a run of it."""
+"""The page's view of a finding, built from its file and from the record of one of its runs."""
 
 from __future__ import annotations
 
@@ -54,16 +54,16 @@ from pytest_pafot.world.limits import CLEARANCE
 from pytest_pafot.world.roads.route import wrapped
 from pytest_pafot.world.roads.survey import SAME_DIRECTION
 
-# The road of a run for its picture: lanes, and in world coordinates where it is not straight the cells of the ego.
+# The road of a run for its picture: lanes and, if the road bends, the cells around the ego in world coordinates.
 
 DENSE = 0.5
-"""Distance of the points by which cells are found [m]."""
+"""Distance between the points of a lane among which cells are searched for [m]."""
 BEYOND = 150.0
-"""How far beyond where the vehicles came the lanes of the ego's way are drawn [m]."""
+"""Distance by which the lanes are drawn beyond the farthest point that the ego reached [m]."""
 
 
 def road_view(trace: Trace, clearance: float) -> RoadView:
-    """The road of a run: how its lanes lie across it, or if it bends each lane as a line in the world.
+    """Return the road of a run: the positions of straight lanes across it, or each lane of a bent road as a line.
 
     The clearance is the gap between the ego and the cells ahead and behind [m].
     """
@@ -91,7 +91,7 @@ def road_view(trace: Trace, clearance: float) -> RoadView:
 
 
 def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """World coordinates in the frame of the first lane: along it, and across it to the right [m]."""
+    """Convert world coordinates to the frame of the first lane: along it, and across it to the right [m]."""
     lane = trace.lanes[0]
     dx, dy = x - lane.x, y - lane.y
     cos, sin = np.cos(lane.heading), np.sin(lane.heading)
@@ -99,7 +99,7 @@ def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatA
 
 
 def places(traffic: Traffic) -> tuple[Place, Place]:
-    """Return where the cells ahead and behind lie in the ego's lane, as :meth:`Director._target` has it."""
+    """Return where the cells ahead of and behind the ego are in its lane, in line with :meth:`Director._target`."""
     if not traffic.is_attentive:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     standing = following_gap(0.0)
@@ -108,14 +108,14 @@ def places(traffic: Traffic) -> tuple[Place, Place]:
 
 
 def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
-    """Points of a lane's centre line, and the length of the line up to each [m]."""
+    """Return the points of a lane's centre line, and the length of the line up to each of them [m]."""
     end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
     points = np.array(lane.points or [(lane.x, lane.y), end])
     return points, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
 
 
 def grid_poses(trace: Trace, ticks: Sequence[int], road: RoadView) -> tuple[tuple[Pose | None, ...], ...]:
-    """Where the eight cells are at each of some ticks: x [m], y [m], direction [rad]; None for one without a lane."""
+    """Return the poses of the eight cells at some ticks: x [m], y [m], direction [rad]; None for one without a lane."""
     other = float(trace.sizes[min(1, len(trace.sizes) - 1), 0])
     row = (float(trace.sizes[0, 0]) + other) / 2
     parts = []
@@ -134,7 +134,7 @@ def grid_poses(trace: Trace, ticks: Sequence[int], road: RoadView) -> tuple[tupl
 def _cells_around(
     ego: FloatArray, along: Sequence[float], lanes: Sequence[Lane], dense: FloatArray
 ) -> tuple[Pose | None, ...]:
-    """The poses of the cells, each of which is so many metres ahead along the ego's lane."""
+    """Return the poses of the cells, given how far ahead each one is along the ego's lane [m]."""
     own = np.flatnonzero(dense[3] == ego[LANE])
     if not len(own):
         return (None,) * len(Cell)
@@ -148,7 +148,7 @@ def _cells_around(
 
 
 def _beside(base: int, column: int, width: float, dense: FloatArray) -> Pose | None:
-    """The point of a neighbouring lane that is nearest to a lane's width beside a point of the ego's lane."""
+    """Return the point of a neighbouring lane closest to one lane's width to the side of a point of the ego's lane."""
     xs, ys, headings, numbers = dense
     best = base
     if column:
@@ -163,23 +163,23 @@ def _beside(base: int, column: int, width: float, dense: FloatArray) -> Pose | N
     return round(float(xs[best]), 2), round(float(ys[best]), 2), round(float(headings[best]), 3)
 
 
-# What the page shows of a check that failed: its figures, and the curve of its values with the bounds.
+# The page's view of a failed check: its figures, and the curve of its values with the bounds.
 
 REACH = 3
-"""How far a curve is shown on the side that keeps the bound, in multiples of the bound or of what breaks it."""
+"""Extent of a curve on the passing side, in multiples of the bound or of the largest violation."""
 
 
 def check_tick(trace: Trace, check: Check | None) -> int | None:
-    """The tick at which a check was worst; None where it does not say, or says one outside of the run."""
+    """Return the tick at which a check was worst; None if its time is unknown or outside the run."""
     if check is None or check.time is None or not 0 <= check.time <= trace.duration:
         return None
     return round(check.time * trace.physics_hz)
 
 
 def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
-    """The view of a check that failed in a run, at the ticks of the frames.
+    """Return the view of a check that failed in a run, at the ticks of the frames.
 
-    There is a curve where it is known which ticks its values belong to.
+    It has a curve if the ticks of the check's values are known.
     """
     tick, hz = check_tick(trace, check), trace.physics_hz
     view = CheckView(
@@ -209,7 +209,7 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
 
 
 def _excess(check: Check, values: FloatArray) -> FloatArray:
-    """By how much each value breaks its bounds, negative where it keeps them; NaN breaks any."""
+    """Return by how much each value breaks its bounds, negative if it satisfies them; NaN breaks every bound."""
     over = [values - check.at_most] if check.at_most is not None else []
     under = [check.at_least - values] if check.at_least is not None else []
     excess: FloatArray = np.max([*over, *under], axis=0)
@@ -217,7 +217,7 @@ def _excess(check: Check, values: FloatArray) -> FloatArray:
 
 
 def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
-    """From where to where the values are worth showing: all that breaks a bound, and some of what keeps it."""
+    """Return the range of values to show: all values that break a bound, and some of those that satisfy it."""
     bounds = [bound for bound in (check.at_most, check.at_least) if bound is not None]
     shown = [*values[np.isfinite(values)], *bounds]
     low, high = float(min(shown)), float(max(shown))
@@ -232,21 +232,21 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
 
 
 FRAMES_PER_SECOND = 7
-"""Frames of a view, about: enough for an eye that sees them interpolated."""
+"""Approximate number of frames of a view per second: enough if the viewer interpolates between them."""
 
 
 def finding_view(
     trace: Trace | None, finding: Finding, *, node_id: str, headline: str = "", check: Check | None = None
 ) -> FindingView:
-    """The view of a finding, with the node id of the item that replays it.
+    """Return the view of a finding, with the node id of the item that replays it.
 
-    What is known only later, such as the number of runs that failed in this way, the label or the path of the file,
-    is set with :func:`dataclasses.replace`.
+    Use :func:`dataclasses.replace` to set what is known only later, such as the number of runs that failed in this way,
+    the label or the path of the file.
 
     Args:
-        trace: of the run that shows it, of the scenario in its file; None where nobody saw how it ended.
-        headline: unless given, that of the run.
-        check: that failed in the run; None where something else did.
+        trace: the run of the finding's scenario; None if no run was recorded.
+        headline: the title; by default the first line of the run's explanation.
+        check: the check that failed in the run; None if something else failed.
     """
     expect = finding.expect
     clearance = finding.world.get("clearance", CLEARANCE)
@@ -285,22 +285,22 @@ def finding_view(
 
 
 def drive_view(trace: Trace) -> DriveView:
-    """All states of a run to the last digit, in half of the room that the compressed table itself takes.
+    """Return all states of a run without loss, in half the space that the compressed table takes.
 
-    In the order of the packing: a series of float64 for each column of each vehicle; of their bits, as whole numbers,
-    the differences of the second order, which are small where something moves evenly; first the lowest bytes of all,
-    then the next ones, so that those that are alike lie together; compressed by zlib; in base64.
+    The packing has these steps: write a series of float64 for each column of each vehicle; read its bits as integers
+    and take second differences, which are small for even motion; store the lowest bytes of all numbers first, then the
+    next ones, so that similar bytes are adjacent; compress with zlib; encode in base64.
     """
     changes = trace.states.transpose(1, 2, 0).astype("<f8", order="C").view("<i8")
     for _ in range(2):
-        changes = np.diff(changes, axis=-1, prepend=0)  # wraps around, as the sums do that undo it
+        changes = np.diff(changes, axis=-1, prepend=0)  # overflow wraps around, and so do the sums that undo it
     planes = changes.astype("<i8", order="C").reshape(-1, 1).view(np.uint8).T
     packed = zlib.compress(planes.tobytes(), zlib.Z_BEST_COMPRESSION)
     return DriveView(physics_hz=trace.physics_hz, states=base64.b64encode(packed).decode())
 
 
 def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
-    """The view of a run that no test has judged, with the gap to the cells ahead and behind [m]; it is in no file."""
+    """Return the view of a run without a file or a verdict; the clearance is the gap to cells ahead and behind [m]."""
     run = Run(trace)
     headline, _, explanation = _explanation(run, run.sentences).partition("\n")
     view = FindingView(
@@ -325,7 +325,7 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
 
 
 def _explanation(run: Run, sentences: Sequence[str]) -> str:
-    """The explanation of a run without the sentences that stand above its picture."""
+    """Return the explanation of a run without the sentences that the page shows above the picture."""
     return "\n".join(line for line in run.explain().splitlines() if line.strip() not in sentences)
 
 
@@ -338,7 +338,7 @@ def _assertion(expect: Expect) -> str:
 
 
 def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | None) -> FindingView:
-    """The view with all that only a run shows: the road, who was where when, and the moment that it is about."""
+    """Add what only a run shows to a view: the road, the vehicles' tracks, and the moment that it is about."""
     run, tick = Run(trace), check_tick(trace, check)
     ticks = frame_ticks(trace) if tick is None else sorted({*frame_ticks(trace), tick})
     road = road_view(trace, clearance)
@@ -360,7 +360,7 @@ def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | 
 
 
 def shrink_view(original: Scenario, shrunk: Scenario, *, rollouts: int, notes: Iterable[str] = ()) -> ShrinkView:
-    """What shrinking the scenario as found came to in so many runs; notes are sentences on speeds that still fail."""
+    """Compare a scenario before and after shrinking; the notes are sentences about speeds that still fail."""
     return ShrinkView(
         original=tuple(map(_chain_text, original.npcs)),
         shrunk=tuple(map(_chain_text, shrunk.npcs)),
@@ -374,7 +374,7 @@ def shrink_view(original: Scenario, shrunk: Scenario, *, rollouts: int, notes: I
 
 
 def frame_ticks(trace: Trace) -> list[int]:
-    """The ticks that a view shows: about seven a second, the last one, and that of the collision among them."""
+    """Return the ticks of the frames: about seven per second, the last tick, and the tick of a collision."""
     stride = max(1, round(trace.physics_hz / FRAMES_PER_SECOND))
     ticks = {*range(0, trace.ticks + 1, stride), trace.ticks}
     if trace.collision is not None:
@@ -388,11 +388,11 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     along, across, heading = (trace.states[:, :, column] for column in (X, Y, HEADING))
     if trace.track is None:
         (along, across), heading = along_and_across(trace, along, across), heading - trace.lanes[0].heading
-    else:  # A road that bends is drawn as the world has it.
+    else:  # A bent road is drawn in world coordinates.
         heading = np.unwrap(heading, axis=0)
     views = []
     for vehicle in range(trace.states.shape[1]):
-        # The jerk farthest from 0 since the frame before: a peak lasts but a tick.
+        # Take the largest jerk since the previous frame: a peak lasts only one tick and would be missed.
         spans = [changes[vehicle][before + 1 : tick + 1] for before, tick in pairwise([-1, *ticks])]
         peaks = np.array([span[np.argmax(np.abs(span))] for span in spans])
         view = VehicleView(
@@ -422,10 +422,10 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
 
 
 def zone_view(passage: Passage, length: float, width: float) -> ZoneView:
-    """The zone of an NPC of a length [m], and how it and the ego passed it; its area is as wide as a lane [m].
+    """Return the zone of an NPC of a length [m], and how it and the ego passed it; its area is one lane wide [m].
 
-    A vehicle's centre is in the zone from when its front may touch somebody there until its rear no longer may, so the
-    area is shorter by its length.
+    A vehicle's centre is in the zone from when its front may touch a vehicle there until its rear no longer can, so the
+    drawn area is shorter than the zone by the vehicle's length.
     """
     zone = passage.zone
     view = ZoneView(
@@ -454,7 +454,7 @@ def _window(enters: float, leaves: float) -> Window | None:
 
 
 def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionView, ...]:
-    """Without a run, as asked for in the scenario; none of them begun."""
+    """Return the NPCs' instructions; without a run those of the scenario, none of them started."""
     asked = scenario if trace is None else trace.scenario
     driven, arrivals, hz = (asked.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
     zones = (None,) * len(asked.npcs) if trace is None or not trace.zones else trace.zones
@@ -477,20 +477,20 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
             )
             if isinstance(told, CrossingInstruction):
                 slot, words = f"{told.slot:+g} s" if told.slot else "together", crossing_text(told, zones[npc])
-                end = view.end if trace is None else max(view.end, trace.duration)  # it is told for the whole run
+                end = view.end if trace is None else max(view.end, trace.duration)  # it lasts for the whole run
                 view = replace(view, zone=told.zone, slot=slot, words=words, end=round(end, 3))
             views.append(view)
     return tuple(views)
 
 
 def _numbers(values: FloatArray, digits: int) -> Numbers:
-    """Rounded, with None for what is no finite number; never -0.0."""
+    """Round values, with None for what is not a finite number, and never -0.0."""
     rounded = np.round(values, digits) + 0.0
     return tuple(float(value) if np.isfinite(value) else None for value in rounded)
 
 
 def _chain_text(chain: Chromosome) -> str:
-    """One NPC's instructions in a line, with equal ones told once: ``1 front-left 25.0 m/s x2, 2 front 8.0 m/s``."""
+    """Write one NPC's instructions in a line, repeated ones once: ``1 front-left 25.0 m/s x2, 2 front 8.0 m/s``."""
     if isinstance(chain[0], CrossingInstruction):
         return f"{chain[0].goal}, {chain[0].speed:.1f} m/s"
     return ", ".join(

@@ -1,6 +1,6 @@
-"""What came of a session, in a few lines of Markdown, for the page of a CI job.
+"""The result of a session in a few lines of Markdown, for the page of a CI job.
 
-Texts of users, files and exceptions are shown as they are: nothing in them becomes markup, calls anybody or is a link.
+Texts from users, files and exceptions appear as they are: nothing in them becomes markup, a mention or a link.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from pytest_pafot.report.session_record import ERROR, NEW, FindingRecord, Sessio
 from pytest_pafot.support.text import plural, visible
 
 MAX_LISTED = 20
-"""Findings of one kind that are listed one by one."""
+"""Findings of one kind that are listed one by one; the others are counted."""
 
 MAX_TEXT = 300
-"""Characters of a text that somebody else wrote."""
+"""Characters of a user's text that are shown."""
 
 ACCEPTED = "accepted"
-"""What fails and is expected to."""
+"""The group of failures that are accepted with ``xfail``."""
 
 _GROUPS: Mapping[str, str] = MappingProxyType(
     {
@@ -29,26 +29,26 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
         "introduced": "Introduced by the change",
         ERROR: "Could not be read or run",
         "still failing": "Known, still failing",
-        "drifted": "Drifted: not what is in the file, so no fix",
+        "drifted": "Drifted: the run differs from the file, so this is no fix",
         "flaky": "Flaky",
-        "common": "Known, and failing in the reference as well",
+        "common": "Known, and also failing in the reference",
         ACCEPTED: "Accepted for now",
         "fixed": "Fixed",
         "fixed before": "Fixed before",
     }
 )
-"""Titles by what a finding is, in the order of what a reader must look at."""
+"""Titles by status, in the order in which a reader must look at the findings."""
 
 _MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$)))")
 _ORDERED = re.compile(r"^(\d+)(?=[.)](?: |$))")
 _LINK = re.compile(r"(?i)(:)(?=//)|(?<=www)(\.)")
 _ENTITIES = MappingProxyType({"&": "&amp;", "<": "&lt;", ">": "&gt;", "$": "<span>$</span>"})
 _REFERENCE = re.compile(r"(?i)@|#(?=\w)|\bgh-(?=\d)|:(?=[\w+-]+:)")
-"""What GitHub makes a mention, an issue or an emoji of, escaped or not, unless a space without width follows."""
+"""Text that GitHub turns into a mention, an issue or an emoji, even escaped, unless a zero-width space follows it."""
 
 
 def markdown(record: SessionRecord) -> str:
-    """The summary of a session; empty where nothing in it concerned this plugin."""
+    """Return the summary of a session; empty if nothing in the session concerned this plugin."""
     return "" if record.is_empty else "\n".join(_lines(record)) + "\n"
 
 
@@ -67,7 +67,7 @@ def _lines(record: SessionRecord) -> Iterator[str]:
                 yield from _finding_lines(finding)
             yield from ([f"- ... and {len(group) - MAX_LISTED} more"] if len(group) > MAX_LISTED else [])
     failed = [each for each in record.searches if each.result in ("failed", "error")]
-    faulty = [each for each in failed if not (each.finds or each.unsaved)]  # not failed by what they found
+    faulty = [each for each in failed if not (each.finds or each.unsaved)]  # their new findings did not make them fail
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
     yield from _listed("Crashes in ordinary traffic", [plain(" ".join(each.splitlines())) for each in record.rates])
     yield from _listed("Merged", [plain(" ".join(each.splitlines())) for each in record.merged])
@@ -78,17 +78,17 @@ def _lines(record: SessionRecord) -> Iterator[str]:
 
 
 def _search_lines(record: SessionRecord) -> Iterator[str]:
-    """How much was searched, and how to search again."""
+    """Yield how much was searched, and how to repeat the search."""
     ran = [search for search in record.searches if search.began]
     if not ran:
-        yield "No search ran to its end." if record.searches else "No search was asked for."
+        yield "No search ran to its end." if record.searches else "No search was requested."
         return
     options = " or ".join(code(options) for options in dict.fromkeys(search.options for search in ran))
     count = "1 search" if len(ran) == 1 else f"{len(ran)} searches"
-    yield f"{count}, {plural(sum(search.runs for search in ran), 'run')}; again with {options}."
+    yield f"{count}, {plural(sum(search.runs for search in ran), 'run')}; repeat with {options}."
     against = ", ".join(code(name) for name in dict.fromkeys(search.against for search in ran) if name)
     if against:
-        yield f"Only what {against} passes is a failure."
+        yield f"A run counts as a failure only if {against} passes it."
 
 
 def _rank(finding: FindingRecord) -> tuple[Any, ...]:
@@ -98,7 +98,7 @@ def _rank(finding: FindingRecord) -> tuple[Any, ...]:
 
 
 def _finding_lines(finding: FindingRecord) -> Iterator[str]:
-    """A finding: what it is, and the command that shows it again, with its file."""
+    """Yield the lines of a finding: what it is, and the command that replays it, with its file."""
     told = [plain(finding.headline or finding.detail)]
     if finding.severity is not None:
         severity = Severity.of_data(finding.severity)
@@ -122,14 +122,14 @@ def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:
 
 
 def plain(text: str) -> str:
-    """A text on one line in which nothing is markup, a link or HTML."""
+    """Escape a text on one line so that nothing in it is markup, a link or HTML."""
     line = _LINK.sub(r"\\\1\2", _ORDERED.sub(r"\1\\", _MARKUP.sub(r"\\\1", _one_line(text))))
     line = "".join(_ENTITIES.get(character, character) for character in line)
     return _REFERENCE.sub(r"\g<0>&#8203;", line)
 
 
 def code(text: str) -> str:
-    """A text as code: between more backticks than it has side by side."""
+    """Return a text as code, fenced by more backticks than the text has in a row."""
     line = _one_line(text)
     fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
     pad = " " if line.startswith(("`", " ")) or line.endswith(("`", " ")) else ""

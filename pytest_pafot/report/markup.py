@@ -1,4 +1,4 @@
-"""The HTML of the page without a script: a list of findings with an article on each, and figures of each search."""
+"""The HTML of the page without a script: a list of findings with an article on each, and the figures of each search."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from pytest_pafot.support.text import plural, visible_lines
 
 
 def text(value: object) -> str:
-    """Any text as HTML, in which nothing is markup, and what does not print is shown as an escape."""
+    """Escape a text for HTML: nothing in it is markup, and characters that do not print become escapes."""
     return escape(visible_lines(str(value)), quote=True)
 
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
-    """Names and values as a list."""
+    """Return names and values as an HTML list."""
     rows = "".join(f"<div><dt>{text(name)}</dt><dd>{text(value)}</dd></div>" for name, value in pairs)
     return f'<dl class="facts">{rows}</dl>' if rows else ""
 
 
 def copyable(command: str) -> str:
-    """A command with a button that copies it."""
+    """Return a command with a button that copies it."""
     return (
         f'<p class="copyline"><span class="label">Command</span><code>{text(command)}</code>'
         '<button type="button" class="copy" data-copy="code" aria-label="Copy: Command">Copy</button></p>'
@@ -43,29 +43,29 @@ def copyable(command: str) -> str:
 
 
 def details(summary: str, body: str) -> str:
-    """HTML that is folded away under a summary."""
+    """Fold HTML away under a summary."""
     return f"<details><summary>{summary}</summary>{body}</details>"
 
 
 def table(head: str, rows: Iterable[str]) -> str:
-    """A table of a head, see :func:`columns`, and rows, see :func:`row`."""
+    """Build a table from a head, see :func:`columns`, and rows, see :func:`row`."""
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
 
 
 def columns(*names: str) -> str:
-    """The head of a table."""
+    """Build the head of a table."""
     return "".join(f'<th scope="col">{name}</th>' for name in names)
 
 
 def row(name: str, *cells: object, attributes: str = "") -> str:
-    """A row of a table, of HTML: its name and its cells."""
+    """Build a row of a table from HTML: its name and its cells."""
     return f'<tr{attributes}><th scope="row">{name}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
 
 
-# What the page says of findings without a script: their list, and an article on each with a place for its picture.
+# The page's text on findings without a script: their list, and an article on each with a place for its picture.
 
 SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013", "check": "\u25b2"}
-"""Beside the word, so that a glance tells responsibilities apart without colour."""
+"""Symbols next to the words, so that responsibilities differ at a glance even without colour."""
 
 WHO = {
     "ego": "ego responsible",
@@ -76,11 +76,11 @@ WHO = {
 }
 
 SAVE_RUN = '<p class="save"><button type="button" class="save-run" hidden>Save the run as CSV</button></p>'
-"""Shown by a script that can do it."""
+"""A hidden button, which a script makes visible if it can save the run."""
 
 
 def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
-    """By which links and files name findings: their ids, numbered where several tests share one."""
+    """Return unique keys for links and files: the findings' ids, numbered if several tests share one."""
     keys: dict[str, None] = {}
     for finding in findings:
         number = 1
@@ -91,13 +91,13 @@ def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
 
 
 def finding_list(findings: Sequence[FindingView]) -> str:
-    """Links to all findings, with counts; empty without any."""
+    """List links to all findings, with counts; empty if there are none."""
     if not findings:
         return ""
     groups: dict[str, list[str]] = {}
     for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
         meta = ", ".join(_tags(finding))
-        # What the filter looks through.
+        # The text that the filter searches.
         words = " ".join([finding.node_id, finding.headline, finding.assertion, meta, finding.path]).lower()
         groups.setdefault(finding.test, []).append(
             f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
@@ -122,7 +122,7 @@ def finding_list(findings: Sequence[FindingView]) -> str:
 
 
 def _filter(findings: Sequence[FindingView]) -> str:
-    """Fields that leave some findings out of the list; they need the script."""
+    """Return the fields that filter the list of findings; they need the script."""
     options = ""
     for kind, count in sorted(Counter(map(_kind, findings)).items()):
         options += f'<option value="{text(kind)}">{text(kind.replace("_", " "))} ({count})</option>'
@@ -130,12 +130,12 @@ def _filter(findings: Sequence[FindingView]) -> str:
         '<div class="filter"><input type="search" id="filter" placeholder="Filter" aria-controls="list" '
         'aria-label="Filter findings by text"><select id="outcome" aria-label="Filter findings by outcome">'
         f'<option value="">all outcomes</option>{options}</select>'
-        '<p id="nothing" hidden>No finding is like this.</p></div>'
+        '<p id="nothing" hidden>No finding matches.</p></div>'
     )
 
 
 def finding_article(finding: FindingView, index: int) -> str:
-    """One finding in words; an empty place for its picture."""
+    """Describe one finding in words, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
     who, *tags = _tags(finding)
     tags += [each for each in (finding.prevention, finding.perception, finding.traffic) if each]
@@ -159,7 +159,7 @@ def finding_article(finding: FindingView, index: int) -> str:
 
 
 def _keep_section(finding: FindingView) -> str:
-    """The command that runs it again, where there is one, its run as a table, and its file."""
+    """Return the finding's command, if it has one, a button that saves its run as a table, and its file."""
     command = f"<h3>Run it again</h3>{copyable(finding.command)}" if finding.command else ""
     return (
         f'<section class="keep">{command}{SAVE_RUN if finding.drive else ""}'
@@ -170,7 +170,7 @@ def _keep_section(finding: FindingView) -> str:
 
 
 def _check_figures(check: CheckView) -> str:
-    """Value, bound and moment of a check, and for how long its bound was broken."""
+    """Return the value, the bound and the moment of a check, and for how long its bound was broken."""
     unit = f' <span class="unit">{text(check.unit)}</span>' if check.unit else ""
     seconds = ' <span class="unit">s</span>'
     bounds = (("at most", check.at_most), ("at least", check.at_least))
@@ -194,7 +194,7 @@ def _kind(finding: FindingView) -> str:
 
 
 def _tags(finding: FindingView) -> list[str]:
-    """What tells a finding from others at a glance."""
+    """Return the properties that tell a finding from others at a glance."""
     tags = [WHO.get(_who(finding), finding.responsibility)]
     if finding.check is not None and finding.responsibility != "none":
         tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
@@ -220,7 +220,7 @@ def _shrink_section(shrink: ShrinkView) -> str:
 
 
 def instruction_table(instructions: Iterable[InstructionView]) -> str:
-    """What the NPCs are told, and whether they did it."""
+    """Return a table of the NPCs' instructions and whether the NPCs carried them out."""
     instructions = tuple(instructions)
     places = "cell or zone" if any(told.zone for told in instructions) else "cell or lane"
     rows = []
@@ -241,21 +241,21 @@ def _goal(told: InstructionView) -> str:
     return names[0] if told.requested == told.cell else f"{names[0]} (requested {names[1]})"
 
 
-# What the page says of a search without a script: figures, tables and coverage, with a place for its curve.
+# The page's text on a search without a script: figures, tables and coverage, with a place for its curve.
 
 ENDS = {
     "": "early",
     "generations": "all generations done",
     "runs": "all runs done",
-    "time": "time was over",
-    "stopped": "enough was found",
+    "time": "time ran out",
+    "stopped": "enough findings",
     "error": "with an error",
 }
-"""Why a search ended."""
+"""Texts for why a search ended."""
 
 
 def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) -> str:
-    """One search, which can be folded: figures, a place for the curve of fitness, coverage."""
+    """Describe one search in an article that can be folded: its figures, a place for its fitness curve, coverage."""
     finished, end = len(view.generations), ENDS.get(view.reason, view.reason)
     figures = (
         ("algorithm", view.algorithm),
@@ -281,7 +281,7 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
         f'<div class="columns">{_counts("Runs by outcome", view.outcomes, view.simulated)}'
         f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div>"
         "<h4>Coverage: instructions requested, driven and reached</h4>"
-        '<p class="note">Requested: in the scenarios as the search asked for them. Driven: as far as the runs came, '
+        '<p class="note">Requested: in the scenarios that the search requested. Driven: as far as the runs came, '
         f"after repair. Reached: the NPC arrived in its cell{' or its zone' if view.zones else ''}.</p>"
         f'<div class="columns">{_coverage("Cells", "cell", view.cells) if is_on_grid else ""}'
         f"{_coverage('Target speeds', 'speed', view.speeds)}"
@@ -317,7 +317,7 @@ def _coverage(title: str, what: str, rows: Sequence[CoverageRow]) -> str:
 
 
 def _ring(steps: Sequence[CoverageRow]) -> str:
-    """From each cell a row: how often an NPC held it, stepped clockwise and stepped anticlockwise."""
+    """Return a table with a row per cell: how often an NPC stayed in it, stepped clockwise and anticlockwise."""
     body = [
         f'<tr><th scope="row">{int(cell)} {cell.label}</th>{"".join(map(_step, steps[3 * cell - 3 : 3 * cell]))}</tr>'
         for cell in Cell
@@ -327,7 +327,7 @@ def _ring(steps: Sequence[CoverageRow]) -> str:
 
 
 def _slots(rows: Sequence[CoverageRow]) -> str:
-    """Of each zone a row: how often an NPC was to be in each of its slots."""
+    """Return a table with a row per zone: how often an NPC was sent to each of its slots."""
     zones: dict[str, list[CoverageRow]] = {}
     for each in rows:
         zones.setdefault(each.label.partition(" ")[0], []).append(each)
@@ -346,7 +346,7 @@ def _figures(step: CoverageRow) -> str:
 
 
 def _bars(top: int, **values: int) -> str:
-    """Bars under each other, as shares of the top."""
+    """Draw bars under each other, as shares of the largest value."""
     bars = "".join(
         f'<svg class="meter {kind}" viewBox="0 0 100 4" preserveAspectRatio="none">'
         f'<rect width="{100 * value / top if top else 0:.1f}" height="4"/></svg>'

@@ -1,7 +1,7 @@
-"""How runs, findings and searches show themselves in notebooks; :mod:`pytest_pafot.support.shown` asks for it.
+"""The views of runs, findings and searches in notebooks, which :mod:`pytest_pafot.support.shown` requests.
 
-Each output is a page of its own inside a frame, so that no two outputs of a notebook meet in a name, a style or a
-script, and needs nothing from the network.
+Each output is a separate page inside a frame, so that no name, style or script of one output affects another. It needs
+nothing from the network.
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.world.limits import CLEARANCE
 
 BEFORE = (4.0, 3.0, 2.0, 1.0, 0.0)
-"""The moments of a plot, before the one that the run is about [s]."""
+"""The moments of a plot, as times before the moment that the run is about [s]."""
 
 
 def html(value: object) -> str:
-    """A value as a frame with its page."""
+    """Return a frame with the page of a value."""
     return render_frame(report_of(value))
 
 
 def plot(value: object, times: Sequence[float] | None) -> bytes:
-    """A run at several moments [s], as the content of a PNG file."""
+    """Draw a run at several moments [s], as the content of a PNG file."""
     view = _run_view(value)
     if times is None:
         times = sorted({max(0.0, view.moment - before) for before in BEFORE})
     for time in times:
-        if not 0 <= time <= view.duration + 1e-3:  # the view has milliseconds
+        if not 0 <= time <= view.duration + 1e-3:  # the view's times are rounded to milliseconds
             raise ValueError(f"times: expected seconds from 0 to {view.duration:g}, received {time!r}")
-    if len(times) == 0:  # an array, too
+    if len(times) == 0:  # `not times` would fail for an array
         raise ValueError("times: expected at least one moment, received none; leave it out for the last four seconds")
     return animation.strip(view, times)
 
 
 def animate(value: object) -> bytes:
-    """The end of a run, as the content of an APNG file."""
+    """Draw the end of a run, as the content of an APNG file."""
     return animation.animate(_run_view(value))
 
 
 def report_of(value: object) -> Report:
-    """What the page of a value has."""
+    """Return the report on a value that its page shows."""
     if isinstance(value, Exploration):
         views = tuple(_told_view(told, value) for told in value.told)
         title = f"{plural(len(views), 'finding')} in {plural(value.summary.runs, 'run')}"
@@ -73,14 +73,14 @@ def report_of(value: object) -> Report:
 
 
 def _finding_view(finding: Finding) -> FindingView:
-    """A finding by itself: nobody knows how many runs failed so, or what replays it."""
+    """Return the view of a finding by itself, for which the number of similar runs and the command are unknown."""
     headline = _event(finding.expect) if finding.trace is None else ""
     view = finding_view(finding.trace, finding, node_id=finding.test, headline=headline)
     return replace(view, runs=0, command="")
 
 
 def _event(expect: Expect) -> str:
-    """What a file expects, in a line."""
+    """Describe the event that a file expects, in a line."""
     if expect.is_crash or expect.message:
         return expect.message or expect.failure
     what = str(expect.outcome) if expect.check is None else f"{expect.assertion} failed"
@@ -92,7 +92,7 @@ def _event(expect: Expect) -> str:
 
 
 def _told_view(told: FindTold, value: Exploration) -> FindingView:
-    """A find of a search without pytest, which no test replays."""
+    """Return the view of a finding of a search without pytest, which no test replays."""
     find = told.find
     view = finding_view(
         None if told.run is None else told.run.trace,

@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: no network, no library, no second file."""
+"""The report as one self-contained HTML page: it needs no network, no library and no second file."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from pytest_pafot.support.text import quiet_json
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
 SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "table.js", "campaign.js", "main.js")
-"""In this order; each adds to what the ones before it define."""
+"""The scripts in order; each uses what the previous ones define."""
 
 FRAME_HEIGHT = 1010
-"""Of a page inside another one [px]."""
+"""Height of a page inside another page [px]."""
 WORDS_HEIGHT = 480
-"""Of one that shows no run [px]."""
+"""Height of an embedded page that shows no run [px]."""
 CURVE_HEIGHT = 180
-"""What the curve of a check needs besides [px]."""
+"""Additional height for the curve of a check [px]."""
 CROSSED_HEIGHT = 460
-"""What a picture in which somebody crosses needs besides, and the curve that comes with it [px]."""
+"""Additional height for a picture in which a vehicle crosses, and for the curve below it [px]."""
 
 
 def render_page(report: Report, *, embedded: bool = False) -> str:
-    """One self-contained page, for itself or inside another one; the same report gives the same text."""
+    """Render one self-contained page, to stand alone or to be embedded; equal reports give equal text."""
     style = _asset(STYLE)
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
-    # This very style and script, and no connection to anywhere.
+    # The hashes allow only this style and these scripts, and no connection to anywhere.
     policy = f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}"
     kind = "embedded" if embedded else "whole"
     is_open = len(report.campaigns) == 1 and not embedded
-    if embedded:  # A frame may not save files.
+    if embedded:  # A sandboxed frame may not save files.
         report = replace(report, findings=tuple(replace(finding, drive=None) for finding in report.findings))
-    # What failed by no finding, with what pytest says of it.
+    # Failures without a finding, with the text that pytest shows for them.
     ended = {view.node_id: "The search ended with an error." for view in report.campaigns if view.reason == "error"}
     errors = "".join(
         f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
-        f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows that.')}</p>"
+        f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows why.')}</p>"
         f"<pre>{text(told.strip())}</pre></article>"
         for node_id, told in report.errors
     )
@@ -66,7 +66,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
 
 
 def render_frame(report: Report) -> str:
-    """An ``<iframe>`` that holds the page, for a place in another one: a row of pytest-html's, or a notebook's output.
+    """Return an ``<iframe>`` that holds the page, to embed it in a row of pytest-html or a notebook's output.
 
     The frame may run its own scripts and nothing else.
     """
@@ -82,10 +82,10 @@ def render_frame(report: Report) -> str:
 
 
 def data_json(report: Report) -> str:
-    """What the scripts draw from, as JSON that can stand inside a ``<script>`` element.
+    """Return the data for the scripts, as JSON that can be inside a ``<script>`` element.
 
-    Texts that the page holds already are left out. Nothing in it can end the element or begin a comment, and
-    everything beyond ASCII is escaped, U+2028 among it.
+    Texts that the page already contains are left out. Nothing in the JSON can end the element or begin a comment, and
+    everything beyond ASCII, such as U+2028, is escaped.
     """
     findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
     data = asdict(replace(report, findings=findings, errors=()))
@@ -94,17 +94,17 @@ def data_json(report: Report) -> str:
 
 
 def _nothing_found(report: Report) -> str:
-    """What a page without findings says of the property: that it held only where everything ran to its end."""
+    """Return the text of a page without findings: the property is confirmed only if everything ran to its end."""
     ends = {view.reason for view in report.campaigns}
     if report.errors or "error" in ends:
-        return "No findings, since not everything ran to its end: an error came first."
+        return "No findings, but an error stopped something before its end."
     if report.is_interrupted or ends & {"", "interrupted"}:
-        return "No findings until the interrupt. What had not run by then says nothing."
+        return "No findings before the interrupt. The scenarios that had not run by then are untested."
     if any(row.failing for view in report.campaigns for row in view.generations):
-        return "No new findings. Runs that failed are known: a saved scenario covers them."
+        return "No new findings. Some runs failed, but saved scenarios already cover these failures."
     if "time" in ends:
-        return "No findings until time was over. Every run that was judged by then kept the property."
-    return "No findings. Every judged run kept the property."
+        return "No findings before time ran out. The property held in every run that was evaluated by then."
+    return "No findings. The property held in every evaluated run."
 
 
 def _hash(content: str) -> str:

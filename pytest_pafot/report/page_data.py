@@ -1,9 +1,9 @@
-"""What the report shows, as plain frozen values: no arrays, no scenarios, nothing that computes.
+"""The content of the report as plain frozen values: no arrays, no scenarios, nothing that computes.
 
 Positions are in the frame of the road: *along* it, and *across* it from the centre of lane 0, to the right. Headings
 are relative to it, positive to the right. Lengths are in m, times in s since the start of the run, speeds in m/s,
-accelerations in m/s^2, jerks in m/s^3, angles in rad. Where a number is None there is none, such as a time to contact
-of vehicles that never touch; so it is with a text that is empty.
+accelerations in m/s^2, jerks in m/s^3, angles in rad. None stands for a number that does not exist, such as a time to
+contact of vehicles that never touch; an empty text means the same.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ Numbers = tuple[float | None, ...]
 Pose = tuple[float, float, float]
 """Along [m], across [m], heading [rad]."""
 Errors = tuple[tuple[str, str], ...]
-"""Of tests that failed by no finding: node id and what pytest shows of it."""
+"""Tests that failed without a finding: node id and the text that pytest shows for it."""
 
 NEW = "new"
-"""How the label of a finding begins that was not known before."""
+"""The first word of the label of a finding that was not known before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,11 +33,11 @@ class LaneView:
 
 
 Place = tuple[float, float, float]
-"""Of a gap that grows with a speed: at least, at a standstill, and per m/s."""
+"""A gap that grows with the ego's speed: its minimum [m], its value at a standstill [m], and its growth [s]."""
 
 
 def gap_to(road: RoadView, cell: Cell, speed: float) -> float:
-    """Return the gap between an ego of a speed and a cell ahead or behind [m]."""
+    """Return the gap between an ego of this speed and a cell ahead or behind [m]."""
     if cell.column:
         return road.clearance
     least, start, seconds = road.ahead if cell.row > 0 else road.behind
@@ -46,14 +46,14 @@ def gap_to(road: RoadView, cell: Cell, speed: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadView:
-    """The world as far as a picture needs it.
+    """The parts of the world that a picture needs.
 
     Attributes:
-        lanes: how far across the road the centre of each lane is, from the left.
+        lanes: position of each lane's centre across the road, from the left.
         clearance: gap between the ego and the cells ahead and behind.
-        ahead, behind: of the gap to those in the ego's lane, in attentive traffic: at least the first number; the
-            second, and the third for each m/s of the ego's speed.
-        shapes: the lanes of a road that is not straight. There *along* is the world's x, *across* its y, headings are
+        ahead, behind: gaps to the cells in the ego's lane, in attentive traffic: the minimum, the gap at a standstill,
+            and the growth for each m/s of the ego's speed.
+        shapes: the lanes of a bent road. For such a road *along* is the world's x, *across* its y, headings are
             those of the world, and ``lanes`` is empty.
     """
 
@@ -67,7 +67,7 @@ class RoadView:
 
 
 Window = tuple[float, float | None]
-"""From when to when, None where the run was over before."""
+"""Start and end of a stay; the end is None if the run ended first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,13 +75,13 @@ class ZoneView:
     """The zone in which the way of an NPC that crosses meets the ego's.
 
     Attributes:
-        name: entry and exit of that way.
-        whence: from where the NPC comes, in words.
-        stretch: from where to where along that way the zone is.
-        way: points of that way; none where nobody knows them.
-        area: those of them in which the NPC would be in the ego's way.
-        width: of that area.
-        of_ego, of_npc: when each was in the zone; None where it never was.
+        name: entry and exit of the NPC's way.
+        whence: where the NPC comes from, in words.
+        stretch: start and end of the zone along that way.
+        way: points of that way; empty if they are unknown.
+        area: the points at which the NPC would be in the ego's way.
+        width: width of that area.
+        of_ego, of_npc: when each was in the zone; None if it never was.
     """
 
     name: str
@@ -100,15 +100,15 @@ class VehicleView:
 
     Attributes:
         name: ``ego``, or ``NPC 0`` and so on.
-        along, across: of its centre.
-        acceleration: along its way.
-        jerk: the change of its acceleration per second that was largest since the frame before.
-        gap: between its box and the ego's; empty for the ego.
+        along, across: position of its centre.
+        acceleration: acceleration along its way.
+        jerk: the largest change of its acceleration per second since the previous frame.
+        gap: distance between its box and the ego's; empty for the ego.
         ttc: constant-velocity time to contact with the ego; empty for the ego.
-        cells: of the grid that its centre is in, 0 for the ego's own, None while it is not on the ego's way; empty for
+        cells: grid cell that contains its centre, 0 for the ego's own, None while it is not on the ego's way; empty for
             the ego.
-        zone: of an NPC that crosses.
-        on_way: how far along its own way that is; empty for others.
+        zone: the zone of an NPC that crosses.
+        on_way: position of such an NPC along its way; empty for others.
         advantage: expected time between its passing its zone and the ego's; empty for others.
     """
 
@@ -131,17 +131,17 @@ class VehicleView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstructionView:
-    """One instruction of one NPC, the gene at one place of its chain, with the time from its start to its end.
+    """One instruction to one NPC, the gene at one place of its chain, from its start to its end.
 
     Attributes:
-        requested: cell asked for; another one than ``cell`` where the repair inside the run changed it.
-        cell: as driven; 0 in a Lane-Instruction, and so is ``requested``.
-        started: whether the run came to it.
-        arrived: when the cell, the lane or the zone was reached.
-        lane: of a Lane-Instruction, ``keep``, ``left`` or ``right``; else empty.
-        zone: of a Crossing-Instruction, the entry and the exit of its way; else empty.
-        slot: of a Crossing-Instruction, as short as ``+0.5 s``, or ``together``.
-        words: what a Crossing-Instruction asks for.
+        requested: requested cell; it differs from ``cell`` if the repair inside the run changed it.
+        cell: cell as driven; 0 in a Lane-Instruction, as is ``requested``.
+        started: whether the run got as far as this instruction.
+        arrived: time at which the NPC reached the cell, the lane or the zone.
+        lane: ``keep``, ``left`` or ``right`` in a Lane-Instruction; otherwise empty.
+        zone: entry and exit of the way in a Crossing-Instruction; otherwise empty.
+        slot: short text of a Crossing-Instruction's slot, such as ``+0.5 s`` or ``together``.
+        words: the request of a Crossing-Instruction in words.
     """
 
     npc: int
@@ -161,10 +161,10 @@ class InstructionView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventView:
-    """The moment that a run is about, and with it a finding, unless a check says another one.
+    """The moment that a run, and its finding, is about, unless a check has a different one.
 
-    ``kind`` is the outcome of the run, such as ``collision``. Then follow the NPC that takes part, the side of the ego
-    that was hit, and the cell that the NPC was in.
+    ``kind`` is the outcome of the run, such as ``collision``. The other fields are the NPC involved, the side of the
+    ego that was hit, and the cell that the NPC was in.
     """
 
     kind: str
@@ -176,17 +176,17 @@ class EventView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckView:
-    """A check that failed: what it measured, in its unit, against which bounds.
+    """A failed check: the measured value, its unit and its bounds.
 
     Attributes:
-        value: the worst one; None where it was no finite number.
-        at_most, at_least: its bounds; None without.
-        time: when it was worst; None where nobody knows.
-        values: of the frames, each the worst since the frame before, cut at ``low`` and ``high``; empty where the check
-            was of a single number.
-        low, high: between which a picture shows them, the bounds among it.
+        value: the worst value; None if it was not a finite number.
+        at_most, at_least: the bounds; None for one that does not exist.
+        time: time of the worst value; None if unknown.
+        values: one per frame, the worst since the previous frame, cut at ``low`` and ``high``; empty if the check
+            measured a single number.
+        low, high: the range that a picture shows, including the bounds.
         is_cut: whether there are values below ``low``, and above ``high``.
-        broken: from when to when a bound was broken, in order.
+        broken: start and end of each time span in which a bound was broken, in order.
     """
 
     name: str
@@ -204,11 +204,11 @@ class CheckView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveView:
-    """Where all vehicles were at each tick, with all digits.
+    """All states of all vehicles at each tick, without loss.
 
     Attributes:
         physics_hz: ticks per second.
-        states: as :func:`~pytest_pafot.report.finding_view.drive_view` packs them.
+        states: the states as packed by :func:`~pytest_pafot.report.finding_view.drive_view`.
     """
 
     physics_hz: int
@@ -217,7 +217,7 @@ class DriveView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChanceView:
-    """When a reference driver in the ego's place would last have stayed free of fault, with the sentence on it."""
+    """The last time at which a reference driver in the ego's place would have stayed free of fault, in words too."""
 
     time: float
     sentence: str
@@ -225,7 +225,7 @@ class ChanceView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShrinkView:
-    """What shrinking came to: the chains before and after, a line per NPC, their numbers, and how many runs it took.
+    """The result of shrinking: the chains before and after, a line per NPC, their sizes, and the number of runs.
 
     ``notes`` are sentences such as "any speed from 3 to 11 m/s still collides".
     """
@@ -246,26 +246,26 @@ class FindingView:
 
     Attributes:
         id: unique within a report together with the node id.
-        node_id: of the item that replays it.
-        sentences: who did what, what was due or what avoids it, and who is responsible; none without a collision.
-        assertion: the line of the test that failed, or what was raised.
+        node_id: node id of the item that replays it.
+        sentences: who did what, what was due or what avoids it, and who is responsible; empty without a collision.
+        assertion: the line of the test that failed, or the exception that was raised.
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
-        runs: of the search that failed in this way; 0 for a run that no test has judged.
-        generation: in which it was first found, from 0; None where no search found it.
+        runs: number of runs of the search that failed in this way; 0 for a run without a verdict.
+        generation: generation of its first run, from 0; None if no search found it.
         label: ``new``, ``still failing``, ``flaky`` and so on.
-        severity: of the run that is shown; None where nothing measures it.
+        severity: severity of the run on the page; None if it has no measure.
         vehicles: the ego, then the NPCs.
-        times: of the frames; none where nobody saw a run.
-        instructions: of all NPCs, ordered by NPC and gene.
-        yaml, path: the text of its file and where that is; empty for a run that is in none.
-        check: that failed; None where something else did.
-        prevention: which reference drivers would have prevented it, and which not; empty where none was tried.
-        perception: which imperfections of its sight it needs; empty where that is perfect.
-        traffic: in which the NPCs drive; empty for the paper's.
-        last_chance: None where there is no such moment.
-        drive: from which the page writes its run as a table; None where nobody saw one, or it is in no file.
-        grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
-            Empty where all NPCs cross, which know no cells.
+        times: times of the frames; empty if no run was recorded.
+        instructions: instructions to all NPCs, ordered by NPC and gene.
+        yaml, path: text and path of its file; empty for a run without a file.
+        check: the check that failed; None if something else failed.
+        prevention: which reference drivers would have prevented it, and which not; empty if none was tried.
+        perception: which imperfections of its sight the failure needs; empty for perfect sight.
+        traffic: how the NPCs drive; empty for the paper's traffic.
+        last_chance: the last chance to avoid it; None if there is none.
+        drive: the data from which the page writes its run as a table; None without a recorded run or without a file.
+        grid: poses of the eight cells at each frame of a bent road, None for a cell without a lane. Empty if all NPCs
+            cross, because these use no cells.
     """
 
     id: str
@@ -299,7 +299,7 @@ class FindingView:
 
     @property
     def is_crossed(self) -> bool:
-        """Whether an NPC crosses."""
+        """True if an NPC crosses."""
         return any(vehicle.zone is not None for vehicle in self.vehicles)
 
     @property
@@ -309,7 +309,7 @@ class FindingView:
 
     @property
     def moment(self) -> float:
-        """When that happened which the finding is about [s]: of the check where it knows, else of the event."""
+        """Time of the moment that the finding is about [s]: the check's if it is known, otherwise the event's."""
         return self.event.time if self.check is None or self.check.time is None else self.check.time
 
 
@@ -319,10 +319,10 @@ class GenerationView:
 
     Attributes:
         best, mean: fitness over the population's eligible runs.
-        failing: runs of the population that the test rejected.
-        restarted: whether its population was random again.
-        local_best: fitness of the best of a local search after it.
-        local_replaced: whether that took the incumbent's place.
+        failing: number of the population's runs that the test rejected.
+        restarted: whether its population was randomly sampled after a restart.
+        local_best: fitness of the best scenario of a local search that followed it.
+        local_replaced: whether that scenario replaced the incumbent.
     """
 
     generation: int
@@ -337,10 +337,10 @@ class GenerationView:
 
 @dataclass(frozen=True, slots=True)
 class CoverageRow:
-    """How often something occurred in the simulated scenarios of a search.
+    """Counts of how often something occurred in the simulated scenarios of a search.
 
-    Requested: in the scenarios as asked for. Driven: after repair, as far as the runs came. Reached: of those driven,
-    how many had their cell reached.
+    Requested counts the scenarios as the search made them. Driven counts what was driven after repair, as far as the
+    runs got. Reached counts those of the driven instructions whose cell was reached.
     """
 
     label: str
@@ -351,18 +351,18 @@ class CoverageRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignView:
-    """How a search went.
+    """The course and the figures of a search.
 
     Attributes:
-        generations, asked: those that finished, in order, and how many were asked for, or None.
-        reason: why it ended, ``error`` and ``interrupted`` among it.
-        simulated, reused: scenarios that were run, and that were known from an earlier run.
+        generations, asked: the finished generations in order, and how many were requested, or None.
+        reason: why it ended, including ``error`` and ``interrupted``.
+        simulated, reused: number of scenarios that were run, and that were known from an earlier run.
         outcomes, responsibilities: counts of simulated runs by name.
         cells: eight rows, cell 1 first.
         steps: twenty-four rows: from each cell, holding it, then one step clockwise, then one anticlockwise.
         speeds: a row per bin of target speeds, slowest first.
-        warnings: of the search's health.
-        zones: five rows of each zone that NPCs were sent to, a row per slot; empty where nobody crosses.
+        warnings: warnings about the search's health.
+        zones: five rows for each zone that NPCs were sent to, one per slot; empty if no NPC crosses.
     """
 
     node_id: str
@@ -384,13 +384,13 @@ class CampaignView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """Everything on a page.
+    """The content of a page.
 
     Attributes:
-        facts: of the session, such as versions and seeds: name and value.
-        command: by which the session was started.
+        facts: name and value of facts on the session, such as versions and seeds.
+        command: command that started the session.
         findings, campaigns: in the order in which they are listed.
-        is_interrupted: whether the session was.
+        is_interrupted: whether the session was interrupted.
     """
 
     title: str
@@ -403,5 +403,5 @@ class Report:
 
     @classmethod
     def of(cls, finding: FindingView) -> Self:
-        """With a single finding, and nothing of a session."""
+        """Make a report on a single finding, without facts on a session."""
         return cls(title=finding.headline, findings=(finding,))

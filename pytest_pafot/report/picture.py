@@ -1,6 +1,6 @@
-"""What is where at a moment of a finding: the geometry of the picture, without drawing it.
+"""The geometry of a finding's picture at a moment, without drawing it.
 
-The page's script does the same in the browser; a test compares the two.
+The page's script computes the same in the browser; a test compares the two.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ class Picture:
     """A finding at a moment [s].
 
     Attributes:
-        vehicles: the ego first; None for one whose position is unknown.
-        cells: the eight around the ego.
-        targets: per NPC, the cell that it is on its way to, or None.
-        trails: per vehicle, where it was in the last seconds. The ego's is its path on the road; an NPC's is its
-            path relative to the ego, moved along with it, or where the road is not straight its path as well.
-        impact: where the vehicles touch, once they do.
+        vehicles: the ego first; None for a vehicle whose position is unknown.
+        cells: the eight cells around the ego.
+        targets: the cell that each NPC is driving to, or None.
+        trails: recent positions of each vehicle. The ego's trail is its path on the road; an NPC's is its path relative
+            to the ego and moves along with it, or on a bent road also its path on the road.
+        impact: point of contact of the vehicles, from the contact on.
     """
 
     time: float
@@ -68,13 +68,13 @@ class Picture:
 
 
 def picture_at(finding: FindingView, time: float) -> Picture:
-    """The picture at a time, positions between frames interpolated.
+    """Return the picture at a time, with positions interpolated between frames.
 
     Raises:
-        ValueError: for a finding without frames, or a moment at which nobody knows where the ego was.
+        ValueError: for a finding without frames, or a moment at which the ego's position is unknown.
     """
     if not finding.times:
-        raise ValueError(f"finding: expected frames to draw, received none for {finding.id}; nobody saw a run of it")
+        raise ValueError(f"finding: expected frames to draw, received none for {finding.id}; no run of it was recorded")
     vehicles = tuple(vehicle_at(finding, vehicle, time) for vehicle in range(len(finding.vehicles)))
     ego = vehicles[0]
     if ego is None:
@@ -92,7 +92,7 @@ def picture_at(finding: FindingView, time: float) -> Picture:
 
 
 def vehicle_at(finding: FindingView, vehicle: int, time: float) -> DrawnVehicle | None:
-    """A vehicle at a time; None where its position is unknown."""
+    """Return a vehicle at a time; None if its position is unknown."""
     view = finding.vehicles[vehicle]
     before, after, share = _frame_at(finding, time)
 
@@ -108,7 +108,7 @@ def vehicle_at(finding: FindingView, vehicle: int, time: float) -> DrawnVehicle 
 
 
 def instruction_at(finding: FindingView, npc: int, time: float) -> tuple[InstructionView, Phase] | None:
-    """What an NPC is told at a time: on its way to the cell or the zone, or there, or at the end of its chain."""
+    """Return an NPC's instruction at a time, and whether the NPC is driving to its goal, there, or past its chain."""
     rows = [row for row in finding.instructions if row.npc == npc]
     row = next((each for each in rows if time < each.end - 1e-9), rows[-1] if rows else None)
     if row is None:
@@ -119,9 +119,9 @@ def instruction_at(finding: FindingView, npc: int, time: float) -> tuple[Instruc
 
 
 def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
-    """Where a cell is. On a road that is not straight, as recorded for the nearest frame, moved on with the ego.
+    """Return the place of a cell. On a bent road it is recorded for the nearest frame and moves along with the ego.
 
-    Where all NPCs cross, none is recorded.
+    No cells are recorded if all NPCs cross.
     """
     road = finding.road
     if not road.shapes:
@@ -145,7 +145,7 @@ def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float)
 
 
 def _target(finding: FindingView, cells: Sequence[DrawnCell], npc: int, time: float) -> DrawnCell | None:
-    """The cell of an NPC that is on its way; None where the road does not say where a cell without a lane would be."""
+    """Return the cell that an NPC is driving to; None if a bent road has no lane there."""
     told = instruction_at(finding, npc, time)
     if told is None or told[0].cell == 0 or told[1] != "approach":
         return None
@@ -154,7 +154,7 @@ def _target(finding: FindingView, cells: Sequence[DrawnCell], npc: int, time: fl
 
 
 def _frame_at(finding: FindingView, time: float) -> tuple[int, int, float]:
-    """The frames before and after a time, and how far it is from one to the other."""
+    """Return the frames before and after a time, and the share of the time between them that has passed."""
     after = min(max(bisect_right(finding.times, time), 1), len(finding.times) - 1)
     before = max(after - 1, 0)
     span = finding.times[after] - finding.times[before]
@@ -175,7 +175,7 @@ def _trail(finding: FindingView, vehicle: int, time: float, ego: DrawnVehicle) -
 def _impact(
     finding: FindingView, ego: DrawnVehicle, vehicles: Sequence[DrawnVehicle | None], time: float
 ) -> Point | None:
-    """The point of the ego that is nearest to the centre of the NPC that it touches."""
+    """Return the point of the ego that is nearest to the centre of the NPC that it touches."""
     event = finding.event
     other = None if event.npc is None else vehicles[event.npc + 1]
     if event.kind != "collision" or other is None or time < event.time - 1e-6:

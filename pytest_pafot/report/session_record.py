@@ -1,7 +1,7 @@
-"""What came of a session, for programs: the values of ``--pafot-json``, and their text.
+"""The result of a session for programs: the values of ``--pafot-json``, and their text.
 
-No clock and no duration is in it, keys and entries are sorted: the same seed gives the same text, for any number of
-workers.
+It contains no clock time and no duration, and keys and entries are sorted: the same seed gives the same text, for any
+number of workers.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.text import quiet_json
 
 VERSION = 1
-"""Of the layout. A key that comes to it later leaves the version as it is; one that goes or changes raises it."""
+"""The version of the layout. A new key does not change it; a key that is removed or changes its meaning raises it."""
 
 NEW, ERROR = "new", "error"
-"""Of the status of a finding, beside the labels of replays: found in this session; could not be read or run."""
+"""Statuses of a finding besides the labels of replays: found in this session; could not be read or run."""
 
 RESULTS = ("", "passed", "skipped", "xfailed", "failed", "error")
-"""Of an item, the worst last; empty for one that never came to its end."""
+"""The results of an item, the worst last; empty for an item that never ended."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,38 +33,38 @@ class FindingRecord:
     """A saved scenario that was replayed, or a new finding.
 
     Attributes:
-        node_id: of the item that replays it, in this session or, where it is new, from the next one on.
+        node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
         id: name of its file without the suffix.
         test: node id of its test.
         status: `new`; the label of its replay; or `error` where it could not be read or run.
-        result: of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty where it did not come to its end.
-        file: relative to the rootdir; null where it was not saved.
-        replay: the command that shows it again.
-        headline: how the run ended, in a few words; empty where it passes.
-        sentences: on the collision: who did what, what was due or what avoids it, and who is responsible.
-        detail: what differs from the file, such as a situation that did not come up, or why there is none.
-        signature: all that makes two failures the same, in one line; of what the file was saved for.
-        kind: its short name, of which ids are made.
+        result: result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.
+        file: path relative to the rootdir; null if it was not saved.
+        replay: the command that replays it.
+        headline: how the run ended, in a few words; empty if it passes.
+        sentences: sentences on the collision: who did what, what was due or what avoids it, and who is responsible.
+        detail: what differs from the file, such as a situation that did not come up, or why there is no file.
+        signature: all that makes two failures the same, in one line; for a file the failure that it was saved for.
+        kind: short name of the signature, from which ids are made.
         failure: name of the exception class.
         assertion: the failing assertion or the name of the check.
         outcome: how the run in the file ended.
-        time: of the event in the file [s].
+        time: time of the event in the file [s].
         responsible: `ego`, `npc`, `both` or `none`.
         preventable_by: reference drivers that avoid it.
-        size: of the scenario, in words.
-        traffic: in which it is driven, in words; empty for the paper's.
-        runs: of this session's searches that failed in this way.
-        seed: of the search that found it.
-        algorithm: that found it.
-        against: the reference that passes where it fails; empty without one.
-        flaky: what differed when it was run again; null where nothing did.
-        unshrunk: why a new one is not yet as simple as it is to be; empty where it is.
-        severity: how bad the failure of this session is, of the scenario in the file: `kind`, which is `collision` or
+        size: size of the scenario, in words.
+        traffic: how the NPCs drive, in words; empty for the paper's traffic.
+        runs: number of runs of this session's searches that failed in this way.
+        seed: seed of the search that found it.
+        algorithm: algorithm that found it.
+        against: the reference that passes in this scenario; empty without a reference.
+        flaky: what differed when it was run again; null if nothing did.
+        unshrunk: why a new finding is not fully shrunk yet; empty if it is.
+        severity: how bad this session's failure is in the scenario of the file: `kind`, which is `collision` or
             `check`; `value`, the closing speed at the impact [m/s], or by how much the check is broken [`unit`], null
-            where it measured no number; `delta_v` of a collision, for equal masses [m/s]; `margin` and `name` of a
-            check. Null where it passes, and for what nothing measures.
-        severity_before: the same of the reference in this scenario, where it fails as well; null otherwise.
-        xfail: `reason` and `until` (null for good) with which the failure is accepted; null where it is not.
+            if it measured no number; `delta_v` of a collision, for equal masses [m/s]; `margin` and `name` of a check.
+            Null if it passes, or if its failure has no measure.
+        severity_before: the same for the reference in this scenario, if it fails as well; null otherwise.
+        xfail: `reason` and `until` (null for no end) of an accepted failure; null if it is not accepted.
     """
 
     node_id: str
@@ -99,7 +99,7 @@ class FindingRecord:
 
     @property
     def is_new(self) -> bool:
-        """Whether this session found it."""
+        """True if this session found it."""
         return self.status == NEW
 
     @classmethod
@@ -114,7 +114,7 @@ class FindingRecord:
         severity_before: Severity | None = None,
         **told: Any,
     ) -> Self:
-        """From a finding; what else is told are attributes of the record."""
+        """Make a record of a finding; further keyword arguments are attributes of the record."""
         expect, until = finding.expect, finding.xfail_until
         accepted = {"reason": finding.xfail, "until": None if until is None else until.isoformat()}
         return cls(
@@ -146,44 +146,44 @@ class FindingRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchRecord:
-    """A search that began, or whose item failed before.
+    """A search that began, or whose item failed before it could begin.
 
     Attributes:
-        node_id: of its item.
-        result: of its item, as of a finding.
-        message: why the item failed, in one line; empty where it did not.
-        reason: why the search ended; empty where it did not begin, or its process died.
-        algorithm: its name.
-        profile: that the defaults came from.
-        base_seed: by which it is repeated, with `--pafot-seed`.
-        seed: of this search, derived from that.
-        generations: that were finished.
-        asked: generations that were asked for; null where the runs decide.
-        budget: runs that were asked for; null where the generations decide.
-        runs: simulated scenarios.
-        shrink_runs: that were taken to simplify the findings, beside `runs`.
-        known_runs: scenarios that were not run, since an earlier run showed what they do.
+        node_id: node id of its item.
+        result: result of its item, with the same values as for a finding.
+        message: why the item failed, in one line; empty if it did not.
+        reason: why the search ended; empty if it did not begin, or its process died.
+        algorithm: name of the algorithm.
+        profile: profile that the defaults came from.
+        base_seed: seed that repeats it, with `--pafot-seed`.
+        seed: seed of this search, derived from the base seed.
+        generations: number of finished generations.
+        asked: number of requested generations; null if the number of runs is the limit.
+        budget: number of requested runs; null if the number of generations is the limit.
+        runs: number of simulated scenarios.
+        shrink_runs: number of runs that simplified the findings, in addition to `runs`.
+        known_runs: scenarios that were not run, because an earlier run showed what they do.
         failing: runs that the test rejected.
         invalid: runs in which two NPCs touched.
-        npc: runs that are no failures as the NPC is at fault.
-        unpreventable: as no reference driver avoids them.
-        common: as the reference fails as well.
-        rejected: that the test function declined.
-        skipped: in which it skipped.
+        npc: runs that are not failures because the NPC is at fault.
+        unpreventable: runs that are not failures because no reference driver avoids them.
+        common: runs that are not failures because the reference fails as well.
+        rejected: runs that the test function declined.
+        skipped: runs in which the test function skipped.
         no_interaction: runs in which no NPC came near the ego.
-        reached: share of instructions whose cell was reached; null where no run tells.
+        reached: share of instructions whose cell was reached; null if no run shows it.
         finds: ids of its new findings.
-        unsaved: runs of further findings by id, which the limit of saved ones left out.
-        known: failing runs by the id of the saved scenario that shows the same.
-        random_failing: of the random scenarios at its beginning those that failed by the ego's fault, which is a
-            collision that it answers for, alone or with the NPC.
-        random_otherwise: those of them that failed in any other way, such as by a check or an error of the ADS.
-        random_runs: all of those that say something of the ego.
-        drawn: from what the scenarios were drawn, in one line.
-        coverage: one line on the instructions that the runs came to.
-        against: the reference that failures were held against; empty without one.
-        warnings: of its health.
-        notes: anything else.
+        unsaved: number of runs by id of further findings, which were not saved because of the limit.
+        known: number of failing runs by id of the saved scenario that shows the same failure.
+        random_failing: number of the random scenarios at the beginning that failed by the ego's fault, which is a
+            collision that it answers for, alone or together with the NPC.
+        random_otherwise: number of them that failed in any other way, such as by a check or an error of the ADS.
+        random_runs: number of all random scenarios that say something about the ego.
+        drawn: what the scenarios were sampled from, in one line.
+        coverage: one line on the instructions that the runs got to.
+        against: the reference that failures were compared with; empty without a reference.
+        warnings: warnings about its health.
+        notes: any other remarks.
     """
 
     node_id: str
@@ -223,7 +223,7 @@ class SearchRecord:
 
     @classmethod
     def of(cls, summary: SearchSummary) -> Self:
-        """From the summary of a search."""
+        """Make a record of the summary of a search."""
         failing, runs = summary.random
         other = {
             "finds": [find.id for find in summary.finds],
@@ -237,13 +237,13 @@ class SearchRecord:
 
     @property
     def options(self) -> str:
-        """By which the same search is asked for."""
+        """The command-line options that request the same search."""
         given = (("generations", self.asked), ("runs", self.budget), ("seed", self.base_seed))
         return " ".join(f"--pafot-{name}={value}" for name, value in given if value is not None)
 
     @property
     def began(self) -> bool:
-        """Whether it ran, and told so at its end."""
+        """True if the search ran and reported its end."""
         return bool(self.reason)
 
 
@@ -252,11 +252,11 @@ class OrphanRecord:
     """A folder of saved scenarios that no test runs.
 
     Attributes:
-        folder: relative to the rootdir.
-        files: how many saved scenarios are in it.
-        expected: the test that it is of, and what is there in its place.
+        folder: path relative to the rootdir.
+        files: number of saved scenarios in it.
+        expected: the test that it belongs to, and what is there instead.
         way_out: where the files may belong now, and how to remove them.
-        is_gone: whether neither the module nor the function is there any more, by which a session under CI fails.
+        is_gone: whether the module or the function no longer exists, which makes a session under CI fail.
     """
 
     folder: str
@@ -268,18 +268,18 @@ class OrphanRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionRecord:
-    """A session.
+    """The record of a whole session.
 
     Attributes:
-        exit: pytest's exit code; null as long as the session runs, and for ever where its process was killed.
-        versions: of the packages that decide how a run goes.
+        exit: pytest's exit code; null while the session runs, and forever if its process was killed.
+        versions: versions of the packages that decide how a run goes.
         searches: in the order of node ids.
         findings: saved scenarios that were replayed, and new findings, in the order of node ids.
         rates: a sentence for each test that counted crashes in ordinary traffic.
-        merged: what `--pafot-merge` told of each test, and where it failed, why.
+        merged: result of `--pafot-merge` for each test, and the reason if it failed.
         orphans: folders of saved scenarios that no test runs any more, in the order of their paths.
-        warnings: of saved scenarios that are no longer accepted, or that fail in the same way.
-        problems: anything that went wrong beside the tests.
+        warnings: warnings about saved scenarios that are no longer accepted, or that fail in the same way.
+        problems: anything that went wrong outside the tests.
     """
 
     exit: int | None = None
@@ -294,20 +294,20 @@ class SessionRecord:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing in the session concerned this plugin."""
+        """True if nothing in the session concerned this plugin."""
         return not any((self.searches, self.findings, self.rates, self.merged, self.orphans, self.problems))
 
 
 def to_text(record: SessionRecord) -> str:
-    """A record as JSON, keys sorted."""
+    """Write a record as JSON with sorted keys."""
     return quiet_json(json.dumps({"pafot_json": VERSION, **asdict(record)}, indent=2, sort_keys=True)) + "\n"
 
 
 def command_for(what: str, *options: str) -> str:
-    """The command that replays a file, or that searches again for a node id."""
+    """Return the command that replays a file, or that repeats the search of a node id."""
     return shlex.join(["python", "-m", "pytest", what, *options])
 
 
 def worst(results: Iterable[str]) -> str:
-    """The result of an item from those of its phases."""
+    """Return an item's result, the worst result of its phases."""
     return max(results, key=RESULTS.index, default="")

@@ -1,4 +1,4 @@
-"""The report of a session: what it has told so far, in which order that is shown, and in which files it is written."""
+"""The report of a session: it collects what the items report, sorts it, and writes it to files."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ PAGE = "index.html"
 
 @dataclass(slots=True, kw_only=True)
 class Draft:
-    """What is known so far of what a report will show at the option's target.
+    """The known part of the report that will be written to the option's target.
 
-    Findings, searches and what has drifted are kept by node id, the number of replays by label, and base seeds as they
-    came.
+    Findings, searches and details of drifted scenarios are stored by node id, the number of replays by label, and base
+    seeds in the order in which they arrived.
     """
 
     target: str
@@ -41,7 +41,7 @@ class Draft:
     seeds: dict[int, None] = field(default_factory=dict)
 
     def take(self, data: Mapping[str, Any], finding: FindingView | None, campaign: CampaignView | None) -> None:
-        """Add what an item tells."""
+        """Add what an item reports."""
         if finding is not None:
             self.findings[finding.node_id] = finding
         if campaign is not None:
@@ -54,13 +54,13 @@ class Draft:
     def report(
         self, *, project: str, command: str, findings: Iterable[FindingView], errors: Errors, is_interrupted: bool
     ) -> Report:
-        """The report, in an order that does not depend on who was first.
+        """Return the report, in an order that does not depend on which item was first.
 
-        The findings are those of the draft, with what is known at the end.
+        The findings are those of the draft, updated with what is known at the end.
         """
         ranked = sorted(findings, key=_rank)
         tests = list(dict.fromkeys(finding.test for finding in ranked))
-        ordered = tuple(sorted(ranked, key=lambda finding: tests.index(finding.test)))  # those of a test together
+        ordered = tuple(sorted(ranked, key=lambda finding: tests.index(finding.test)))  # groups them by test
         return Report(
             title=f"{project}: {_counts(ordered, errors)}",
             facts=tuple(self._facts(is_interrupted=is_interrupted)),
@@ -73,7 +73,7 @@ class Draft:
 
     def _facts(self, *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
         if is_interrupted:
-            yield "session", "interrupted; what ran until then is here"
+            yield "session", "interrupted; this report has what ran before that"
         if self.seeds:
             yield "base seed" if len(self.seeds) == 1 else "base seeds", ", ".join(map(str, self.seeds))
         if self.replayed:
@@ -86,9 +86,10 @@ class Draft:
 
 
 def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
-    """Write a report to a path, the target's absolute one; a line on what is there, and one on what is not, or empty.
+    """Write a report to a path, the target's absolute one; return a line on what was written, and one on problems.
 
-    After an interrupt there are no pictures: they take seconds each, a page does not.
+    The second line is empty if there is no problem. After an interrupt there are no pictures, because each of them
+    takes seconds and a page does not.
     """
     is_file = is_page_file(target)
     files = iter([("", render_page(report).encode())]) if is_file else report_files(report)
@@ -100,20 +101,20 @@ def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
             pictures += name.endswith(".png")
     except OSError as error:
         reason = f"{error.strerror or error}: {error.filename or path}"
-        return "", f"--pafot-report={target}: not written: {reason}; name another place"
+        return "", f"--pafot-report={target}: not written: {reason}; choose a different path"
     except AnimationError as error:
         missing = f": {error}"
     shown = target if is_file else os.path.join(target, PAGE)  # noqa: PTH118
     more = f", {plural(pictures, 'moving picture')}" if pictures else ""
-    problem = f"--pafot-report={target}: the page is there, pictures are not{missing}" if missing else ""
+    problem = f"--pafot-report={target}: the page was written, but not all pictures{missing}" if missing else ""
     return f"report: {shown} ({_counts(report.findings, report.errors)}{more})", problem
 
 
 def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
-    """Name and content of each file of a folder: the page, then a moving picture of each finding that somebody saw.
+    """Yield name and content of each file of a folder: the page, then a moving picture of each finding with a run.
 
     Raises:
-        AnimationError: when a picture is due and Pillow is missing; the page has been given by then.
+        AnimationError: if a picture is due and Pillow is missing; the page has been yielded before.
     """
     yield PAGE, render_page(report).encode()
     for key, finding in zip(finding_keys(report.findings), report.findings, strict=True):
@@ -122,12 +123,12 @@ def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
 
 
 def _rank(finding: FindingView) -> tuple[Any, ...]:
-    """New before known, by responsibility, the worst first, then the most frequent."""
+    """Return the sort key: new before known, then by responsibility, then the worst first, then the most frequent."""
     worst = worst_first(finding.responsibility, finding.severity)
     return not finding.label.startswith(NEW), *worst, -finding.runs, finding.node_id
 
 
 def _counts(findings: Sequence[object], errors: Sequence[object]) -> str:
-    """Errors first; without any, findings alone."""
+    """Count errors first; without errors, only findings."""
     found = plural(len(findings), "finding")
     return f"{plural(len(errors), 'error')}, {found}" if errors else found

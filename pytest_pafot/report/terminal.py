@@ -1,7 +1,7 @@
-"""What the terminal says: progress, each find, why a search fails, and at the end the summary of the session.
+"""The plugin's text in the terminal: progress, each finding, why a search fails, and the summary of the session.
 
-Pure functions from values to lines of plain ASCII, as wide as the terminal at most but for node ids, paths and the
-user's own words.
+All functions are pure: they turn values into lines of plain ASCII that fit the terminal's width, except for node ids,
+paths and the user's own words.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from pytest_pafot.support.text import ascii_text, fitted_lines, plural, wrapped_
 
 WIDTH = 80
 MAX_FINDS = 20
-"""Finds that are listed one by one."""
+"""New findings that are listed one by one."""
 
 MAX_NAMED = 3
-"""Finds that one line names."""
+"""New findings that one line names."""
 
 MAX_REPLAYS = 10
-"""Replays that are listed one by one, of those that do not fail as before."""
+"""Replays that are listed one by one, among those that do not fail as before."""
 
 _BESIDE: Mapping[ReferenceOutcome, str] = {
     "avoids": "",
@@ -38,25 +38,25 @@ _BESIDE: Mapping[ReferenceOutcome, str] = {
     "at-fault": " (at fault)",
     "fails": " (fails too)",
 }
-"""What is said beside the names of reference drivers."""
+"""Remarks next to the names of reference drivers."""
 
 LEFT_ALONE = (
-    "left alone: --pafot-prune removes files whose line `test:` names a test of this rootdir and of that folder, and "
-    "follows no link; delete the others by hand"
+    "not removed: --pafot-prune removes only files whose line `test:` names a test of this rootdir and of that folder, "
+    "and it follows no link; delete the others by hand"
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplaySummary:
-    """How an item's replay went: ``fixed``, ``still failing``, ``drifted`` or ``flaky``; what differs, or empty.
+    """The result of an item's replay: ``fixed``, ``still failing``, ``drifted`` or ``flaky``, and what differs.
 
-    Beside a reference ``against`` which it was run, also ``introduced``, ``common`` or ``fixed before``.
+    If it was run against a reference, the label may also be ``introduced``, ``common`` or ``fixed before``.
 
     Attributes:
-        id: of the finding where it fails and is not accepted; empty otherwise.
-        severity: of that failure; None where nothing measures it.
-        responsible: for the collision, as in the file.
-        worse: which finding is worse than in the reference, and by how much; empty where it is not.
+        id: id of the finding if it fails and is not accepted; otherwise empty.
+        severity: severity of that failure; None if it has no measure.
+        responsible: who is responsible for the collision, as in the file.
+        worse: which finding is worse than in the reference, and by how much; empty if it is not worse.
     """
 
     node_id: str
@@ -71,17 +71,17 @@ class ReplaySummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionSummary:
-    """Everything that the summary of a session shows.
+    """Everything that the summary of a session contains.
 
     Attributes:
         searches, replays: in the order in which they ended.
         orphans: folders of saved scenarios whose test is gone, with their number of files and the way out.
-        removed: folders from which such files were removed, with how many.
-        pruned: whether they were to be removed.
-        strays: saved scenarios that lie in no folder of a test, each with where it should be.
-        unmerged: folders of other corpora that were not merged, each with why.
+        removed: folders from which such files were removed, with the number of files.
+        pruned: whether the user requested their removal.
+        strays: saved scenarios that are in no test's folder, each with the path where it should be.
+        unmerged: folders of other corpora that were not merged, each with the reason.
         interrupted: node ids of searches that began and did not end.
-        warnings: of saved scenarios that are no longer accepted, or that fail in the same way.
+        warnings: warnings about saved scenarios that are no longer accepted, or that fail in the same way.
     """
 
     searches: Sequence[SearchSummary] = ()
@@ -99,7 +99,7 @@ class SessionSummary:
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
-    """One line, cut at the left of the node id, and at the end where even that does not make it fit."""
+    """Return one line of progress, with the node id shortened at its start, and the end cut if it is still too long."""
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
     counts = [f"{progress.generation}/{progress.generations} generations"] if progress.generations is not None else []
     counts += [plural(progress.runs, "run") if progress.budget is None else f"{progress.runs}/{progress.budget} runs"]
@@ -112,7 +112,7 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
 
 
 def found_lines(find: Find, width: int = WIDTH) -> list[str]:
-    """Told the moment it is found; its file is there by then."""
+    """Return the lines for a new finding at the moment it is found; its file already exists."""
     lines = [ascii_text(f"pafot: found {find.node_id}"), *_wrapped(find.summary, width)]
     return lines if find.path else [*lines, *_wrapped(f"not saved: {find.problem}", width)]
 
@@ -120,10 +120,10 @@ def found_lines(find: Find, width: int = WIDTH) -> list[str]:
 def find_section(
     find: Find, *, explanation: str, content: str, details: Sequence[str] = (), advice: str = "", width: int = WIDTH
 ) -> str:
-    """The section of a find's own report: what its failure's message does not say.
+    """Return the section of a new finding's own report, with everything that its failure message does not contain.
 
-    The explanation of the run is empty where the message has it, and the content that of a file that could not be
-    written. Each of the details has a title of up to ten letters; the advice follows from the find's remark.
+    The explanation of the run is empty if the message contains it. The content is that of a file that could not be
+    written. Each of the details begins with a title of at most ten letters; the advice follows the finding's remark.
     """
     lines = [*explanation.splitlines(), *details]
     lines += [f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else []
@@ -135,7 +135,7 @@ def find_section(
 
 
 def simplified_lines(finding: Finding) -> list[str]:
-    """The size of a find before and after, which reference drivers would have prevented it, when, with what sight."""
+    """Describe a new finding's size before and after, the reference drivers that prevent it, when, with what sight."""
     lines: list[str] = []
     if finding.shrunk is not None:
         longest = finding.longest_run
@@ -149,7 +149,7 @@ def simplified_lines(finding: Finding) -> list[str]:
 
 
 def prevention_text(expect: Expect) -> str:
-    """Which reference drivers would have prevented a finding, and what became of the others; empty without any."""
+    """Say which reference drivers would have prevented a finding, and how the others ended; empty without any."""
     clauses: list[str] = []
     for outcome, beside in _BESIDE.items():
         names = [name for name, became in expect.reference_drivers.items() if became == outcome]
@@ -160,7 +160,7 @@ def prevention_text(expect: Expect) -> str:
 
 
 def effort_lines(finding: Finding) -> list[str]:
-    """How many runs shrinking took, and the speeds that still fail."""
+    """Return how many runs shrinking took, and the speeds that still fail."""
     if finding.shrunk is None:
         return []
     still = [f"still      {sentence}" for sentence in speed_sentences(finding)]
@@ -168,7 +168,7 @@ def effort_lines(finding: Finding) -> list[str]:
 
 
 def speed_sentences(finding: Finding) -> list[str]:
-    """What is known of the speeds at which the scenario still fails."""
+    """Return sentences on the speeds at which the scenario still fails."""
     sentences = []
     for interval in () if finding.shrunk is None else finding.shrunk.speeds:
         gene = finding.scenario.npcs[interval.npc][interval.gene]
@@ -183,23 +183,23 @@ def speed_sentences(finding: Finding) -> list[str]:
 
 
 def failure_line(search: SearchSummary) -> str:
-    """Why a searching item fails, in one line."""
+    """Return in one line why a searching item fails."""
     ids = [*(find.id for find in _worst_first(search.finds)), *search.unsaved]
     return f"{plural(len(ids), 'new finding')}: {_listed(ids, MAX_NAMED)}"
 
 
 def _worst_first(finds: Iterable[Find]) -> list[Find]:
-    """Return finds of one search in the order in which all lists have them."""
+    """Sort the new findings of one search in the order that all lists use."""
     return sorted(finds, key=lambda each: (*worst_first(each.responsible, each.severity), -each.repeats, each.node_id))
 
 
 def failure_message(search: SearchSummary) -> str:
-    """Why a searching item fails: its new finds, each of which is reported as an item of its own."""
+    """Return why a searching item fails: its new findings, each of which is also reported as a separate item."""
     firm, flaky = [], []
     for find in _worst_first(search.finds):
         name = f"{find.id} ({plural(1 + find.repeats, 'run')}{'' if find.severity is None else f', {find.severity}'})"
         if find.is_flaky:
-            flaky.append(f"  {name} is flaky, so never called fixed: {find.difference}")
+            flaky.append(f"  {name} is flaky, so it is never reported as fixed: {find.difference}")
         else:
             firm.append(name)
     count = plural(len(search.finds) + len(search.unsaved), "new finding")
@@ -208,7 +208,7 @@ def failure_message(search: SearchSummary) -> str:
 
 
 def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
-    """A search in the summary: three lines when it is well, more where there is something to say."""
+    """Summarise a search: three lines if all is well, more if there is something to report."""
     done = [f"{search.generations} of {plural(search.asked, 'generation')}"] if search.asked is not None else []
     done += [f"{search.runs} of {plural(search.budget, 'run')}"] if search.budget is not None else []
     origin = (
@@ -219,7 +219,7 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
     failing, random = search.random
     if random:
         share = interval_text(failing, random)
-        others = f"; {search.random_otherwise} failed otherwise" if search.random_otherwise else ""
+        others = f"; {search.random_otherwise} failed in other ways" if search.random_otherwise else ""
         texts.append(f"random scenarios: {failing} of {random} failed by the ego's fault, {share}{others}")
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
@@ -247,7 +247,7 @@ def _figures(search: SearchSummary) -> str:
 
 
 def _find_lines(search: SearchSummary) -> list[str]:
-    """How many finds there are, and where they lie; their own reports say which."""
+    """Say how many new findings there are and in which folder; their own reports name them."""
     if not search.finds and not search.unsaved:
         return []
     folders = dict.fromkeys(os.path.dirname(find.path) for find in search.finds if find.path)  # noqa: PTH120
@@ -266,7 +266,7 @@ def _unsaved_lines(search: SearchSummary) -> list[str]:
 
 
 def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[str]:
-    """All replays: a count by label, then those that a reader should look at."""
+    """Return the lines on all replays: a count by label, then the replays that a reader should look at."""
     if not replays:
         return []
     counts = sorted(Counter(replay.label for replay in replays).items())
@@ -280,7 +280,7 @@ def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[s
 
 
 def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
-    """What changes from each reference to the policy: new finds, and saved scenarios by their labels."""
+    """Say for each reference what the policy changes: new findings, and saved scenarios by label."""
     lines = []
     names = [*(each.against for each in session.searches), *(each.against for each in session.replays)]
     for name in filter(None, dict.fromkeys(names)):
@@ -297,9 +297,9 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
 
 
 def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
-    """Return all failures of a session, the worst first: new ones, then known ones; empty below two of them.
+    """Return all failures of a session if there are at least two, the worst first: new ones, then known ones.
 
-    In each of the two, what the ego answers for comes first.
+    In each of the two groups, failures that the ego answers for are first.
     """
     listed: list[tuple[tuple[Any, ...], str]] = []
     for find in (find for search in session.searches for find in search.finds):
@@ -316,7 +316,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
 
 
 def _measured(label: str, failure: Find | ReplaySummary) -> str:
-    """Return what a failure is called, how bad it is, and whether the ego answers for it."""
+    """Return a failure's label and id, how bad it is, and whether the ego answers for it."""
     if failure.severity is None:
         return f"{label}: {failure.id} has no measure"
     who = f", {failure.responsible} at fault" if failure.severity.is_fault(failure.responsible) else ""
@@ -324,29 +324,29 @@ def _measured(label: str, failure: Find | ReplaySummary) -> str:
 
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
-    """The whole summary; empty when there is nothing to tell."""
+    """Return the whole summary; empty if there is nothing to report."""
     lines: list[str] = []
     for search in session.searches:
         lines += search_lines(search, verbose=verbose, width=width)
     for node_id in session.interrupted:
-        lines += [node_id, *_wrapped("ended before its time; what it found is reported", width)]
+        lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
     lines += [*replay_lines(session.replays, width), *against_lines(session, width), *worst_lines(session, width)]
     for folder, count in session.removed:
-        lines.append(f"removed: {plural(count, 'saved scenario')} of no test in {folder}")
+        lines.append(f"removed: {plural(count, 'saved scenario')} without a test in {folder}")
     for way_out, orphans in groupby(session.orphans, key=lambda orphan: LEFT_ALONE if session.pruned else orphan[2]):
         for folder, count, _ in orphans:
-            lines.append(f"orphaned: {plural(count, 'saved scenario')} of no test in {folder}")
+            lines.append(f"orphaned: {plural(count, 'saved scenario')} without a test in {folder}")
         lines += _wrapped(way_out, width)
     for file, place in session.strays:
-        lines.append(f"not run: {file}, which lies in no folder of a test; move it to {place}")
+        lines.append(f"not run: {file} is in no test's folder; move it to {place}")
     lines += [f"not merged: {folder}: {why}" for folder, why in session.unmerged]
     if any(find.path for search in session.searches for find in search.finds):
-        lines.append("a saved scenario runs alone with: pytest FILE")
+        lines.append("run a single saved scenario with: pytest FILE")
     lines += [line for text in session.written for line in text.splitlines()]
     for kind, texts in (("warning", session.warnings), ("note", session.notes), ("problem", session.problems)):
         for text in texts:
             lines += _wrapped(f"{kind}: {text}", width)
-    return list(map(ascii_text, lines))  # whatever names and texts are in them, each is one line
+    return list(map(ascii_text, lines))  # escapes names and texts, so that each stays on one line
 
 
 def _listed(names: Sequence[str], limit: int = MAX_FINDS) -> str:

@@ -31,7 +31,7 @@ def test_all_scenarios_of_a_random_search_are_counted_that_say_something_of_the_
     told = " ".join(search_lines(found.summary))
     by_npcs = sum(each.run.responsibility == "npc" for each in valid)
     assert by_npcs == found.summary.random_otherwise > 0
-    assert f" %); {by_npcs} failed otherwise" in told
+    assert f" %); {by_npcs} failed in other ways" in told
     assert f"random scenarios: {len(at_fault)} of {len(valid)} failed by the ego's fault, " in told
 
 
@@ -57,7 +57,7 @@ def test_a_failed_check_is_no_fault_of_the_ego_unless_it_caused_a_collision(hold
     assert found.summary.random_otherwise == len(runs) - collided > 0
     told = " ".join(search_lines(found.summary))
     assert " failed by the ego's fault, " in told
-    assert told.count(f"; {len(runs) - collided} failed otherwise") == 1
+    assert told.count(f"; {len(runs) - collided} failed in other ways") == 1
 
 
 def test_a_search_that_ended_for_its_findings_before_it_ran_all_of_them_says_nothing_of_their_share():

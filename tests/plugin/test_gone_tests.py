@@ -44,7 +44,7 @@ def test_a_renamed_test_fails_only_a_strict_session(saved, monkeypatch, tmp_path
     saved.write(RENAMED)
     result = replay(saved)
     assert result.ret == 0
-    result.stdout.fnmatch_lines([f"orphaned: 1 saved scenario of no test in {FOLDER}", "*--pafot-prune"])
+    result.stdout.fnmatch_lines([f"orphaned: 1 saved scenario without a test in {FOLDER}", "*--pafot-prune"])
     assert is_red(replay(saved, "--pafot-strict-health"))
     summary = tmp_path_factory.mktemp("job") / "summary.md"
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
@@ -160,7 +160,7 @@ class TestClass:
     project.write(source.replace('"a b", ', ""))
     result = replay(project)
     assert not is_red(result)
-    result.stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in *"])
+    result.stdout.fnmatch_lines(["orphaned: 1 saved scenario without a test in *"])
     project.write("pytest.importorskip('nothing_of_this_name')\n" + source)
     assert replay(project).ret in (0, 5)
     project.write("import nothing_of_this_name\n" + source)

@@ -135,7 +135,7 @@ def test_the_summary_of_a_job_says_that_a_merge_failed_and_calls_it_no_search(fa
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
     merge(failing, other).assert_outcomes(failed=1)
     lines = summary.read_text().splitlines()
-    assert lines[2:6] == ["No search was asked for.", "", "**Merged**", ""]
+    assert lines[2:6] == ["No search was requested.", "", "**Merged**", ""]
     assert lines[6].startswith("- failed: test\\_it.py::test\\_fails\\[search\\]: ")
     assert "expected the format version 2, received 99" in lines[6]
 

@@ -6,7 +6,7 @@ def test_a_renamed_test_leaves_an_orphan_that_is_reported_and_kept(saved):
     result = saved.run()
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(
-        ["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails", "*--pafot-prune"]
+        ["orphaned: 1 saved scenario without a test in pafot_corpus/test_it/test_fails", "*--pafot-prune"]
     )
     assert saved.files
 
@@ -14,7 +14,7 @@ def test_a_renamed_test_leaves_an_orphan_that_is_reported_and_kept(saved):
 def test_a_renamed_module_leaves_an_orphan(saved):
     saved.write("def test_other():\n    pass\n", name="test_other")
     (saved.path / "test_it.py").unlink()
-    saved.run().stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails"])
+    saved.run().stdout.fnmatch_lines(["orphaned: 1 saved scenario without a test in pafot_corpus/test_it/test_fails"])
 
 
 METHOD = """
@@ -46,7 +46,7 @@ def test_it(run, limit):
     project.run_once()
     project.write(source.replace("[1, 2]", "[2]"))
     project.run(generations=0).stdout.fnmatch_lines(
-        ["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_it@1"]
+        ["orphaned: 1 saved scenario without a test in pafot_corpus/test_it/test_it@1"]
     )
 
 
@@ -59,7 +59,7 @@ def test_files_that_lie_too_high_are_told_with_the_folder_where_they_should_be(s
     result = saved.run(generations=0)
     result.assert_outcomes(skipped=1)
     assert sorted(told(result)) == [
-        f"{name}, which lies in no folder of a test; move it to pafot_corpus/test_it/test_fails" for name in saved.files
+        f"{name} is in no test's folder; move it to pafot_corpus/test_it/test_fails" for name in saved.files
     ]
     saved.forget()
     home.write_text(text)
@@ -81,7 +81,7 @@ def test_a_file_in_a_folder_above_its_test_is_told_and_one_elsewhere_is_not_look
     for folder in ("safety", "notes"):
         (saved.path / folder / "a.pafot.yaml").write_text(content)
     place = "safety/near/pafot_corpus/test_it/test_fails"
-    expected = [f"safety/a.pafot.yaml, which lies in no folder of a test; move it to {place}"]
+    expected = [f"safety/a.pafot.yaml is in no test's folder; move it to {place}"]
     assert told(saved.run(generations=0)) == expected
     assert told(saved.run("--pafot-corpus", saved.path / "all", generations=0)) == [
         expected[0].replace(place, "all/safety/near/test_it/test_fails")
@@ -92,8 +92,8 @@ def test_files_that_lie_too_high_and_name_no_collected_test_are_told(failing):
     (failing.path / "a.pafot.yaml").write_text("test: test_old.py::test_it")
     (failing.path / "b.pafot.yaml").write_text("")
     assert told(failing.run(generations=0)) == [
-        "a.pafot.yaml, which lies in no folder of a test; move it to the folder of test_old.py::test_it",
-        "b.pafot.yaml, which lies in no folder of a test; move it to the folder of its test",
+        "a.pafot.yaml is in no test's folder; move it to the folder of test_old.py::test_it",
+        "b.pafot.yaml is in no test's folder; move it to the folder of its test",
     ]
 
 
@@ -161,7 +161,7 @@ def test_prune_removes_orphans_and_nothing_else(project):
     project.run_once()
     project.write(source)
     result = project.run("--pafot-prune", generations=0)
-    result.stdout.fnmatch_lines(["removed: 1 saved scenario of no test in pafot_corpus/test_it/test_b"])
+    result.stdout.fnmatch_lines(["removed: 1 saved scenario without a test in pafot_corpus/test_it/test_b"])
     assert [name.split("/")[2] for name in project.files] == ["test_a"]
 
 
@@ -177,5 +177,5 @@ def test_prune_spares_what_lies_below_a_file_that_lies_too_high(project):
     result = project.run("--pafot-corpus", corpus, "--pafot-prune", generations=0)
     assert set(files) < set(project.files)
     assert told(result) == [
-        "all/tests/test_low/a.pafot.yaml, which lies in no folder of a test; move it to all/tests/test_low/test_fails"
+        "all/tests/test_low/a.pafot.yaml is in no test's folder; move it to all/tests/test_low/test_fails"
     ]

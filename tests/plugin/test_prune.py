@@ -39,7 +39,7 @@ def test_a_session_that_only_collects_removes_nothing(orphaned):
 
 
 def left_alone(result):
-    result.stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in *", "  left alone: *"])
+    result.stdout.fnmatch_lines(["orphaned: 1 saved scenario without a test in *", "  not removed: *"])
     result.stdout.no_fnmatch_line("removed: *")
 
 
@@ -48,7 +48,7 @@ def test_what_is_removed_is_listed_before_it_goes_and_empty_folders_go_with_it(o
     result = prune(orphaned)
     name = file.relative_to(orphaned.path).as_posix()
     result.stdout.fnmatch_lines(
-        ["pafot: --pafot-prune removes", f"  {name}", "removed: 1 saved scenario of no test in *test_gone"]
+        ["pafot: --pafot-prune removes", f"  {name}", "removed: 1 saved scenario without a test in *test_gone"]
     )
     assert not file.parent.exists()
     assert len(orphaned.files) == 1
@@ -71,7 +71,9 @@ def test_a_file_that_cannot_be_removed_is_a_problem_with_the_way_out(orphaned, m
 def test_the_workers_of_pytest_xdist_remove_the_same(orphaned):
     file = gone(orphaned)
     result = orphaned.run("--pafot-prune", "-n2", generations=0)
-    result.stdout.fnmatch_lines(["pafot: --pafot-prune removes", "removed: 1 saved scenario of no test in *test_gone"])
+    result.stdout.fnmatch_lines(
+        ["pafot: --pafot-prune removes", "removed: 1 saved scenario without a test in *test_gone"]
+    )
     assert not file.parent.exists()
 
 
@@ -79,7 +81,7 @@ def test_notes_beside_orphans_stay(orphaned):
     file = gone(orphaned)
     notes = file.with_name("NOTES.md")
     notes.write_text("why this happens")
-    prune(orphaned).stdout.fnmatch_lines(["removed: 1 saved scenario of no test in *"])
+    prune(orphaned).stdout.fnmatch_lines(["removed: 1 saved scenario without a test in *"])
     assert list(file.parent.iterdir()) == [notes]
     again = prune(orphaned)
     assert "orphaned" not in again.stdout.str()
@@ -95,7 +97,7 @@ def test_files_that_name_a_test_of_another_folder_stay(orphaned):
     file.unlink()
     before = orphaned.contents
     result = prune(orphaned)
-    result.stdout.fnmatch_lines(["orphaned: 4 saved scenarios of no test in *", "  left alone: *"])
+    result.stdout.fnmatch_lines(["orphaned: 4 saved scenarios without a test in *", "  not removed: *"])
     result.stdout.no_fnmatch_line("removed: *")
     assert orphaned.contents == before
 
@@ -150,7 +152,7 @@ def test_finds_of_another_project_in_the_same_absolute_corpus_stay(orphaned, tmp
     orphaned.write("def test_other():\n    pass\n", name="tests/test_other")
     result = prune(orphaned, f"--pafot-corpus={shared}")
     result.stdout.fnmatch_lines(
-        ["removed: 1 saved scenario of no test in *test_it/test_gone", "orphaned: *", "  left alone: *"]
+        ["removed: 1 saved scenario without a test in *test_it/test_gone", "orphaned: *", "  not removed: *"]
     )
     assert all(any(folder.iterdir()) for folder in others)
     assert not (shared / "test_it" / "test_gone").exists()

@@ -147,7 +147,7 @@ def test_a_page_that_cannot_be_written_is_one_line_and_changes_no_result(failing
     result.assert_outcomes(failed=2)
     text = " ".join(result.stdout.str().split())
     assert "problem: --pafot-report=taken/report.html: not written: " in text
-    assert "name another place" in text
+    assert "choose a different path" in text
     assert "Traceback" not in text
 
 
@@ -257,7 +257,7 @@ def test_a_page_without_findings_says_whether_the_search_was_whole(project, page
 def test_a_search_that_time_cut_says_so_on_the_page(project, page):
     project.write("@pafot.search(SHORT)\ndef test_drive(run):\n    pass\n")
     project.run("--pafot-report=report.html", "--pafot-max-time=0")
-    assert "No findings until time was over." in page.read_text(encoding="utf-8")
+    assert "No findings until time ran out." in page.read_text(encoding="utf-8")
 
 
 def test_known_failures_whose_scenarios_did_not_run_are_not_taken_for_a_property_that_was_kept(project, page):

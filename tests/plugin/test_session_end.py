@@ -134,5 +134,5 @@ def test_an_interrupted_session_does_not_wait_for_pictures(project):
     result = project.run("--pafot-report=x/", no_reraise_ctrlc=True)
     assert [path.name for path in (project.path / "x").iterdir()] == ["index.html"]
     text = text_of(result)
-    assert "the page is there, pictures are not, after an interrupt" in text
+    assert "the page was written, but not all pictures, after an interrupt" in text
     assert "FAILED test_it.py::test_fails[saved-" in text

@@ -262,7 +262,7 @@ def test_brakes(run):
 """
     )
     result = run(project)
-    result.stdout.fnmatch_lines(["  * is flaky, so never called fixed: *", "*(flaky: running it*"])
+    result.stdout.fnmatch_lines(["  * is flaky, so it is never reported as fixed: *", "*(flaky: running it*"])
     result.stdout.fnmatch_lines(
         [
             "note       flaky: running it again gave another run; it does not repeat, so it is not shrunk; the ADS "
@@ -294,7 +294,7 @@ def test_brakes(run):
     )
     result = run(project)
     assert load(project.only_file).flaky.startswith("in highway-env's own environment: ")
-    result.stdout.fnmatch_lines(["  * is flaky, so never called fixed: *"])
+    result.stdout.fnmatch_lines(["  * is flaky, so it is never reported as fixed: *"])
 
 
 def test_a_flaky_file_that_passes_is_called_flaky(collides):

@@ -100,7 +100,7 @@ def test_an_ads_that_swallows_its_interruption_ends_the_session_with_a_summary(h
             "*test_it.py::test_it?search?: a decision of the ADS exceeds the hang limit*",
             "*in pause*",
             "*AssertionError: what was found*",
-            "*ended before its time; what it found is reported*",
+            "*ended early; its findings are reported*",
             "FAILED test_it.py::test_it[[]search[]]*",
             "*the ADS hangs in test_it.py::test_it?search?*",
         ]

@@ -74,7 +74,7 @@ def test_workers_report_a_file_that_lies_too_high_once(project):
     project.write(TWO)
     (project.path / "a.pafot.yaml").write_text("test: test_it.py::test_second")
     result = project.run("-n2", generations=0)
-    expected = "not run: a.pafot.yaml, which lies in no folder of a test; move it to pafot_corpus/test_it/test_second"
+    expected = "not run: a.pafot.yaml is in no test's folder; move it to pafot_corpus/test_it/test_second"
     assert result.stdout.lines.count(expected) == 1
 
 

@@ -39,7 +39,7 @@ def test_what_is_found_known_and_fixed_is_counted_and_listed_with_how_to_replay_
         == """\
 ### pafot: 1 new, 1 still failing, 1 fixed
 
-1 search, 40 runs; again with `--pafot-runs=40 --pafot-seed=5`.
+1 search, 40 runs; repeat with `--pafot-runs=40 --pafot-seed=5`.
 
 **New**
 
@@ -85,14 +85,14 @@ def test_where_nothing_is_found_it_says_so_in_two_lines():
     assert markdown(SessionRecord(searches=[search()])).splitlines() == [
         "### pafot: nothing new",
         "",
-        "1 search, 40 runs; again with `--pafot-runs=40 --pafot-seed=5`.",
+        "1 search, 40 runs; repeat with `--pafot-runs=40 --pafot-seed=5`.",
     ]
 
 
 def test_what_is_accepted_comes_with_its_reason_and_last_day():
     accepted = finding(status="still failing", result="xfailed", xfail={"reason": "issue 12", "until": "2027-01-31"})
     text = markdown(SessionRecord(findings=[accepted]))
-    assert text.startswith("### pafot: nothing new, 1 accepted\n\nNo search was asked for.\n\n**Accepted for now**\n")
+    assert text.startswith("### pafot: nothing new, 1 accepted\n\nNo search was requested.\n\n**Accepted for now**\n")
     assert "collision after 5.4 s; accepted until 2027-01-31: issue 12\n" in text
 
 

@@ -82,7 +82,7 @@ def test_the_facts_are_the_interrupt_the_replays_by_label_and_the_versions():
     for label in ("fixed", "still failing", "fixed"):
         draft.take({"replayed": label}, None, None)
     facts = dict(report_of(draft, is_interrupted=True).facts)
-    assert facts["session"] == "interrupted; what ran until then is here"
+    assert facts["session"] == "interrupted; this report has what ran before that"
     assert facts["replayed"] == "3 saved scenarios: 2 fixed, 1 still failing"
     assert {"pytest-pafot", "highway-env", "numpy", "written"} <= set(facts)
     assert "base seed" not in facts
@@ -108,7 +108,7 @@ def test_without_what_draws_pictures_the_page_of_a_folder_is_written_and_the_res
     monkeypatch.setattr("pytest_pafot.report.session_report.animate", fail)
     written, problem = write_report("x/", tmp_path / "x", Report(title="t", findings=(shown(),)))
     assert written == "report: x/index.html (1 finding)"
-    assert problem == "--pafot-report=x/: the page is there, pictures are not: install Pillow"
+    assert problem == "--pafot-report=x/: the page was written, but not all pictures: install Pillow"
     assert [path.name for path in (tmp_path / "x").iterdir()] == ["index.html"]
 
 
@@ -117,4 +117,4 @@ def test_a_report_that_cannot_be_written_says_why_and_what_to_do(tmp_path):
     written, problem = write_report("x/", tmp_path / "x", Report(title="t"))
     assert written == ""
     assert problem.startswith("--pafot-report=x/: not written: ")
-    assert problem.endswith("; name another place")
+    assert problem.endswith("; choose a different path")

@@ -191,13 +191,13 @@ def test_replays_are_counted_by_label_and_listed_unless_they_fail_as_before():
 def test_orphans_say_what_to_do_removed_ones_that_they_are_gone_and_others_why_they_are_left_alone():
     orphan = ("corpus/test_a", 2, "or remove them with --pafot-prune")
     kept = terminal.session_lines(SessionSummary(orphans=[orphan]))
-    assert kept[0] == "orphaned: 2 saved scenarios of no test in corpus/test_a"
+    assert kept[0] == "orphaned: 2 saved scenarios without a test in corpus/test_a"
     assert "--pafot-prune" in kept[1]
     gone = terminal.session_lines(SessionSummary(removed=[("corpus/test_a", 2)], pruned=True))
-    assert gone == ["removed: 2 saved scenarios of no test in corpus/test_a"]
+    assert gone == ["removed: 2 saved scenarios without a test in corpus/test_a"]
     left = terminal.session_lines(SessionSummary(orphans=[orphan], pruned=True))
     assert left[0] == kept[0]
-    assert left[1].startswith("  left alone: --pafot-prune removes files whose line `test:` names a test of")
+    assert left[1].startswith("  not removed: --pafot-prune removes only files whose line `test:` names a test")
 
 
 def test_what_is_no_ascii_is_escaped():

@@ -64,7 +64,7 @@ class FitnessChart {
   }
 
   curves() {
-    // A restart begins a new line, since it begins a new population.
+    // A restart begins a new line, because it begins a new population.
     const points = (key) => this.rows.flatMap((row) => {
       const point = row[key] === null ? null : [this.x(row.generation), this.y(row[key])];
       return row.restarted ? [null, point] : [point];
@@ -93,7 +93,7 @@ class FitnessChart {
   }
 
   legend() {
-    // Returns where its last line is.
+    // Returns the place of its last line.
     const items = [
       [svg("path", { d: "M0 0h22", class: "best-line" }), svg("circle", { cx: 11, cy: 0, r: 3, class: "best-dot" }), "best"],
       [svg("path", { d: "M0 0h22", class: "mean-line" }), svg("rect", { x: 9, y: -2, width: 4, height: 4, class: "mean-dot" }), "mean"],

@@ -1,4 +1,4 @@
-// The instructions and the curves over one common axis of time, with one cursor; or the curve of a check alone.
+// The instructions and the curves over a common time axis with one cursor; or only the curve of a check.
 
 const CHART = { left: 46, right: 58, gap: 32, timeline: 24, curve: 104 };
 
@@ -82,7 +82,7 @@ class Charts {
   }
 
   crossing(row, npc, left, wide) {
-    // When the ego and the NPC were in the zone, one above the other.
+    // The time spans of the ego and the NPC in the zone, one above the other.
     const height = CHART.timeline - 4;
     const box = { x: px(left + 0.5), y: px(this.y), height, rx: 3 };
     const { zone } = this.finding.vehicles[npc + 1];
@@ -142,7 +142,7 @@ class Charts {
   }
 
   range(curve) {
-    // From 0 up, or as far down as up where values have a sign.
+    // The axis begins at 0, or is symmetric for values with a sign.
     if (curve.top) return [0, curve.top];
     const values = this.finding.vehicles.flatMap((vehicle) => vehicle[curve.key].filter((value) => value !== null));
     const limit = curve.least || this.finding.road.speed_limit;

@@ -1,4 +1,4 @@
-// Small helpers: elements, numbers, patterns. Nothing here knows what is drawn.
+// Small helpers: elements, numbers, patterns. Nothing here depends on what is drawn.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -8,7 +8,7 @@ function node(namespace, tag, attributes, children) {
     if (value !== null && value !== undefined) element.setAttribute(name, value);
   }
   for (const child of [].concat(children === undefined ? [] : children)) {
-    element.append(child);  // Text is appended as text, so that no string of a report is ever read as markup.
+    element.append(child);  // Strings are appended as text nodes, so that no string of a report is ever parsed as markup.
   }
   return element;
 }
@@ -21,7 +21,7 @@ function change(element, attributes) {
 }
 
 function onResize(element, layout) {
-  // In the next frame: a layout inside of the notification could resize the element again, which browsers report.
+  // Wait for the next frame: a layout inside the notification could resize the element again, and browsers report that.
   let request = 0;
   const observer = new ResizeObserver(() => {
     cancelAnimationFrame(request);
@@ -46,7 +46,7 @@ function linePath(points) {
   return path;
 }
 
-// NPCs are told apart without colour: by number, by the pattern of their body and by the dashes of their curve.
+// NPCs differ even without colour: by number, by the pattern of their body and by the dashes of their curve.
 const DASHES = ["", "8 4", "2 3", "10 3 2 3", "5 2", "12 4 2 4 2 4", "3 6", "1 2"];
 const dashes = (npc) => DASHES[npc % DASHES.length] || null;
 const stroke = (vehicle) => (vehicle === 0 ? "c-ego" : `c${(vehicle - 1) % 8}`);
@@ -55,7 +55,7 @@ const fill = (vehicle) => (vehicle === 0 ? "f-ego" : `f${(vehicle - 1) % 8}`);
 let patternCount = 0;
 
 function bodyPattern(npc) {
-  // Returns [the <pattern>, its reference]. Ids are unique in the page, since each picture brings its own.
+  // Returns [the <pattern>, its reference]. Ids are unique in the page, because each picture has a different prefix.
   const id = `body-${(patternCount += 1)}`;
   const tint = { class: fill(npc + 1), opacity: 0.28, width: 8, height: 8 };
   const line = (d) => svg("path", { d, class: stroke(npc + 1), "stroke-width": 1.6, fill: "none" });
@@ -76,11 +76,11 @@ function bodyPattern(npc) {
   return [pattern, `url(#${id})`];
 }
 
-// When that happened which a finding is about.
+// The time of the moment that a finding is about.
 const momentOf = (finding) => (finding.check && finding.check.time !== null ? finding.check.time : finding.event.time);
 
 function niceStep(span, count) {
-  // The step of 1, 2 or 5 times a power of ten that gives about so many ticks.
+  // Returns the step of 1, 2 or 5 times a power of ten that gives about the requested number of ticks.
   const rough = span / Math.max(1, count);
   const power = 10 ** Math.floor(Math.log10(rough));
   return [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= rough * 0.999);
@@ -91,5 +91,5 @@ const ROWS = [0, 1, 1, 1, 0, -1, -1, -1, 0];
 const COLUMNS = [0, -1, 0, 1, 1, 1, 0, -1, -1];
 const isCrossed = (finding) => finding.vehicles.some((vehicle) => vehicle.zone);
 const cellName = (cell) => `${cell} ${CELL_NAMES[cell]}`;
-// Where an instruction leads: to a cell, or, without one, to a zone, or to a lane seen from the NPC's own.
+// The goal of an instruction: a cell, or, without one, a zone, or a lane relative to the NPC's own.
 const goalName = (row) => row.zone ? `${row.zone} ${row.slot}` : (row.lane ? (row.lane === "keep" ? "keep lane" : `lane ${row.lane}`) : cellName(row.cell));

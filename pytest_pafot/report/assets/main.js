@@ -1,4 +1,4 @@
-// Puts the page together: which finding is shown, links, keys, theme, copying.
+// Assembles the page: the selected finding, links, keys, theme, copying.
 
 const report = JSON.parse(document.getElementById("data").textContent);
 const articles = [...document.querySelectorAll("#articles > article")];
@@ -46,7 +46,7 @@ function show(index, time) {
 }
 
 function reveal(link) {
-  // Within the list alone, so that the page itself stays where the reader is.
+  // Scroll only inside the list, so that the page itself stays where the reader is.
   const list = document.getElementById("list");
   const place = link.getBoundingClientRect();
   const frame = list.getBoundingClientRect();
@@ -57,7 +57,7 @@ function reveal(link) {
 const listed = () => [...document.querySelectorAll("#list li:not([hidden]) a[data-index]")];
 
 function step(by) {
-  // In the order of the list, which is by test, among what the filter leaves.
+  // The order is that of the list, which is by test, among the findings that pass the filter.
   const order = listed();
   const next = order.indexOf(links[current]) + by;
   if (next < 0 || next >= order.length) return;
@@ -129,7 +129,7 @@ function toggleKeys() {
 const THEMES = ["system", "light", "dark"];
 
 function stored(name, value) {
-  // Pages from files and frames may be refused a store; the choice then lasts as long as the page.
+  // Browsers may refuse storage to pages from files and frames; the choice then lasts as long as the page.
   try {
     if (value === undefined) return localStorage.getItem(name);
     localStorage.setItem(name, value);
@@ -167,7 +167,7 @@ async function copied(source) {
     await navigator.clipboard.writeText(source.textContent);
     return true;
   } catch (error) {
-    // No clipboard for files in some browsers and for frames: select the text and try the old way.
+    // Some browsers allow no clipboard for files and frames: select the text and try the old command.
     const range = document.createRange();
     range.selectNodeContents(source);
     getSelection().removeAllRanges();

@@ -1,4 +1,4 @@
-// One finding on stage: time, controls, and what is drawn at that time.
+// One finding on stage: time, controls, and the drawing at that time.
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4];
 const REPLAY_SECONDS = 6;
@@ -99,7 +99,7 @@ class Player {
     if (this.checked) this.checked.replaceChildren(this.checkCurve.root);
     this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
       `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " relative to the ego"}. ` +
-      (!this.scene.isCrossed || this.finding.instructions.some((row) => row.cell) ? "Dashed line: to the cell that an NPC is told to drive to. " : "") +
+      (!this.scene.isCrossed || this.finding.instructions.some((row) => row.cell) ? "Dashed line: to the cell that an NPC is to drive to. " : "") +
       (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's. " : "") +
       "Bars at the rear: braking."));
     this.charts.replaceChildren(this.curves.root);

@@ -1,7 +1,7 @@
-// The bird's-eye view: what is where at a time (pure), and the picture of it. Lengths are metres until drawn.
+// The bird's-eye view: the places of everything at a time (pure), and the picture of them. Lengths are in metres until drawn.
 
 function frameAt(times, time) {
-  // [index, share]: the frame before a time and how far it is on the way to the next.
+  // Returns [index, share]: the frame before a time, and the share of the time to the next frame that has passed.
   let low = 0;
   let high = times.length - 1;
   while (high - low > 1) {
@@ -64,9 +64,9 @@ function instructionAt(finding, npc, time) {
 function cellCentre(finding, ego, cell, [index, share]) {
   const road = finding.road;
   if (road.shapes.length) {
-    // As recorded for the nearest frame; it moves with the ego between them.
+    // The cell is recorded for the nearest frame; between frames it moves with the ego.
     const frame = share > 0.5 && index + 1 < finding.times.length ? index + 1 : index;
-    const place = finding.grid.length ? finding.grid[frame][cell - 1] : null; // No grid where all NPCs cross.
+    const place = finding.grid.length ? finding.grid[frame][cell - 1] : null; // There is no grid if all NPCs cross.
     if (!place) return { along: ego.along, across: ego.across, heading: 0, exists: false };
     const track = finding.vehicles[0];
     const [dx, dy] = [ego.along - track.along[frame], ego.across - track.across[frame]];
@@ -83,7 +83,7 @@ function cellCentre(finding, ego, cell, [index, share]) {
 }
 
 function placeName(state, zone) {
-  // Where an NPC is: in a cell, or as long as it has not left the zone in which it meets the ego's way, where seen from that.
+  // Returns the place of an NPC: a cell or, until it has left the zone in which it meets the ego's way, its place relative to that zone.
   const [enters, leaves] = zone ? zone.stretch : [null, null];
   if (zone && state.onWay !== null && state.onWay < enters) return `${fixed(enters - state.onWay, 0)} m before ${zone.name}`;
   if (zone && state.onWay !== null && state.onWay <= leaves) return `in the zone ${zone.name}`;
@@ -103,10 +103,10 @@ const RULER = 24;
 const LANE_NAME = 50;
 const POINTER_ROOM = 210;
 const SHOULDER = 1.4;
-const HALF_HEIGHT = 18; // What is shown above and below the ego of a road that is not straight ...
-const CROSSED_HALF_HEIGHT = 45; // ... and where somebody crosses, who else would come in sight 2 s before the contact.
+const HALF_HEIGHT = 18; // Half of the height [m] that the picture of a bent road shows ...
+const CROSSED_HALF_HEIGHT = 45; // ... and if a vehicle crosses, which would otherwise come into sight only 2 s before contact.
 
-// Places that move with the road, and are turned: a road that is not straight is drawn as the world has it.
+// Places that move with the road and turn with it: a bent road is drawn in world coordinates.
 const turned = (heading, x, y) => `rotate(${px(heading * 180 / Math.PI)} ${px(x)} ${px(y)})`;
 
 class Scene {
@@ -176,7 +176,7 @@ class Scene {
   }
 
   lanes() {
-    // Every lane with an edge around all of them and a line between neighbours.
+    // Every lane, with an edge around all lanes and a line between neighbours.
     const layers = [[0.5, "lane-edge"], [0, "lane-line"], [-0.3, "lane-ground"]];
     return layers.flatMap(([more, name]) => this.finding.road.shapes.map((lane) => svg("path", {
       class: name, "stroke-width": px((lane.width + more) * this.scale),
@@ -205,7 +205,7 @@ class Scene {
       defs.append(pattern);
       parts.push(svg("rect", { ...box, class: "glass" }), svg("rect", { ...box, fill: reference }), svg("rect", { ...box, class: `vehicle-edge ${stroke(index)}` }));
     }
-    // A windscreen shows where the front is.
+    // The windscreen marks the front.
     parts.push(svg("path", {
       class: "glass", d: `M${px(length * 0.2)} ${px(-width * 0.36)}L${px(length * 0.34)} ${px(-width * 0.28)}V${px(width * 0.28)}L${px(length * 0.2)} ${px(width * 0.36)}Z`,
     }));
@@ -282,7 +282,7 @@ class Scene {
     });
   }
 
-  // Where the number of a cell is: in its corner, which turns with it.
+  // The number of a cell is in its corner, which turns with it.
   numberPlace(centre, x, y, length, width) {
     const [dx, dy] = [7 - length / 2, 9 - width / 2];
     const turn = this.isWorld ? centre.heading : 0;
@@ -331,7 +331,7 @@ class Scene {
   }
 
   drawPointer(state, index) {
-    // At the edge towards a vehicle that is out of sight, below whatever else is there.
+    // An arrow at the edge points to a vehicle that is out of sight, below any other arrows there.
     const pointer = this.pointers[index - 1];
     const isInside = this.isInside(state);
     pointer.setAttribute("visibility", isInside ? "hidden" : "visible");
@@ -352,7 +352,7 @@ class Scene {
   }
 
   drawTrails(time, frame, ego) {
-    // The ego's path on the road; the NPCs' paths relative to the ego, which is what an instruction is about.
+    // The ego's path on the road, and the NPCs' paths relative to the ego, because instructions are relative to it.
     const from = Math.max(0, time - TRAIL_SECONDS);
     const moments = [];
     for (let at = Math.ceil(from * 8) / 8; at < time; at += 0.125) moments.push(frameAt(this.finding.times, at));
@@ -391,7 +391,7 @@ class Scene {
     return { along: ego.along + ahead * cos - right * sin, across: ego.across + ahead * sin + right * cos };
   }
 
-  // Where the texts at NPCs that cross are, with room for another text beside them.
+  // The places of the texts at NPCs that cross, with room for a second text next to them.
   zoneLabels(states, half) {
     return states.flatMap((state, index) => {
       const label = state && this.bodies[index].group.querySelector(".zone-label");
@@ -399,7 +399,7 @@ class Scene {
     });
   }
 
-  // Where the text of the impact is, seen from it: at the nearest place where it covers no vehicle, no cell's number and no slot.
+  // The place of the text at the impact, relative to it: the nearest one that covers no vehicle, no cell's number and no slot.
   labelOffset(states, x, y) {
     const half = 3.7 * this.impactText().length;
     const boxes = states.filter(Boolean).map((state) => {

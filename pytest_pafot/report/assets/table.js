@@ -1,11 +1,11 @@
-// A run as the table that `python -m pytest_pafot export --to csv` writes, to the last digit.
+// A run as the same table that `python -m pytest_pafot export --to csv` writes, without loss.
 
 const HEADS = "time,vehicle,x,y,heading,speed,acceleration,steering,lane,length,width";
-const SIGNS = [1, -1, -1, 1, 1, -1, 1]; // Of the columns of a state: files have y to the left, and angles anticlockwise.
-const LANE_COLUMN = 6; // A whole number.
+const SIGNS = [1, -1, -1, 1, 1, -1, 1]; // Signs of the columns of a state: in files y points to the left, and angles are anticlockwise.
+const LANE_COLUMN = 6; // This column holds integers.
 
 function pythonText(value) {
-  // A float as Python writes it, with the fewest digits that read back as the same.
+  // Writes a float as Python does, with the fewest digits that read back as the same number.
   const size = Math.abs(value);
   if (Object.is(value, -0)) return "-0.0";
   if (size && (size < 1e-4 || size >= 1e16)) return value.toExponential().replace(/e([+-])(\d)$/, (_, sign, digit) => `e${sign}0${digit}`);
@@ -13,7 +13,7 @@ function pythonText(value) {
 }
 
 async function seriesOf(finding) {
-  // The values of each column of each vehicle, packed as drive_view in finding_view.py says.
+  // The values of each column of each vehicle, packed as described at drive_view in finding_view.py.
   const packed = Uint8Array.from(atob(finding.drive.states), (letter) => letter.charCodeAt(0));
   const opened = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const planes = new Uint8Array(await new Response(opened).arrayBuffer());
