@@ -1,1 +1,1 @@
-"""Findings as values: what a failing run means, what makes two the same, what a replay says, and how one is shrunk."""
+"""Findings as values: identity of failures, replays, severity and shrinking. No files."""

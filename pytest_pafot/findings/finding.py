@@ -1,4 +1,4 @@
-"""A finding: a distinct failure with the scenario that shows it, as it is kept in the corpus."""
+"""A finding: a distinct failure with the scenario that shows it, as it is stored in the corpus."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import visible
 
-# Texts of errors without what differs from process to process, so that the same seed writes the same files.
+# Error texts are cleaned of everything that differs between processes, so that the same seed writes the same files.
 
 _ADDRESS = re.compile(r"(?<=\bat )0x[0-9a-fA-F]+|\b0x[0-9a-fA-F]{9,}\b")
 _PROCESS_ID = re.compile(r"(?i)(\b(?:pid|tid|process id|thread id|started(?: daemon)?)[ =:]+)\d+")
 _FOLDERS = r"(?:[^\s\"'<>|*?:\\/]+[\\/])*"
 _TO_PACKAGES = re.compile(
-    # A path is tried from its first character alone, or a long one would take time by its length squared.
+    # A match may start only at a path's first character; otherwise a long path takes quadratic time.
     rf"(?<![\w.])(?:[A-Za-z]:)?[\\/]{_FOLDERS}(?=(?:site|dist)-packages[\\/]|python3\.\d+[\\/](?!site|dist))"
 )
 _TEMPORARY = re.compile(
@@ -55,10 +55,10 @@ _RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]
 
 
 def portable(text: str, root: str = "") -> str:
-    """A text without what differs from process to process, and from checkout to checkout.
+    """Remove from a text what differs from process to process, and from checkout to checkout.
 
     ``ADDRESS`` stands for memory addresses, ``N`` for ids of processes and threads, ``TMP`` for temporary folders.
-    Paths begin at the project's folder, or where packages are installed.
+    Paths are relative to the project's folder, or to the folder in which packages are installed.
     """
     if root:
         text = text.replace(root.rstrip("\\/") + os.sep, "")
@@ -79,9 +79,9 @@ _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounded:
-    """What a check measured that failed, and the bounds that it was held against [unit]; None where there is none."""
+    """The value that a failed check measured, and its bounds [unit]; None for a bound that does not exist."""
 
-    value: float | None  # None where it was no finite number, or beyond a billion
+    value: float | None  # None if it was not a finite number, or beyond a billion
     at_most: float | None = None
     at_least: float | None = None
     unit: str = ""
@@ -89,32 +89,33 @@ class Bounded:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expect:
-    """What running the scenario is expected to show while the failure is not fixed.
+    """The expected result of running the scenario while the failure is not fixed.
 
     Attributes:
         failure: name of the exception class.
-        assertion: normalised, as in :class:`~pytest_pafot.findings.signature.Signature`.
-        check: what the failed check measured; None where none failed. Its name is the assertion.
-        message: first line of the exception's message, without addresses, process ids and temporary folders; empty
-            where the assertion says it.
+        assertion: the assertion, normalised as in :class:`~pytest_pafot.findings.signature.Signature`.
+        check: measured value of the failed check; None if none failed. Its name is the assertion.
+        message: first line of the exception's message, without addresses, process ids and temporary folders; empty if
+            the assertion already says it.
         outcome: how the run ended.
-        time: of the event [s]: of the failed check where it has one, else
+        time: time of the event [s]: the failed check's if it has one, otherwise
             :attr:`~pytest_pafot.oracle.run.Run.event_time`.
-        npc, cell: at the collision, else at the least time to contact; None where there is no such moment. Of a failed
-            check without a collision the NPC that it names, and no cell.
-        zone: in which that NPC crossed the ego's way, such as ``crossing from the left``; None where it did not.
-        side: of the ego that was hit; None without a collision.
-        situation: from which the failure arose, by which a replay that passes is told to be a fix; None where no NPC
-            took part, and in files of before.
+        npc, cell: NPC and cell at the collision, or else at the least time to contact; None if there is no such
+            moment. For a failed check without a collision the NPC that the check names, and no cell.
+        zone: zone in which that NPC crossed the ego's way, such as ``crossing from the left``; None if it did not
+            cross.
+        side: side of the ego that was hit; None without a collision.
+        situation: situation from which the failure arose; a replay that passes is a fix only if it comes up. None if
+            no NPC was involved, and in files from older versions.
         responsibility: who caused the collision.
-        fault: what the ego answers for; None where it does not.
-        npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
-        reference_drivers: what becomes of each in the ego's place; empty where that means nothing.
-        last_chance: when one of them would still have stayed free of fault; None where there is no such moment.
-        avoided_by: the last decision from which braking avoids the collision, as simulated; None where there is none.
+        fault: rule by which the ego is responsible; None if it is not.
+        npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision; None without a collision.
+        reference_drivers: outcome of each reference driver in the ego's place; empty if that would mean nothing.
+        last_chance: last time at which one of them would have stayed free of fault; None if there is none.
+        avoided_by: the last decision from which braking avoids the collision in simulation; None if there is none.
         against: the reference that passed where this failed, as ``module:factory`` or the name of a fixture; empty
-            without one, or where its factory has no such name.
-        traceback: of an ADS that raised, likewise; empty otherwise.
+            without a reference, or if its factory has no such name.
+        traceback: traceback of an ADS that raised, cleaned in the same way; otherwise empty.
     """
 
     failure: str
@@ -140,12 +141,12 @@ class Expect:
 
     @property
     def is_crash(self) -> bool:
-        """Whether the process that ran the scenario died."""
+        """True if the process that ran the scenario died."""
         return self.failure == PROCESS_CRASH
 
     @property
     def signature(self) -> Signature:
-        """The identity of the failure, as far as a file tells it; :func:`of_failure` tells it of a run."""
+        """The identity of the failure, as far as a file determines it; :func:`of_failure` determines it for a run."""
         return Signature(
             **{part.name: getattr(self, part.name) for part in fields(Signature) if part.name != "mistake"}
         )
@@ -156,7 +157,7 @@ class Expect:
         return tuple(preventing(self.reference_drivers.items(), self.responsibility))
 
     def sentences_on(self, run: Run) -> tuple[str, ...]:
-        """Return the sentences on a run; if it shows this collision, what avoids it in place of what was due."""
+        """Return the sentences on a run; if the run shows this collision, the middle one says what avoids it."""
         told, hit = run.sentences, run.collision
         is_this = hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
         return (told[0], self.avoided_by.sentence, told[-1]) if self.avoided_by is not None and is_this else told
@@ -173,9 +174,9 @@ class Expect:
         against: str = "",
         root: str = "",
     ) -> Expect:
-        """What a failing run showed, as it shows again in any process: times rounded to milliseconds, texts portable.
+        """Record what a failing run showed, in a form that is equal in every process: rounded times, portable texts.
 
-        Paths in texts are relative to the root, the folder of the project.
+        Times are in milliseconds. Paths in texts are relative to the root, which is the folder of the project.
         """
         hit, trace, event = run.collision, run.trace, event_of(run, failure)
         is_told = bool(failure.assertion.strip()) and run.ads_error is None
@@ -212,15 +213,15 @@ class Expect:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """How a finding came about.
+    """The origin of a finding: the search that found it and the versions it ran with.
 
     Attributes:
-        seed: of the search.
-        generation: in which it was found, counted from 0.
+        seed: seed of the search.
+        generation: generation in which it was found, from 0.
         algorithm: name of the search.
-        versions: of the packages that the run depends on.
-        weights: ``sha256:`` and a hash of the policy, where its factory tells one (``pafot.policies``). A replay says
-            where that is another one now.
+        versions: versions of the packages that the run depends on.
+        weights: ``sha256:`` and a hash of the policy, if its factory provides one (``pafot.policies``). A replay
+            reports if the hash is different now.
     """
 
     seed: int
@@ -232,12 +233,12 @@ class Found:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Perceived:
-    """How the ADS saw the others, where that was not perfect, and what of it the failure needs.
+    """The imperfect sight of the ADS in a run, and the imperfections that the failure needs.
 
     Attributes:
-        sight: of the run that showed it.
-        needed: names of those imperfections without which the test does not fail in this scenario; empty where it fails
-            also with perfect sight, None where that was not tried.
+        sight: sight of the ADS in the run that showed the failure.
+        needed: names of the imperfections without which the test does not fail in this scenario; empty if it also
+            fails with perfect sight, None if that was not tried.
     """
 
     sight: Sight
@@ -245,7 +246,7 @@ class Perceived:
 
     @property
     def sentence(self) -> str:
-        """What it comes to, such as ``only with 0.3 s of latency``."""
+        """The result in words, such as ``only with 0.3 s of latency``."""
         if self.needed is None:
             return f"found with {self.sight.described()}"
         return f"only with {self.sight.described(self.needed)}" if self.needed else "fails also with perfect sight"
@@ -253,27 +254,27 @@ class Perceived:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Finding(Shown):
-    """One file of the corpus.
+    """A finding, the content of one file of the corpus.
 
     Attributes:
-        id: name of the file without its suffix, given once: the signature's slug and six digits of the scenario
+        id: name of the file without its suffix. It never changes: the signature's slug and six digits of the scenario
             as first found. Letters, digits, ``.``, ``_`` and ``-``.
         test: node id of the test, parameters included.
-        scenario: that fails.
+        scenario: the scenario that fails.
         world: the world that it fails in, as plain data.
-        expect: what running it shows.
-        found: how it came about.
-        perception: of an ADS that sees imperfectly; None of any other.
-        original: the scenario as first found, where shrinking has put a simpler one in its place.
-        shrunk: how it was shrunk; None where it was not.
-        flaky: what differed when the scenario was run again, or None; it is then never called fixed.
+        expect: the expected result of running it.
+        found: its origin.
+        perception: sight of an ADS that sees imperfectly; None for any other.
+        original: the scenario as first found, if shrinking has replaced it by a simpler one.
+        shrunk: the result of shrinking; None if it was not shrunk.
+        flaky: what differed when the scenario was run again, or None; a flaky finding is never reported as fixed.
         xfail: the user's reason to accept the failure, or None.
-        xfail_until: the last day on which it is accepted; None where it is for good.
-        trace: of the run that shows it, where a search of this process made it; no part of what a finding is, nor of
-            its file.
+        xfail_until: the last day on which it is accepted; None for no end.
+        trace: trace of the run that shows it, if a search of this process made it; it is part of neither the identity
+            nor the file of a finding.
 
     Raises:
-        ValueError: if the id is no such name, the world no plain data, the reason empty or a day without a reason.
+        ValueError: for an invalid id, a world that is not plain data, an empty reason, or a day without a reason.
     """
 
     id: str
@@ -301,29 +302,29 @@ class Finding(Shown):
         check_plain("world", self.world)
 
     def __repr__(self) -> str:
-        """Show the fields on one line, whatever a file has written into them."""
+        """Format the fields on one line, whatever a file has written into them."""
         shown = (f"{each.name}={getattr(self, each.name)!r}" for each in fields(self) if each.repr)
         return visible(f"Finding({', '.join(shown)})")
 
     @property
     def longest_run(self) -> float:
-        """How long a run in its world lasts at most [s]; infinite where the file does not say."""
+        """The longest duration of a run in its world [s]; infinite if the file does not say."""
         seconds = plain_number(self.world.get("duration"))
         return math.inf if seconds is None else seconds
 
     @property
     def signature(self) -> Signature:
-        """The identity of the failure, as far as the file tells it."""
+        """The identity of the failure, as far as the file determines it."""
         return self.expect.signature
 
     @property
     def accepted(self) -> str:
-        """Why the failure is accepted, and until when, in words; empty where it is not."""
+        """The reason why the failure is accepted, and until when, in words; empty if it is not accepted."""
         until = "" if self.xfail_until is None else f", until {self.xfail_until}"
         return "" if self.xfail is None else f"{self.xfail}{until}"
 
     def is_accepted(self, today: date) -> bool:
-        """Whether the failure is accepted on a day: there is a reason, and its last day is not over."""
+        """Return whether the failure is accepted on a day: there is a reason, and its last day is not over."""
         return self.xfail is not None and (self.xfail_until is None or today <= self.xfail_until)
 
     @classmethod
@@ -339,7 +340,7 @@ class Finding(Shown):
         against: str = "",
         root: str = "",
     ) -> Finding:
-        """A new finding, from the run that showed it; its id derives from the signature and the executed scenario."""
+        """Make a new finding from the run that showed it; its id derives from its signature and executed scenario."""
         expect = Expect.of(run, failure, against=against, root=root)
         id_ = f"{of_failure(run, failure).slug}-{run.scenario.id}"
         return cls(
@@ -349,7 +350,7 @@ class Finding(Shown):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureEvent:
-    """The moment that a failure is about [s]; the NPC and its cell, or the zone that it crossed, None without."""
+    """The moment that a failure is about [s], and the NPC with its cell or the zone that it crossed, if any."""
 
     time: float
     npc: int | None = None
@@ -358,7 +359,7 @@ class FailureEvent:
 
 
 def event_of(run: Run, failure: Failure | None) -> FailureEvent:
-    """When a run failed, and with whom: as its failed check says, else as the run does."""
+    """Return when a run failed and with which NPC: according to its failed check, otherwise according to the run."""
     check = None if failure is None else failure.check
     if check is not None and run.collision is None:
         return FailureEvent(time=run.event_time if check.time is None else check.time, npc=check.npc)
@@ -371,26 +372,26 @@ def event_of(run: Run, failure: Failure | None) -> FailureEvent:
 
 
 def _told(value: float | None, digits: int) -> float | None:
-    """As a file can hold it: to so many decimals, of what is below 1 so many figures."""
+    """Round a number for a file: to this many decimals, or below 1 to this many significant digits."""
     if value is None or not abs(value) <= MAX_NUMBER:
         return None
     return round(value, digits) if abs(value) >= 1 else float(f"{value:.{digits}g}")
 
 
 def of_failure(run: Run, failure: Failure) -> Signature:
-    """The signature of a run that failed."""
+    """Return the signature of a run that failed."""
     return replace(Expect.of(run, failure).signature, mistake=mistake_of(run.trace))
 
 
 def is_id(text: str) -> bool:
-    """Whether a text can be a finding's id, and so part of a file name and of a node id on every platform."""
+    """Return whether a text can be a finding's id, and thus part of file names and node ids on every platform."""
     return _ID.fullmatch(text) is not None and not text.endswith(".")
 
 
 def ads_failure(run: Run) -> Failure | None:
-    """The failure that lies in the ADS itself, whatever the user's function asserts; None if there is none.
+    """Return the failure of the ADS itself, whatever the user's function asserts; None if there is none.
 
-    It raised, returned no action, hangs, or decided more slowly than the run's limit allows.
+    The ADS raised, returned no valid action, hangs, or decided more slowly than the run's limit allows.
     """
     if (error := run.ads_error) is not None:
         return Failure(kind=error.kind, message=error.message, traceback=error.traceback)
@@ -401,22 +402,22 @@ def ads_failure(run: Run) -> Failure | None:
 
 
 Cause = tuple[str, str]
-"""Of an exception: its class, and where it was raised."""
+"""The class of an exception, and where it was raised."""
 
 
 def first_decision_cause(error: AdsError | None) -> Cause | None:
-    """What made an ADS fail at its first decision; None where it decided then, or hung."""
+    """Return why an ADS failed at its first decision; None if it decided then, or hung."""
     if error is None or error.tick > 0 or error.interrupted:
         return None
     return error.kind, next((line for line in reversed(error.traceback.splitlines()) if "File " in line), "")
 
 
 def raised_failure(exception: BaseException, test_file: str) -> Failure:
-    """The failure in what a user's function raised, with the source text of the statement that raised it.
+    """Return the failure in an exception of a user's function, with the source text of the statement that raised it.
 
-    That is an ``assert`` anywhere, also in a helper's module; otherwise the statement of the test file in which
-    the exception arose, so that changes in other people's libraries do not change a signature. The path of the file is
-    the one in its code objects.
+    The statement is an ``assert`` anywhere, also in a helper's module; otherwise the statement of the test file in
+    which the exception arose, so that changes in third-party libraries do not change a signature. The path of the file
+    is the one in its code objects.
     """
     if isinstance(exception, CheckFailed):
         check = exception.check
@@ -430,16 +431,16 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
 
 
 def message_of(exception: BaseException) -> str:
-    """The text of an exception; a placeholder where its ``__str__`` raises."""
+    """Return the text of an exception, or a placeholder if its ``__str__`` raises."""
     return str(traceback.TracebackException(type(exception), exception, None, compact=True))
 
 
 def check_plain(name: str, value: object, depth: int = 0) -> None:
-    """Refuse what a file cannot hold.
+    """Refuse data that a file cannot store.
 
     Raises:
-        ValueError: if a value is not made of None, bool, int, float (no NaN), str, lists and mappings with short
-            textual keys; the message names the place.
+        ValueError: if a value is not made of None, bool, int, float (no NaN), str, lists and mappings with short text
+            keys; the message names the place.
     """
     if value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value)):
         return
@@ -461,14 +462,14 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
 
 
 def _portable_line(failure: Failure, root: str) -> str:
-    """The first line of a message, and no time that was measured."""
+    """Return the first line of a message, without measured times."""
     first = next((line.strip() for line in failure.message.splitlines() if line.strip()), "")
     line = portable(first[: 4 * MAX_MESSAGE], root)[:MAX_MESSAGE]
     return _TOOK.sub("took N s", line) if failure.kind == SLOW_DECISION else line
 
 
 def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
-    """Source text at each entry of a traceback, over all its lines, and its file; empty text where there is none."""
+    """Yield the source text at each entry of a traceback, over all its lines, and its file; the text may be empty."""
     while tb is not None:
         frame, code = tb.tb_frame, tb.tb_frame.f_code
         positions = list(code.co_positions())

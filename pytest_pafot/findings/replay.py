@@ -1,4 +1,4 @@
-"""What the replay of a saved finding means."""
+"""The meaning of a replay: whether a saved finding is fixed, still fails or has drifted."""
 
 from __future__ import annotations
 
@@ -16,58 +16,67 @@ from pytest_pafot.oracle.run import Run
 Label = Literal["fixed", "still failing", "drifted"]
 
 SAME_PLACE = 0.5
-"""Two runs without contact are the same while no vehicle is further from itself than this [m]."""
+"""Largest distance [m] between two runs' positions of any vehicle at which runs without contact count as the same."""
 
 SAME_TIME = 0.2
-"""Two events are the same when they are no further apart than this [s]."""
+"""Largest difference [s] at which two events count as the same."""
 
 HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
-"""Outcomes that happen at the time of a run's event. That of any other is its most critical moment, not its end."""
+"""Outcomes that occur at the time of a run's event. For any other outcome the event is the most critical moment."""
 
 
 def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: Mapping[str, str]) -> Label:
-    """What to call a replay, beside its passing or failing.
+    """Return the label of a replay, in addition to whether it passes or fails.
 
-    ``still failing``: it fails with the saved event. ``drifted``: what happens is another event than the saved
-    one, or it passes under other versions, or without that the situation came up from which the failure arose, so that
-    the file may no longer test what it was saved for. ``fixed``: it passes under the same versions, and the situation
-    came up. Where a collision that is no failure ends the run, that must be later after the situation than the failure
-    was then, and than 2 s, and, of a file of a collision, not with the same NPC; of a file that knows no situation,
-    nothing else may have happened instead. A check is told by its name and, where it says one, its time, whatever else
-    happened; it is fixed where the run went on past that time. The run is the one of now, with its failure, if any, and
-    the versions of today's packages; these are compared where the file names them.
+    ``still failing``: the run fails with the saved event.
+
+    ``drifted``: something other than the saved event happens, or the run passes under different versions, or it passes
+    without the situation from which the failure arose. The file may then no longer test what it was saved for.
+
+    ``fixed``: the run passes under the same versions, and the situation came up. If a collision that is no failure ends
+    the run, its delay after the situation must be longer than the failure's was, and longer than 2 s, and for a file
+    about a collision it must be with a different NPC. For a file without a situation, no other event may end the run.
+
+    A check is identified by its name and, if it has one, its time, whatever else happened; it is fixed if the run went
+    on beyond that time.
+
+    Args:
+        finding: the saved finding.
+        run: the run now.
+        failure: the failure of that run, if any.
+        versions: versions of today's packages, which are compared with those that the file names.
     """
     expect, is_same = finding.expect, is_same_event(finding.expect, run, failure)
     if failure is not None:
         return "still failing" if is_same and failure.kind == expect.failure else "drifted"
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):
         return "drifted"
-    # One that was cut short did not drive the rest of the scenario.
+    # A run that was cut short did not drive the rest of the scenario.
     is_whole = run.collision is None and run.ads_error is None and run.outcome not in ("invalid", "off_road")
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
     if expect.situation is not None and run.collision is not None:
         after = seconds_after(expect.situation, run)
         is_whole = is_whole or (after is not None and after > max(expect.time - expect.situation.time, BEFORE))
-    # Where the same event has another party responsible, the policy has changed and not the test.
+    # If a different party is responsible for the same event, the policy has changed and not the test.
     is_same = is_same and (expect.situation is None or run.responsibility == expect.responsibility)
     return "fixed" if is_same or (is_whole and not unhandled(finding, run)) else "drifted"
 
 
 def unhandled(finding: Finding, run: Run) -> str:
-    """Return why a run that passes did not handle the situation of a file; empty where it did, or nobody knows.
+    """Return why a passing run did not handle the situation of a file; empty if it did, or if that is unknown.
 
-    The situation did not come up, or the ego and the NPC of the file collide all the same, which the test lets pass.
+    Either the situation did not come up, or the ego still collides with the file's NPC, which the test accepts.
     """
     expect, hit = finding.expect, run.collision
     why = missed(expect.situation, run)
     is_about_it = expect.outcome is Outcome.COLLISION and expect.check is None and not finding.signature.is_property
     if why or expect.situation is None or not is_about_it or hit is None or hit.npc != expect.situation.npc:
         return why
-    return f"the ego and NPC {hit.npc} collide all the same, after {hit.time:.1f} s, which is no failure of the test"
+    return f"the ego and NPC {hit.npc} still collide, after {hit.time:.1f} s, but the test accepts that"
 
 
 def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> bool:
-    """Whether a run shows the event that a file expects: to 0.2 s, and the same contact; or that check failing."""
+    """Return whether a run shows the event that a file expects, within 0.2 s: the same contact or failed check."""
     now, side = event_of(run, failure), None if run.collision is None else run.collision.side
     is_then = abs(now.time - expect.time) <= SAME_TIME + 1e-9
     if expect.check is None:
@@ -78,18 +87,18 @@ def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> b
 
 
 def ending(run: Run) -> str:
-    """How a run ended: with an event at a time, or after a while in which there was none."""
+    """Describe how a run ended: with an event at a time, or after a duration without one."""
     if run.outcome in HAS_EVENT:
         return f"{run.outcome} at {run.event_time:.1f} s"
     return f"{run.outcome} {'for' if run.outcome is Outcome.SAFE else 'after'} {run.duration:.1f} s"
 
 
 def disagreement(first: Run, again: Run) -> str:
-    """What differs between two runs of one scenario that were made by different means; empty where they agree.
+    """Describe how two runs of one scenario by different means differ; empty if they agree.
 
-    They agree when they end in the same way: a collision with the same NPC in the same cell against the same side,
-    or none; and at the same time, to 0.2 s, since numpy rounds some functions otherwise than the C library does on
-    some processors. Where nobody touched, every vehicle must be within half a metre of the other run's, always.
+    They agree if they end in the same way: a collision with the same NPC in the same cell against the same side, or
+    none; and at the same time within 0.2 s, because numpy and the C library round some functions differently on some
+    processors. Without contact, every vehicle must always be within half a metre of its position in the other run.
     """
     if first.outcome != again.outcome:
         return f"{ending(first)}, then {ending(again)}"

@@ -1,4 +1,4 @@
-"""How bad a failure is: the speed of an impact, or by how much a check is broken; and which finding comes first."""
+"""The severity of a failure: the speed of an impact, or by how much a check is broken. It ranks the findings."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
 
 WORSE_BY = {"collision": 0.1, "check": 0.01}
-"""From which difference on a failure has become worse: of closing speeds [m/s], and of margins."""
+"""Differences from which a failure counts as worse: in closing speed [m/s], and in margin."""
 
 
 @total_ordering
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Severity:
-    """How bad a failure is: the larger, the worse. Any collision is worse than any failed check.
+    """The severity of a failure: larger is worse. Any collision is worse than any failed check.
 
     Collisions compare by their closing speeds, failed checks by their margins, which have no unit.
 
     Attributes:
         kind: ``collision`` or ``check``.
-        value: the closing speed at the impact [m/s], which is the magnitude of the difference of the two velocities; of
-            a check, by how much its bound is broken [unit]. None where a check measured no finite number: the worst.
-        unit: of the value.
-        margin: of a check, in units of its scale, negative; None where the value is, and of a collision.
-        name: of the check; empty for a collision.
+        value: the closing speed at the impact [m/s], which is the magnitude of the difference of the two velocities;
+            for a check, by how much its bound is broken [unit]. None if a check measured no finite number: the worst.
+        unit: unit of the value.
+        margin: margin of a check in units of its scale, negative; None if the value is None, and for a collision.
+        name: name of the check; empty for a collision.
     """
 
     kind: Literal["collision", "check"]
@@ -40,24 +40,24 @@ class Severity:
 
     @property
     def delta_v(self) -> float | None:
-        """By how much a collision changes the velocity of each, where both are as heavy and stay together [m/s]."""
+        """Change of each vehicle's velocity in a collision, if both have the same mass and stay together [m/s]."""
         return None if self.kind == "check" or self.value is None else round(self.value / 2, 6)
 
     @property
     def figure(self) -> str:
-        """Return the value in short, without its unit."""
+        """The value in short, without its unit."""
         if self.value is None:
             return "no finite number"
         return f"{self.value:.1f}" if self.kind == "collision" else f"{self.value:.3g}"
 
     def __str__(self) -> str:
-        """Say what happens, such as ``hits at 9.8 m/s``."""
+        """Describe the failure, such as ``hits at 9.8 m/s``."""
         figure = f"{self.figure} {self.unit}".rstrip()
         return f"hits at {figure}" if self.kind == "collision" else f"breaks {self.name} by {figure}"
 
     @property
     def further(self) -> str:
-        """Return what a headline does not say: of a collision the delta-v, of a check by how much, and its margin."""
+        """The figures that the headline leaves out: a collision's delta-v, or a check's violation and margin."""
         if self.delta_v is not None:
             return f"delta-v {self.delta_v:.1f} m/s"
         by = f"by {self.figure} {self.unit}".rstrip()
@@ -68,17 +68,17 @@ class Severity:
         return self.kind == "collision" and responsible in ("ego", "both")
 
     def data(self) -> dict[str, Any]:
-        """Return the fields and the delta-v, for programs."""
+        """Return the fields and the delta-v as plain data, for programs."""
         return {**asdict(self), "delta_v": self.delta_v}
 
     @classmethod
     def of_data(cls, data: Mapping[str, Any]) -> Self:
-        """Return the value that :meth:`data` has made data of."""
+        """Return the severity that :meth:`data` converted to data."""
         return cls(**{name: value for name, value in data.items() if name != "delta_v"})
 
     @property
     def figures(self) -> tuple[int, float, float]:
-        """Return what is compared first; larger figures are worse."""
+        """The numbers that decide comparisons first; larger is worse."""
         value = math.inf if self.value is None else self.value
         if self.kind == "collision":
             return 2, value, 0.0
@@ -89,10 +89,10 @@ class Severity:
 
 
 def severity_of(run: Run, failure: Failure) -> Severity | None:
-    """Return how bad a failure of a run is; None for what has no measure, such as an ADS that raises or hangs.
+    """Return how bad a failure of a run is; None for a failure without a measure, such as an ADS that raises or hangs.
 
-    A failed check is measured by its bound, whatever else happened in the run. An assertion that speaks of something
-    else than the collision has no measure, as its numbers are not known.
+    A failed check is measured by its bound, whatever else happened in the run. An assertion on anything but the
+    collision has no measure, because its numbers are not known.
     """
     if failure.check is not None:
         return _of_check(failure.check)
@@ -109,15 +109,15 @@ def _of_check(check: Check) -> Severity:
     by = max(over, under)
     if not math.isfinite(by + check.margin):
         return Severity(kind="check", value=None, unit=check.unit, name=check.name)
-    value, margin = float(f"{by:.6g}"), float(f"{check.margin:.6g}")  # the same in any process
+    value, margin = float(f"{by:.6g}"), float(f"{check.margin:.6g}")  # rounded, so that it is equal in every process
     return Severity(kind="check", value=value, unit=check.unit, margin=margin, name=check.name)
 
 
 def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:
-    """Return a key by which findings are sorted: collisions that the ego answers for, then others.
+    """Return a sort key for findings: collisions that the ego answers for, then others.
 
-    In each of the two the worst comes first, and what nothing measures last. Whoever sorts puts before the key what
-    must come first anyway, and behind it what decides between findings that are as bad.
+    In each group the worst comes first, and failures without a measure last. Callers put more important criteria before
+    this key, and tie-breakers after it.
     """
     if severity is None:
         return 1, 0, 0.0, 0.0
@@ -125,10 +125,10 @@ def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...
 
 
 def worsening(now: Severity | None, before: Severity | None) -> str:
-    """Say by how much a failure became worse, as in ``hits at 12.1 m/s, 8.0 before``; empty where it did not.
+    """Say by how much a failure became worse, as in ``hits at 12.1 m/s, 8.0 before``; empty if it did not.
 
-    Two collisions compare by their closing speeds, two failures of one check by their margins, and a collision is worse
-    than what is none. Other failures do not compare.
+    Two collisions are compared by closing speed and two failures of one check by margin; a collision is worse than any
+    other failure. Other pairs cannot be compared.
     """
     if now is None:
         return ""

@@ -1,10 +1,11 @@
 """Shrinking: the simplest scenario in which the same property fails with the same signature.
 
 After Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input" (IEEE TSE 28(2), 2002), and
-MacIver and Donaldson, "Test-case reduction via test-case generation" (ECOOP 2020): an order that says what "simpler"
-means, one gate before each run, and passes that are repeated until none of them helps. What single steps do not lead
-to is often found by trying small scenarios as such.
-Nothing is simulated here: whether a scenario still fails is asked of a function.
+MacIver and Donaldson, "Test-case reduction via test-case generation" (ECOOP 2020): an order that defines "simpler",
+one gate before each run, and passes that are repeated until none of them helps. Small scenarios are also tried
+directly, because single steps often do not lead to them.
+
+Nothing is simulated here: a function says whether a scenario still fails.
 """
 
 from __future__ import annotations
@@ -40,58 +41,58 @@ from pytest_pafot.model.scenario import (
 from pytest_pafot.support.text import plural
 
 Attempt = Callable[[Scenario], Scenario | None]
-"""Runs a scenario: the scenario as driven where the same property fails with the same signature, else None."""
+"""Runs a scenario; returns it as driven if the same property fails with the same signature, else None."""
 
 Start = tuple[int, float]
 """The ego's lane and speed [m/s] when a gene begins."""
 
 Starts = Callable[[Scenario], Sequence[Start]]
-"""The start of each gene of a scenario as driven that failed; empty where it is not known."""
+"""Returns the start of each gene of a failing scenario as driven; empty if unknown."""
 
 Candidates = Iterator[Scenario | None]
-"""What a pass tries; None stands for a change that gives no valid scenario."""
+"""The scenarios that a pass tries; None stands for a change that gives no valid scenario."""
 
 Pass = Callable[[Scenario], Candidates]
 
 Sized = tuple[tuple[int, int], tuple[Chromosome, ...]]
-"""Chains with the numbers of NPCs and of instructions in them."""
+"""Chains with their numbers of NPCs and of instructions."""
 
 FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
-"""Steps of speed, from rough to fine, in tenths of m/s like all speeds inside of this module."""
+"""Steps of speed from coarse to fine, in tenths of m/s like all speeds inside this module."""
 
 SECOND, HALF = SLOT_STEPS_PER_SECOND, SLOT_STEPS_PER_SECOND // 2
 """Steps of a slot, in tenths of a second."""
 
 
 SMALL_SPEEDS = (0.0, 10.0, 20.0, 25.0)
-"""Of the instructions of small scenarios [m/s]; other speeds come of the passes on what is found."""
+"""Speeds of the instructions in small scenarios [m/s]; the passes try other speeds on what is found."""
 
 SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)
-"""Of NPCs that cross in small scenarios [s]."""
+"""Slots of NPCs that cross in small scenarios [s]."""
 
 FIRST_PART = 10
-"""One run of so many is for small scenarios before anything else is tried, so that small budgets serve the passes."""
+"""One in this many runs is for small scenarios before anything else, so that small budgets go to the passes."""
 
 FOR_SPEEDS = 60
-"""Runs that are left for how far the speeds of the result can be changed, at most a fifth of the budget."""
+"""Runs reserved for how far the result's speeds can be changed, but at most a fifth of the budget."""
 
 MOST_FIRST_STEPS = 40
-"""How many simplifications are tried together with another one."""
+"""The largest number of simplifications that are tried together with a second one."""
 
 GOLDEN = 0x9E3779B97F4A7C15
-"""2**64 over the golden ratio: its multiples modulo 2**64 are spread evenly, however many there are."""
+"""2**64 over the golden ratio: its multiples modulo 2**64 are evenly spread, however many there are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedInterval:
-    """The target speeds of one instruction at which the scenario still fails, everything else being equal.
+    """The target speeds of one instruction at which the scenario still fails, with everything else equal.
 
-    The ends are found by steps that double while the scenario fails and are halved where it does not. All speeds
-    that were tried between them fail; those in between were not all tried.
+    The steps to the ends double while the scenario fails and are halved when it does not. All speeds that were tried
+    inside the interval fail, but not all were tried.
 
     Attributes:
-        npc, gene: where the instruction first stands in the scenario.
-        low, high: [m/s].
+        npc, gene: first place of the instruction in the scenario.
+        low, high: ends of the interval [m/s].
     """
 
     npc: int
@@ -102,16 +103,16 @@ class SpeedInterval:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shrunk:
-    """How a scenario became simpler.
+    """The result of shrinking a scenario.
 
     Attributes:
-        rollouts: runs that it took.
-        is_minimal: whether everything simpler that is tried was tried within the budget, and passes: each single step
-            of the passes, each small scenario (one NPC with one or two instructions, two with one each, of few
-            speeds; or one that crosses, in a zone of the scenario, with few slots), and pairs of a limited number of
-            steps. It says nothing of what is not in these lists.
-        speeds: for each instruction of the simpler scenario, by NPC and gene, the speeds at which it still fails; as
-            far as the budget reached.
+        rollouts: number of runs used.
+        is_minimal: whether every simpler candidate was tried within the budget, and passes: each single step of the
+            passes, each small scenario (one NPC with one or two instructions, two with one each, of few speeds; or one
+            that crosses, in a zone of the scenario, with few slots), and pairs of a limited number of steps. It says
+            nothing about scenarios that are not in these lists.
+        speeds: for each instruction of the simpler scenario, by NPC and gene, the speeds at which it still fails, as
+            far as the budget allowed.
     """
 
     rollouts: int
@@ -119,28 +120,28 @@ class Shrunk:
     speeds: tuple[SpeedInterval, ...] = ()
 
 
-class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is no error)
+class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is not an error)
     """No runs are left, or no time for them."""
 
 
 def sort_key(scenario: Scenario) -> tuple[int, ...]:
-    """The order of "simpler": of two scenarios the one with the smaller key, compared from the left.
+    """Return the key that defines "simpler": the scenario with the smaller key is simpler, compared from the left.
 
-    1. NPCs, since each of them is a participant to understand.
-    2. Instructions to read: equal ones that follow each other count once.
-    3. Moves from one cell or lane to another; staying is simpler. Of who crosses, holding or stopping; passing is
-       simpler.
+    1. NPCs, because each of them is a participant to understand.
+    2. Instructions to read: equal ones in a row count once.
+    3. Moves from one cell or lane to another, because staying is simpler. For an NPC that crosses, 1 if it holds or
+       stops, because passing is simpler.
     4. Genes of the longest chain, which is the length of the run; then genes in total.
-    5. How the ego starts: in lane 1 and at 22 m/s before anything else, of which round speeds come first; and genes of
-       10 s before those of another duration.
-    6. How rough the speeds are: multiples of 5 m/s before whole ones before tenths; and slots: whole seconds before
-       halves before tenths.
-    7. The sum of the speeds of the instructions: slower is simpler. Of who crosses, how far its slot is from 0, and not
-       its speed.
-    8. The traffic: the paper's has no rules of its own.
+    5. The ego's start: lane 1 and 22 m/s are simplest, and after these round speeds; genes of 10 s are simpler than
+       those of any other duration.
+    6. Roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and these than tenths. For slots,
+       whole seconds are simpler than halves, and these than tenths.
+    7. The sum of the instructions' speeds, because slower is simpler. For an NPC that crosses, the distance of its slot
+       from 0 instead of its speed.
+    8. The traffic: the paper's is simplest, because it adds no rules.
     9. The seed of the repair, of which 0 is the plainest.
 
-    Every part is a whole number, at least 0, so that every chain of simplifications ends.
+    Every part is a non-negative integer, so every chain of simplifications ends.
     """
     speeds = [_tenths(chain[start]) for chain in scenario.npcs for start, _ in blocks(chain)]
     slots = [round(abs(each.slot) * SLOT_STEPS_PER_SECOND) for each in scenario.crossings if each is not None]
@@ -167,12 +168,12 @@ def _roughness(tenths: int) -> int:
 
 
 def instructions(scenario: Scenario) -> int:
-    """How many instructions there are to read; equal ones that follow each other count once."""
+    """Return the number of instructions to read; equal ones in a row count once."""
     return sort_key(scenario)[1]
 
 
 def size_of(scenario: Scenario, longest_run: float = math.inf) -> str:
-    """The size of a scenario in words, given the world's longest run [s]: ``2 NPCs, 7 instructions, 60 s``."""
+    """Return the size of a scenario in words, given the world's longest run [s]: ``2 NPCs, 7 instructions, 60 s``."""
     npcs, told = plural(len(scenario.npcs), "NPC"), plural(instructions(scenario), "instruction")
     return f"{npcs}, {told}, {min(scenario.seconds, longest_run):g} s"
 
@@ -187,17 +188,17 @@ def shrink(
     plain: Start | None = None,
     plain_seconds: float | None = None,
 ) -> tuple[Scenario, Shrunk]:
-    """The simplest scenario that was found to fail in the same way as one that fails, as driven; and how it came about.
+    """Return the simplest scenario found that fails in the same way as a failing one, as driven, and how it was found.
 
     Args:
-        scenario: as driven; it fails.
-        attempt: never asked twice about the same scenario, and in the same order as long as it answers alike; what
-            ends it before its rollouts is to raise :class:`OutOfBudget` from then on.
-        rollouts: how often it may be asked.
-        top_speed: that no instruction may exceed [m/s].
-        starts: lets a scenario begin later, in the ego's state of that moment.
-        plain: at which the ego shall rather start.
-        plain_seconds: that a gene shall rather last [s].
+        scenario: failing scenario, as driven.
+        attempt: runs a scenario. It is never called twice with the same scenario, and equal answers lead to the same
+            order of calls. To end the search early, it must raise :class:`OutOfBudget` from then on.
+        rollouts: largest number of calls.
+        top_speed: speed that no instruction may exceed [m/s].
+        starts: gives the ego's state at each gene, from which a scenario can begin later.
+        plain: preferred start of the ego.
+        plain_seconds: preferred duration of a gene [s].
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     tried: dict[Scenario, Scenario | None] = {scenario: scenario}
@@ -217,11 +218,11 @@ def shrink(
     gate.rollouts = rollouts - min(FOR_SPEEDS, rollouts // 5)
     with suppress(OutOfBudget):
         while sum(map(gate.exhausts, deletions)) or gate.exhausts(small) or gate.exhausts(_two_steps):
-            pass  # Each of the deletions in every round; what takes many runs when they find nothing more.
+            pass  # Every round applies each deletion; the expensive passes run only when deletions find nothing more.
         is_minimal = True
     gate.rollouts = rollouts
     with suppress(OutOfBudget):
-        gate.exhausts(_papers_traffic)  # once, also where the passes spent their budget: they are not begun again
+        gate.exhausts(_papers_traffic)  # only once, even if the passes used up their budget: they do not start again
         intervals.extend(_intervals(gate))
     return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal, speeds=tuple(intervals))
 
@@ -230,7 +231,7 @@ def shrink(
 class _Gate:
     """The one gate before each run: a candidate must be valid, simpler than the best, and not tried before.
 
-    Scenarios are equal when their canonical texts are: speeds in tenths, cells in 1 to 8.
+    Scenarios are equal if their canonical texts are: speeds in tenths, cells from 1 to 8.
     """
 
     best: Scenario
@@ -242,7 +243,7 @@ class _Gate:
     spent: int = 0
 
     def simplifies(self, candidate: Scenario | None) -> bool:
-        """Whether a candidate fails likewise and is simpler; it is the best from then on."""
+        """Return whether a candidate fails in the same way and is simpler; if so, it becomes the best."""
         if candidate is None or sort_key(candidate) >= sort_key(self.best):
             return False
         driven = self.driven(candidate)
@@ -252,17 +253,17 @@ class _Gate:
         return True
 
     def exhausts(self, candidates: Pass) -> bool:
-        """Apply a pass until it finds nothing more; whether it found anything."""
+        """Apply a pass until it finds nothing more; return whether it found anything."""
         found = False
         while any(self.simplifies(candidate) for candidate in candidates(self.best)):
             found = True
         return found
 
     def driven(self, candidate: Scenario) -> Scenario | None:
-        """The candidate as driven where it fails likewise.
+        """Return the candidate as driven if it fails in the same way.
 
         Raises:
-            OutOfBudget: when that is not known and no runs, or no time, are left.
+            OutOfBudget: if the answer is unknown and no runs or no time are left.
         """
         if any(not self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain):
             return None
@@ -270,14 +271,14 @@ class _Gate:
             if self.spent >= self.rollouts:
                 raise OutOfBudget
             driven = self.tried[candidate] = self.attempt(candidate)
-            self.spent += 1  # after the attempt, which may refuse as well
+            self.spent += 1  # counted after the attempt, which may itself raise OutOfBudget
             if driven is not None:
-                self.tried[driven] = driven  # A scenario as driven is a fixed point of the repair.
+                self.tried[driven] = driven  # repair does not change a driven scenario
         return self.tried[candidate]
 
 
 def _fewer_npcs(scenario: Scenario) -> Candidates:
-    """One alone, then all but a run of them, long runs first."""
+    """Try each NPC as the only one, then remove runs of NPCs, long runs first."""
     npcs = scenario.npcs
     for npc in npcs if len(npcs) > 1 else ():
         yield replace(scenario, npcs=(npc,))
@@ -286,7 +287,7 @@ def _fewer_npcs(scenario: Scenario) -> Candidates:
 
 
 def _shorter(scenario: Scenario) -> Candidates:
-    """Without the tail, then without any other stretch of time, long ones first."""
+    """Remove the tail, then any other stretch of time, long ones first."""
     most = scenario.genes - 1
     for genes in sorted({1 << power for power in range(most.bit_length())} | {most} - {0}):  # 1, 2, 4 ... most
         yield scenario.truncated(genes)
@@ -296,28 +297,28 @@ def _shorter(scenario: Scenario) -> Candidates:
 
 
 def _later(scenario: Scenario, starts: Starts) -> Candidates:
-    """From a later gene on, the ego in the lane and at the speed that it had come to; the latest first."""
+    """Start at a later gene, with the ego's lane and speed at that moment; the latest gene first."""
     for gene, (lane, speed) in reversed(list(enumerate(starts(scenario)))[1:]):
         npcs = tuple(chain[gene:] for chain in scenario.npcs if len(chain) > gene)
         yield _valid(replace(scenario, ego_lane=lane, ego_speed=speed), npcs)
 
 
 def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
-    """The ego at the plain start, then in its lane or at its speed, then at a round speed where it has not that one."""
+    """Give the ego the plain start, then only its lane or its speed, then a round speed if its speed is not plain."""
     if plain is None:
         return
     yield replace(scenario, ego_lane=plain[0], ego_speed=plain[1])
     yield replace(scenario, ego_lane=plain[0])
     if scenario.ego_speed == plain[1]:
-        return  # Whoever searches may have fixed it.
+        return  # The user may have fixed this speed.
     for each in (plain[1], scenario.ego_speed // 5 * 5, scenario.ego_speed // 1):
         yield replace(scenario, ego_speed=each)
 
 
 def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
-    """Genes that last as long as those of a search that does not draw it, and ask for the same at the same times.
+    """Give genes the duration of a search with a fixed one, with the same instructions at the same times.
 
-    Where all NPCs cross, which know no duration, the usual one.
+    If all NPCs cross, the duration has no effect, so try the usual one.
     """
     if all(map(_crosses, scenario.npcs)):
         yield replace(scenario, gene_seconds=GENE_SECONDS)
@@ -329,14 +330,14 @@ def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
 
 
 def _shorter_chains(scenario: Scenario) -> Candidates:
-    """Without a stretch of one NPC's chain, long ones first; after its last gene it keeps its lane and speed."""
+    """Remove a stretch of one NPC's chain, long ones first; after its last gene it keeps its lane and speed."""
     for npc, chain in enumerate(scenario.npcs):
         for start, end in _slices(len(chain), len(chain) - 1):
             yield _with_chain(scenario, npc, chain[:start] + chain[end:])
 
 
 def _merged(scenario: Scenario) -> Candidates:
-    """A whole chain of one instruction, or one that takes over the block before or after it."""
+    """Make a whole chain of one instruction, or let an instruction take over the block before or after it."""
     for npc, chain in enumerate(scenario.npcs):
         for instruction in dict.fromkeys(chain):
             yield _with_chain(scenario, npc, (instruction,) * len(chain))
@@ -347,7 +348,7 @@ def _merged(scenario: Scenario) -> Candidates:
 
 
 def _staying(scenario: Scenario) -> Candidates:
-    """From one gene to the end, or to the end of its block, an NPC stays in the cell or lane that it was in before."""
+    """Let an NPC stay in its previous cell or lane from one gene to the end of the chain or of that gene's block."""
     for npc, chain in enumerate(scenario.npcs):
         for gene, end in blocks(chain):
             before = chain[max(gene - 1, 0)]
@@ -362,14 +363,14 @@ def _staying(scenario: Scenario) -> Candidates:
 
 
 def _passing(scenario: Scenario) -> Candidates:
-    """An NPC that held at its line, or stopped in its zone, drives through it."""
+    """Let an NPC that holds at its line or stops in its zone drive through it."""
     for npc, each in enumerate(scenario.crossings):
         if each is not None and each.act != "pass":
             yield _with_chain(scenario, npc, (replace(each, act="pass"),))
 
 
 def _plainer_slots(scenario: Scenario) -> Candidates:
-    """A slot of 0, the whole and half seconds next to it, and what is nearer to 0 by a second, a half or a tenth."""
+    """Try a slot of 0, the whole and half seconds next to it, and slots nearer to 0 by a second, a half or a tenth."""
     for npc, each in enumerate(scenario.crossings):
         if each is None:
             continue
@@ -381,7 +382,7 @@ def _plainer_slots(scenario: Scenario) -> Candidates:
 
 
 def _rounder(scenario: Scenario) -> Candidates:
-    """The multiples of 5 m/s, then of 1 m/s, next to a speed."""
+    """Try the multiples of 5 m/s, then of 1 m/s, next to a speed."""
     for npc, start, end, speed in _all_blocks(scenario):
         for unit in (FIVE, ONE):
             below = speed // unit * unit
@@ -390,7 +391,7 @@ def _rounder(scenario: Scenario) -> Candidates:
 
 
 def _slower(scenario: Scenario) -> Candidates:
-    """To a standstill, or down by 5, 1 or 0.1 m/s; the pass is repeated as long as that helps."""
+    """Slow down to a standstill, or by 5, 1 or 0.1 m/s; the pass is repeated as long as that helps."""
     for npc, start, end, speed in _all_blocks(scenario):
         for lower in (speed, FIVE, ONE, TENTH) if not _crosses(scenario.npcs[npc]) else ():
             yield _with_speed(scenario, npc, start, end, speed - lower)
@@ -402,23 +403,23 @@ def _plain_seed(scenario: Scenario) -> Candidates:
 
 
 def _papers_traffic(scenario: Scenario) -> Candidates:
-    """The paper's traffic instead of the hostile one, which is the default; the other styles stay."""
+    """Replace hostile traffic, which is the default, by the paper's; the other styles stay."""
     if scenario.traffic == Traffic():
         yield replace(scenario, traffic=PAPERS)
 
 
 STRUCTURE: tuple[Pass, ...] = (_fewer_npcs, _shorter, _merged, _staying, _shorter_chains, _passing)
 PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_slots, _rounder, _slower, _plain_seed)
-"""What a run saves most comes first; all are repeated until none of them finds anything."""
+"""All passes, those that save the most time of a run first; all are repeated until none finds anything."""
 
 
 def _small(scenario: Scenario, found: Scenario, plain: Start) -> Candidates:
-    """One NPC with one or two instructions, or two with one each; at the ego's plain start, and the present one.
+    """Try one NPC with one or two instructions, or two with one each, at the ego's plain start and its present one.
 
-    Where somebody crosses, one NPC that crosses in a zone of the scenario.
+    If the scenario has NPCs that cross, try one NPC that crosses in one of its zones.
     """
     size = len(scenario.npcs), instructions(scenario)
-    length = scenario.genes if size <= (1, 2) else found.genes  # A run ends with the failure; the longer, the more.
+    length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
     targets = SHIFTS if isinstance(found.npcs[0][0], LaneInstruction) else tuple(Cell)
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
     begins = [replace(scenario, seed=0, ego_lane=lane, ego_speed=speed) for lane, speed in starts]
@@ -437,9 +438,10 @@ def _small_crossings(found: Scenario) -> Sequence[Sized]:
 
 @lru_cache(maxsize=16)
 def _small_ones(targets: Sequence[Any], length: int) -> Sequence[Sized]:
-    """Every small scenario's numbers of NPCs and instructions, and chains.
+    """Return the numbers of NPCs and instructions, and the chains, of every small scenario.
 
-    In an order in which any beginning of the list has some of each kind: the most promising first finds fewer.
+    The order is mixed so that any beginning of the list has some of each kind: listing the most promising first finds
+    less.
     """
     genes = [gene_of(target, speed) for target in targets for speed in SMALL_SPEEDS]
     ones = [(gene,) * times for gene in genes for times in dict.fromkeys((1, length))]
@@ -450,7 +452,7 @@ def _small_ones(targets: Sequence[Any], length: int) -> Sequence[Sized]:
 
 
 def _two_steps(scenario: Scenario) -> Candidates:
-    """Two simplifications at once, neither of which is one alone; of the first those that leave most."""
+    """Apply two simplifications at once if neither works by itself; the first ones are those that leave most."""
     firsts = dict.fromkeys(each for simplified in STRUCTURE for each in simplified(scenario) if each is not None)
     for first in sorted(firsts, key=sort_key, reverse=True)[:MOST_FIRST_STEPS]:
         for simplified in STRUCTURE:
@@ -458,7 +460,7 @@ def _two_steps(scenario: Scenario) -> Candidates:
 
 
 def _intervals(gate: _Gate) -> Iterator[SpeedInterval]:
-    """For every instruction, how far its speed can go down and up while the scenario fails."""
+    """Yield for every instruction how far its speed can go down and up while the scenario fails."""
     scenario = gate.best
     for npc, start, end, speed in _all_blocks(scenario):
 
@@ -472,9 +474,9 @@ def _intervals(gate: _Gate) -> Iterator[SpeedInterval]:
 
 
 def _furthest(holds: Callable[[int], bool], direction: int, most: int) -> int:
-    """The largest number of steps found, at most ``most``, for which something holds; it holds for 0.
+    """Return the largest number of steps found, at most ``most``, for which a condition holds; it holds for 0.
 
-    The steps double while it holds and are then halved: the number of questions grows with the logarithm.
+    The steps double while it holds and are then halved, so the number of calls grows with the logarithm.
     """
     good, bad = 0, min(ONE, most)
     while bad > good and holds(direction * bad):
@@ -486,21 +488,21 @@ def _furthest(holds: Callable[[int], bool], direction: int, most: int) -> int:
 
 
 def _slices(length: int, most: int) -> Iterator[tuple[int, int]]:
-    """[start, end) of all runs that are ``most`` long, then half as long, and so on down to 1."""
+    """Yield [start, end) of all slices of length ``most``, then half of that, and so on down to 1."""
     while most > 0:
         yield from ((start, start + most) for start in range(length - most + 1))
         most //= 2
 
 
 def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
-    """NPC, [start, end) and speed of each block."""
+    """Yield NPC, [start, end) and speed of each block."""
     for npc, chain in enumerate(scenario.npcs):
         for start, end in blocks(chain):
             yield npc, start, end, _tenths(chain[start])
 
 
 def blocks(chain: Chromosome) -> list[tuple[int, int]]:
-    """[start, end) of each run of equal instructions."""
+    """Return [start, end) of each run of equal instructions."""
     starts = [gene for gene in range(len(chain)) if gene == 0 or chain[gene] != chain[gene - 1]]
     return list(pairwise([*starts, len(chain)]))
 
@@ -518,10 +520,10 @@ def _with_chain(scenario: Scenario, npc: int, chain: Chromosome) -> Scenario | N
 
 
 def _valid(scenario: Scenario, npcs: tuple[Chromosome, ...]) -> Scenario | None:
-    """The scenario with other chains, or None where these break a rule."""
+    """Return the scenario with other chains, or None if they break a rule."""
     try:
         return replace(scenario, npcs=npcs)
-    except ScenarioError:  # An empty chain, a leap across the ring, or two NPCs in one cell.
+    except ScenarioError:  # for an empty chain, a leap across the ring, or two NPCs in one cell
         return None
 
 
@@ -530,7 +532,7 @@ def _crosses(chain: Chromosome) -> bool:
 
 
 def _moves(chain: Chromosome) -> int:
-    """Changes of cell; of lane those that Lane-Instructions ask for; 1 for who crosses and does not pass."""
+    """Count changes of cell, changes of lane by Lane-Instructions, and 1 for an NPC that crosses but does not pass."""
     if isinstance(chain[0], CrossingInstruction):
         return int(chain[0].act != "pass")
     cells = [instruction.cell for instruction in chain if isinstance(instruction, PositionInstruction)]

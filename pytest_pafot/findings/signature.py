@@ -1,4 +1,4 @@
-"""What makes two failures the same: a comparison of fields. Hundreds of collisions are a handful of findings."""
+"""The identity of failures, a comparison of fields: hundreds of collisions come down to a handful of findings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|(
 _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(?::\d+)?")
 
 PROCESS_CRASH = "ProcessCrash"
-"""The failure of a run in which the process died, which nobody saw raise anything."""
+"""The failure of a run in which the process died, so that no exception was seen."""
 
 CHECK_FAILED = CheckFailed.__name__
 """The failure of a check, whose name is its assertion."""
@@ -37,31 +37,31 @@ _OF_COLLISIONS = frozenset(
     {"collision", "responsibility", "attribution", "outcome", "second_opinion", "preventable_by", "reference_drivers",
      "last_chance", "sentences", "explain"}
 )  # fmt: skip
-"""What an assertion that speaks of the collision names of a run."""
+"""Attributes of a run by which an assertion is about the collision."""
 
 AT_ZONES = frozenset({"did-not-give-way", "entered-taken-zone"})
-"""Faults that are about a zone, wherever in it the two touched."""
+"""Faults that are about a zone, wherever in it the two vehicles touched."""
 
 ZONES = tuple(
     f"{kind} from {'the ' if origin in ('left', 'right') else ''}{origin}"
     for kind in get_args(Kind)
     for origin in get_args(Origin)
 )
-"""What tells zones apart, as in ``crossing from the left``: one junction has many that are much the same."""
+"""Groups of zones, as in ``crossing from the left``; one junction has many zones that are much the same."""
 
 _NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """What made a run a failing one.
+    """The reason why a run fails.
 
     Attributes:
         kind: name of the exception class.
-        message: of the exception.
-        assertion: source text of the failing assertion; empty where it is unknown.
-        traceback: worth keeping in the file, such as that of an ADS that raised; empty otherwise.
-        check: that failed; None where it was something else. Its name is the assertion then.
+        message: message of the exception.
+        assertion: source text of the failing assertion; empty if it is unknown.
+        traceback: traceback worth saving in the file, such as that of an ADS that raised; otherwise empty.
+        check: the check that failed, whose name is then the assertion; None if something else failed.
     """
 
     kind: str
@@ -73,26 +73,26 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signature:
-    """The identity of a failure; two failures are the same when all fields are equal.
+    """The identity of a failure; two failures are the same if all fields are equal.
 
-    A failed check is told by its name, and so is an assertion that does not speak of the collision by its text: how
-    the run ended, and where the others drove, is up to the traffic, and one property would be many failures. A
-    collision that the ego answers for is told by its mistake alone, for the same reason, and in a zone by its kind and
-    from where the NPC came as well. Any other is told by where and how it came about.
+    A failed check is identified by its name, and an assertion that is not about the collision by its text: how the run
+    ended and where the NPCs drove depends on the traffic, and would split one property into many failures. For the same
+    reason, a collision that the ego answers for is identified only by the ego's mistake, and at a zone also by the
+    zone's kind and the NPC's origin. Any other collision is identified by where and how it happened.
 
     Attributes:
         failure: name of the exception class.
-        assertion: the failing assertion (:func:`normalised`), free of file, line, numbers and addresses.
+        assertion: the failing assertion (:func:`normalised`), without file, line, numbers and addresses.
         outcome: how the run ended; ``safe`` for a property (:attr:`is_property`).
-        responsibility: ``ego`` where it answers for the collision, alone or with the NPC; ``npc``; ``none``.
-        mistake: what the ego did wrong; None where it does not answer for a collision, and where a file tells that it
-            entered a lane, but not where the other was.
-        fault: the branch of the rules by which it answers; a name, which is not compared.
-        side: of the ego that was hit; None without a collision, and with a fault.
-        cell: of the NPC at the collision; None without one, and with a fault.
-        zone: in which the NPC crossed the ego's way (:func:`zone_in_words`); None where it did not, and with a fault
-            that is about no zone.
-        npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one, and with a fault.
+        responsibility: ``ego`` if it answers for the collision, alone or with the NPC; ``npc``; ``none``.
+        mistake: what the ego did wrong; None if it does not answer for a collision, and for a file that says the ego
+            entered a lane, but not where the other vehicle was.
+        fault: the rule by which it answers, for the name only; it is not compared.
+        side: side of the ego that was hit; None without a collision, and with a fault.
+        cell: cell of the NPC at the collision; None without a collision, and with a fault.
+        zone: zone in which the NPC crossed the ego's way (:func:`zone_in_words`); None if it did not, and with a
+            fault that is not about a zone.
+        npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision; None without one, and with a fault.
     """
 
     failure: str
@@ -128,9 +128,9 @@ class Signature:
 
     @property
     def is_property(self) -> bool:
-        """Whether what failed says nothing of how the run ended: a check, or an assertion on a measure.
+        """True if the failure is not about how the run ended: a failed check, or an assertion on a measure.
 
-        An assertion of which only the message is known, or that names nothing of a run, is about how the run ended.
+        An assertion counts as about the end if only its message is known, or if it names nothing of a run.
         """
         if self.failure == CHECK_FAILED:
             return True
@@ -141,7 +141,7 @@ class Signature:
 
     @property
     def text(self) -> str:
-        """All that is compared, in one line: equal for two signatures where these are equal, and nowhere else."""
+        """All compared fields in one line: equal for two signatures exactly if these are equal."""
         compared = ((each.name, getattr(self, each.name)) for each in fields(self) if each.compare)
         return " ".join(f"{name}={str(value)!r}" for name, value in compared if value is not None)
 
@@ -175,16 +175,16 @@ class Signature:
 
 
 def zone_in_words(zone: Zone) -> str:
-    """Return which of the :data:`ZONES` a zone is."""
+    """Return in which of the groups in :data:`ZONES` a zone is."""
     return f"{zone.kind} {zone.whence}"
 
 
 def normalised(assertion: str, message: str = "") -> str:
-    """A failing assertion without what varies from run to run or with unrelated edits.
+    """Reduce a failing assertion to what does not vary from run to run or with unrelated edits.
 
-    From source text, the tested expression alone: no message, comments, line breaks or needless brackets, and
-    ``N`` for each number. From a message, its first line with ``N`` for numbers, ``ADDRESS`` for addresses and
-    ``PATH`` for files. At most 200 characters.
+    Source text is reduced to the tested expression, without message, comments, line breaks and needless brackets, and
+    with ``N`` for each number. A message is reduced to its first line with ``N`` for numbers, ``ADDRESS`` for addresses
+    and ``PATH`` for files. The result has at most 200 characters.
     """
     return (_from_source(assertion) or _from_message(assertion) or _from_message(message))[:MAX_ASSERTION].rstrip()
 
@@ -202,15 +202,16 @@ class _Numberless(ast.NodeTransformer):
 
 @lru_cache(maxsize=64)
 def _named(assertion: str) -> tuple[set[str], set[str]]:
-    """All attributes that an expression names, and those of a name, of a run as a rule, that are no helper's call.
+    """Return all attributes in an expression, and those of a plain name (usually a run) except helper calls.
 
-    ``run.ego.jerk.max()`` names all three, and of a run ``ego``; ``helpers.is_fine(run)`` names nothing of a run.
+    In ``run.ego.jerk.max()`` all three are attributes, and ``ego`` is one of the run; ``helpers.is_fine(run)`` names
+    none.
     """
     try:
         nodes = list(ast.walk(ast.parse(assertion, mode="eval")))
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         cut = set(re.findall(r"\b[A-Za-z_]\w*\.(\w+)", assertion)) if len(assertion) > MAX_ASSERTION - 9 else set()
-        return cut, cut  # of one that was cut short
+        return cut, cut  # the text was cut short, so it does not parse
     calls = (node for node in nodes if isinstance(node, ast.Call))
     helpers = [call.func for call in calls if any(isinstance(argument, ast.Name) for argument in call.args)]
     attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
@@ -218,7 +219,7 @@ def _named(assertion: str) -> tuple[set[str], set[str]]:
     return {each.attr for each in attributes}, measures
 
 
-@lru_cache(maxsize=64)  # most failures of a search are of a few statements
+@lru_cache(maxsize=64)  # most failures of a search are at a few statements
 def _from_source(assertion: str) -> str:
     try:
         body = ast.parse(dedent(assertion).strip()).body
@@ -227,7 +228,7 @@ def _from_source(assertion: str) -> str:
         tested = body[0].test if isinstance(body[0], ast.Assert) else body[0]
         return " ".join(ast.unparse(_Numberless().visit(tested)).split())
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return ""  # no Python expression (or none that this interpreter can read): normalised as a message is
+        return ""  # not an expression that this interpreter can parse; it is treated as a message
 
 
 def _from_message(message: str) -> str:

@@ -1,10 +1,10 @@
 """The situation from which a failure arose, and whether it comes up in another run.
 
-A saved failure passes for two reasons: the policy now handles the situation, or the situation does not come up any
-more. NPCs drive to places relative to the ego, so a situation is where an NPC was relative to the ego, shortly before
-the ego's mistake. What the ego does about it, such as braking earlier, must not change whether it came up.
+There are two reasons why a saved failure passes: the policy now handles the situation, or the situation no longer comes
+up. NPCs drive to places relative to the ego, so a situation is an NPC's place relative to the ego shortly before the
+ego's mistake. What the ego does about it, such as braking earlier, must not change whether the situation came up.
 
-One with an NPC that crosses is when each of the two was to come to the zone in which their ways meet.
+With an NPC that crosses, a situation is when each of the two would arrive at the zone in which their ways meet.
 """
 
 from __future__ import annotations
@@ -25,58 +25,58 @@ from pytest_pafot.model.trace import ALONG, LANE, FloatArray, Outcome, Trace
 from pytest_pafot.model.trace import SPEED as SPEEDS
 from pytest_pafot.oracle.run import Run
 
-# The tolerances were chosen by replaying failures of policies with seeded defects, with the policies repaired and with
-# policies that avoid the situation; docs/explanation/findings.md says what they mean.
+# The tolerances were chosen by replaying failures of policies with seeded defects, both with the repaired policies and
+# with policies that avoid the situation; docs/explanation/findings.md explains what they mean.
 
 BEFORE = 2.0
-"""The situation of a failure without a collision is that of so long before its time [s]."""
+"""Time [s] before a failure without a collision at which its situation is taken."""
 START = 4.0
-"""All start at one speed and in cells, whatever the ego does, so the first [s] count only for a situation in them."""
+"""All runs start alike whatever the ego does, so the first seconds [s] count only for a situation in them."""
 HALF_LANE = 0.5
-"""An NPC is in a lane whose centre is no further away than this, in widths of the ego's lane."""
+"""An NPC is in a lane if its centre is no further away than this, in widths of the ego's lane."""
 PLACE = 5.0
 PLACE_SHARE = 0.25
-"""Places along the road are near each other within the first [m], or within this share of the distance to the ego."""
+"""Places along the road are near each other within the first value [m], or this share of the distance to the ego."""
 SPEED = 3.0
-"""Speeds of an NPC are near each other within this, relative to the ego's, or by themselves [m/s] ..."""
+"""Speeds of an NPC are near each other within this [m/s], relative to the ego's, or by themselves ..."""
 EGO_SPEED = 9.0
-"""... where the ego's are within this [m/s]."""
+"""... if the ego's speeds differ by at most this [m/s]."""
 REACH = 20.0
 REACH_FACTOR = 2.0
-"""A leader may be up to so far ahead [m], or so many times as far as then: an ego that answers earlier keeps away."""
+"""A leader may be this far ahead [m], or this many times as far as before: an ego that responds earlier stays away."""
 SLOWER_SHARE = 0.6
-"""A leader must be slower than the ego by this share of the difference then, or by 3 m/s less than it, ..."""
+"""A leader must be slower than the ego by this share of the saved difference, or by 3 m/s less than it, ..."""
 ANSWER = 10.0
-"""... compared with the highest speed of the ego in so long before: an ego that answers slows down, too [s]."""
+"""... compared with the ego's highest speed in the last seconds [s], because an ego that responds also slows down."""
 ARRIVAL = 1.0
 ARRIVAL_SHARE = 0.5
-"""Times to a zone are near each other within the first [s], or within this share of the time then."""
+"""Times to a zone are near each other within the first value [s], or this share of the saved time."""
 APPROACH = 3.0
-"""Times to a zone are those with the highest speed of so long before [s]: an ego that gives way slows down for it."""
+"""Times to a zone use the highest speed of the last seconds [s], because an ego that gives way slows down for it."""
 LEAST_SPEED = 0.1
-"""Whoever has not been faster will not come to a zone [m/s]."""
+"""A vehicle that was never faster than this will not arrive at a zone [m/s]."""
 
 
 class Arising(Protocol):
-    """A situation, of whatever kind."""
+    """A situation of any kind."""
 
     @property
     def npc(self) -> int:
-        """Index in the scenario."""
+        """The NPC's index in the scenario."""
 
     @property
     def time(self) -> float:
-        """Of the moment [s]."""
+        """The time of the situation [s]."""
 
     def distances(self, trace: Trace) -> FloatArray:
-        """Return how far a run is from the situation at each tick, in multiples of what is tolerated."""
+        """Return how far a run is from the situation at each tick, in multiples of the tolerance."""
 
     def nearest_in(self, trace: Trace) -> Self:
-        """Return the moment at which a run came nearest to the situation."""
+        """Return the moment at which a run was nearest to the situation."""
 
 
 def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSituation | None:
-    """Return the situation from which a failure arose that is about a time [s]; None where it is about no NPC."""
+    """Return the situation from which a failure at a time [s] arose; None if the failure is about no NPC."""
     npc = run.event_npc
     if failure.check is not None:
         npc = failure.check.npc
@@ -90,21 +90,21 @@ def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSit
 
 
 def tick_of_mistake(run: Run, failure: Failure) -> int | None:
-    """Return when the reason of the verdict begins; None where a failure is about no collision, or nobody says."""
+    """Return the tick at which the reason of the verdict begins; None without a collision, or if it is unknown."""
     return None if run.collision is None or failure.check is not None else run.attribution.tick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """Where an NPC was relative to the ego at one moment, and how fast the two were.
+    """The place of an NPC relative to the ego at one moment, and the speeds of both.
 
     Attributes:
-        npc: index in the scenario.
-        time: of the moment [s].
-        ahead: of the NPC's centre from the ego's, along the road [m]; negative behind.
-        lane: of the NPC, counted from the ego's to the right; negative to the left.
-        ego_speed: along the road [m/s].
-        npc_speed: likewise. Of a leader, which is ahead in the ego's lane, the lowest from then on up to the failure.
+        npc: the NPC's index in the scenario.
+        time: time of the moment [s].
+        ahead: distance from the ego's centre to the NPC's, along the road [m]; negative behind.
+        lane: lane of the NPC, counted from the ego's to the right; negative to the left.
+        ego_speed: speed of the ego along the road [m/s].
+        npc_speed: the same for the NPC. For a leader, ahead in the ego's lane, the lowest speed up to the failure.
     """
 
     npc: int
@@ -118,15 +118,15 @@ class Situation:
     def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
         """Return the situation from which a failure arose that is about an NPC and a time [s].
 
-        The moment is when the ego made its mistake: the one at which the reason of the verdict begins, or else 2 s
-        before the time. Where the ego was changing lanes then, or braking for nothing, it is the moment before that;
-        otherwise, where the NPC was still to come into the ego's lane, the moment when it had.
+        The moment is when the ego made its mistake: the beginning of the reason of the verdict, or else 2 s before the
+        time. If the ego was changing lanes at that moment, or braking for nothing, the moment before that counts.
+        Otherwise, if the NPC had yet to enter the ego's lane, the moment when it had done so counts.
         """
         trace, mistake = run.trace, tick_of_mistake(run, failure)
         frame, hz, end = frame_of(trace), trace.physics_hz, min(round(time * trace.physics_hz), trace.ticks)
         tick = end if mistake is None else mistake
         lanes = _lanes_between(trace, frame, npc)
-        # How fast an ego is that brakes for nothing, it has decided itself; so it counts how fast it was before.
+        # An ego that brakes for nothing has decided its speed itself; so its speed before that counts.
         is_needless = mistake is not None and run.attribution.fault in ("braked-for-nothing", "stopped-for-nothing")
         is_steady = braking(trace) < BRAKES if is_needless else np.abs(frame.drift[0]) < DRIFTING
         steady = np.flatnonzero(is_steady[: tick + 1])
@@ -154,7 +154,7 @@ class Situation:
     def distances(self, trace: Trace) -> FloatArray:
         """Return how far a run is from the situation at each tick: along the road, in lanes, and in speeds.
 
-        Shape [3, ticks + 1], in multiples of what is tolerated: where none is above 1 the situation came up.
+        Shape [3, ticks + 1], in multiples of the tolerance: the situation came up if none of the three is above 1.
         """
         frame, npc, start = frame_of(trace), self.npc, round(min(self.time, START) * trace.physics_hz)
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
@@ -166,7 +166,7 @@ class Situation:
             speeds = np.maximum(1 + lacking / SPEED, 0)
         else:
             along = np.abs(ahead - self.ahead) / max(PLACE, PLACE_SHARE * abs(self.ahead))
-            # An NPC with a speed of its own, such as one that overtakes, is the same beside an ego with another one.
+            # An NPC whose own speed matches, such as one that overtakes, may be next to an ego of a different speed.
             own = np.maximum(np.abs(speed - self.npc_speed) / SPEED, np.abs(ego - self.ego_speed) / EGO_SPEED)
             speeds = np.minimum(np.abs(ego - speed - slower) / SPEED, own)
             along = np.where(np.arange(len(along)) < start, np.inf, along)
@@ -174,7 +174,7 @@ class Situation:
         return np.stack((along, aside, speeds))
 
     def nearest_in(self, trace: Trace) -> Self:
-        """Return the moment at which a run came nearest to the situation."""
+        """Return the moment at which a run was nearest to the situation."""
         frame, tick = frame_of(trace), int((self.distances(trace) ** 2).sum(axis=0).argmin())
         ego_speed, npc_speed = frame.speed[0, tick], frame.speed[self.npc + 1, tick]
         return self._at(tick, trace, frame, self.npc, ego_speed=ego_speed, npc_speed=npc_speed)
@@ -188,16 +188,16 @@ class Situation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZoneSituation:
-    """When an NPC that crosses and the ego were to come to their zone, at one moment, and how fast they were.
+    """The times at which a crossing NPC and the ego were about to arrive at their zone, and the speeds of both.
 
-    Times are those with the highest speed of the last 3 s, since an ego that answers slows down, and below 0 in the
-    zone and behind it.
+    The times assume the highest speed of the last 3 s, because an ego that responds slows down. They are negative in
+    the zone and behind it.
 
     Attributes:
-        npc: index in the scenario.
-        time: of the moment [s].
-        npc_enters, ego_enters: how long after it the centre of each is to be at the beginning of the zone [s].
-        ego_speed, npc_speed: along their ways [m/s].
+        npc: the NPC's index in the scenario.
+        time: time of the moment [s].
+        npc_enters, ego_enters: time from then until the centre of each arrives at the beginning of the zone [s].
+        ego_speed, npc_speed: speeds along their ways [m/s].
     """
 
     npc: int
@@ -211,8 +211,8 @@ class ZoneSituation:
     def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
         """Return the situation from which a failure arose that is about an NPC that crosses and a time [s].
 
-        The moment is the one at which the reason of the verdict begins, or else 2 s before the time. A verdict on a
-        zone begins when the ego enters it, which is the mistake itself, so that 2 s before that count.
+        The moment is the beginning of the reason of the verdict, or else 2 s before the time. A verdict on a zone
+        begins when the ego enters it, which is the mistake itself, so 2 s before that count.
         """
         trace, mistake = run.trace, tick_of_mistake(run, failure)
         if mistake is None or run.attribution.fault is None or run.attribution.fault in AT_ZONES:
@@ -234,9 +234,9 @@ class ZoneSituation:
         )
 
     def distances(self, trace: Trace) -> FloatArray:
-        """Return how far a run is from the situation at each tick: in the time of each, and in the NPC's speed.
+        """Return how far a run is from the situation at each tick: in the times of both, and in the NPC's speed.
 
-        Shape [3, ticks + 1], in multiples of what is tolerated: where none is above 1 the situation came up.
+        Shape [3, ticks + 1], in multiples of the tolerance: the situation came up if none of the three is above 1.
         """
         ego_enters, npc_enters = _times_to_zone(trace, self.npc)
         ego_enters = np.where(np.arange(trace.ticks + 1) < min(self.time, START) * trace.physics_hz, np.inf, ego_enters)
@@ -245,7 +245,7 @@ class ZoneSituation:
         return np.stack((ego, npc, np.abs(trace.states[:, self.npc + 1, SPEEDS] - self.npc_speed) / SPEED))
 
     def nearest_in(self, trace: Trace) -> Self:
-        """Return the moment at which a run came nearest to the situation."""
+        """Return the moment at which a run was nearest to the situation."""
         return self._at(int((self.distances(trace) ** 2).sum(axis=0).argmin()), trace, self.npc)
 
     def __str__(self) -> str:
@@ -257,7 +257,7 @@ class ZoneSituation:
 
 
 def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
-    """Return in how long the ego and an NPC that crosses are to be at the beginning of their zone, at each tick [s]."""
+    """Return at each tick when the ego and a crossing NPC would arrive at the beginning of their zone [s from then]."""
     zone, on_way = trace.zones[npc], trace.on_way
     assert zone is not None and on_way is not None, "the NPC crosses"  # noqa: S101, PT018
     ego = zone.ego[0] - trace.track_of(0)[:, ALONG], trace.states[:, 0, SPEEDS]
@@ -267,13 +267,13 @@ def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _highest(speeds: FloatArray, trace: Trace, seconds: float) -> FloatArray:
-    """Return the highest speed up to each tick, of those in so many seconds before [m/s]."""
+    """Return at each tick the highest speed of the last seconds [m/s]."""
     ticks = round(seconds * trace.physics_hz)
     return np.asarray(sliding_window_view(np.pad(speeds, (ticks, 0)), ticks + 1).max(axis=1))
 
 
 def seconds_after(situation: Arising | None, run: Run) -> float | None:
-    """Return how long a run went on after a situation first came up [s]; None where it did not, or is not known."""
+    """Return how long a run continued after a situation first came up [s]; None if it did not, or if unknown."""
     if situation is None or not _can_be_compared(situation, run.trace):
         return None
     came_up = np.flatnonzero(situation.distances(run.trace).max(axis=0) <= 1)
@@ -281,21 +281,21 @@ def seconds_after(situation: Arising | None, run: Run) -> float | None:
 
 
 def missed(situation: Arising | None, run: Run) -> str:
-    """Return a sentence that a situation did not come up in a run, and how near it came; empty where it came up.
+    """Return a sentence that a situation did not come up in a run, and how near the run was; empty if it came up.
 
-    Empty as well where nobody knows the situation.
+    It is also empty if the situation is unknown.
     """
     if situation is None or not _can_be_compared(situation, run.trace) or seconds_after(situation, run) is not None:
         return ""
     now = situation.nearest_in(run.trace)
     return (
-        f"the situation did not come up: NPC {situation.npc} was {situation}, before the run failed; now it came no "
-        f"nearer to that than {now}, after {now.time:.1f} s"
+        f"the situation did not come up: NPC {situation.npc} was {situation}, before the run failed; this time the "
+        f"nearest to that was {now}, after {now.time:.1f} s"
     )
 
 
 def _can_be_compared(situation: Arising, trace: Trace) -> bool:
-    """Return whether a run says where everybody was, and the NPC of a situation at a zone crosses in it, too."""
+    """Return whether a run has finite positions, and the NPC of a situation at a zone crosses in it, too."""
     crosses = bool(trace.zones) and trace.zones[situation.npc] is not None
     return bool(np.isfinite(trace.states).all()) and isinstance(situation, ZoneSituation) == crosses
 

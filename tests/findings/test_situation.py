@@ -153,7 +153,7 @@ def test_a_miss_says_where_the_other_was_and_how_near_it_came():
     passing = Run(trace_of(driven(0.0), driven(-20.0, LEFT)))
     assert missed(situation(into_the_side()), passing) == (
         "the situation did not come up: NPC 0 was 2 m behind one lane to the right at 20 m/s, with the ego at 20 m/s, "
-        "before the run failed; now it came no nearer to that than 20 m behind one lane to the left at 20 m/s, with "
+        "before the run failed; this time the nearest to that was 20 m behind one lane to the left at 20 m/s, with "
         "the ego at 20 m/s, after 4.0 s"
     )
 
@@ -185,7 +185,7 @@ def test_a_collision_with_the_same_npc_is_no_fix_though_it_passes():
     later = Run(crash(driven(0.0), driven(35.0, brakes=[(6.0, 6.0, 8.0)])))
     assert replay_label(saved, later, None, {}) == "drifted"
     assert unhandled(saved, later) == (
-        f"the ego and NPC 0 collide all the same, after {later.collision.time:.1f} s, which is no failure of the test"
+        f"the ego and NPC 0 still collide, after {later.collision.time:.1f} s, but the test accepts that"
     )
 
 
