@@ -1,6 +1,6 @@
-"""The search: an algorithm proposes scenarios, a campaign has them evaluated and tells it the results.
+"""The search: an algorithm proposes scenarios, and a campaign evaluates them and passes the results to the algorithm.
 
-Nothing here simulates. How a scenario becomes an evaluation is given to :func:`run_campaign` as a function.
+Nothing here simulates. :func:`run_campaign` receives a function that turns a scenario into an evaluation.
 """
 
 from __future__ import annotations

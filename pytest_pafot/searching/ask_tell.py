@@ -1,7 +1,7 @@
-"""What a search algorithm is: it is asked for scenarios, and told what their runs showed.
+"""The interface of search algorithms: a campaign asks them for scenarios and tells them what the runs showed.
 
-:class:`Algorithm` is all that a search needs. :class:`GenerationalSearch` is a base for algorithms without local
-searches, ours and those of others: a subclass says what it proposes and what it learns.
+A search needs no more than :class:`Algorithm`. :class:`GenerationalSearch` is a base for algorithms without local
+searches, ours and others: a subclass defines what it proposes and what it learns.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pytest_pafot.searching.space import SearchSpace
 
 
 class SearchState(Protocol):
-    """What a campaign needs to know of an algorithm's state, which is a value."""
+    """The parts of an algorithm's state that a campaign reads; a state is a value."""
 
     @property
     def generation(self) -> int:
@@ -31,14 +31,14 @@ class SearchState(Protocol):
 
     @property
     def local_generation(self) -> int:
-        """Within a local search the generation from 1; 0 in the main search."""
+        """The generation of a local search, from 1; 0 in the main search."""
 
 
 StateT = TypeVar("StateT", bound=SearchState)
 
 
 class Algorithm(Protocol[StateT]):
-    """A search strategy: a value with no state of its own and no randomness but what it is given.
+    """A search strategy: a value without internal state; all randomness is passed to it.
 
     Its class is called with a :class:`~pytest_pafot.searching.space.SearchSpace` and the parameter ``population``, and
     may have the attributes of :class:`~pytest_pafot.searching.algorithms.catalogue.AlgorithmClass`.
@@ -46,39 +46,39 @@ class Algorithm(Protocol[StateT]):
 
     @property
     def name(self) -> str:
-        """By which files and reports call it."""
+        """The name in files and reports."""
 
     def start(self, rng: Rng) -> StateT:
-        """The state before the first generation."""
+        """Return the state before the first generation."""
 
     def ask(self, state: StateT, rng: Rng) -> tuple[StateT, tuple[Scenario, ...]]:
-        """The scenarios to evaluate next; none where a generation brings nothing new.
+        """Return the scenarios to evaluate next; empty if a generation brings nothing new.
 
         Raises:
-            RuntimeError: when the last ask has not been told.
+            RuntimeError: if the scenarios of the last ask have not been told.
         """
 
     def tell(
         self, state: StateT, evaluations: Sequence[Evaluation], rng: Rng
     ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
-        """Finish the generation that was asked for, with its evaluations in the same order.
+        """Finish the requested generation, with its evaluations in the same order.
 
         Raises:
-            RuntimeError: without an ask before.
-            ValueError: when the evaluations are not those of the scenarios asked for.
+            RuntimeError: without a previous ask.
+            ValueError: if the evaluations are not those of the requested scenarios.
         """
 
 
 class Drawing(Generic[StateT]):
-    """The scenarios of a generation, which can be run while others are still drawn.
+    """The scenarios of a generation, which can be run while later ones are still being sampled.
 
-    Iterated over, it asks an algorithm and gives its scenarios. A :class:`GenerationalSearch` draws each when it is
-    read, unless it has an ``ask`` of its own.
+    Iterating over it asks an algorithm and yields its scenarios. A :class:`GenerationalSearch` samples each scenario
+    only when it is read, unless the class has a different ``ask``.
     """
 
     def __init__(self, algorithm: Algorithm[StateT], state: StateT, rng: Rng) -> None:
         self.scenarios: list[Scenario] = []
-        """Those that were drawn."""
+        """The scenarios that were sampled so far."""
         self._state = state
         self._source = self._drawn(algorithm, rng)
 
@@ -88,7 +88,7 @@ class Drawing(Generic[StateT]):
             yield scenario
 
     def finished(self) -> StateT:
-        """The state, once all that was not read is drawn."""
+        """Sample all scenarios that were not read, and return the state."""
         deque(self, maxlen=0)
         return self._state
 
@@ -102,28 +102,28 @@ class Drawing(Generic[StateT]):
 
 @runtime_checkable
 class ResumableSearch(Protocol):
-    """What an algorithm can do besides whose search can go on in another session, as ``--pafot-resume`` asks for."""
+    """The additional methods of an algorithm whose search ``--pafot-resume`` can continue in a different session."""
 
     def stored(self, state: Any) -> Any:
-        """A state between two generations as plain data; see :func:`~pytest_pafot.searching.plain.plain`."""
+        """Return a state between two generations as plain data; see :func:`~pytest_pafot.searching.plain.plain`."""
 
     def restored(self, data: Any) -> Any:
-        """The inverse: the state from which the search goes on as if it had never stopped.
+        """Return the state from plain data; the search then continues as if it had never stopped.
 
         Raises:
-            ValueError: for data that is none of this algorithm.
+            ValueError: for data that is not from this algorithm.
         """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationState:
-    """Where a search without local searches is, between two calls."""
+    """The state of a search without local searches, between two calls."""
 
-    generation: int = 0  # from 0
-    local_generation: int = 0  # always; there is no local search
-    best: Evaluation | None = None  # so far; None before the first eligible run
-    asked: tuple[Scenario, ...] | None = None  # scenarios that are out for evaluation; None when it is time to ask
-    proposed: int = 0  # scenarios so far
+    generation: int = 0  # counted from 0
+    local_generation: int = 0  # always 0, because there is no local search
+    best: Evaluation | None = None  # None before the first eligible run
+    asked: tuple[Scenario, ...] | None = None  # scenarios under evaluation; None if the next call must be ask
+    proposed: int = 0  # number of scenarios so far
 
 
 GenerationStateT = TypeVar("GenerationStateT", bound=GenerationState)
@@ -134,8 +134,8 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
     """An algorithm without local searches.
 
     Attributes:
-        space: of the scenarios.
-        population: scenarios in a generation.
+        space: space of the scenarios.
+        population: number of scenarios in a generation.
     """
 
     name: ClassVar[str]
@@ -148,25 +148,25 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 
     @abstractmethod
     def start(self, rng: Rng) -> GenerationStateT:
-        """The state before the first generation."""
+        """Return the state before the first generation."""
 
     @abstractmethod
     def propose(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, Iterable[Scenario]]:
-        """The scenarios of the next generation, which may be drawn as they are read, and the state after that."""
+        """Return the state afterwards, and the next generation's scenarios, which may be sampled as they are read."""
 
     def learn(self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng) -> GenerationStateT:
-        """The state with what the runs of a generation show; its best and its generation follow by themselves."""
+        """Return the state with what a generation's runs show; its best and its generation are updated elsewhere."""
         return state
 
     def ask(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
-        """The scenarios of the next generation."""
+        """Return the scenarios of the next generation."""
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
         asked = tuple(proposed)
         return replace(state, asked=asked, proposed=state.proposed + len(asked)), asked
 
     def draw(self, state: GenerationStateT, rng: Rng) -> Generator[Scenario, None, GenerationStateT]:
-        """What :meth:`ask` gives, one by one, for a :class:`Drawing`."""
+        """Yield the scenarios of :meth:`ask` one by one, for a :class:`Drawing`."""
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
         asked = []
@@ -178,7 +178,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
     def tell(
         self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng
     ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order."""
+        """Finish a generation with the evaluations of the requested scenarios, in the same order."""
         check_evaluations(state.asked, evaluations)
         kept = self.kept(state)
         finished = GenerationFinished(
@@ -193,14 +193,14 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         return learnt, (finished, NewBest(generation=state.generation, local_generation=0, evaluation=new))
 
     def kept(self, state: GenerationStateT) -> Sequence[Evaluation]:
-        """What passes on untouched into the generation that was asked for."""
+        """Return the evaluations that pass into the requested generation unchanged."""
         return ()
 
 
 def end_of_local_search(
     state: SearchState, incumbent: Evaluation, better: Evaluation | None
 ) -> tuple[AlgorithmEvent, ...]:
-    """What an algorithm tells at the end of a local search that has found a better one than its incumbent, or none."""
+    """Return an algorithm's events at the end of a local search, which may have found a better scenario."""
     finished = LocalSearchFinished(
         generation=state.generation, incumbent=incumbent, best=better or incumbent, replaced=better is not None
     )
@@ -210,10 +210,10 @@ def end_of_local_search(
 
 
 def check_ask(asked: Sequence[object] | None) -> None:
-    """Refuse an ask while scenarios are out, which are None where it is time to ask.
+    """Refuse an ask while scenarios are under evaluation; ``asked`` is None if there are none.
 
     Raises:
-        RuntimeError: when the state's last ask has not been told.
+        RuntimeError: if the scenarios of the state's last ask have not been told.
     """
     if asked is not None:
         raise RuntimeError(
@@ -223,11 +223,11 @@ def check_ask(asked: Sequence[object] | None) -> None:
 
 
 def check_evaluations(asked: Sequence[Scenario] | None, evaluations: Sequence[Evaluation]) -> None:
-    """Refuse evaluations that do not belong one by one to the scenarios asked for.
+    """Refuse evaluations that do not belong one by one to the requested scenarios.
 
     Raises:
-        RuntimeError: when nothing was asked for.
-        ValueError: when the number or a scenario differs.
+        RuntimeError: if no scenarios were requested.
+        ValueError: if the number or a scenario differs.
     """
     if asked is None:
         raise RuntimeError(
@@ -237,15 +237,15 @@ def check_evaluations(asked: Sequence[Scenario] | None, evaluations: Sequence[Ev
 
 
 def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence[Evaluation]) -> None:
-    """Refuse evaluations that are not those of the scenarios, one by one.
+    """Refuse evaluations that do not belong one by one to the scenarios.
 
     Raises:
-        ValueError: naming the place, when the number or a scenario differs.
+        ValueError: if the number or a scenario differs; it names the place.
     """
     if len(evaluations) != len(scenarios):
         raise ValueError(
             f"{place}: expected {len(scenarios)} evaluations, one per scenario, received {len(evaluations)}; "
-            "evaluate each scenario, also the invalid ones"
+            "evaluate every scenario, including invalid ones"
         )
     for index, (scenario, evaluation) in enumerate(zip(scenarios, evaluations, strict=True)):
         if evaluation.scenario is not scenario and evaluation.scenario != scenario:
@@ -256,10 +256,10 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
 
 
 def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int) -> None:
-    """Refuse numbers of a search that are too small or too large: its rates, factors, and counts by their least value.
+    """Refuse parameters of a search that are out of range: rates, factors, and counts below their lower limit.
 
     Raises:
-        ValueError: naming the first that is wrong.
+        ValueError: for the first wrong parameter, by name.
     """
     limits: dict[str, tuple[float, float, str]] = dict.fromkeys(rates, (0, 1, "a number from 0 to 1"))
     limits |= {name: (0, math.nextafter(math.inf, 0), "a finite number, at least 0") for name in factors}

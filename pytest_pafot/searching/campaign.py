@@ -1,4 +1,4 @@
-"""A campaign: an algorithm asks, scenarios are evaluated, the algorithm is told, generation after generation."""
+"""A campaign: generation after generation, an algorithm asks, scenarios are evaluated, the algorithm is told."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from pytest_pafot.searching.events import (
 from pytest_pafot.searching.operators import improves
 
 Evaluate = Callable[[Scenario], Evaluation]
-"""Simulates a scenario and judges it."""
+"""Simulates a scenario and evaluates it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Checkpoint(Generic[StateT]):
-    """Where a campaign is: all that decides how it goes on, beside its arguments.
+    """The progress of a campaign: everything besides its arguments that decides how it continues.
 
     Attributes:
-        state: of the algorithm at the last border of two generations.
-        sums: over all evaluations so far.
-        remembered: runs that were known at that border, in whose place nothing is simulated.
-        begun: evaluations since then, of the generation that has begun, each with whether an earlier run was used.
+        state: state of the algorithm at the last boundary between two generations.
+        sums: totals over all evaluations so far.
+        remembered: runs that were known at that boundary, which are not simulated again.
+        begun: evaluations of the generation that has begun since, each with whether an earlier run was reused.
     """
 
     state: StateT
@@ -49,10 +49,10 @@ class Checkpoint(Generic[StateT]):
 
 
 class CheckpointError(ValueError):
-    """A checkpoint that is not of the campaign that was to go on from it."""
+    """A checkpoint that does not belong to the campaign that should continue from it."""
 
 
-def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
+def run_campaign(  # noqa: PLR0913  (each parameter is an independent choice)
     algorithm: Algorithm[StateT],
     evaluate: Evaluate,
     *,
@@ -70,39 +70,40 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
 ) -> Generator[Event, None, None]:
     """Search, and yield what happens as it happens.
 
-    A scenario is simulated only when no earlier run of the campaign showed what it does; else the earlier
-    evaluation is used and marked. The events depend on the algorithm, the seed and the evaluations alone: every
-    generation draws from its own generator, derived from (seed, generation, local generation). What does depend on
-    time is when a limit cuts the campaign, and ``CampaignFinished.seconds``.
+    A scenario is simulated only if no earlier run of the campaign showed what it does; otherwise the earlier evaluation
+    is reused and marked. The events depend only on the algorithm, the seed and the evaluations: every generation has
+    its own random generator, derived from (seed, generation, local generation). Only the moment at which a limit cuts
+    the campaign, and ``CampaignFinished.seconds``, depend on time.
 
     Closing the generator ends the campaign at the last event, without another evaluation.
 
     Args:
-        algorithm: what to try.
-        evaluate: simulates a scenario; what it raises ends the campaign and reaches the consumer.
-        generations: of the main search, at least 1; generations of local searches come on top. None where the number
-            of ``runs`` decides; there are no more than that.
-        seed: of all draws, at least 0.
-        runs: simulated scenarios, at least 1, after which it ends, also within a generation, which counts as finished
-            then without that the algorithm is told; None for no limit.
-        max_seconds: looked at between two calls of ``evaluate``, so that at least one scenario is simulated; a function
-            is asked each time, for what depends on the evaluations so far.
-        clock: seconds since any fixed moment; needed for ``max_seconds``, and without one no time is measured.
-        stop: asked between two calls of ``evaluate`` whether to end the campaign.
+        algorithm: the algorithm to run.
+        evaluate: simulates a scenario; an exception in it ends the campaign and reaches the consumer.
+        generations: generations of the main search, at least 1; those of local searches are additional. None if the
+            number of ``runs`` is the limit; there are never more generations than runs.
+        seed: seed of all random numbers, at least 0.
+        runs: number of simulated scenarios after which the campaign ends, at least 1; None for no limit. If it ends
+            inside a generation, that counts as finished, but the algorithm is not told.
+        max_seconds: time limit, checked between two calls of ``evaluate``, so that at least one scenario is
+            simulated; a function is called each time, for a limit that depends on the evaluations so far.
+        clock: seconds since any fixed moment; required by ``max_seconds``. Without a clock no time is measured.
+        stop: called between two calls of ``evaluate``; returns whether to end the campaign.
         seeds_matter: whether a run depends on its scenario's seed beyond the chains that were driven.
-        foresee: told at the beginning of a generation which of its scenarios are not known, in their order, each of
-            which may be drawn only when it is read. Most of them are given to ``evaluate`` afterwards; who simulates
-            them ahead changes no event.
-        adapted: the algorithm to go on with, asked before each generation with the one so far and its state.
-        resumed: from which an earlier campaign with the same arguments goes on. Generations and runs count from
-            there. The events of both, one after the other, are those of one campaign that was not cut, but for its
-            beginning and its end; a generation that was cut is told as finished by both where the runs decided.
-        border: told at the beginning, after each generation, once its events are through, and at the end, how to make
-            the checkpoint; that can be done until the next event is asked for.
+        foresee: receives at the beginning of a generation its unknown scenarios, in order; each of them may be sampled
+            only when it is read. Most of them are passed to ``evaluate`` afterwards; simulating them ahead changes no
+            event.
+        adapted: returns the algorithm to continue with; called before each generation with the current one and its
+            state.
+        resumed: checkpoint of an earlier campaign with the same arguments. Generations and runs count from
+            there. The events of both, one after the other, are those of one uninterrupted campaign, except for its
+            beginning and end; if the limit on runs cut a generation, both report it as finished.
+        border: called at the beginning, after the events of each generation, and at the end, with a function that
+            makes the checkpoint; that function can be called until the next event is requested.
 
     Raises:
         ValueError: for an argument out of range, before anything runs.
-        CheckpointError: for a checkpoint of another campaign, before anything runs.
+        CheckpointError: for a checkpoint of a different campaign, before anything runs.
     """
     if generations is None and runs is None:
         raise ValueError("generations, runs: expected a number of either, received none")
@@ -144,17 +145,17 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
-    """The generator of one generation: a function of the seed and the generation's numbers alone."""
+    """Return the random generator of one generation, which depends only on the seed and the generation's numbers."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Campaign(Generic[StateT]):
-    """The loop, with the totals at which it ends."""
+    """The loop of a campaign, with the totals at which it ends."""
 
     adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]]
     evaluator: _Evaluator
-    exceeded: Callable[[int, float], EndReason | None]  # by the runs that are left, and the seconds
+    exceeded: Callable[[int, float], EndReason | None]  # arguments: remaining runs, elapsed seconds
     now: Callable[[], float]
     border: Callable[[Callable[[], Checkpoint[StateT]]], None]
     seed: int
@@ -196,7 +197,7 @@ class _Campaign(Generic[StateT]):
             here = Checkpoint(state=last, sums=end, begun=tuple(told))
             state, events = self._finished(algorithm, state, told, rng, reason)
             for tell in events:
-                # A restart that no generation follows does not take place.
+                # A restart without a following generation does not take place.
                 if not (isinstance(tell, Restarted) and tell.generation >= self.generations):
                     if isinstance(tell, GenerationFinished) and tell.local_generation == 0:
                         end = replace(end, generations=end.generations + 1)
@@ -209,10 +210,10 @@ class _Campaign(Generic[StateT]):
     def _asked(
         self, drawing: Drawing[StateT], told: Sequence[tuple[Evaluation, bool]], left: int
     ) -> tuple[StateT, Sequence[Scenario]]:
-        """The scenarios of a generation, of which the first may run while the last is drawn."""
+        """Return the scenarios of a generation; the first may run while the last is still being sampled."""
         if told:
             drawing.finished()
-            try:  # a resumed search may ask otherwise than the one that began the generation
+            try:  # a resumed search may request other scenarios than the one that began the generation
                 check_order("begun", drawing.scenarios[: len(told)], [evaluation for evaluation, _ in told])
             except ValueError as error:
                 raise CheckpointError(str(error)) from None
@@ -235,7 +236,7 @@ class _Campaign(Generic[StateT]):
             return algorithm.tell(state, evaluations, rng)
         if reason != "runs" or not evaluations:
             return state, ()
-        # The algorithm need not know: no other generation follows.
+        # The algorithm is not told, because no other generation follows.
         finished = GenerationFinished(
             generation=state.generation, local_generation=state.local_generation, population=evaluations, elites=0
         )
@@ -253,10 +254,10 @@ class _Evaluator:
         self._cache = cache
 
     def restore(self, checkpoint: Checkpoint[Any]) -> None:
-        """Know what another campaign knew.
+        """Restore the known runs from a checkpoint.
 
         Raises:
-            CheckpointError: where that is not of one.
+            CheckpointError: if they are not the runs of a campaign.
         """
         try:
             self._cache.restore(checkpoint.remembered)
@@ -267,21 +268,21 @@ class _Evaluator:
                 self._cache.add(evaluation)
 
     def remembering(self, checkpoint: Checkpoint[StateT]) -> Checkpoint[StateT]:
-        """A checkpoint with what is known, but for what it tells itself of the generation that has begun."""
+        """Return a checkpoint with the known runs, except those that it already lists for the current generation."""
         new = sum(not reused for _, reused in checkpoint.begun)
         return replace(checkpoint, remembered=self._cache.remembered(but=new))
 
     def forget(self) -> None:
-        """Forget old runs: only between two generations, where checkpoints are."""
+        """Forget old runs; only allowed between two generations, where checkpoints are made."""
         self._cache.forget()
 
     def foresee(self, scenarios: Iterable[Scenario], most: int) -> None:
-        """Tell what is going to be evaluated, unless one scenario of a generation shows what another does."""
+        """Announce the scenarios that will be evaluated, without those whose result is known."""
         if self._foresee is not None:
             self._foresee(islice(self._unknown(scenarios), most))
 
     def _unknown(self, scenarios: Iterable[Scenario]) -> Iterator[Scenario]:
-        """Each scenario that no earlier run shows, once."""
+        """Yield once each scenario that no earlier run shows."""
         seen = set()
         for scenario in scenarios:
             if scenario not in seen and self._cache.recall(scenario) is None:
@@ -289,7 +290,7 @@ class _Evaluator:
                 yield scenario
 
     def evaluated(self, scenario: Scenario) -> tuple[Evaluation, bool]:
-        """Return the evaluation of a scenario, and whether it is that of an earlier run."""
+        """Return the evaluation of a scenario, and whether it is from an earlier run."""
         known = self._cache.recall(scenario)
         if known is not None:
             return known, True

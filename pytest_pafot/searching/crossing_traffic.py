@@ -1,6 +1,6 @@
-"""NPCs that meet the ego where ways cross: their instructions drawn, varied, and made to fit beside each other.
+"""NPCs that meet the ego where ways cross: sampling and varying their instructions without conflicts among them.
 
-Whoever is on the grid is not foreseen here: where it drives depends on the ego.
+NPCs on the grid are not considered here, because the ego determines where they drive.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ from pytest_pafot.model.scenario import (
 )
 
 ACTS: tuple[Act, ...] = ("pass", "hold", "stop")
-"""That are drawn unless it is said. Who starts late is often a dispute about who had to wait."""
+"""Acts that are sampled by default. An NPC that starts late often leads to a dispute about who had to wait."""
 PASSES = 0.7
-"""Share of the NPCs that drive through their zone without stopping, where there are other acts."""
+"""Share of the NPCs that drive through their zone without stopping, if other acts are possible."""
 SLOT_SHARES = {"well before": 0.1, "just before": 0.2, "together": 0.2, "just after": 0.3, "well after": 0.2}
-"""How often each of the five slots is drawn: most of those who come just after the ego meet one that hesitates."""
+"""Probability of each of the five slots: most NPCs just after the ego meet one that hesitates."""
 SLOWEST = 3.0
-"""Target speed of an NPC that crosses [m/s]; who is slower hardly arrives."""
+"""Lowest target speed of an NPC that crosses [m/s]; slower ones hardly arrive."""
 SLOT_CHANGE, SPEED_CHANGE, ACT_CHANGE = 0.5, 0.25, 0.1
-"""Shares of the variations of an instruction that move its slot, change its speed and change its act; the others draw
-another instruction."""
+"""Shares of the variations of an instruction that move its slot, change its speed or change its act; the others
+sample a new instruction."""
 SHIFT = 0.8
-"""Standard deviation by which a variation moves a slot [s], and in m/s a speed."""
+"""Standard deviation of the change of a slot [s]."""
 ATTEMPTS = 30
-"""How often an instruction is drawn that has to fit beside others."""
+"""Number of attempts to sample an instruction that fits next to others."""
 MOST_ATTEMPTS = 1000
-"""How often one is drawn at all, before ways are given up on which hardly anything fits."""
+"""Number of attempts to sample an instruction at all, before giving up on ways on which hardly anything fits."""
 
 
 @dataclass(frozen=True, slots=True)
 class CrossingTraffic:
-    """What instructions at zones are drawn from.
+    """The distribution of instructions at zones.
 
     Attributes:
         crossings: the ways of the world.
-        acts: that are drawn.
-        low, high: lowest and highest target speed [m/s]; bends of a way may allow less.
-        most_on_grid: NPCs beside these for which there is a cell to start in.
+        acts: acts that are sampled.
+        low, high: lowest and highest target speed [m/s]; bends of a way may limit it further.
+        most_on_grid: number of NPCs in addition to these for which there is a cell to start in.
     """
 
     crossings: Crossings
@@ -58,10 +58,10 @@ class CrossingTraffic:
     most_on_grid: int
 
     def drawn(self, rng: Generator) -> CrossingInstruction:
-        """Return a random instruction with which an NPC can start on its way.
+        """Sample an instruction with which an NPC can start on its way.
 
         Raises:
-            ValueError: where hardly any is such.
+            ValueError: if hardly any instruction fits.
         """
         for _ in range(MOST_ATTEMPTS):
             zones = self.crossings.zones
@@ -75,7 +75,7 @@ class CrossingTraffic:
         )
 
     def varied(self, instruction: CrossingInstruction, rng: Generator) -> CrossingInstruction:
-        """Return the instruction with another slot, speed or act, or another one; it may not fit."""
+        """Change the slot, speed or act of an instruction, or sample a new one; the result may not fit."""
         share = rng.random()
         if share < SLOT_CHANGE:
             step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND)) * (1 if rng.integers(2) else -1)
@@ -91,20 +91,20 @@ class CrossingTraffic:
     def beside(
         self, others: Sequence[CrossingInstruction], propose: Callable[[], CrossingInstruction]
     ) -> CrossingInstruction | None:
-        """Return the first proposal that fits its way and clashes with nobody; None after a number of attempts."""
+        """Return the first proposal that fits its way and conflicts with no NPC; None after a number of attempts."""
         proposals = (propose() for _ in range(ATTEMPTS))
         return next((each for each in proposals if self.has_room(each, others)), None)
 
     def has_room(self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction]) -> bool:
-        """Return whether an instruction fits its way and clashes with no other one."""
+        """Return whether an instruction fits its way and conflicts with no other one."""
         return self.crossings.fits(instruction) and not any(self.crossings.clash(instruction, each) for each in others)
 
     def cleared(self, npcs: Sequence[Chromosome], rng: Generator) -> tuple[Chromosome, ...]:
-        """Return chains of which none that crosses clashes with one before it, and not too many are on the grid.
+        """Remove conflicts: no chain conflicts with an earlier one, and not too many NPCs are on the grid.
 
-        One that clashes is drawn anew, at first on its way and with its act. Where that does not help, it comes as long
-        after the ego as an NPC may, and where that clashes as well, it is left out. Whoever has no room on the grid
-        crosses instead. No draw is made where everybody fits.
+        A conflicting instruction is sampled again, at first with its way and its act. If that does not help, the NPC
+        arrives as long after the ego as possible, and if that conflicts as well, the NPC is left out. An NPC without
+        room on the grid crosses instead. No random number is used if everything fits.
         """
         kept: list[Chromosome] = []
         told: list[CrossingInstruction] = []
@@ -133,7 +133,7 @@ class CrossingTraffic:
         return another
 
     def speeds(self, zone: str) -> list[float]:
-        """Return the target speeds with which an NPC can come to a zone together with the ego [m/s]."""
+        """Return the target speeds at which an NPC can arrive at a zone together with the ego [m/s]."""
         low, high = self._bounds(zone)
         speeds = (max(step, 1) / SPEED_STEPS_PER_MPS for step in range(low, high + 1))
         return [speed for speed in speeds if self.crossings.fits(CrossingInstruction(zone, 0.0, speed))]
@@ -143,7 +143,7 @@ class CrossingTraffic:
         return max(int(rng.integers(low, high + 1)), 1) / SPEED_STEPS_PER_MPS
 
     def _bounds(self, zone: str) -> tuple[int, int]:
-        """Lowest and highest target speed on the way to a zone, in steps of 0.1 m/s."""
+        """Return the lowest and highest target speed on the way to a zone, in steps of 0.1 m/s."""
         way = self.crossings.ways[zone]
         allowed = float(way.speeds[: math.ceil(way.zone.npc[1] / STEP) + 1].max())
         high = math.floor(min(self.high, allowed) * SPEED_STEPS_PER_MPS + 1e-6)
@@ -157,7 +157,7 @@ class CrossingTraffic:
 
 
 def drawn_slot(rng: Generator) -> float:
-    """Return a random slot [s]: one of the five, then a time in it, of those without an end rather a short one."""
+    """Sample a slot [s]: one of the five, then a time in it; in the open-ended ones short times are more likely."""
     name = rng.choice(list(SLOT_SHARES), p=list(SLOT_SHARES.values()))
     far = 1 + (LARGEST_SLOT - 1) * rng.random() ** 2
     near = int(rng.integers(1, SLOT_STEPS_PER_SECOND)) / SLOT_STEPS_PER_SECOND
@@ -166,7 +166,7 @@ def drawn_slot(rng: Generator) -> float:
 
 
 def mixed(a: CrossingInstruction, b: CrossingInstruction, rng: Generator) -> tuple[CrossingInstruction, ...]:
-    """Return two children of instructions at one zone, which swap slot, speed and act, each or not."""
+    """Return two children of instructions at one zone; they swap slot, speed and act independently at random."""
     slot, speed, act = (bool(each) for each in rng.integers(2, size=3))
     return tuple(
         replace(

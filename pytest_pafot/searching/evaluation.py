@@ -1,4 +1,4 @@
-"""What the search knows of one simulated scenario, and the order in which it prefers scenarios."""
+"""The search's view of one simulated scenario, and the order in which it prefers scenarios."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, FloatArray
 from pytest_pafot.searching.interaction import InteractionSweep
 
 Rank = tuple[bool, bool, float]
-"""Eligible, failing, fitness: compared from the left, the greater is the worse for the ego."""
+"""Eligible, failing, fitness: compared from the left, greater is worse for the ego."""
 
-# An NPC in the ego's lane interacts with it within so many seconds of the follower's travel [s], fewer than the 2 s at
-# which NPCs start, so that a start alone is no interaction ...
+# An NPC in the ego's lane interacts with it within this time of the follower's travel [s]. It is less than the 2 s at
+# which NPCs start, so that a start by itself is no interaction ...
 INTERACTION_HEADWAY = 1.5
-INTERACTION_GAP = 2.0  # ... and within this gap at any speed [m]
-FAR_BEHIND = 100.0  # an NPC farther behind than this cannot catch up within a gene of 10 s [m]
+INTERACTION_GAP = 2.0  # ... or within this gap at any speed [m]
+FAR_BEHIND = 100.0  # [m]; an NPC farther behind cannot catch up within a gene of 10 s
 
 Demand = tuple[int, int, bool]
-"""The step of the ego's hardest braking, how often it came into another lane, at most twice, and whether it stood."""
+"""The step of the ego's hardest braking, its number of lane changes (at most two), and whether it stood still."""
 BRAKING_STEP = 2.0
-"""Of the hardest braking, in a demand [m/s^2]."""
+"""Width of the steps of the hardest braking in a demand [m/s^2]."""
 BRAKING_SECONDS = 0.5
-"""For how long braking counts [s]."""
+"""Duration over which braking is measured [s]."""
 STANDING = 0.5
-"""An ego that is slower stands [m/s]."""
+"""Speed below which the ego counts as standing [m/s]."""
 
 BARELY_MOVING = 2.0
-"""Mean speed of an ego that tests nothing [m/s]; one that brakes to a stop from 22 m/s is below it after 30 s."""
+"""Mean speed below which a run tests nothing [m/s]; an ego that brakes to a stop from 22 m/s is below it after 30 s."""
 
 _SWEEPS = sweep.is_in_use()
 _IMPOSSIBLE: Rank = (False, False, -math.inf)
@@ -42,32 +42,32 @@ _IMPOSSIBLE: Rank = (False, False, -math.inf)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """A scenario with what its run showed.
+    """A scenario with the results of its run.
 
     Attributes:
-        scenario: as it was asked for.
-        executed: as it was driven, with the repair inside the run written back.
-        fitness: higher is worse for the ego; NaN where the measure failed.
+        scenario: the scenario as requested.
+        executed: the scenario as driven, including the repair inside the run.
+        fitness: higher is worse for the ego; NaN if the measure failed.
         failing: whether the user's function rejected the run.
         outcome: how the run ended.
         duration: simulated time [s].
-        genes_started: genes that the run came to, counted over all NPCs.
-        genes_reached: those of them whose cell, or lane, was reached.
+        genes_started: number of genes that the run got to, over all NPCs.
+        genes_reached: number of those whose cell, or lane, was reached.
         interaction: whether an NPC ever gave the ego a reason to react, see :func:`interacted`.
-        discarded: whether the user's function declined to judge the run.
+        discarded: whether the user's function declined to evaluate the run.
         outran: whether the ego left all NPCs behind, see :func:`outran`.
         barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
-        kind: of the failure; two failures of equal kind are the same one. None where nothing failed or nobody says.
-        mistake: of the ego in the failure, or the name of the check that failed; None where there is none or nobody
-            says.
-        margins: of each check that the user's function made, its name and its worst margin
-            (:attr:`pytest_pafot.oracle.checks.Check.margin`), in the order of the names; empty where they do not steer.
-        arrived: per NPC and gene that was started, whether its cell, or lane, was reached.
-        driven: per NPC and gene that was started, the cell that it drove to, where ``executed`` cannot say so.
-        collision: of the run; None without one.
-        demand: what the ego was made to do, see :func:`demand_of`.
-        crossing: index of the NPC that crosses and came nearest to the ego, see :func:`nearest_crossing`.
-        note: whatever the evaluator wants to have back with the evaluation, also where it is used again.
+        kind: kind of the failure; failures of equal kind are the same. None if nothing failed or it is unknown.
+        mistake: the ego's mistake in the failure, or the name of the failed check; None if there is none or it is
+            unknown.
+        margins: name and worst margin of each check by the user's function
+            (:attr:`pytest_pafot.oracle.checks.Check.margin`), in the order of names; empty if they do not steer.
+        arrived: per NPC and started gene, whether its cell, or lane, was reached.
+        driven: per NPC and started gene, the cell that it drove to, if ``executed`` cannot express that.
+        collision: collision of the run; None without one.
+        demand: what the run required the ego to do, see :func:`demand_of`.
+        crossing: index of the crossing NPC that was nearest to the ego, see :func:`nearest_crossing`.
+        note: any data that the evaluator wants to get back with the evaluation, also if it is reused.
     """
 
     scenario: Scenario
@@ -91,7 +91,7 @@ class Evaluation:
     demand: Demand = (0, 0, False)
     crossing: int | None = None
     note: Any = field(default=None, compare=False, repr=False)
-    _measured: float | None = field(init=False, repr=False)  # compared for fitness: NaN equals nothing, not even itself
+    _measured: float | None = field(init=False, repr=False)  # compared for fitness; NaN is not equal to itself
 
     def __post_init__(self) -> None:
         fitness = float(self.fitness)
@@ -110,7 +110,7 @@ class Evaluation:
         mistake: str | None = None,
         margins: tuple[tuple[str, float], ...] = (),
     ) -> Self:
-        """The evaluation of a run: the judgements given, the rest read from its trace."""
+        """Make the evaluation of a run from the given verdict and from its trace."""
         interaction, left_behind = trace.reading("interaction", interaction_of)
         arrived = tuple([tuple([tick is not None for tick in arrivals]) for arrivals in trace.arrivals])
         return cls(
@@ -138,29 +138,29 @@ class Evaluation:
 
     @property
     def eligible(self) -> bool:
-        """Whether it may be a best: a valid run that was judged and measured."""
+        """True if it may be a best: a valid run with a verdict and a fitness."""
         return not (self.outcome is Outcome.INVALID or self.discarded or math.isnan(self.fitness))
 
     @property
     def rank(self) -> Rank:
-        """The order of the search. What fails outranks all that does not; then the fitness decides.
+        """The order of the search: failing runs outrank all others; then the fitness decides.
 
-        Invalid and discarded runs and those without a fitness come last, all equal, even when they fail: an
-        invalid run says nothing about the ego, and NaN compares with nothing.
+        Invalid and discarded runs and those without a fitness come last, all equal, even if they fail: an invalid run
+        says nothing about the ego, and NaN cannot be compared.
         """
         return (True, self.failing, self.fitness) if self.eligible else _IMPOSSIBLE
 
     @property
     def chains(self) -> tuple[Chromosome, ...]:
-        """What each NPC drove; see :attr:`Trace.chains`."""
+        """The chain that each NPC drove; see :attr:`Trace.chains`."""
         return with_cells(self.executed.npcs, self.driven)
 
     @property
     def depth(self) -> int:
-        """Genes per NPC that decided the run: those that it came to; all where it came to none.
+        """The number of genes per NPC that the run depended on: those that it got to, or all if it got to none.
 
-        All NPCs share one gene clock, so the count over all NPCs determines it. An evaluation in which no gene
-        was started tells nothing about any other scenario.
+        All NPCs share one gene clock, so the count over all NPCs determines it. An evaluation in which no gene was
+        started says nothing about any other scenario.
         """
         lengths = [len(chain) for chain in self.executed.npcs]
         longest = max(lengths)
@@ -173,7 +173,7 @@ class Evaluation:
 
 
 def interaction_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]:
-    """See :func:`interacted` and :func:`outran`, on straight roads both in one pass where that is compiled."""
+    """Return :func:`interacted` and :func:`outran`, in one compiled pass on straight roads if that is available."""
     if not sweeps or trace.track is not None:
         return interacted(trace), outran(trace)
     near = InteractionSweep(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
@@ -181,9 +181,9 @@ def interaction_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]
 
 
 def interacted(trace: Trace) -> bool:
-    """Whether the ego collided, or shared its lane with an NPC at a headway below 1.5 s or a gap below 2 m.
+    """Return whether the ego collided, or an NPC was in its lane at a headway below 1.5 s or a gap below 2 m.
 
-    Or whether it and an NPC that crosses were about to be in their zone within 1.5 s of each other.
+    Also true if it and an NPC that crosses were expected in their zone within 1.5 s of each other.
     """
     if trace.outcome is Outcome.COLLISION or np.any(time_advantage(trace) < INTERACTION_HEADWAY):
         return True
@@ -196,10 +196,10 @@ def interacted(trace: Trace) -> bool:
 
 
 def nearest_crossing(trace: Trace) -> int | None:
-    """Return which of the NPCs that cross came nearest to being in its zone with the ego; None where nobody crosses.
+    """Return which crossing NPC came nearest to being in its zone with the ego; None without crossing NPCs.
 
-    The one that it hit, else the one with the least post-encroachment time, or of those where one of the two never came
-    with the least that was to be expected.
+    It is the NPC that the ego hit, otherwise the one with the smallest post-encroachment time. If one of the two never
+    arrived, the smallest expected time difference decides.
     """
     times = {each.npc: each.post_encroachment_time for each in passages(trace) if each is not None}
     if trace.collision is not None and trace.collision.npc in times:
@@ -211,29 +211,29 @@ def nearest_crossing(trace: Trace) -> int | None:
 
 
 def outran(trace: Trace) -> bool:
-    """Whether all NPCs were more than 100 m behind the ego for at least half of the run; who crosses never is."""
+    """Return whether all NPCs were over 100 m behind the ego for half of the run; an NPC that crosses never is."""
     alone = np.all(_longitudinal(trace) < -FAR_BEHIND, axis=1)
     return bool(np.mean(alone) >= 0.5)
 
 
 def barely_moved(trace: Trace) -> bool:
-    """Whether the ego's mean speed was below 2 m/s."""
+    """Return whether the ego's mean speed was below 2 m/s."""
     return bool(np.mean(trace.ego[:, SPEED]) < BARELY_MOVING)
 
 
 def demand_of(trace: Trace) -> Demand:
-    """Return what a run made the ego do, by which runs without an impact differ."""
+    """Return what a run required the ego to do, which distinguishes runs without an impact."""
     speed, ticks = trace.ego[:, SPEED], max(round(BRAKING_SECONDS * trace.physics_hz), 1)
-    # fmax passes over NaN, which a world of the user's own may record.
+    # fmax ignores NaN, which a user's world may record.
     lost = float(np.fmax.reduce(speed[:-ticks] - speed[ticks:], initial=0.0)) * trace.physics_hz / ticks
     changes = int(np.count_nonzero(np.diff(trace.ego[:, LANE])))
     return int(min(lost, 9.9) / BRAKING_STEP), min(changes, 2), bool(speed.min() < STANDING)
 
 
 def _longitudinal(trace: Trace) -> FloatArray:
-    """How far each NPC's centre is ahead of the ego's [m], shape [ticks + 1, npcs].
+    """Return how far each NPC's centre is ahead of the ego's [m], shape [ticks + 1, npcs].
 
-    Along the ego's heading; as far as they drive, on roads that are not straight.
+    The distance is along the ego's heading, or on bent roads along the vehicles' paths.
     """
     if trace.track is not None:
         return Encounters(trace).ahead.T

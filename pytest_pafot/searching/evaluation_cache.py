@@ -1,4 +1,4 @@
-"""What earlier runs of a campaign already showed, so that no scenario is simulated twice in ten thousand runs."""
+"""Results of earlier runs of a campaign, so that none of the last ten thousand runs is simulated twice."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from pytest_pafot.model.scenario import (
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.space import repaired
 
-Chains = tuple[tuple[float | CrossingInstruction, ...], ...]  # one number for each gene, or what has more to say
+Chains = tuple[tuple[float | CrossingInstruction, ...], ...]  # one number per gene, or a whole Crossing-Instruction
 _Key = tuple[object, ...]
-_Place = tuple[_Key, int | None]  # a key, and the seed where it matters
+_Place = tuple[_Key, int | None]  # a key, and the seed if it matters
 
 Remembered = tuple[Evaluation | None, tuple[int, ...]]
-"""A run, and which of its keys lead to it, from 0; None where an earlier run has all of them."""
+"""A run, and the numbers of its keys that lead to it, from 0; None if an earlier run has all of them."""
 
 EVALUATIONS = 10_000
-"""Runs remembered at most, in about 25 MB; one that was forgotten is simulated again."""
+"""The largest number of remembered runs, in about 25 MB; a forgotten one is simulated again."""
 
 
 class EvaluationCache:
-    """Evaluations, found again by everything that their runs depended on.
+    """Evaluations, stored by everything that their runs depended on.
 
-    A run that ended in gene ``d`` depended on the first ``d`` genes of each NPC and on the start alone. Another
-    scenario that agrees in these gives the same run, in two cases: it agrees with the chains as driven, which are
-    a fixed point of the repair whatever the seed; or with the chains as asked for and with the seed.
+    A run that ended in gene ``d`` depended only on the start and on the first ``d`` genes of each NPC. A different
+    scenario gives the same run in two cases: if it agrees in these with the chains as driven, which repair does not
+    change whatever the seed; or if it agrees with the chains as requested and with the seed.
 
     Args:
-        evaluations: known from the beginning.
-        seeds_matter: whether the seed decides on more than the repair, such as what the ADS sees, so that another
-            scenario must agree in it in both cases.
+        evaluations: evaluations that are known from the beginning.
+        seeds_matter: whether the seed affects more than the repair, such as what the ADS sees. A different scenario
+            must then also have the same seed in both cases.
     """
 
     def __init__(self, evaluations: Iterable[Evaluation] = (), *, seeds_matter: bool = False) -> None:
         self._seeds_matter = seeds_matter
-        self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}  # by key and the seed, where it matters
+        self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}  # by key, then by the seed if it matters
         self._depths: list[int] = []
-        # each run, the oldest first, with the places that are its own
+        # each run, the oldest first, with the places that lead only to it
         self._runs: deque[tuple[Remembered, list[_Place]]] = deque()
         for evaluation in evaluations:
             self.add(evaluation)
 
     def add(self, evaluation: Evaluation) -> None:
-        """Remember a run; of several with the same key the first stays."""
+        """Remember a run; if several runs have the same key, the first one stays."""
         own = [
             (number, (key, needed))
             for number, (key, needed) in enumerate(self._places(evaluation))
@@ -62,10 +62,10 @@ class EvaluationCache:
         self._put((evaluation if own else None, numbers), places)
 
     def restore(self, remembered: Iterable[Remembered]) -> None:
-        """Remember runs as another cache did, from :meth:`remembered`.
+        """Remember the runs of a different cache, from its :meth:`remembered`.
 
         Raises:
-            ValueError: for a run that has no key of that number.
+            ValueError: for a run that has no key with that number.
         """
         for evaluation, numbers in remembered:
             places = [] if evaluation is None else self._places(evaluation)
@@ -74,7 +74,7 @@ class EvaluationCache:
             self._put((evaluation, numbers), [places[number] for number in numbers])
 
     def remembered(self, but: int = 0) -> tuple[Remembered, ...]:
-        """What is remembered, the oldest first, without the last so many runs."""
+        """Return the remembered runs, the oldest first, without the last ones."""
         return tuple(run for run, _ in islice(self._runs, len(self._runs) - but))
 
     def _put(self, run: Remembered, places: list[_Place]) -> None:
@@ -87,19 +87,19 @@ class EvaluationCache:
         self._runs.append((run, places))
 
     def _places(self, evaluation: Evaluation) -> list[_Place]:
-        """Where a run can be found: by the chains as driven, and as asked for where these differ."""
+        """Return where a run can be found: by the chains as driven, and as requested if these differ."""
         depth = evaluation.depth
         asked = driven = plain_chains(evaluation.scenario)
         if evaluation.executed is not evaluation.scenario:
             driven = plain_chains(evaluation.executed)
-        # Where NPCs with Lane-Instructions start is repaired by the seed, which no chain as driven tells.
+        # The seed decides where NPCs with Lane-Instructions start, which the driven chains do not show.
         has_lanes = isinstance(evaluation.scenario.npcs[0][0], LaneInstruction)
         seed = evaluation.scenario.seed if has_lanes or self._seeds_matter else None
         keys = [(driven, seed)] if asked == driven else [(driven, seed), (asked, evaluation.scenario.seed)]
         return [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
 
     def forget(self, room: int = EVALUATIONS) -> None:
-        """Forget the oldest runs, down to so many."""
+        """Forget the oldest runs until at most this many are left."""
         while len(self._runs) > room:
             for key, needed in self._runs.popleft()[1]:
                 del self._evaluations[key][needed]
@@ -107,9 +107,9 @@ class EvaluationCache:
                     del self._evaluations[key]
 
     def recall(self, scenario: Scenario) -> Evaluation | None:
-        """The evaluation that a run of the scenario would have, or None when no earlier run tells.
+        """Return the evaluation that a run of the scenario would have, or None if no earlier run shows it.
 
-        Its genes that no run came to are the scenario's own, so that the search can still use them.
+        Its genes that no run got to are the scenario's own, so that the search can still use them.
         """
         chains = plain_chains(scenario)
         for depth in self._depths:
@@ -122,13 +122,13 @@ class EvaluationCache:
                 known = runs[scenario.seed]
                 pairs = zip(known.executed.npcs, scenario.npcs, strict=True)
                 mixed = [driven[:depth] + own[depth:] for driven, own in pairs]
-                # The first own gene may need repair, since it follows other cells than those asked for.
+                # The first of these genes may need repair, because it now follows other cells than those requested.
                 return replace(known, scenario=scenario, executed=repaired(mixed, scenario.seed, scenario))
         return None
 
 
 def plain_chains(scenario: Scenario) -> Chains:
-    """One number for each gene, which is hashed and compared sooner than the gene; speeds are at most 1000 m/s."""
+    """Return one number per gene, which is faster to hash and compare than the gene; speeds are at most 1000 m/s."""
     return tuple([tuple([_code(gene) for gene in chain]) for chain in scenario.npcs])
 
 

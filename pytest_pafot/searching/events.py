@@ -1,8 +1,8 @@
-"""What a search reports while it runs.
+"""The events that a search reports while it runs.
 
-The events of a campaign tell its whole history: the populations, local searches and restarts can be rebuilt
-from them. Generations are counted from 0; within a local search ``local_generation`` counts from 1, the first
-being the mutants of the incumbent, and it is 0 in the main search.
+The events of a campaign contain its whole history: the populations, local searches and restarts can be reconstructed
+from them. Generations are counted from 0. Within a local search ``local_generation`` counts from 1, which is the
+generation of the incumbent's mutants; in the main search it is 0.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Literal
 from pytest_pafot.searching.evaluation import Evaluation
 
 EndReason = Literal["generations", "runs", "time", "stopped"]
-"""All are finished, all runs are done, the time was over, the consumer asked for it."""
+"""Reasons in order: all generations are done, all runs are done, time ran out, the consumer stopped it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +21,7 @@ class CampaignStarted:
     """The first event of every campaign."""
 
     algorithm: str
-    generations: int | None  # None where a number of runs decides
+    generations: int | None  # None if the number of runs is the limit
     seed: int
 
 
@@ -31,24 +31,24 @@ class Evaluated:
 
     generation: int
     local_generation: int
-    index: int  # position in what the algorithm asked for in this generation, from 0
+    index: int  # position in the generation's requested scenarios, from 0
     evaluation: Evaluation
-    reused: bool  # whether an earlier run already showed what this scenario does, so that it was not simulated
+    reused: bool  # whether it was not simulated, because an earlier run showed what it does
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationFinished:
-    """All scenarios of a generation were evaluated, or the last of the runs was within it."""
+    """All scenarios of a generation were evaluated, or the last of the runs was inside it."""
 
     generation: int
     local_generation: int
-    population: tuple[Evaluation, ...]  # the elites that passed on untouched, then the new ones in the order asked for
-    elites: int  # how many of the population passed on
+    population: tuple[Evaluation, ...]  # the unchanged elites, then the new ones in the requested order
+    elites: int  # number of elites in the population
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NewBest:
-    """A generation, or a local search at its end, brought the best scenario since the last restart."""
+    """A generation, or a local search at its end, produced the best scenario since the last restart."""
 
     generation: int
     local_generation: int
@@ -57,7 +57,7 @@ class NewBest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalSearchStarted:
-    """The main search pauses after this generation; mutants of the incumbent evolve."""
+    """The main search pauses after this generation, and mutants of the incumbent evolve."""
 
     generation: int
     incumbent: Evaluation
@@ -65,7 +65,7 @@ class LocalSearchStarted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalSearchFinished:
-    """The main search goes on."""
+    """The local search has ended and the main search continues."""
 
     generation: int
     incumbent: Evaluation
@@ -75,25 +75,25 @@ class LocalSearchFinished:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Restarted:
-    """The population was given up."""
+    """The population was abandoned."""
 
-    generation: int  # the one whose population is random again
+    generation: int  # the one with a random population
     stagnant: int  # generations without improvement before it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignFinished:
-    """The last event of a campaign that was not closed before."""
+    """The last event of a campaign, unless its generator was closed before."""
 
     reason: EndReason
-    generations: int  # of the main search that were finished
-    evaluated: int  # scenarios that were evaluated
-    simulated: int  # those of them that were run
-    best: Evaluation | None  # None when no run was eligible
+    generations: int  # finished generations of the main search
+    evaluated: int  # evaluated scenarios
+    simulated: int  # those of them that were simulated
+    best: Evaluation | None  # None if no run was eligible
     seconds: float = field(compare=False)  # by the campaign's clock; not reproducible
 
 
 AlgorithmEvent = GenerationFinished | NewBest | LocalSearchStarted | LocalSearchFinished | Restarted
-"""What an algorithm returns from ``tell``."""
+"""The events that an algorithm returns from ``tell``."""
 
 Event = CampaignStarted | Evaluated | AlgorithmEvent | CampaignFinished  # what a campaign yields

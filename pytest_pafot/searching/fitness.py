@@ -1,12 +1,12 @@
-"""Fitness: one number per run, higher = worse for the ego. The search maximises it.
+"""Fitness: one number per run, higher is worse for the ego. The search maximises it.
 
-Sources: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3.3 names four measures (METTC, MD, SD,
-ET) and combines them linearly, all minimised, without giving weights: that is ``"paper"``. The default asks the
-same four questions with bounded answers, so that no measure drowns the others. ``"av-fuzzer"`` is that of Li et al.,
+Sources: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3.3 names four measures (METTC, MD, SD, ET) and
+combines them linearly, all minimised, without giving weights: that is ``"paper"``. The default measures the same four
+things with bounded values, so that no measure dominates the others. ``"av-fuzzer"`` is the fitness of Li et al.,
 "AV-FUZZER: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020, with the numbers of the released code.
 
-Every fitness that :func:`resolve` returns holds two promises: an invalid run (two NPCs touched) is minus
-infinity, and so is NaN, which therefore never becomes a best.
+Every fitness that :func:`resolve` returns keeps two promises: an invalid run (two NPCs touched) is minus infinity, and
+so is NaN, which therefore never becomes a best.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from pytest_pafot.criticality.signals import MEASURES
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Outcome, Trace
 from pytest_pafot.support.errors import plain_number
 
-# ``module:name``: a class or a function of the user's own where text is all that can be given.
+# ``module:name`` refers to a user's class or function where only a text can be given.
 
 
 def referred_to(reference: str) -> Any:
-    """What a text such as ``module:name`` refers to.
+    """Import what a text such as ``module:name`` refers to.
 
     Raises:
-        ValueError: where there is no such module, or no such name in it; without the place, which the caller knows.
+        ValueError: if there is no such module, or no such name in it; the caller adds the place to the message.
     """
     module_name, _, name = reference.partition(":")
     try:
@@ -58,26 +58,26 @@ def referred_to(reference: str) -> Any:
     return getattr(module, name)
 
 
-Fitness = Callable[[Trace], float]  # trace to a number, higher = worse for the ego
-Responsible = Callable[[Trace], bool]  # whether the ego is responsible for the collision in which a run ended
-WORST_RANK = -math.inf  # the fitness of what must never be preferred: invalid runs and NaN
+Fitness = Callable[[Trace], float]  # from a trace to a number; higher is worse for the ego
+Responsible = Callable[[Trace], bool]  # returns whether the ego is responsible for a run's collision
+WORST_RANK = -math.inf  # the fitness of invalid runs and NaN, which must never be preferred
 
 
 class FitnessError(ValueError):
-    """A fitness that cannot be used, or that failed on a run; the message says what was expected and what to do."""
+    """A fitness that cannot be used, or that failed on a run; the message states what was expected and what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weights:
-    """How much each of the four risks of the default fitness counts. Only their ratios matter.
+    """The weights of the four risks of the default fitness. Only their ratios matter.
 
     Attributes:
-        ttc: of the risk 1 / (1 + TTC / tau), with the smallest time to contact of the boxes.
-        gap: of the risk 1 / (1 + gap / 1 m), with the smallest distance between the boxes.
-        shortfall: of the largest shortfall of the safety distance, 0 to 1; or of the risk 1 / (1 + PET / 1 s) of an NPC
-            that crosses, with the post-encroachment time at its zone, where that is larger.
-        time: of the risk 1 - ET / planned duration; 0 without a collision.
-        tau: the TTC at which that risk is one half [s]; 1.5 s is the usual threshold between normal and critical
+        ttc: weight of the risk 1 / (1 + TTC / tau), with the smallest time to contact of the boxes.
+        gap: weight of the risk 1 / (1 + gap / 1 m), with the smallest distance between the boxes.
+        shortfall: weight of the largest shortfall of the safety distance, 0 to 1; or, if larger, of the risk
+            1 / (1 + PET / 1 s) of an NPC that crosses, with the post-encroachment time at its zone.
+        time: weight of the risk 1 - ET / planned duration; 0 without a collision.
+        tau: the TTC at which its risk is one half [s]; 1.5 s is the usual threshold between normal and critical
             (van der Horst 1990).
     """
 
@@ -102,14 +102,14 @@ DEFAULT_WEIGHTS = Weights()
 
 
 def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
-    """The default: weighted mean of four risks, each 0 (none) to 1, plus 1 if the run ended in a collision.
+    """Return the default fitness: the weighted mean of four risks, each from 0 to 1, plus 1 for a collision.
 
-    So it lies in [0, 1] without a collision and in [1, 2] with one: any collision outranks any near-miss. The
-    measures are those of the paper in forms that a search can climb: the time to contact of the boxes instead of
-    METTC, which ignores when the NPC gets to the crossing point and is infinite at nearly every tick of a
-    straight road; the gap between the boxes instead of MD between the centres, which is smallest when driving
-    harmlessly alongside; the shortfall of the safety distance instead of SD, least where a leader pulls away. An NPC
-    that crosses is no leader, and is measured by how soon one of the two came to the zone after the other.
+    It is in [0, 1] without a collision and in [1, 2] with one: any collision outranks any near-miss. The measures are
+    those of the paper, in forms that a search can climb. The time to contact of the boxes replaces METTC, which ignores
+    when the NPC gets to the crossing point and is infinite at nearly every tick of a straight road. The gap between the
+    boxes replaces MD between the centres, which is smallest when vehicles drive harmlessly alongside. The shortfall of
+    the safety distance replaces SD, which is smallest if a leader pulls away. An NPC that crosses is no leader; it is
+    measured by how soon one of the two arrived at the zone after the other.
     """
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK
@@ -125,23 +125,23 @@ def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
 
 
 def _least_encroachment(trace: Trace) -> float:
-    """The smallest post-encroachment time at the zones of NPCs that cross [s]; infinite where nobody came."""
+    """Return the smallest post-encroachment time at the zones of crossing NPCs [s]; infinite if none arrived."""
     times = (each.post_encroachment_time for each in passages(trace) if each is not None)
     return min((time for time in times if not math.isnan(time)), default=math.inf)
 
 
 def paper(trace: Trace) -> float:
-    """The paper's own four measures in its plain linear combination, -(METTC + MD + SD + ET).
+    """Return the paper's own four measures in its plain linear combination, -(METTC + MD + SD + ET).
 
-    Seconds and metres are added as they are; the paper gives no weights. METTC is capped at the planned
-    duration, which also stands for an infinite one. MD is between centres. SD is the smallest signed value of
-    equation 5, follower minus leader. ET is the time to the collision, without one the planned duration. The
-    combination has no bonus for a collision, and none is added.
+    Seconds and metres are added as they are; the paper gives no weights. METTC is capped at the planned duration, which
+    also replaces an infinite value. MD is between centres. SD is the smallest signed value of equation 5, follower
+    minus leader. ET is the time to the collision, or the planned duration without one. The combination has no bonus for
+    a collision, and none is added.
     """
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK
     encounters = Encounters(trace)
-    # np.minimum keeps NaN, min() would drop it.
+    # np.minimum propagates NaN, min() would drop it.
     mettc = float(np.minimum(encounters.mettc, planned_duration(trace)))
     return _never_nan(
         -(mettc + encounters.min_centre_distance + encounters.min_safety_distance + _time_to_collision(trace))
@@ -149,28 +149,28 @@ def paper(trace: Trace) -> float:
 
 
 SAMPLES_PER_SECOND = 4
-FAR = 130.0  # stands for every distance that no sample gives, and for all beyond it [m]
-CAR_LENGTH = 4.6  # taken off the distance of centres; also the least distance along the road in both cases [m]
+FAR = 130.0  # replaces a distance that no sample gives, and all larger ones [m]
+CAR_LENGTH = 4.6  # subtracted from the distance of centres; also the smallest distance along the road in both cases [m]
 NEAR = 20.0  # the largest distance along the road in both cases [m]
 BESIDE = 2.0  # ... and across it [m]
-TURNING = math.radians(1.0)  # heading to the road from which on the ego counts as changing lanes [rad]
+TURNING = math.radians(1.0)  # heading relative to the road above which the ego counts as changing lanes [rad]
 
 
 def braking_distance(speed: FloatArray) -> FloatArray:
-    """Way to a standstill, a polynomial fitted by the authors to their vehicle [m]; any shape, speed in m/s."""
+    """Return the distance to a standstill [m], a polynomial that the authors fitted; any shape, speed in m/s."""
     return np.maximum(0.0467 * speed**2 + 0.4116 * speed - 1.9913 + 0.5, 0.0)
 
 
 def av_fuzzer(trace: Trace) -> float:
-    """AV-Fuzzer's own: how little room the braking distance leaves; higher = worse for the ego.
+    """Return AV-Fuzzer's fitness: how little room the braking distance leaves; higher is worse for the ego.
 
     It is (130 - min d / 2 - min delta / 2) / (NPCs - 1).
 
-    d is the distance of the centres [m], delta what d - 4.6 m leaves of the braking distance: the ego's where the NPC
-    is 4.6 to 20 m ahead, the NPC's where it is as far behind while the ego's heading is more than one degree off the
-    road, both at less than 2 m across; else 130 m. The minima are over all NPCs and four samples a second. The released
-    code goes on sampling after an impact, so the tick of the collision counts as well. It divides by the number of NPCs
-    less one; with a single NPC, for which it fails, nothing is divided.
+    d is the distance of the centres [m], and delta is d - 4.6 m minus a braking distance: the ego's if the NPC is 4.6
+    to 20 m ahead, or the NPC's if it is as far behind while the ego's heading is more than one degree off the road,
+    both at less than 2 m across; otherwise delta is 130 m. The minima are over all NPCs and four samples a second. The
+    released code continues to sample after an impact, so the tick of the collision counts as well. It divides by the
+    number of NPCs minus one; with a single NPC, for which that code fails, nothing is divided.
     """
     count = int(trace.duration * SAMPLES_PER_SECOND + 1e-9) + 1
     samples = [round(sample * trace.physics_hz / SAMPLES_PER_SECOND) for sample in range(count)]
@@ -201,18 +201,18 @@ FITNESSES: Mapping[str, Fitness] = MappingProxyType(
         **{measure.name: measure for measure in MEASURES if measure.worse != "neither"},
     }
 )
-"""What ``fitness=`` accepts by name; by that of a measure, its worst value in the run."""
+"""The names that ``fitness=`` accepts; the name of a measure stands for its worst value in the run."""
 
 
 def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Responsible | None = None) -> Fitness:
-    """The function that a search maximises; it raises a :class:`FitnessError` where a user's function fails.
+    """Return the function that a search maximises; it raises a :class:`FitnessError` if a user's function fails.
 
     Args:
         fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, a measure or its name, :class:`Weights` for the default
-            with other weights, or a function of a Trace that returns a number, higher = worse for the ego, or
+            with other weights, a function from a Trace to a number (higher is worse for the ego), or
             ``module:function``.
-        responsible: unless ``blame="any"``, whether the ego is responsible for a run's collision; the fitness is
-            then :class:`Steered` by it.
+        responsible: returns whether the ego is responsible for a run's collision, unless ``blame="any"``; the fitness
+            is then :class:`Steered` by it.
 
     Raises:
         FitnessError: for anything else.
@@ -222,7 +222,7 @@ def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Respon
 
 
 def is_built_in(fitness: str | Weights | Fitness) -> bool:
-    """Whether it is the default, with any weights, or one with a name, rather than a function of the user's."""
+    """Return whether it is the default, with any weights, or has a name, rather than being a user's function."""
     return isinstance(fitness, Weights) or (isinstance(fitness, str) and fitness in FITNESSES)
 
 
@@ -230,20 +230,20 @@ def is_built_in(fitness: str | Weights | Fitness) -> bool:
 class Steered:
     """The fitness of a search for collisions that the ego is responsible for (``blame`` other than ``any``).
 
-    Two rules, which hold whatever the fitness is:
+    Two rules hold for every fitness:
 
-    1. A collision for which the ego is responsible lies in [2, 4], every other run in [-1, 1]; minus infinity
-       stays what it is. Within either, the order is that of the given fitness f, by the increasing f / (1 + |f|).
-    2. A collision for which the ego is not responsible is judged by what came before: as the run it was, without
-       a collision, until 3 s before the impact (the paper's time to manoeuvre). An NPC that rams the ego gains
-       nothing by it; a near-miss of the ego earlier in the run keeps its worth.
+    1. A collision for which the ego is responsible is in [2, 4], every other run in [-1, 1]; minus infinity does not
+       change. Within either range, the order is that of the given fitness f, through the increasing f / (1 + |f|).
+    2. A collision for which the ego is not responsible counts only for what happened before: as a run without a
+       collision that ended 3 s before the impact (the paper's time to manoeuvre). An NPC that rams the ego gains
+       nothing by it; an earlier near-miss of the ego still counts.
     """
 
     fitness: Fitness
     responsible: Responsible
 
     def __call__(self, trace: Trace) -> float:
-        """The fitness of a run."""
+        """Return the fitness of a run."""
         if trace.outcome != Outcome.COLLISION:
             return _bounded(self.fitness(trace))
         if self.responsible(trace):
@@ -252,9 +252,9 @@ class Steered:
 
 
 def before_impact(trace: Trace) -> Trace:
-    """The part of a colliding run that ended a manoeuvre's seconds before the impact, as a run without collision.
+    """Return the part of a colliding run up to 3 s (a manoeuvre) before the impact, as a run without a collision.
 
-    At least the start remains. A run that did not collide comes back as it is.
+    At least the start remains. A run without a collision is returned unchanged.
     """
     if trace.collision is None:
         return trace
@@ -283,7 +283,7 @@ def before_impact(trace: Trace) -> Trace:
 
 @dataclass(frozen=True, slots=True)
 class _Checked:
-    """A fitness that keeps the module's promises; a value and not a closure, so that it travels to workers."""
+    """A fitness that keeps the module's promises; it is a value, not a closure, so that it can be sent to workers."""
 
     function: Fitness
 
@@ -324,7 +324,7 @@ def _function(fitness: object) -> Fitness:
         raise FitnessError(f"fitness: expected {names}, Weights(...) or a function of a Trace, received {fitness!r}")
     try:
         signature = inspect.signature(fitness)
-    except ValueError:  # builtins without a signature: the first call tells
+    except ValueError:  # builtins have no signature: the first call shows whether it fits
         return fitness
     try:
         signature.bind(None)
@@ -341,7 +341,7 @@ def _name(function: object) -> str:
 
 
 def _time_to_collision(trace: Trace) -> float:
-    """ET where it counts: time to the collision, at most the planned duration, which it is without one [s]."""
+    """Return ET [s]: the time to the collision, or the planned duration if that is shorter or there is none."""
     planned = planned_duration(trace)
     return min(execution_time(trace), planned) if trace.outcome == Outcome.COLLISION else planned
 
@@ -351,7 +351,7 @@ def _never_nan(value: float) -> float:
 
 
 def _bounded(value: float) -> float:
-    """The increasing f / (1 + |f|), -1 to 1, but minus infinity stays; NaN counts as minus infinity."""
+    """Return the increasing f / (1 + |f|), from -1 to 1, but minus infinity for itself and for NaN."""
     if math.isnan(value) or value == WORST_RANK:
         return WORST_RANK
     return 1.0 if value == math.inf else value / (1 + abs(value))

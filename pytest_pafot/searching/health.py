@@ -1,4 +1,4 @@
-"""Whether a search tested anything: counts over its evaluations, and what they mean."""
+"""The health of a search: counts over its evaluations, which show whether it tested anything."""
 
 from __future__ import annotations
 
@@ -15,39 +15,39 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
 from pytest_pafot.searching.events import Evaluated, Event
 
-# Which instructions a search asked for, had driven, and saw reached: cells, steps on the ring, target speeds, and zones
-# with slots.
+# Counts of the instructions that a search requested, that were driven, and that were reached: cells, steps on the ring,
+# target speeds, and zones with slots.
 
 SPEED_BIN = 5.0  # width of a bin of target speeds [m/s]
 
 Key = tuple[str, int] | tuple[str, int, int] | tuple[str, str, str]
 """``("cell", 2)``, ``("step", 1, 2)`` from cell to cell, ``("bin", 4)`` of target speeds, from 0, or
-``("zone", "o1>o3", "just after")`` of an NPC that crosses."""
+``("zone", "o1>o3", "just after")`` for an NPC that crosses."""
 
 CELLS: tuple[Key, ...] = tuple(("cell", int(cell)) for cell in Cell)  # the eight, cell 1 first
 
 STEPS: tuple[Key, ...] = tuple(
     ("step", int(cell), int(target)) for cell in Cell for target in (cell, *reversed(cell.neighbours))
 )
-"""The twenty-four that a valid chain can take; from each cell: holding it, one step clockwise, one anticlockwise."""
+"""The twenty-four steps of valid chains; from each cell: holding it, one step clockwise, one anticlockwise."""
 
 
 def speed_bins(speed_limit: float) -> tuple[Key, ...]:
-    """The bins up to a speed limit [m/s], from the slowest."""
+    """Return the bins up to a speed limit [m/s], the slowest first."""
     return tuple(("bin", number) for number in range(int(speed_limit // SPEED_BIN) + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """How often simulated runs did what. Only Position-Instructions have cells and steps; all have speeds."""
+    """Counts of what simulated runs did. Only Position-Instructions have cells and steps; all have speeds."""
 
-    requested: Counter[Key] = field(default_factory=Counter)  # asked for by the scenarios
-    # by the genes that the runs came to, after the repair inside the run
+    requested: Counter[Key] = field(default_factory=Counter)  # in the requested scenarios
+    # in the genes that the runs got to, after the repair inside the run
     driven: Counter[Key] = field(default_factory=Counter)
-    reached: Counter[Key] = field(default_factory=Counter)  # those driven whose cell, lane or zone was reached
+    reached: Counter[Key] = field(default_factory=Counter)  # the driven ones whose cell, lane or zone was reached
 
     def counted(self, evaluation: Evaluation) -> Coverage:
-        """With one more run."""
+        """Return the coverage with one more run."""
         depth = evaluation.depth if evaluation.genes_started else 0
         asked = driven = [_keys(chain) for chain in evaluation.scenario.npcs]
         if evaluation.executed is not evaluation.scenario or evaluation.driven:
@@ -60,9 +60,9 @@ class Coverage:
         )
 
     def describe(self, speed_limit: float, zones: Iterable[str] = ()) -> str:
-        """One line for a summary: what was reached, and what was asked for.
+        """Return one line for a summary: what was reached, and what was requested.
 
-        The limit [m/s] says which bins exist; zones are those of the world, by the names of their ways.
+        The limit [m/s] determines which bins exist; zones are those of the world, by the names of their ways.
         """
         meetings: tuple[Key, ...] = tuple(("zone", zone, slot) for zone in zones for slot in SLOTS)
         groups = [("cells", CELLS), ("ring steps", STEPS), ("speed bins", speed_bins(speed_limit))]
@@ -81,9 +81,9 @@ def _added(counts: Counter[Key], genes: Iterable[Iterable[Key]]) -> Counter[Key]
     return counts
 
 
-@lru_cache(maxsize=64)  # the sums of a campaign and its health count the same chains
+@lru_cache(maxsize=64)  # the totals of a campaign and its health count the same chains
 def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
-    """Of each gene of a chain; a step belongs to the gene that it leads to."""
+    """Return the keys of each gene of a chain; a step belongs to the gene that it leads to."""
     bins: list[Key] = [("bin", int(gene.speed // SPEED_BIN)) for gene in genes]
     if isinstance(genes[0], CrossingInstruction):
         return [(bins[0], ("zone", genes[0].zone, slot_name(genes[0].slot)))]
@@ -96,8 +96,8 @@ def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
 
 MAX_INVALID_SHARE = 0.25
 MIN_REACHED_SHARE = 0.2  # runs of four NPCs often end within a gene: a quarter to a half is usual
-IMMEDIATE = 1.0  # a collision before this time was hardly caused by driving [s]
-MAX_USELESS_SHARE = 0.5  # of the valid runs, for each kind of run that tests nothing
+IMMEDIATE = 1.0  # [s]; driving hardly causes a collision before this time
+MAX_USELESS_SHARE = 0.5  # share of the valid runs, for each kind of run that tests nothing
 
 USELESS = (
     (
@@ -117,31 +117,31 @@ USELESS = (
         "check that the ego starts on a free lane and that the ADS steers in rad",
     ),
 )
-"""What runs that test nothing did, and what to do: without interaction, outran, barely moved, immediate collision."""
+"""Kinds of runs that test nothing, with advice: no interaction, outran, barely moved, immediate collision."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Health:
-    """Counts over the evaluations of a search. All but ``evaluated`` count simulated scenarios only."""
+    """Counts over the evaluations of a search. All but ``evaluated`` count only simulated scenarios."""
 
-    evaluated: int = 0  # scenarios that the algorithm asked for
-    simulated: int = 0  # those of them that were run; the others were known from earlier runs
+    evaluated: int = 0  # scenarios that the algorithm requested
+    simulated: int = 0  # those of them that were run; the others were known
     invalid: int = 0  # runs in which two NPCs touched
-    discarded: int = 0  # runs that the user's function declined to judge, or whose process did not come back
-    genes_started: int = 0  # over all NPCs, but for runs that a fault of the ADS cut short, and so are the next
+    discarded: int = 0  # runs that the user's function declined, or whose process ended
+    genes_started: int = 0  # over all NPCs, like the next; without runs that an ADS error cut short
     genes_reached: int = 0
     valid: int = 0  # runs that were neither invalid nor discarded; the counts below are among these
     failing: int = 0  # runs that the user's function rejected
-    # A run that a fault of the ADS cut short is none of the next three.
+    # The next three leave out runs that an error of the ADS cut short.
     no_interaction: int = 0  # runs in which no NPC gave the ego a reason to react
     outran: int = 0  # runs in which the ego left all NPCs behind
     barely_moved: int = 0  # runs in which the ego hardly drove
     immediate: int = 0  # collisions within the first second
-    coverage: Coverage = field(default_factory=Coverage)  # of the instructions, requested, driven and reached
+    coverage: Coverage = field(default_factory=Coverage)  # requested, driven and reached instructions
 
     @classmethod
     def of(cls, events: Iterable[Event]) -> Health:
-        """Counted over the events of a campaign."""
+        """Count over the events of a campaign."""
         health = cls()
         for event in events:
             if isinstance(event, Evaluated):
@@ -149,7 +149,7 @@ class Health:
         return health
 
     def counted(self, evaluation: Evaluation, *, reused: bool = False) -> Health:
-        """With one more evaluation."""
+        """Return the health with one more evaluation."""
         if reused:
             return replace(self, evaluated=self.evaluated + 1)
         invalid = evaluation.outcome is Outcome.INVALID
@@ -175,23 +175,24 @@ class Health:
 
     @property
     def reused(self) -> int:
-        """Scenarios that were not simulated, since an earlier run showed what they do."""
+        """The number of scenarios that were not simulated, because an earlier run showed what they do."""
         return self.evaluated - self.simulated
 
     @property
     def vacuous(self) -> bool:
-        """Whether the search can have shown nothing: no valid run."""
+        """True if the search cannot have shown anything: there was no valid run."""
         return self.valid == 0
 
     @property
     def reached_share(self) -> float:
-        """Of the genes started, those whose cell was reached; 0 when none was started."""
+        """The share of started genes whose cell was reached; 0 if none was started."""
         return _share(self.genes_reached, self.genes_started)
 
     def warnings(self, known: int = 0) -> list[str]:
-        """What makes the search doubtful, in sentences that say what to do; empty when it is well.
+        """Return what makes the search doubtful, in sentences with advice; empty if all is well.
 
-        So many of its runs failed in a way that is known: an ego that stands in these needs no other units.
+        ``known`` of its runs failed in a known way. They are not counted as runs with a standing or an immediately
+        colliding ego.
         """
         if self.simulated == 0:
             return ["no scenario was simulated, so nothing was tested; give the search generations and time"]
@@ -200,7 +201,7 @@ class Health:
             found.append(
                 f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended in a crash "
                 f"between NPCs, {self.discarded} were rejected, skipped or ended their process), so nothing was "
-                "tested; use fewer NPCs, reject less, or mend what ends the process"
+                "tested; use fewer NPCs, reject less, or fix what ends the process"
             )
         if _share(self.invalid, self.simulated) > MAX_INVALID_SHARE:
             found.append(
@@ -212,7 +213,7 @@ class Health:
         if self.genes_started and self.reached_share < MIN_REACHED_SHARE:
             found.append(
                 f"NPCs reached the {goal} of only {_percent(self.genes_reached, self.genes_started)} {instructions} "
-                "that they began; give them more time (gene_seconds) or a higher speed_limit "
+                "that they started; give them more time (gene_seconds) or a higher speed_limit "
                 "than the ego's speed"
             )
         useless = (self.no_interaction, self.outran, self.barely_moved, self.immediate)

@@ -1,9 +1,9 @@
 # cython: boundscheck=False, initializedcheck=False, wraparound=False, cdivision=True, auto_pickle=False
 # No index is beyond the shapes that the constructor checks, and nothing is divided by zero.
-"""Who was near the ego in a run, in one pass over its ticks: typed, plain Python, which is compiled like the sweep.
+"""Encounters of NPCs with the ego in a run, in one pass over its ticks: typed, plain Python, compiled like the sweep.
 
-The answers are those of numpy's whole arrays in :mod:`pytest_pafot.searching.evaluation`: the same operations in the
-same order.
+The results are equal to those of numpy's whole arrays in :mod:`pytest_pafot.searching.evaluation`: the same operations
+in the same order.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from pytest_pafot.model.trace import FloatArray
 class InteractionSweep:
     """One pass over a run: the states of its trace, shape [ticks + 1, vehicles, 7], and its sizes, [vehicles, 2].
 
-    NPCs interact within a headway [s] or a gap [m]; farther behind than ``far`` [m] they are left behind.
+    NPCs interact within a headway [s] or a gap [m]; NPCs farther behind than ``far`` [m] count as left behind.
     """
 
-    interacted: bool  # whether a follower in one lane was ever nearer than the headway or the gap
+    interacted: bool  # whether a follower in the same lane was ever nearer than the headway or the gap
     alone: int  # ticks at which all NPCs were farther behind than far
 
     def __init__(self, states: FloatArray, sizes: FloatArray, headway: float, gap: float, far: float) -> None:

@@ -1,7 +1,7 @@
 """The operators of the genetic algorithm: crossover, mutation, tournament and elitism.
 
-Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 3.4 and 3.5. None of them changes what it
-is given. They act always; the rates at which they are applied belong to the algorithm.
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 3.4 and 3.5. No operator changes its arguments.
+Operators always act; the algorithm decides how often to apply them.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction, repaired, sample
 
 STARTS, PATTERNS = 0.1, 0.35
-"""Shares of the mutations that draw the start anew, and that put in a pattern, where a space says so."""
+"""Shares of the mutations that sample a new start, and that insert a pattern, if the space has several of these."""
 SPEEDS = 0.7
-"""Share of the new starts that have another speed; the others have another lane."""
+"""Share of the new starts with a different speed; the others have a different lane."""
 SIZES = 0.1
-"""Share of the mutations that add or remove an NPC, or give genes another duration, where a space draws these."""
+"""Share of the mutations that add or remove an NPC, or change the duration of genes, if the space samples these."""
 
 
 def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
     """Swap two whole NPCs, one chosen at random from each scenario, then repair (section 3.4.1).
 
-    Two that cross in the same zone swap their slots, speeds and acts, each or not. Whether NPCs clash there is left to
-    who knows the ways: a mutation sees to it, and :func:`varied`.
+    Two NPCs that cross in the same zone swap their slots, speeds and acts independently at random. NPCs may then
+    conflict there; resolving that needs the ways, so mutations and :func:`varied` do it.
     """
     (in_a, for_a), (in_b, for_b) = _swapped(a, b, rng)
     return _child(a, with_chain(a.npcs, in_a, for_a), rng), _child(b, with_chain(b.npcs, in_b, for_b), rng)
 
 
 def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
-    """The first child of a :func:`crossover` alone, after as many draws: to repair the other takes as long."""
+    """Return only the first child of :func:`crossover`, with the same random numbers: repair of the other is slow."""
     (in_a, for_a), _ = _swapped(a, b, rng)
     child = _child(a, with_chain(a.npcs, in_a, for_a), rng)
     fresh_seed(rng)
@@ -46,7 +46,7 @@ def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
 
 
 def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[tuple[int, Chromosome], tuple[int, Chromosome]]:
-    """An NPC of each scenario, with the chain that a crossover gives it."""
+    """Return an NPC of each scenario, with the chain that a crossover gives it."""
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
     one, other = a.npcs[in_a][0], b.npcs[in_b][0]
     if isinstance(one, CrossingInstruction) and isinstance(other, CrossingInstruction) and one.zone == other.zone:
@@ -56,7 +56,7 @@ def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[tuple[int, Chrom
 
 
 def _taken(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
-    """Return an NPC's chain as another scenario can take it, in genes of its duration and no longer than its own."""
+    """Return an NPC's chain as a different scenario can use it, in genes of that scenario's duration and number."""
     chain = scenario.npcs[npc]
     if scenario.gene_seconds == other.gene_seconds:
         return chain
@@ -66,12 +66,12 @@ def _taken(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
 def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """Replace one random Position-Instruction by a new one that is repaired to fit in (section 3.4.2).
 
-    The repair acts on the new instruction and leaves its neighbours in the chain alone. Repairing what follows
-    it instead would rewrite the rest of the chain and lose what the parent was selected for.
+    The repair changes only the new instruction, not its neighbours in the chain. Repairing what follows it instead
+    would rewrite the rest of the chain and lose what the parent was selected for.
 
-    Where the space has several starts, a tenth of the mutations draws one anew; where it has patterns, a third puts one
-    into a chain. Each NPC that crosses is mutated as often as any other: half of the time its slot is moved, else it
-    has another speed or act, or another instruction. One that clashes with another NPC is drawn anew.
+    If the space has several starts, a tenth of the mutations sample a new one; if it has patterns, a third insert one
+    into a chain. NPCs that cross are mutated as often as any other: half of the time the slot is moved, otherwise the
+    speed, the act or the whole instruction changes. An NPC that conflicts with another one is sampled again.
     """
     child, crossing = _mutated(scenario, space, rng), space.crossing_traffic
     return child if crossing is None else _cleared(child, crossing, rng)
@@ -105,13 +105,13 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
 
 
 def _with_chain_on_grid(scenario: Scenario, npc: int, chain: Chromosome, rng: Generator) -> Scenario:
-    """The scenario with another chain for one of those NPCs that are on the grid."""
+    """Return the scenario with a different chain for one of the NPCs on the grid."""
     numbers = [each for each, chain in enumerate(scenario.npcs) if isinstance(chain[0], PositionInstruction)]
     return _child(scenario, with_chain(scenario.npcs, numbers[npc], chain), rng)
 
 
 def _crossing_otherwise(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
-    """The scenario with another instruction for one of those NPCs that cross, which makes room for itself."""
+    """Return the scenario with a different instruction for one NPC that crosses, which fits next to the others."""
     told = [(npc, each) for npc, each in enumerate(scenario.crossings) if each is not None]
     npc, instruction = told[int(rng.integers(len(told)))]
     others = [each for number, each in told if number != npc]
@@ -120,9 +120,9 @@ def _crossing_otherwise(scenario: Scenario, crossing: CrossingTraffic, rng: Gene
 
 
 def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """The scenario with another first speed or, less often, another first lane of the ego.
+    """Return the scenario with a different first speed or, less often, a different first lane of the ego.
 
-    Where no other lane has room for all NPCs, and there are no speeds to draw, the last NPCs are left out.
+    If no other lane has room for all NPCs and the speed is fixed, the last NPCs are left out.
     """
     npcs = scenario.npcs
     lanes = [lane for lane in space.ego_lanes if lane != scenario.ego_lane]
@@ -135,7 +135,7 @@ def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
 
 
 def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """The scenario with genes of another duration, or with an NPC more or less."""
+    """Return the scenario with a different duration of genes, or with one NPC more or less."""
     npcs, most = scenario.npcs, space.most_on(scenario.ego_lane)
     durations = [seconds for seconds in space.gene_durations if seconds != scenario.gene_seconds]
     if durations and (not space.most_npcs or rng.integers(2)):
@@ -153,7 +153,7 @@ def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
 
 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """The scenario with a pattern, and the way to it, in a random chain from a random gene on."""
+    """Return the scenario with a pattern, and the steps to it, in a random chain from a random gene on."""
     chains = scenario.positions
     npc = int(rng.integers(len(chains)))
     chain = chains[npc]
@@ -169,10 +169,10 @@ def _fitted(
     new: PositionInstruction,
     clockwise_first: bool,
 ) -> PositionInstruction:
-    """A new instruction with a cell that is adjacent to the ones before and after it and that nobody else holds.
+    """Return a new instruction with a cell that is adjacent to those before and after it and that no other NPC holds.
 
-    Its own if that fits; else one of the two neighbours of the cell before (of the one after, in the first gene),
-    50 % each where both fit; else the cell of the gene that it replaces, which always fits.
+    It is the instruction's own cell if that fits; otherwise one of the two neighbours of the cell before (or after, for
+    the first gene), 50 % each if both fit; otherwise the cell of the replaced gene, which always fits.
     """
     chain = chains[npc]
     around = [chain[k].cell for k in (gene - 1, gene + 1) if 0 <= k < len(chain)]
@@ -185,7 +185,7 @@ def _fitted(
 
 
 def tournament(population: Sequence[Evaluation], rng: Generator) -> Evaluation:
-    """The better of two members drawn with replacement; the first drawn of two equals.
+    """Return the better of two random members, sampled with replacement; the first of two equal ones.
 
     The paper does not name its selection of parents; binary tournament is the usual choice.
     """
@@ -194,38 +194,38 @@ def tournament(population: Sequence[Evaluation], rng: Generator) -> Evaluation:
 
 
 def parents(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, Evaluation]:
-    """Two different members, each by binary tournament; a population of one is both."""
+    """Return two different members, each by binary tournament; in a population of one, both are that one."""
     first = tournament(population, rng)
     others = [member for member in population if member is not first]
     return first, tournament(others or population, rng)
 
 
 def elites(population: Sequence[Evaluation], share: float) -> tuple[Evaluation, ...]:
-    """The best share of a population, rounded up, best first (section 3.5).
+    """Return the best share of a population, rounded up, best first (section 3.5).
 
-    Fewer where fewer are eligible: an invalid run is never passed on.
+    There are fewer if fewer members are eligible: an invalid run is never passed on.
     """
-    # A share of 0.1 of 30 is 3 and must not become 4 by the error of a float.
+    # A share of 0.1 of 30 is 3 and must not become 4 through a floating-point error.
     count = math.ceil(round(share * len(population), 9))
     ranked = sorted(population, key=lambda evaluation: evaluation.rank, reverse=True)
     return tuple(evaluation for evaluation in ranked[:count] if evaluation.eligible)
 
 
 def best_of(evaluations: Sequence[Evaluation]) -> Evaluation | None:
-    """The first of those that rank highest; None when none is eligible."""
+    """Return the first of the highest-ranked evaluations; None if none is eligible."""
     best = max(evaluations, key=lambda evaluation: evaluation.rank, default=None)
     return best if best is not None and best.eligible else None
 
 
 def improves(candidate: Evaluation | None, best: Evaluation | None) -> bool:
-    """Whether a candidate is a new best."""
+    """Return whether a candidate is a new best."""
     return candidate is not None and candidate.eligible and (best is None or candidate.rank > best.rank)
 
 
 def varied(
     pair: Iterable[Scenario], space: SearchSpace, crossover_rate: float, mutation_rate: float, rng: Generator
 ) -> tuple[Scenario, Scenario]:
-    """Two children: their parents swap NPCs at one rate, and each child mutates at the other."""
+    """Return two children: their parents swap NPCs at one rate, and each child mutates at the other."""
     a, b = pair
     if rng.random() < crossover_rate:
         a, b = crossover(a, b, rng)
@@ -236,14 +236,14 @@ def varied(
 
 
 def with_chain(chains: Sequence[Chromosome], npc: int, chain: Chromosome) -> tuple[Chromosome, ...]:
-    """The chains with another one for an NPC."""
+    """Return the chains with a different one for an NPC."""
     return (*chains[:npc], chain, *chains[npc + 1 :])
 
 
 def _child(parent: Scenario, chains: tuple[Chromosome, ...], rng: Generator) -> Scenario:
-    """A scenario that starts like its parent, with other chains and a new seed.
+    """Return a scenario that starts like its parent, with other chains and a new seed.
 
-    The new seed keeps the coin of the repair fair: with the parent's, the same NPC and gene would fall to the
-    same side in all of its descendants.
+    The new seed makes the random choices of the repair fair: with the parent's seed, the same NPC and gene would get
+    the same choice in all of its descendants.
     """
     return repaired(chains, fresh_seed(rng), parent)

@@ -1,7 +1,7 @@
-"""Dangerous patterns: phrases of one to three Position-Instructions, and chains that are made of them.
+"""Dangerous patterns: phrases of one to three Position-Instructions, and chains made of them.
 
-A pattern says what an NPC does around the ego, beginning where all NPCs begin: danger is driven, never given. It is
-told on the ego's left, ahead or behind, and mirrored half of the time.
+A pattern says what an NPC does around the ego. It begins where all NPCs begin, so a dangerous state is always driven
+to, never given. It is defined for the ego's left side, front or rear, and mirrored half of the time.
 
 Sources: Najm, Smith, Yanagisawa, "Pre-Crash Scenario Typology for Crash Avoidance Research", NHTSA, DOT HS 810 767,
 2007; UN Regulation No. 157, annex 4, appendix 3 (critical disturbances: cut-in, cut-out, deceleration) and annex 5.
@@ -19,10 +19,10 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import SPEED_STEPS_PER_MPS, PositionInstruction
 
 Bound = tuple[float, float]
-"""Of a speed: a share of the ego's first speed, and what is added to it [m/s]; held within 0 and the speed limit."""
+"""A bound of a speed: a share of the ego's first speed, and an offset [m/s]; clipped to 0 and the speed limit."""
 
 LIMIT = (0.0, math.inf)
-"""The speed limit, as a bound."""
+"""The speed limit as a bound."""
 
 
 class Step(NamedTuple):
@@ -34,7 +34,7 @@ class Step(NamedTuple):
 
 
 class Pattern(NamedTuple):
-    """What an NPC does, and where it is known as a danger."""
+    """The steps of an NPC, with a name and the source that lists it as dangerous."""
 
     name: str
     steps: tuple[Step, ...]
@@ -83,18 +83,18 @@ PATTERNS = (
         "NHTSA: lead vehicle decelerating (the ego leads)",
     ),
 )
-"""The library; each is as likely as any other."""
+"""All patterns; each is equally likely."""
 
 WALKING = ((1.0, -2.0), (1.0, 3.0))
-"""Bounds of speeds on the way from one pattern to the next."""
+"""Bounds of speeds on the steps from one pattern to the next."""
 
 
 def chain_of_patterns(
     genes: int, ego_speed: float, bounds: tuple[int, int], rng: Generator
 ) -> list[PositionInstruction]:
-    """A chain of so many genes: patterns one after the other, and the way between them on the ring.
+    """Return a chain of so many genes: one pattern after the other, with the steps between them on the ring.
 
-    Speeds depend on the ego's first one [m/s], and are within ``bounds``, in steps of 0.1 m/s.
+    Speeds depend on the ego's first speed [m/s], and are within ``bounds``, in steps of 0.1 m/s.
     """
     chain: list[PositionInstruction] = []
     while len(chain) < genes:
@@ -105,7 +105,7 @@ def chain_of_patterns(
 def followed_by_pattern(
     chain: Sequence[PositionInstruction], ego_speed: float, bounds: tuple[int, int], rng: Generator
 ) -> list[PositionInstruction]:
-    """A chain that may be empty, the way on the ring from its last cell to the first one of a pattern, and that."""
+    """Extend a chain, which may be empty, by the steps on the ring to the first cell of a pattern, and the pattern."""
     steps = PATTERNS[int(rng.integers(len(PATTERNS)))].steps
     if rng.integers(2):
         steps = tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in steps)
@@ -122,7 +122,7 @@ def _drawn(step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator
 
 
 def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:
-    """The cells on the shorter way round the ring, on either where they are opposite; neither end is among them."""
+    """Return the cells strictly between two on the shorter side of the ring; on a random one if they are opposite."""
     clockwise = (last - first) % 8
     is_clockwise = clockwise < 4 or (clockwise == 4 and bool(rng.integers(2)))
     steps = range(1, clockwise) if is_clockwise else range(-1, clockwise - 8, -1)

@@ -1,8 +1,8 @@
-"""Values as plain data that JSON can hold, and back: what a search stores of itself between two sessions.
+"""Conversion of values to plain data that JSON can store, and back: a search stores itself between two sessions.
 
-What is written follows from a value: a frozen dataclass is the list of its fields, in their order; a mapping the list
-of its pairs; a set a sorted list; a number that JSON has no word for a text. What is read follows from a type, and
-nothing is taken that does not fit it, since a file is data of whoever wrote it.
+Writing follows the value: a frozen dataclass becomes the list of its fields, in their order; a mapping the list of its
+pairs; a set a sorted list; a number that JSON cannot express a text. Reading follows a type, and refuses everything
+that does not fit it, because anyone may have written the file.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from pytest_pafot.support.errors import FieldError
 T = TypeVar("T")
 
 Read = Callable[[Any], Any]
-"""From plain data to a value; raises a FieldError for what does not fit."""
+"""Reads plain data into a value; raises a FieldError for data that does not fit."""
 
 _AS_THEY_ARE = frozenset({type(None), bool, int, str})
 _NO_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
 def plain(value: Any) -> Any:
-    """A value as lists, texts, numbers, truth values and None.
+    """Convert a value to lists, texts, numbers, booleans and None.
 
-    It is made of dataclasses, tuples, lists, mappings, sets, enumerations, scenarios and these. Fields of the type Any
-    are left out.
+    It may consist of dataclasses, tuples, lists, mappings, sets, enumerations, scenarios and these. Fields of the type
+    Any are left out.
 
     Raises:
         ValueError: for anything else.
@@ -72,18 +72,18 @@ def _composed(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], data: Any) -> T:
-    """The value of a type that :func:`plain` has made data of.
+    """Return the value of a type from the data that :func:`plain` made of it.
 
     Raises:
-        FieldError: for data that is not of that type, with the place of what does not fit, as ``[2][0]``.
-        TypeError: for a type that this cannot read.
+        FieldError: for data that is not of that type, with the place of the mismatch, such as ``[2][0]``.
+        TypeError: for a type that cannot be read.
     """
     return cast("T", _reader(cast("Hashable", kind))(data))
 
 
 @lru_cache(maxsize=256)
 def _hints(kind: type) -> dict[str, Any]:
-    """The types of the fields of a dataclass that are stored, by name."""
+    """Return the types of a dataclass's stored fields, by name."""
     hints = get_type_hints(kind)
     return {each.name: hints[each.name] for each in fields(kind) if each.init and hints[each.name] is not Any}
 
@@ -95,7 +95,7 @@ def _reader(kind: Any) -> Read:
         return _READERS[origin](inner)
     if kind in _SIMPLE:
         return _SIMPLE[kind]
-    if kind is Hashable:  # what tells kinds of failures apart
+    if kind is Hashable:  # a kind of failure, which is stored as its signature
         return _reader(Signature)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = _hints(kind)
@@ -152,7 +152,7 @@ def _read_scenario(data: Any) -> Scenario:
     try:
         return Scenario.from_canonical(data)
     except ScenarioError:
-        raise  # it says what is wrong, and is a ValueError
+        raise  # it is a ValueError, and already says what is wrong
     except (TypeError, ValueError):
         raise _refuse("a scenario: chains, seed, lane, speed and duration", data) from None
 
@@ -167,7 +167,7 @@ def _read_union(inner: tuple[Any, ...]) -> Read:
             try:
                 return reader(data)
             except FieldError:
-                continue  # the last one tells what is wrong
+                continue  # the last reader reports what is wrong
         return readers[-1](data)
 
     return read
@@ -196,7 +196,7 @@ def _read_parts(kind: Callable[[list[Any]], Any], readers: list[Read]) -> Read:
 
 
 def _read_all(readers: Iterable[Read], data: list[Any]) -> list[Any]:
-    """What each reader makes of its piece; an error tells which one does not fit."""
+    """Return what each reader makes of its part; an error names the part that does not fit."""
     parts: list[Any] = []
     try:
         for reader, each in zip(readers, data, strict=True):
@@ -224,4 +224,4 @@ _READERS: Mapping[Any, Callable[[tuple[Any, ...]], Read]] = {
     Mapping: partial(_reader_of_pairs, dict),
     Counter: partial(_reader_of_pairs, lambda pairs: Counter(dict(pairs))),
 }
-"""By the origin of a type, from its arguments."""
+"""Makers of readers by the origin of a type; they receive its arguments."""

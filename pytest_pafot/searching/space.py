@@ -1,4 +1,4 @@
-"""The space that a search draws scenarios from, and valid scenarios out of chains that were drawn or varied."""
+"""The space that a search samples scenarios from, and the repair of sampled or varied chains to valid scenarios."""
 
 from __future__ import annotations
 
@@ -37,37 +37,38 @@ from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
 from pytest_pafot.support.text import plural
 
 LEAST_GENES = 3
-"""Of a chain on a road that is not straight, however short its runs are: to approach, to cut in, to brake."""
+"""Shortest chain on a bent road, however short its runs are: to approach, to cut in, to brake."""
 CROSSING = 0.75
-"""Share of the NPCs that cross the ego's way, turn across it or join it, where ways of other traffic do."""
+"""Share of the NPCs that cross the ego's way, turn across it or join it, if other ways do."""
 MOST_ON_GRID = 2
-"""NPCs on the grid beside them: ahead of the ego and behind it, on a road of one lane."""
+"""NPCs on the grid in addition to them: one ahead of the ego and one behind it, on a road with one lane."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSpace:
-    """What all scenarios of a search have in common. The defaults are the paper's setup (section 4.1).
+    """The common properties of all scenarios of a search. The defaults are the paper's setup (section 4.1).
 
     Attributes:
-        npcs: NPCs in a scenario, 1 to 8; the plain number where it is drawn.
-        genes: Position-Instructions of each NPC.
-        gene_seconds: duration of one gene [s]. Genes together last as long where their duration is drawn.
+        npcs: NPCs in a scenario, 1 to 8; the default number if it is sampled.
+        genes: number of Position-Instructions of each NPC.
+        gene_seconds: duration of one gene [s]. If durations are sampled, the genes together still last as long.
         speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: everybody's first speed [m/s].
-        ego_lanes: lanes from which the first one is drawn; none where it is ``ego_lane``, which is then the plain one.
-        ego_speeds: lowest and highest first speed [m/s], between which it is drawn in steps of 0.1; None where it is
-            ``ego_speed``, which is then the plain one.
-        patterns: whether half of the scenarios that are drawn, and a third of the mutations, are made of
+        ego_speed: first speed of all vehicles [m/s].
+        ego_lanes: lanes from which the first one is sampled; empty for always ``ego_lane``, else that is the plain one.
+        ego_speeds: lowest and highest first speed [m/s], between which it is sampled in steps of 0.1; None for always
+            ``ego_speed``, else that is the plain one.
+        patterns: whether half of the sampled scenarios, and a third of the mutations, are made of
             :data:`~pytest_pafot.searching.patterns.PATTERNS`.
         traffic: how the NPCs drive in all scenarios.
-        most_npcs: for each of the ``ego_lanes``, the largest number of NPCs, which is drawn from 1 on; none where there
-            are ``npcs``.
-        gene_durations: from which that of a scenario's genes is drawn [s]; none where it is ``gene_seconds``.
-        crossings: the ways on which other traffic meets the ego's, as ``world.crossings`` gives them: three quarters of
-            all NPCs then drive there. None where all NPCs are on the grid.
-        acts: what NPCs do that meet the ego there, of ``pass``, ``hold``, ``stop`` and ``late``.
-        most_on_grid: NPCs on the grid where others cross, at most; each needs a cell to start in.
+        most_npcs: for each of the ``ego_lanes``, the largest number of NPCs, which is sampled from 1 on; empty for
+            always ``npcs``.
+        gene_durations: durations of genes [s] from which one is sampled per scenario; empty for always
+            ``gene_seconds``.
+        crossings: the ways on which other traffic meets the ego's, from ``world.crossings``: three quarters of all
+            NPCs then drive there. None if all NPCs are on the grid.
+        acts: what NPCs that meet the ego there do: any of ``pass``, ``hold``, ``stop`` and ``late``.
+        most_on_grid: largest number of NPCs on the grid if others cross; each needs a cell to start in.
     """
 
     npcs: int = 2
@@ -103,12 +104,12 @@ class SearchSpace:
             raise ValueError(f"ego_speeds: expected the lowest and the highest in m/s, received {self.ego_speeds!r}")
 
     def sliced(self, slices: int) -> SearchSpace:
-        """The same with so many genes, which together last as long."""
+        """Return the same space with a different number of genes, which together last as long."""
         return replace(self, genes=slices, gene_seconds=self.genes * self.gene_seconds / slices)
 
     @property
     def plain(self) -> dict[str, Any]:
-        """All fields but the ways, which are the world's, as plain data; what is for these only where it is unusual."""
+        """All fields as plain data, except the world's ways; fields for these only if they differ from the default."""
         data = asdict(replace(self, crossings=None))
         usual = {"crossings": None, "acts": crossing_traffic.ACTS, "most_on_grid": MOST_ON_GRID}
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
@@ -125,7 +126,7 @@ class SearchSpace:
 
     @property
     def described(self) -> str:
-        """What a user reads of it: ``4 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3``."""
+        """Text for users: ``4 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3``."""
         speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
         speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
         lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
@@ -137,7 +138,7 @@ class SearchSpace:
 
     @property
     def crossing_traffic(self) -> CrossingTraffic | None:
-        """What instructions at zones are drawn from; None where all NPCs are on the grid."""
+        """The distribution of instructions at zones; None if all NPCs are on the grid."""
         if self.crossings is None:
             return None
         low, high = self.low_step / SPEED_STEPS_PER_MPS, self.top_step / SPEED_STEPS_PER_MPS
@@ -145,11 +146,11 @@ class SearchSpace:
 
     @property
     def draws_start(self) -> bool:
-        """Whether scenarios start differently, or differ in the number of NPCs or the duration of genes."""
+        """True if scenarios differ in their start, their number of NPCs or the duration of genes."""
         return bool(self.ego_lanes or self.most_npcs or self.gene_durations) or self.ego_speeds is not None
 
     def drawn(self, rng: Generator) -> SearchSpace:
-        """Return the space of one scenario: everything is drawn that need not be the same in all of them."""
+        """Sample everything that differs between scenarios, and return the space of one scenario."""
         if not self.draws_start:
             return self
         lane, speed = self.drawn_lane(rng), self.drawn_speed(rng)
@@ -159,32 +160,32 @@ class SearchSpace:
         return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
 
     def fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
-        """Return the space of scenarios that start alike [m/s], with so many NPCs and genes of a duration [s]."""
+        """Return the space of scenarios with one start [m/s], one number of NPCs, and genes of one duration [s]."""
         plain: dict[str, Any] = {"ego_lanes": (), "ego_speeds": None, "most_npcs": (), "gene_durations": ()}
         return replace(self, ego_lane=lane, ego_speed=speed, npcs=npcs, genes=genes, gene_seconds=seconds, **plain)
 
     def most_on(self, lane: int) -> int:
-        """Return the largest number of NPCs of a scenario whose ego starts in a lane."""
+        """Return the largest number of NPCs in a scenario whose ego starts in a lane."""
         lanes = self.ego_lanes or (self.ego_lane,)
         return self.most_npcs[lanes.index(lane)] if self.most_npcs and lane in lanes else self.npcs
 
     def genes_of(self, seconds: float) -> int:
-        """Return how many genes of a duration [s] last as long as those of the space."""
+        """Return how many genes of a duration [s] last as long as the genes of the space."""
         if seconds == self.gene_seconds:
             return self.genes
         return max(1, math.ceil(self.genes * self.gene_seconds / seconds - 1e-9))
 
     @property
     def has_speeds(self) -> bool:
-        """Whether there are several first speeds to draw from."""
+        """True if there are several first speeds to sample from."""
         return self.ego_speeds is not None and self.ego_speeds[0] < self.ego_speeds[1]
 
     def drawn_lane(self, rng: Generator) -> int:
-        """A first lane of the ego."""
+        """Sample the ego's first lane."""
         return self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane
 
     def drawn_speed(self, rng: Generator) -> float:
-        """A first speed of everybody [m/s]."""
+        """Sample the first speed of all vehicles [m/s]."""
         if self.ego_speeds is None:
             return self.ego_speed
         low, high = (speed * SPEED_STEPS_PER_MPS for speed in self.ego_speeds)
@@ -192,13 +193,14 @@ class SearchSpace:
 
 
 def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int] | None = None) -> SearchSpace:
-    """The space of scenarios on a world, with as many genes as a run of it comes to unless it is given how many.
+    """Return the space of scenarios in a world, with as many genes as a run lasts unless their number is given.
 
-    On a road that is not straight the environment gives the ``start``: the ego's lane and speed [m/s], and the world's
-    ticks per second. All genes then last as long as a run: as many of about ten seconds as fit, at least three.
+    On a bent road the environment gives the ``start``: the ego's lane and speed [m/s], and the world's ticks per
+    second. All genes together then last as long as a run: as many genes of about ten seconds as fit, but at least
+    three.
 
     Raises:
-        TypeError, ValueError: when a field is unknown or out of range, or the world cannot be built.
+        TypeError, ValueError: if a field is unknown or out of range, or the world cannot be built.
     """
     speed_limit, longest_run = float(world.speed_limit), float(world.longest_run)
     wanted = dict(given)
@@ -219,14 +221,15 @@ def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int]
 
 
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
-    """A random valid scenario.
+    """Sample a valid scenario.
 
-    Its start, its number of NPCs and the duration of genes are drawn first, where the space says so. The first cells
-    are any distinct ones; then each NPC walks on the ring, with equal chances of holding its cell and of a step to
-    either side. A step into a cell that another NPC holds is repaired. Speeds are uniform over the steps of 0.1 m/s up
-    to the limit. Where the space has patterns, half of the scenarios are made of these instead, repaired likewise.
+    Its start, its number of NPCs and the duration of genes are sampled first, if the space varies them. The first cells
+    are any distinct ones; then each NPC walks on the ring: it holds its cell or steps to either side with equal
+    probability. A step into a cell that another NPC holds is repaired. Speeds are uniform over the steps of 0.1 m/s up
+    to the limit. If the space has patterns, half of the scenarios are made of these instead, and repaired in the same
+    way.
 
-    Where ways cross, most NPCs have an instruction at a zone instead; one that clashes with another is drawn anew.
+    If ways cross, most NPCs have an instruction at a zone instead; one that conflicts with another is sampled again.
     """
     space = space.drawn(rng)
     crossing = space.crossing_traffic
@@ -253,7 +256,7 @@ def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generat
 
 
 def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
-    """A chain for each NPC from its cells, and from its speeds in steps of 0.1 m/s."""
+    """Return a chain for each NPC from its cells, and from its speeds in steps of 0.1 m/s."""
     return [
         [PositionInstruction(Cell(cell), speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
         for chain in zip(cells, speeds, strict=True)
@@ -261,9 +264,9 @@ def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
-    """A random scenario of Lane-Instructions: uniform speeds up to the limit, and keep, left or right.
+    """Sample a scenario of Lane-Instructions: uniform speeds up to the limit, and keep, left or right.
 
-    Nothing in it is left to repair, so that its seed is 0.
+    It needs no repair, so its seed is 0.
     """
     shifts = rng.integers(len(SHIFTS), size=(space.npcs, space.genes)).tolist()
     speeds = rng.integers(space.low_step, space.top_step + 1, size=(space.npcs, space.genes)).tolist()
@@ -275,11 +278,11 @@ def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
 
 
 def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | SearchSpace) -> Scenario:
-    """A valid scenario, the step after every draw and every variation (section 2.1 of the paper).
+    """Make a valid scenario, the step after every sampling and every variation (section 2.1 of the paper).
 
-    It is the one from :meth:`Scenario.repaired` at a fraction of its cost: a search makes one for every child, and
-    valid chains, which a repair does not change, skip it. ``start`` gives the ego's lane, everybody's speed and the
-    duration of a gene.
+    The result equals :meth:`Scenario.repaired`, but this is much faster, because a search makes one for every child:
+    valid chains, which a repair does not change, skip it. ``start`` gives the ego's lane, the first speed of all
+    vehicles and the duration of a gene.
     """
     positions = positions_of(chains)
     cells = [[gene.cell for gene in chain] for chain in positions]
@@ -287,7 +290,7 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
     if not _is_valid(cells):
         fitting = iter(
             [
-                # A gene that keeps its cell is kept, which is faster than to make and check it again.
+                # A gene that keeps its cell is reused, which is faster than making and checking a new one.
                 tuple(
                     g if g.cell == cell else PositionInstruction(cell, g.speed) for g, cell in zip(*each, strict=True)
                 )
@@ -295,7 +298,7 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
             ]
         )
         npcs = tuple(next(fitting) if isinstance(chain[0], PositionInstruction) else chain for chain in npcs)
-    make = Scenario.trusted if isinstance(start, Scenario) else Scenario  # a space is what somebody asked for
+    make = Scenario.trusted if isinstance(start, Scenario) else Scenario  # a space is a user's input, so check it
     return make(
         npcs=npcs,
         seed=seed,
@@ -307,7 +310,7 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
 
 
 def _is_valid(cells: Sequence[Sequence[Cell]]) -> bool:
-    for row in cells:  # plain loops: this is done for every child
+    for row in cells:  # plain loops are faster here, and this runs for every child
         for before, cell in pairwise(row):
             if not is_adjacent(before, cell):
                 return False
@@ -316,11 +319,11 @@ def _is_valid(cells: Sequence[Sequence[Cell]]) -> bool:
 
 
 def random_instruction(space: SearchSpace, rng: Generator) -> PositionInstruction:
-    """A Position-Instruction, uniform over the eight cells and the speeds up to the limit."""
+    """Sample a Position-Instruction, uniform over the eight cells and the speeds up to the limit."""
     cell = Cell(int(rng.integers(1, 9)))
     return PositionInstruction(cell, int(rng.integers(space.low_step, space.top_step + 1)) / SPEED_STEPS_PER_MPS)
 
 
 def fresh_seed(rng: Generator) -> int:
-    """A seed for the repair of one scenario; 31 bits, so that it stays readable in a file."""
+    """Sample a seed for the repair of one scenario; it has 31 bits, so that it stays readable in a file."""
     return int(rng.integers(2**31))

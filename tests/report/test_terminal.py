@@ -44,7 +44,7 @@ SEARCH = SearchSummary(
     finds=(FIND,),
     known={"rear-6-abcdef": 4},
     warnings=(
-        "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they began; give them more time",
+        "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they started; give them more time",
     ),
     notes=("cut by --pafot-max-time: the same seed may find other scenarios next time",),
     coverage="reached 8/8 cells, 21/24 ring steps, 6/6 speed bins; requested 8/8, 23/24, 6/6",

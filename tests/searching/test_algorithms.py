@@ -137,7 +137,7 @@ def test_an_algorithm_of_ones_own_is_searched_with_like_any_other(cheap_world, a
         ),
         (Nameless, r"expected a class with a name, start, ask and tell, received Nameless without start, tell, name;"),
         (GenerationalSearch, r"received GenerationalSearch without propose, start, name;"),
-        (Borrowed, r"expected a name of its own for Borrowed, received 'pafot'"),
+        (Borrowed, r"expected a unique name for Borrowed, received 'pafot'"),
     ],
 )
 def test_what_is_no_algorithm_is_answered_with_what_would_be_one(given, message):

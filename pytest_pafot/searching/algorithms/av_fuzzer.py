@@ -1,7 +1,7 @@
 """AV-Fuzzer, the baseline of the paper's evaluation: a genetic algorithm over manoeuvres, without a grid.
 
 Source: Li et al., "AV-FUZZER: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020, as its authors
-released it. docs/explanation/baselines.md says what is otherwise here, and why.
+released it. docs/explanation/baselines.md lists the differences and the reasons for them.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, Lo
 from pytest_pafot.searching.operators import with_chain
 from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
 
-LANE_CHANGE = 34.0  # what a change of lane counts in the distance of two scenarios, where speeds count in m/s
+LANE_CHANGE = 34.0  # weight of a lane change in the distance of two scenarios, in which speeds count in m/s
 RESTART_CANDIDATES = 1000
-LEAST_WEIGHT = 0.001  # in place of a fitness of 0, which no turn of the roulette would select
+LEAST_WEIGHT = 0.001  # replaces a fitness of 0, which the roulette would never select
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AvFuzzerState:
-    """Where a search is, between two calls."""
+    """The state of a search between two calls."""
 
-    generation: int = 0  # of the main search, from 0, which is the random population
-    local_generation: int = 0  # 0 in the main search; in a local search 1 for the mutants and then upwards
+    generation: int = 0  # generation of the main search, from 0, which is the random population
+    local_generation: int = 0  # 0 in the main search; in a local search it counts from 1, the mutants
     # selected at the end of the last generation; empty before a random population
     population: tuple[Evaluation, ...] = ()
     local_population: tuple[Evaluation, ...] = ()  # the same within a local search
-    global_best: Evaluation | None = None  # of all generations, by fitness, kept aside
-    local_best: Evaluation | None = None  # of the local search that is going on
-    slot: int = 0  # of the best in the population, which the result of a local search may take
-    # the highest fitness of each selected population since the last random one, that one first
+    global_best: Evaluation | None = None  # the fittest of all generations, stored separately
+    local_best: Evaluation | None = None  # the best of the current local search
+    slot: int = 0  # index of the best in the population, which the result of a local search may replace
+    # the highest fitness of each selected population since the last random one, starting with that one
     bests: tuple[float, ...] = ()
     restarted_at: int = 0  # the generation whose population was random
-    # all selected populations so far, those of local searches included, as distances see them
+    # the features of all selected populations so far, including those of local searches
     checkpoints: tuple[FloatArray, ...] = ()
-    fresh: tuple[Scenario, ...] = ()  # a random population to ask for next
-    # positions and scenarios that are out; None when it is time to ask
+    fresh: tuple[Scenario, ...] = ()  # a random population to evaluate next
+    # positions and scenarios under evaluation; None if the next call must be ask
     asked: tuple[tuple[int, Scenario], ...] | None = None
 
 
@@ -54,16 +54,16 @@ class AvFuzzerSearch:
     """AV-Fuzzer. Its released numbers are the defaults, but for the length of a slice.
 
     Attributes:
-        space: of the scenarios; its NPCs, speed limit and start are used. All its genes together last as long as all
-            slices: five slices of 12 s stand for the released 15 s in five, for a comparison over equal times.
-        population: scenarios in a generation.
-        slices: manoeuvres of each NPC.
-        crossover_rate: probability of a trial, of which there are half as many as scenarios, to swap two NPCs.
-        mutation_rate: probability of a scenario to have one manoeuvre changed.
+        space: space of the scenarios; its NPCs, speed limit and start are used. Its genes together last as long as all
+            slices: five slices of 12 s replace the released 15 s in five, to compare over equal times.
+        population: number of scenarios in a generation.
+        slices: number of manoeuvres of each NPC.
+        crossover_rate: probability that a trial swaps two NPCs; there are half as many trials as scenarios.
+        mutation_rate: probability that one manoeuvre of a scenario is changed.
         local_generations: generations of a local search after its mutants; 0 turns local searches off.
-        local_mutation_factor: by which the mutation rate is multiplied in them, up to a rate of 1.
-        local_after: generations after a random population in which no local search starts.
-        restart_after: generations without progress after which the population is given up.
+        local_mutation_factor: factor of the mutation rate in local searches, up to a rate of 1.
+        local_after: number of generations after a random population in which no local search starts.
+        restart_after: number of generations without progress after which the population is abandoned.
     """
 
     name: ClassVar[str] = "av-fuzzer"
@@ -94,11 +94,11 @@ class AvFuzzerSearch:
         return self.space.sliced(self.slices)
 
     def start(self, rng: Generator) -> AvFuzzerState:
-        """The state before the first generation, whose population is random."""
+        """Return the state before the first generation, whose population is random."""
         return AvFuzzerState(fresh=tuple(sample_manoeuvres(self.sliced, rng) for _ in range(self.population)))
 
     def ask(self, state: AvFuzzerState, rng: Generator) -> tuple[AvFuzzerState, tuple[Scenario, ...]]:
-        """The scenarios of the next generation that crossover or mutation touched; there may be none."""
+        """Return the scenarios of the next generation that crossover or mutation changed; there may be none."""
         check_ask(state.asked)
         asked = tuple(enumerate(state.fresh)) if state.fresh else self._varied(state, rng)
         return replace(state, asked=asked, fresh=()), tuple(scenario for _, scenario in asked)
@@ -106,7 +106,7 @@ class AvFuzzerSearch:
     def tell(
         self, state: AvFuzzerState, evaluations: Sequence[Evaluation], rng: Generator
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order."""
+        """Finish a generation with the evaluations of the requested scenarios, in the same order."""
         check_evaluations(None if state.asked is None else [scenario for _, scenario in state.asked], evaluations)
         population = list(state.local_population if state.local_generation else state.population)
         is_random = not population
@@ -119,7 +119,7 @@ class AvFuzzerSearch:
             elites=len(population) - len(evaluations),
         )
         state = replace(state, asked=None)
-        # Neither a random population nor the mutants of an incumbent are selected from before they are varied.
+        # There is no selection from a random population or from the mutants of an incumbent before they are varied.
         selected = tuple(population)
         if not is_random and state.local_generation != 1:
             selected = roulette(selected, rng)
@@ -130,7 +130,7 @@ class AvFuzzerSearch:
         return state, (finished, *events)
 
     def _varied(self, state: AvFuzzerState, rng: Generator) -> tuple[tuple[int, Scenario], ...]:
-        """Positions and scenarios of a population that crossover or mutation touched, unchanged ones among them."""
+        """Return the positions and scenarios that crossover or mutation applied to, even if they did not change."""
         is_local = state.local_generation > 0
         members = state.local_population if is_local else state.population
         scenarios = [member.scenario for member in members]
@@ -202,16 +202,16 @@ class AvFuzzerSearch:
 
 
 def swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
-    """Two scenarios that have exchanged the NPC of one random index, the same in both."""
+    """Swap the NPC of one random index, the same in both scenarios."""
     npc = int(rng.integers(len(a.npcs)))
     first, second = with_chain(a.npcs, npc, b.npcs[npc]), with_chain(b.npcs, npc, a.npcs[npc])
     return replace(a, npcs=first), replace(b, npcs=second)
 
 
 def mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """A random manoeuvre of a random NPC with another speed, another action or, each in one of three cases, as it was.
+    """Give a random manoeuvre of a random NPC another speed or another action, or leave it, with equal probability.
 
-    Speeds are drawn as for the first scenarios of the space.
+    Speeds are sampled as for the first scenarios of the space.
     """
     npc = int(rng.integers(len(scenario.npcs)))
     chain = scenario.npcs[npc]
@@ -227,9 +227,9 @@ def mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
 
 
 def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, ...]:
-    """As many members, drawn with replacement in proportion to their fitness, shifted where one is negative.
+    """Sample as many members with replacement, in proportion to their fitness, shifted if one is negative.
 
-    Runs that are not eligible, such as crashes between NPCs, weigh nothing, unless there are no others.
+    Runs that are not eligible, such as crashes between NPCs, have no weight, unless there are no others.
     """
     fitness = np.array([_weight(member) or LEAST_WEIGHT for member in population])
     finite = np.isfinite(fitness)
@@ -241,18 +241,19 @@ def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluati
 
 
 def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int) -> tuple[Scenario, ...]:
-    """The candidates with the greatest mean distance to earlier scenarios, the first of equals.
+    """Return the candidates with the greatest mean distance to earlier scenarios, the first of equals.
 
-    The earlier ones, ``checkpoints``, are as :func:`features` has them, of shape [scenarios, NPCs, slices, 2].
+    The earlier scenarios, ``checkpoints``, are given as :func:`features`, of shape [scenarios, NPCs, slices, 2].
     """
     by_distance = sorted(candidates, key=lambda each: -float(np.mean(distance(features(each), checkpoints))))
     return tuple(by_distance[:count])
 
 
 def features(scenario: Scenario) -> FloatArray:
-    """What AV-Fuzzer compares scenarios by, shape [NPCs, slices, 2].
+    """Return the numbers by which AV-Fuzzer compares scenarios, shape [NPCs, slices, 2].
 
-    Per slice the sum of the speeds so far, and of -34 for each change to the left and 34 for each to the right.
+    For each slice: the sum of the speeds so far, and the sum of -34 per change to the left and 34 per change to the
+    right.
     """
     rows = [
         [(gene.speed, LANE_CHANGE * gene.column) for gene in chain if isinstance(gene, LaneInstruction)]
@@ -262,7 +263,7 @@ def features(scenario: Scenario) -> FloatArray:
 
 
 def distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Between scenarios: Euclidean per slice, summed over the slices, averaged over the NPCs; shapes broadcast."""
+    """Return the distance of scenarios: Euclidean per slice, summed over slices, mean over NPCs; shapes broadcast."""
     per_slice = np.sqrt(np.sum((a - b) ** 2, axis=-1))
     mean: FloatArray = per_slice.sum(axis=-1).mean(axis=-1)
     return mean

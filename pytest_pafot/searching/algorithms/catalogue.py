@@ -1,4 +1,4 @@
-"""The search algorithms by name, and those of others by class: what can be asked of either before it runs."""
+"""The search algorithms by name, and users' own by class: the properties that are known before one runs."""
 
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ CATALOGUE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({each.name: eac
     DistinctSearch, PafotSearch, AvFuzzerSearch, RandomSearch, RandomManoeuvreSearch, Nsga2Search, MapElitesSearch,
     CmaEsSearch,
 )})  # fmt: skip
-"""Ours by name; a new one is imported and listed here."""
+"""The algorithms of this package by name; a new one is imported and listed here."""
 
-ALGORITHMS = tuple(CATALOGUE)  # names that :func:`resolve_algorithm` takes
+ALGORITHMS = tuple(CATALOGUE)  # names that :func:`resolve_algorithm` accepts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlgorithmClass:
-    """The class of a search algorithm, and what it says of itself by class attributes.
+    """The class of a search algorithm, and what its class attributes declare.
 
-    All but the name may be missing in a class; they are then as here.
+    All attributes but the name may be missing in a class; they then have these defaults.
     """
 
     made_by: Callable[..., Algorithm[Any]]  # the class
-    name: str  # by which files and reports call it
-    # that it maximises unless another one is asked for: a name, weights or a function
+    name: str  # the name in files and reports
+    # the fitness that it maximises unless a different one is requested: a name, weights or a function
     fitness: str | Weights | Fitness = "default"
     knows_grid: bool = True  # whether its genes are Position-Instructions; else they are Lane-Instructions
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
-    batch_population: int | None = None  # scenarios in a generation where the ADS decides for many runs at once
-    library: str | None = None  # that it needs beside this package, as it is imported
+    batch_population: int | None = None  # scenarios in a generation if the ADS decides for many runs at once
+    library: str | None = None  # the library that it needs besides this package, by its import name
 
     def make(self, space: SearchSpace, **parameters: Any) -> Algorithm[Any]:
-        """The algorithm on a space, with its own parameters, such as ``population=4``.
+        """Make the algorithm for a space, with its own parameters, such as ``population=4``.
 
         Raises:
-            ValueError: for a parameter that does not exist, in a message that lists those that do; and where the
-                library of the algorithm is not installed, in a message that tells how to install it.
+            ValueError: for an unknown parameter, in a message that lists the known ones; and if the library of the
+                algorithm is not installed, in a message that says how to install it.
         """
         if self.library is not None and find_spec(self.library) is None:
             extra = "`pip install 'pytest-pafot[search]'` or " if self.name in CATALOGUE else ""
@@ -68,22 +68,23 @@ class AlgorithmClass:
         return self.made_by(space, **parameters)
 
     def check_road(self, *, is_straight: bool) -> None:
-        """Check the algorithm against a road that is straight, or not.
+        """Check that the algorithm can be used on a straight or bent road.
 
         Raises:
-            ValueError: for one with Lane-Instructions where the road is not straight, with those that can be used.
+            ValueError: for an algorithm with Lane-Instructions on a bent road; the message lists those that can be
+                used.
         """
         if self.knows_grid or is_straight:
             return
         others = ", ".join(name for name in ALGORITHMS if resolve_algorithm(name).knows_grid)
         raise ValueError(
             f"algorithm: expected one of {others} on a road that is not straight, received {self.name!r}, whose "
-            "Lane-Instructions know no lanes that begin and end; or take a straight road such as pafot.Highway()"
+            "Lane-Instructions cannot handle lanes that begin and end; or use a straight road such as pafot.Highway()"
         )
 
 
 def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:
-    """The algorithm of a name, of ``module:Class`` or of a class, see :class:`~pytest_pafot.searching.Algorithm`.
+    """Return the algorithm of a name, ``module:Class`` or class, see :class:`~pytest_pafot.searching.Algorithm`.
 
     Raises:
         ValueError: for anything else, in a message that lists the names and what the class must have.
@@ -125,6 +126,6 @@ def _check_class(given: Any) -> None:
         )
     if CATALOGUE.get(str(name), given) is not given:
         raise ValueError(
-            f"algorithm: expected a name of its own for {given.__name__}, received {name!r}, by which files and "
-            "reports call another one; set its class attribute name"
+            f"algorithm: expected a unique name for {given.__name__}, received {name!r}, which is the name of a "
+            "different algorithm in files and reports; set its class attribute name"
         )

@@ -1,6 +1,6 @@
 """CMA-ES for mixed variables: the paper's genes, searched by a distribution instead of a population.
 
-CatCMA with margin is cmaes's. Cells are categories, so that the plain CMA-ES does not fit them.
+CatCMA with margin is from the library cmaes. Plain CMA-ES does not fit, because cells are categories.
 
 Source: Hamano et al., "CatCMA with Margin for Single- and Multi-Objective Mixed-Variable Black-Box Optimization",
 arXiv:2504.07884, 2025.
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CmaEsState(GenerationState):
-    """Where a search is, between two calls."""
+    """The state of a search between two calls."""
 
-    optimiser: CatCMAwM  # of cmaes, with its distribution and its own random state; never changed, but copied
-    solutions: tuple[Any, ...] = ()  # of the optimiser, one for each scenario that is out
+    optimiser: CatCMAwM  # from cmaes, with its distribution and random state; copied before every change
+    solutions: tuple[Any, ...] = ()  # the optimiser's solutions, one for each scenario under evaluation
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
     """CatCMA with margin over chains of Position-Instructions.
 
     A chain is its first cell, a category of eight; the steps to the next cells, categories of three; and its speeds,
-    whole numbers of 0.1 m/s. What two NPCs would both hold is repaired.
+    integers in 0.1 m/s. If two NPCs would hold the same cell, that is repaired.
     """
 
     name: ClassVar[str] = "cma-es"
@@ -54,7 +54,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
             )
 
     def start(self, rng: Generator) -> CmaEsState:
-        """The state before the first generation; the optimiser's own draws follow from one of the generator."""
+        """Return the state before the first generation; one random number seeds the optimiser's own randomness."""
         from cmaes import CatCMAwM  # noqa: PLC0415  (slow to import)
 
         space = self.space
@@ -67,27 +67,27 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
         return CmaEsState(optimiser=optimiser)
 
     def propose(self, state: CmaEsState, rng: Generator) -> tuple[CmaEsState, Sequence[Scenario]]:
-        """Scenarios drawn from the optimiser's distribution."""
+        """Sample scenarios from the optimiser's distribution."""
         optimiser = copy.deepcopy(state.optimiser)
         solutions = tuple(optimiser.ask() for _ in range(self.population))
         space, shape, proposed = self.space, (self.space.npcs, self.space.genes), []
         for solution in solutions:
             choices = np.argmax(solution.c, axis=1)[: space.npcs * space.genes].reshape(shape)
             speeds = np.asarray(solution.z).round().astype(int).reshape(shape)
-            # The first choice is a cell, each further one a step on the ring: -1, 0 or 1.
+            # The first choice is a cell; each of the others is a step on the ring: -1, 0 or 1.
             cells = np.cumsum(np.hstack([choices[:, :1], choices[:, 1:] - 1]), axis=1) % 8 + 1
             proposed.append(repaired(chains_of(cells.tolist(), speeds.tolist()), fresh_seed(rng), space))
         return replace(state, optimiser=optimiser, solutions=solutions), proposed
 
     def learn(self, state: CmaEsState, evaluations: Sequence[Evaluation], rng: Generator) -> CmaEsState:
-        """The distribution moved towards what is worse for the ego."""
+        """Move the distribution towards scenarios that are worse for the ego."""
         optimiser = copy.deepcopy(state.optimiser)
         optimiser.tell(list(zip(state.solutions, losses(evaluations), strict=True)))
         return replace(state, optimiser=optimiser, solutions=())
 
 
 def losses(evaluations: Sequence[Evaluation]) -> list[float]:
-    """What the optimiser minimises, finite: minus fitness; for runs that are not eligible, more than all others."""
+    """Return the finite losses to minimise: minus fitness; for ineligible runs, more than for all others."""
     known = [-each.fitness for each in evaluations if each.eligible and math.isfinite(each.fitness)]
     worst = max(known, default=0.0) + 1.0
     return [-each.fitness if each.eligible and math.isfinite(each.fitness) else worst for each in evaluations]

@@ -1,9 +1,9 @@
 """The default search: distinct failures, one kind after the other.
 
-The paper's search counts collisions. What a user wants is each distinct failure once, and there it stands in its own
-way: whatever fails outranks all that does not, so the first defect that is found absorbs its population of four, and
-every further generation breeds it again. This search keeps the paper's genes and operators, and replaces what decides
-who breeds. docs/explanation/default-search.md has the comparison.
+The paper's search counts collisions. A user wants each distinct failure once, and for this goal that search is in its
+own way: failing runs outrank all others, so the first defect takes over its population of four, and every further
+generation breeds it again. This search has the paper's genes and operators, but a different choice of parents.
+docs/explanation/default-search.md has the comparison.
 
 Source of the niches: Mouret, Clune, "Illuminating search spaces by mapping elites", arXiv:1504.04909, 2015.
 """
@@ -26,15 +26,15 @@ from pytest_pafot.searching.operators import first_crossed, improves, mutate, to
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.searching.space import sample
 
-# What searches have in common that keep the worst runs of several kinds, the niches, and vary them.
+# The common part of searches that store the worst runs of several kinds, the niches, and vary them.
 
 
 @dataclass(frozen=True, slots=True)
 class NicheSearch(GenerationalSearch[GenerationStateT]):
-    """A search whose first scenarios are random, and whose later ones are children of those that it kept.
+    """A search whose first scenarios are random, and whose later ones are children of the stored ones.
 
     Attributes:
-        random_runs: scenarios before the first children.
+        random_runs: number of scenarios before the first children.
         crossover_rate: probability that two parents swap two NPCs.
     """
 
@@ -46,11 +46,11 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
 
     @property
     def random_at_first(self) -> float:
-        """Scenarios at the beginning of a search that are random."""
+        """The number of random scenarios at the beginning of a search."""
         return max(self.population, self.random_runs)
 
     def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Iterable[Scenario]]:
-        """Random scenarios at first and while there is no parent; then children."""
+        """Propose random scenarios at first and while there is no parent; then children."""
         parents = self.parents(state)
         to_come = self.random_runs - state.proposed if parents else self.population
         return state, (
@@ -59,29 +59,29 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
 
     @abstractmethod
     def parents(self, state: GenerationStateT) -> Sequence[Any]:
-        """What children are made of."""
+        """Return the parents from which children are made."""
 
     @abstractmethod
     def child(self, parents: Sequence[Any], rng: Generator) -> Scenario:
-        """A scenario that is a variation of one or two parents."""
+        """Return a scenario that is a variation of one or two parents."""
 
 
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
-FASTEST_NICHE = 5  # index of the last one, which has no upper end
+FASTEST_NICHE = 5  # index of the last niche, which has no upper end
 
-# The cell of an impact and the index of its closing speed; 0 and what the ego was made to do. Of an NPC that crosses
-# its zone and slot stand for the cell, with numbers beyond those of cells, and below 0 without an impact.
+# The cell of an impact and the index of its closing speed; without an impact, 0 and the demand on the ego. For an NPC
+# that crosses, its zone and slot replace the cell, with numbers beyond those of cells, and below 0 without an impact.
 Niche = tuple[int, int]
 Elites = tuple[tuple[Niche, Evaluation], ...]  # the best of each niche, in their order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistinctState(GenerationState):
-    """Where a search is, between two calls."""
+    """The state of a search between two calls."""
 
-    kinds: frozenset[Hashable] = frozenset()  # of failures that were shown so far
-    mistakes: frozenset[str] = frozenset()  # of the ego that these failures had, and checks that failed
-    # the worst run for the ego of each niche, in the order of the niches, without those of known kinds
+    kinds: frozenset[Hashable] = frozenset()  # kinds of the failures so far
+    mistakes: frozenset[str] = frozenset()  # the ego's mistakes in these failures, and the failed checks
+    # the worst run for the ego in each niche, in the order of the niches, without those of known kinds
     elites: Elites = ()
     # by the name of each check that has not failed, the runs with the worst margin in each niche
     strained: Mapping[str, Elites] = field(default_factory=dict)
@@ -89,24 +89,24 @@ class DistinctState(GenerationState):
 
 @dataclass(frozen=True, slots=True)
 class DistinctSearch(NicheSearch[DistinctState]):
-    """Varies the worst runs of all niches, and drops what shows a known failure.
+    """A search that varies the worst runs of all niches, and drops runs that show a known failure.
 
-    1. The first scenarios are random, as the paper's first generation is.
-    2. After them a third of the scenarios is random again, and the others are children. The worst run of every niche
-       may have some: of every impact cell and closing speed, and without an impact of everything that the ego was made
-       to do (:func:`~pytest_pafot.searching.evaluation.demand_of`), so that no kind of run displaces the others. Where
-       an NPC crosses, its zone and slot stand for its cell, and without an impact for what the ego was made to do.
-       For each check (:attr:`~pytest_pafot.searching.Evaluation.margins`) that has not failed yet the niches are held
-       once more, by its worst margin in place of the fitness: every check is an objective, without a weight. These
-       groups are drawn equally often, and parents of a group by binary tournament on the fitness. A child has one to
-       three mutations.
-    3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no parent from
-       then on: simplifying it is the shrinker's work.
+    1. The first scenarios are random, like the paper's first generation. 2. After them a third of the scenarios are
+    random, and the others are children of the worst run of every niche. With an
+       impact, niches are its cell and closing speed; without one, what the ego was required to do
+       (:func:`~pytest_pafot.searching.evaluation.demand_of`). So no kind of run displaces the others. For an NPC that
+       crosses, its zone and slot replace the cell, or without an impact the demand on the ego. There is another group
+       of niches for each check that has not failed yet (:attr:`~pytest_pafot.searching.Evaluation.margins`), with its
+       worst margin instead of the fitness: every check is an objective, without a weight. The groups are equally
+       likely, and parents are selected in a group by binary tournament on the fitness. A child has one to three
+       mutations.
+    3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is not a parent from
+       then on, because the shrinker simplifies such failures.
 
     Attributes:
-        population: scenarios in a generation.
-        most_mutations: of a child, whose number is uniform from 1.
-        fresh: share of the scenarios that are random, after the first ones.
+        population: number of scenarios in a generation.
+        most_mutations: largest number of mutations of a child; the number is uniform from 1.
+        fresh: share of random scenarios after the first ones.
     """
 
     name: ClassVar[str] = "distinct"
@@ -121,24 +121,24 @@ class DistinctSearch(NicheSearch[DistinctState]):
         check_parameters(self, rates=("fresh",), most_mutations=1)
 
     def start(self, rng: Generator) -> DistinctState:
-        """The state before the first generation; it needs no draw."""
+        """Return the state before the first generation, without using a random number."""
         return DistinctState()
 
     def stored(self, state: DistinctState) -> Any:
-        """The state as plain data; what is drawn follows from the seed and the number of the generation."""
+        """Return the state as plain data; random numbers follow from the seed and the number of the generation."""
         return plain(state)
 
     def restored(self, data: Any) -> DistinctState:
-        """The inverse of :meth:`stored`."""
+        """Return the state from the data of :meth:`stored`."""
         return from_plain(DistinctState, data)
 
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
-        """Groups that have the same chance each: the elites of the niches, and those of each check."""
+        """Return equally likely groups of parents: the elites of the niches, and those for each check."""
         groups = (state.elites, *state.strained.values())
         return [[each for _, each in elites] for elites in groups if elites]
 
     def child(self, parents: Sequence[Sequence[Evaluation]], rng: Generator) -> Scenario:
-        """One to three mutations of a parent, or of two that have swapped NPCs; or a random scenario."""
+        """Return one to three mutations of a parent, or of two with swapped NPCs; or a random scenario."""
         if rng.random() < self.fresh:
             return sample(self.space, rng)
         child = _parent(parents, rng).executed
@@ -149,7 +149,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
         return child
 
     def learn(self, state: DistinctState, evaluations: Sequence[Evaluation], rng: Generator) -> DistinctState:
-        """The failures that are known now, and the runs that may be parents."""
+        """Update the known failures, and the runs that may be parents."""
         failed = [each for each in evaluations if each.failing]
         kinds = state.kinds | {each.kind for each in failed if each.kind is not None}
         mistakes = state.mistakes | {each.mistake for each in failed if each.mistake is not None}
@@ -163,7 +163,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
 
 def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> Niche:
-    """Where an evaluation competes, in a world with some ways that meet the ego's."""
+    """Return the niche of an evaluation, in a world with these ways that meet the ego's."""
     hit, place = evaluation.collision, meeting_place(evaluation, crossings)
     speed = 0 if hit is None else min(int(hit.closing_speed / SPEED_NICHE), FASTEST_NICHE)
     if hit is not None and hit.cell is not None and hit.npc != evaluation.crossing:
@@ -175,9 +175,9 @@ def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> Niche:
 
 
 def meeting_place(evaluation: Evaluation, crossings: Crossings | None) -> int | None:
-    """Return a number for the zone and slot of the NPC that crosses and came nearest; None where nobody does.
+    """Return a number for the zone and slot of the nearest NPC that crosses; None if no NPC crosses.
 
-    Zones are counted in the order in which the ego comes to them.
+    Zones are counted in the order in which the ego reaches them.
     """
     npc = evaluation.crossing
     instruction = None if npc is None else evaluation.scenario.npcs[npc][0]
@@ -198,7 +198,7 @@ def _strained(
     failed: frozenset[str],
     crossings: Crossings | None,
 ) -> dict[str, Elites]:
-    """For each check that has not failed, in the order of the names, the elites by its margin alone."""
+    """Return the elites by margin for each check that has not failed, in the order of the names."""
     judged: dict[str, list[Evaluation]] = {name: [each for _, each in elites] for name, elites in before.items()}
     for each in evaluations:
         for name, margin in each.margins:
@@ -207,7 +207,7 @@ def _strained(
 
 
 def _elites(evaluations: Sequence[Evaluation], kinds: frozenset[Hashable], crossings: Crossings | None) -> Elites:
-    """The best ranked of each niche, the first of equals."""
+    """Return the best ranked evaluation of each niche, the first of equals."""
     best: dict[Niche, Evaluation] = {}
     for each in evaluations:
         is_known = each.failing and each.kind in kinds

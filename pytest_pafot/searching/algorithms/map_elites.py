@@ -1,6 +1,6 @@
 """MAP-Elites with the paper's genes and operators: the fittest scenario of every kind of impact.
 
-The archive is pyribs's.
+The archive is from the library pyribs.
 
 Source: Mouret, Clune, "Illuminating search spaces by mapping elites", arXiv:1504.04909, 2015.
 """
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
     from ribs.archives import GridArchive
 
 
-NO_IMPACT = 0  # the cell of a run without a collision; all of these share one niche, in which the nearest miss stays
-TOP_CLOSING_SPEED = 30.0  # closing speeds beyond it share the last niche [m/s]
+NO_IMPACT = 0  # the cell without a collision; all such runs share one niche, which stores the nearest miss
+TOP_CLOSING_SPEED = 30.0  # higher closing speeds share the last niche [m/s]
 CLOSING_SPEED_NICHES = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapElitesState(GenerationState):
-    """Where a search is, between two calls."""
+    """The state of a search between two calls."""
 
-    archive: GridArchive  # of pyribs, with numbers of evaluations for solutions; never changed, but copied
-    evaluations: tuple[Evaluation, ...] = ()  # all eligible ones so far
+    archive: GridArchive  # from pyribs; its solutions are indices of evaluations; copied before every change
+    evaluations: tuple[Evaluation, ...] = ()  # all eligible evaluations so far
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
     library: ClassVar[str] = "ribs"
 
     def start(self, rng: Generator) -> MapElitesState:
-        """The state before the first generation: an empty archive."""
+        """Return the state before the first generation: an empty archive."""
         from ribs.archives import GridArchive  # noqa: PLC0415  (slow to import)
 
         places = 9 if self.space.crossings is None else 9 + len(SLOTS) * len(self.space.crossings.zones)
@@ -55,20 +55,20 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
         return MapElitesState(archive=GridArchive(solution_dim=1, dims=(places, CLOSING_SPEED_NICHES), ranges=ranges))
 
     def parents(self, state: MapElitesState) -> list[Evaluation]:
-        """The elites in the order of the niches, so that the same draws give the same ones."""
+        """Return the elites in the order of the niches, so that equal random numbers select equal ones."""
         if not len(state.archive):
             return []
         elites = state.archive.data(["solution", "index"], return_type="dict")
         return [state.evaluations[int(number)] for number in elites["solution"][np.argsort(elites["index"]), 0]]
 
     def child(self, parents: Sequence[Evaluation], rng: Generator) -> Scenario:
-        """A mutation of an elite, or of two that have swapped NPCs."""
+        """Return a mutation of an elite, or of two with swapped NPCs."""
         a, b = (parents[int(index)].executed for index in rng.integers(len(parents), size=2))
         child = first_crossed(a, b, rng) if rng.random() < self.crossover_rate else a
         return mutate(child, self.space, rng)
 
     def learn(self, state: MapElitesState, evaluations: Sequence[Evaluation], rng: Generator) -> MapElitesState:
-        """The archive with what a generation adds to it."""
+        """Add the runs of a generation to the archive."""
         eligible = [each for each in evaluations if each.eligible and np.isfinite(each.fitness)]
         if not eligible:
             return state
@@ -82,9 +82,9 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
 
 
 def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> tuple[float, float]:
-    """The cell of the impact, 0 without one, and the closing speed [m/s].
+    """Return the cell of the impact, 0 without one, and the closing speed [m/s].
 
-    Beyond the cells are the zones and slots of NPCs that cross.
+    Numbers beyond the cells stand for the zones and slots of NPCs that cross.
     """
     hit = evaluation.collision
     if hit is None:

@@ -1,6 +1,6 @@
 """NSGA-II with the paper's genes and operators: risk, severity and novelty at once, instead of one fitness.
 
-The paper names it as its next step (section 5). Sorting by dominance and crowding is pymoo's.
+The paper names it as its next step (section 5). Sorting by dominance and crowding is from the library pymoo.
 
 Source: Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-II", IEEE TEC 6(2), 2002.
 """
@@ -22,12 +22,12 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.operators import varied
 from pytest_pafot.searching.space import sample
 
-WORST = 1e9  # the objectives of a run that is not eligible; finite, since crowding is a difference
+WORST = 1e9  # the objectives of an ineligible run; finite, because crowding is a difference
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nsga2State(GenerationState):
-    """Where a search is, between two calls."""
+    """The state of a search between two calls."""
 
     population: tuple[Evaluation, ...] = ()  # survivors, the best rank first, and within a rank the least crowded
 
@@ -37,7 +37,7 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
     """NSGA-II over scenarios. Its first generation is random.
 
     Attributes:
-        population: survivors, and children in a generation.
+        population: number of survivors, and of children in a generation.
         crossover_rate: probability that a pair of parents swaps two NPCs, as in the paper.
         mutation_rate: probability that a child has one Position-Instruction replaced, as in the paper.
     """
@@ -54,32 +54,32 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
         check_parameters(self, rates=("crossover_rate", "mutation_rate"))
 
     def start(self, rng: Generator) -> Nsga2State:
-        """The state before the first generation; it needs no draw."""
+        """Return the state before the first generation, without using a random number."""
         return Nsga2State()
 
     def propose(self, state: Nsga2State, rng: Generator) -> tuple[Nsga2State, Sequence[Scenario]]:
-        """Children of the survivors, random scenarios before there are any."""
+        """Return children of the survivors, or random scenarios before there are any."""
         proposed: list[Scenario] = []
         while not state.population and len(proposed) < self.population:
             proposed.append(sample(self.space, rng))
         while len(proposed) < self.population:
-            # Tournaments of two: the population is in the order in which they prefer it.
+            # The minimum of two indices is a tournament, because the population is sorted by preference.
             first, second = (int(rng.integers(len(state.population), size=2).min()) for _ in range(2))
             pair = state.population[first].executed, state.population[second].executed
             proposed += varied(pair, self.space, self.crossover_rate, self.mutation_rate, rng)
         return state, proposed[: self.population]
 
     def kept(self, state: Nsga2State) -> Sequence[Evaluation]:
-        """The survivors of the generation before."""
+        """Return the survivors of the previous generation."""
         return state.population
 
     def learn(self, state: Nsga2State, evaluations: Sequence[Evaluation], rng: Generator) -> Nsga2State:
-        """Those who survive the generation."""
+        """Select the survivors of the generation."""
         return replace(state, population=surviving((*state.population, *evaluations), self.population, rng))
 
 
 def surviving(evaluations: Sequence[Evaluation], count: int, rng: Generator) -> tuple[Evaluation, ...]:
-    """As many as may survive, by rank of dominance, then the least crowded first."""
+    """Return at most this many survivors, by rank of dominance, then the least crowded first."""
     from pymoo.core.population import Population  # noqa: PLC0415  (slow to import)
     from pymoo.core.problem import Problem  # noqa: PLC0415
     from pymoo.operators.survival.rank_and_crowding import RankAndCrowding  # noqa: PLC0415
@@ -93,11 +93,12 @@ def surviving(evaluations: Sequence[Evaluation], count: int, rng: Generator) -> 
 
 
 def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
-    """To be minimised, shape [evaluations, 3 + checks]: minus fitness, closing speed at the impact [m/s] and novelty.
+    """Return the objectives to minimise, shape [evaluations, 3 + checks].
 
-    Then the margin of each check that any of the runs came to, in the order of their names. Novelty is the least share
-    of genes in which a scenario, as driven, has another cell than another one, another zone or slot, or an NPC that the
-    other one lacks.
+    They are minus fitness, minus the closing speed at the impact [m/s] and minus novelty, then the margin of each check
+    that any of the runs got to, in the order of their names. Novelty is the smallest share of genes in which a
+    scenario, as driven, differs from another one: in the cell, in the zone or slot, or by an NPC that the other one
+    lacks.
     """
     cells = cells_of(evaluations)
     one, other = cells[:, None, :], cells[None, :, :]
@@ -115,7 +116,7 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
 
 
 def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
-    """The cells as driven, shape [evaluations, npcs * genes], in steps of the shortest gene; 0 where there is none.
+    """Return the driven cells, shape [evaluations, npcs * genes], in steps of the shortest gene; 0 for no cell.
 
     An NPC that crosses has one number beyond the cells, for its zone and slot.
     """

@@ -1,8 +1,8 @@
-"""PAFOT: the genetic algorithm with its local fuzzer and restarts, as values that are asked and told.
+"""PAFOT: the genetic algorithm with its local fuzzer and restarts, as values with ask and tell.
 
-Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3. Where the paper is silent, the reading
-is named here and beside the parameter. Individuals take part in the evolution as they were driven: what the
-repair inside a run changed is part of them from then on (section 2.1).
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3. If the paper leaves something open, the choice
+is named here and at the parameter. Individuals evolve as they were driven: what the repair inside a run changed is part
+of them from then on (section 2.1).
 """
 
 from __future__ import annotations
@@ -24,39 +24,39 @@ from pytest_pafot.searching.space import SearchSpace, sample
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PafotState:
-    """Where a search is, between two calls."""
+    """The state of a search between two calls."""
 
-    generation: int = 0  # of the main search, from 0; it advances when the generation and its local search are over
-    local_generation: int = 0  # 0 in the main search; in a local search 1 for the mutants and then upwards
-    population: tuple[Evaluation, ...] = ()  # of the main search
-    local_population: tuple[Evaluation, ...] = ()  # of the local search that is going on
-    best: Evaluation | None = None  # since the last restart; None before the first eligible run
+    generation: int = 0  # of the main search, from 0; advances after a generation and its local search
+    local_generation: int = 0  # 0 in the main search; in a local search it counts from 1, the mutants
+    population: tuple[Evaluation, ...] = ()  # population of the main search
+    local_population: tuple[Evaluation, ...] = ()  # population of the current local search
+    best: Evaluation | None = None  # the best since the last restart; None before the first eligible run
     restarted_at: int = 0  # the generation whose population was random
     improved_at: int = 0  # the last generation that set a new best, or ``restarted_at``
-    kept: tuple[Evaluation, ...] = ()  # evaluated members that the population in the making starts with
-    fresh: tuple[Scenario, ...] = ()  # scenarios that the next ask gives instead of breeding
-    asked: tuple[Scenario, ...] | None = None  # scenarios that are out for evaluation; None when it is time to ask
+    kept: tuple[Evaluation, ...] = ()  # evaluated members with which the next population starts
+    fresh: tuple[Scenario, ...] = ()  # scenarios that the next ask returns instead of breeding
+    asked: tuple[Scenario, ...] | None = None  # scenarios under evaluation; None if the next call must be ask
 
 
 @dataclass(frozen=True, slots=True)
 class PafotSearch:
-    """The paper's search. Its numbers are the defaults.
+    """The paper's search. The defaults are the paper's numbers.
 
     Attributes:
-        space: of the scenarios.
-        population: individuals in a generation. The paper gives no number; its totals imply 4.
+        space: space of the scenarios.
+        population: number of individuals in a generation. The paper gives no number; its totals imply 4.
         crossover_rate: probability that a pair of parents swaps two NPCs, p_c.
         mutation_rate: probability that a child has one Position-Instruction replaced, p_m.
-        elite_share: share of the best that passes on untouched, rounded up, and is not evaluated again.
+        elite_share: share of the best that pass on unchanged, rounded up, and are not evaluated again.
         local_generations: generations that a local search breeds from its mutants; 0 turns local searches off.
-            With 1 and a population of 4, one local search asks for 3 mutants and 3 children; the paper's totals
-            imply about 5 additional scenarios each.
-        local_mutation_factor: by which the mutation rate is multiplied in a local search, up to a rate of 1.
-        local_after: generations after a random population in which no local search starts.
-        restart_after: generations without a new best after which the population is given up.
-        breeding_attempts: how often a child is bred again when its run is known from a member of the population:
-            an unvaried copy, or a change in genes that the run never came to. Running it again can show something
-            new in the paper's simulator, but not in a deterministic one. 0 keeps such children, as the paper does.
+            With 1 and a population of 4, one local search requests 3 mutants and 3 children; the paper's totals imply
+            about 5 additional scenarios each.
+        local_mutation_factor: factor of the mutation rate in a local search, up to a rate of 1.
+        local_after: number of generations after a random population in which no local search starts.
+        restart_after: number of generations without a new best after which the population is abandoned.
+        breeding_attempts: number of times a child is bred again if its run is known from a member of the population:
+            an unchanged copy, or a change in genes that the run never got to. Running it again can show something
+            new in the paper's simulator, but not in a deterministic one. 0 accepts such children, as the paper does.
     """
 
     name: ClassVar[str] = "pafot"
@@ -86,11 +86,11 @@ class PafotSearch:
             )
 
     def start(self, rng: Generator) -> PafotState:
-        """The state before the first generation, whose population is random and valid (section 3.2)."""
+        """Return the state before the first generation, whose population is random and valid (section 3.2)."""
         return PafotState(fresh=self._random_population(rng))
 
     def ask(self, state: PafotState, rng: Generator) -> tuple[PafotState, tuple[Scenario, ...]]:
-        """The scenarios to evaluate next: those of a generation that are not known already."""
+        """Return the scenarios to evaluate next: those of a generation that are not known already."""
         check_ask(state.asked)
         if not state.fresh:
             state = self._bred(state, rng)
@@ -99,7 +99,7 @@ class PafotSearch:
     def tell(
         self, state: PafotState, evaluations: Sequence[Evaluation], rng: Generator
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order."""
+        """Finish a generation with the evaluations of the requested scenarios, in the same order."""
         check_evaluations(state.asked, evaluations)
         finished = GenerationFinished(
             generation=state.generation,
@@ -118,7 +118,7 @@ class PafotSearch:
         return tuple(sample(self.space, rng) for _ in range(self.population))
 
     def _bred(self, state: PafotState, rng: Generator) -> PafotState:
-        """The elites of a population and the children that fill up the next one.
+        """Select the elites of a population and breed the children that complete the next one.
 
         A local search only mutates (section 3.6: "a mutation-based fuzzing process").
         """
@@ -138,7 +138,7 @@ class PafotSearch:
         return replace(state, kept=kept, fresh=tuple(children[: self.population - len(kept)]))
 
     def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: Generator) -> Scenario:
-        """An incumbent with one mutation that its run comes to, as far as a few attempts give one."""
+        """Return an incumbent with one mutation in a gene that its run gets to, if a few attempts find one."""
         for _ in range(self.breeding_attempts):
             mutant = mutate(incumbent.executed, self.space, rng)
             if known.recall(mutant) is None:
@@ -155,7 +155,7 @@ class PafotSearch:
             state = replace(state, best=candidate, improved_at=generation)
             if self.local_generations == 0 or generation <= state.restarted_at + self.local_after:
                 return replace(state, generation=generation + 1), (best,)
-            # A fresh population: the incumbent, and mutants of it that each differ from it by one mutation.
+            # A fresh population: the incumbent, and mutants that each differ from it by one mutation.
             known = EvaluationCache([candidate])
             mutants = tuple(self._mutant(candidate, known, rng) for _ in range(self.population - 1))
             state = replace(state, local_generation=1, kept=(candidate,), fresh=mutants)
@@ -171,7 +171,7 @@ class PafotSearch:
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
         if state.local_generation <= self.local_generations:
             return replace(state, local_generation=state.local_generation + 1, local_population=population), ()
-        # The best of the local search takes the incumbent's place in the main population (section 3.6).
+        # The best of the local search replaces the incumbent in the main population (section 3.6).
         incumbent, candidate = state.best, best_of(population)
         assert incumbent is not None, "a local search starts from a best"  # noqa: S101
         better = candidate if improves(candidate, incumbent) else None

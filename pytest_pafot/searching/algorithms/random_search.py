@@ -1,7 +1,7 @@
-"""Random search, the baseline: every scenario is drawn anew and nothing is learnt.
+"""Random search, the baseline: every scenario is sampled independently and nothing is learnt.
 
-The paper's Random manipulates "the driving behaviours of NPCs at specified intervals" (section 4.2), which can be read
-as random Position-Instructions or as random manoeuvres. Both are here.
+The paper's Random manipulates "the driving behaviours of NPCs at specified intervals" (section 4.2), which can mean
+random Position-Instructions or random manoeuvres. Both are here.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from pytest_pafot.searching.space import sample, sample_manoeuvres
 
 @dataclass(frozen=True, slots=True)
 class RandomSearch(GenerationalSearch[GenerationState]):
-    """Random valid scenarios, as many a generation as the genetic algorithm has individuals (section 4.2)."""
+    """Random valid scenarios, as many in a generation as the genetic algorithm has individuals (section 4.2)."""
 
     name: ClassVar[str] = "random"
-    random_at_first: ClassVar[float] = math.inf  # scenarios at the beginning of a search that are random
+    random_at_first: ClassVar[float] = math.inf  # number of random scenarios at the beginning of a search
 
     def start(self, rng: Generator) -> GenerationState:
-        """The state before the first generation; it needs no draw."""
+        """Return the state before the first generation, without using a random number."""
         return GenerationState()
 
     def stored(self, state: GenerationState) -> Any:
-        """The state as plain data; what is drawn follows from the seed and the number of the generation."""
+        """Return the state as plain data; random numbers follow from the seed and the number of the generation."""
         return plain(state)
 
     def restored(self, data: Any) -> GenerationState:
-        """The inverse of :meth:`stored`."""
+        """Return the state from the data of :meth:`stored`."""
         return from_plain(GenerationState, data)
 
     def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Iterable[Scenario]]:
-        """A generation of random scenarios."""
+        """Propose a generation of random scenarios."""
         return state, (self.drawn(rng) for _ in range(self.population))
 
     def drawn(self, rng: Generator) -> Scenario:
-        """One scenario."""
+        """Sample one scenario."""
         return sample(self.space, rng)
 
 
@@ -64,5 +64,5 @@ class RandomManoeuvreSearch(RandomSearch):
     slices: int = field(default=5, kw_only=True)
 
     def drawn(self, rng: Generator) -> Scenario:
-        """One scenario of Lane-Instructions."""
+        """Sample one scenario of Lane-Instructions."""
         return sample_manoeuvres(self.space.sliced(self.slices), rng)
