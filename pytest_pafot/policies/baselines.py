@@ -1,4 +1,4 @@
-"""Models of Stable-Baselines3 and sb3-contrib, with the wrappers of their training around them."""
+"""Models of Stable-Baselines3 and sb3-contrib, with the wrappers that they were trained in."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ TOLD_BY = {
     "target_entropy": "SAC",
     "gae_lambda": "A2C",
 }
-"""Algorithms by what the first of these is that a zip has: a parameter, or part of the module of the policy's class.
+"""The algorithm by the first of these marks that a zip has: a parameter, or part of the policy class's module name.
 
-A zip does not name its algorithm. DDPG is read as the TD3 that it derives from.
+A zip does not name its algorithm. DDPG is read as TD3, from which it derives.
 """
 
 OF_TRAINING = {"learning_rate": 0.0, "lr_schedule": 0.0, "clip_range": 0.0, "buffer_size": 1}
-"""In the place of parameters that only training needs: functions of another Python, and memory for a million steps."""
+"""Replacements of parameters that only training needs: functions of a different Python, memory for a million steps."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sb3Policy(PolicyLoader):
-    """See :func:`pytest_pafot.policies.sb3`."""
+    """The factory that :func:`pytest_pafot.policies.sb3` makes."""
 
     file: Path
     vecnormalize: Path | None = None
@@ -54,23 +54,23 @@ class Sb3Policy(PolicyLoader):
 
     def __post_init__(self) -> None:
         if (stacked := plain_whole(self.frame_stack)) is None or stacked < 1:
-            raise refused("frame_stack of 1 or more", repr(self.frame_stack), "give as many as VecFrameStack had")
+            raise refused("frame_stack of 1 or more", repr(self.frame_stack), "give the number that VecFrameStack had")
 
     @functools.cached_property
     def weights_digest(self) -> str:
-        """Of the zip, and of the statistics after it."""
+        """The hash of the zip, and of the statistics after it."""
         return digest_of(path for path in (self.file, self.vecnormalize) if path is not None)
 
     @functools.cached_property
     def loading_hint(self) -> str:
-        """Say what tells of a training behind VecNormalize where no statistics are given; empty without evidence."""
+        """The evidence that statistics of VecNormalize are missing; empty if they are given or nothing shows it."""
         try:
             return "" if self.vecnormalize is not None else _missing_statistics(self.file)
-        except (OSError, AdsFactoryError):  # a hint never stands in the way
+        except (OSError, AdsFactoryError):  # a missing hint must not prevent the run
             return ""
 
     def load(self) -> BaselineModel:
-        """The model on the CPU."""
+        """Load the model on the CPU."""
         library("torch", "sb3").set_num_threads(1)
         zipped = _parameters(self.file)
         given = {name: value for name, value in OF_TRAINING.items() if name in zipped}
@@ -98,12 +98,12 @@ class Sb3Policy(PolicyLoader):
         return found
 
     def __call__(self) -> BaselineAds:
-        """A fresh ADS, which has seen nothing."""
+        """Return a new ADS without any history."""
         model: BaselineModel = self.loaded
         return BatchingBaselineAds(model) if model.decides_for_many else BaselineAds(model)
 
     def check_world(self, world: Any) -> None:
-        """Compare actions, and the shape and type of observations once they are stacked."""
+        """Compare the actions, and the shape and type of the stacked observations, with those of the model."""
         model: BaselineModel = self.loaded
         if not model.fits(world.observation_space, world.action_space):
             of_model = f"observations {model.observation_space} and actions {model.action_space}"
@@ -111,17 +111,17 @@ class Sb3Policy(PolicyLoader):
             raise refused(
                 f"a pafot.World with {of_model}{stacked}, as {self.file.name} was trained with",
                 named(world),
-                "give it the env_id, config= and wrappers= of the training, and frame_stack= where frames were stacked",
+                "give it the env_id, config= and wrappers= of the training, and frame_stack= if frames were stacked",
             )
 
 
 class BaselineModel:
-    """A loaded model, and what its wrappers did to observations.
+    """A loaded model, and the changes that its wrappers made to observations.
 
     Args:
-        model: with ``predict``, ``observation_space`` and ``action_space``.
+        model: an object with ``predict``, ``observation_space`` and ``action_space``.
         statistics: a ``VecNormalize`` without its environments, or None.
-        frame_stack: observations that it sees at once.
+        frame_stack: number of observations that it sees at once.
         deterministic: as for ``predict``.
     """
 
@@ -130,7 +130,7 @@ class BaselineModel:
         self.is_recurrent = hasattr(model, "_last_lstm_states")
         self.remembers = self.is_recurrent or frame_stack > 1
         self.is_pure = deterministic and not self.remembers
-        # Of real numbers the last bits depend on how many observations go through a network at once.
+        # The last bits of real-valued actions depend on how many observations go through a network at once.
         self.decides_for_many = (
             deterministic and not self.is_recurrent and type(self.action_space).__name__ == "Discrete"
         )
@@ -140,21 +140,21 @@ class BaselineModel:
         self._is_of_stack = frame_stack > 1 and shape == self.observation_space.shape
 
     def fits(self, observation_space: Any, action_space: Any) -> bool:
-        """Whether it drives with the observations and actions of an environment."""
+        """Return whether the model can drive with the observations and actions of an environment."""
         own, other = self.observation_space, observation_space
         if type(own) is not type(other) or self.action_space != action_space:
             return False
-        if own.shape is None or other.shape is None:  # of many parts
+        if own.shape is None or other.shape is None:  # a space with several parts
             return bool(own == other)
         is_stacked = stacking_axis(other.shape, own.shape, self._frame_stack) is not None
         return is_stacked and (own.dtype == other.dtype or self._statistics is not None)
 
     def seen(self, frames: Array | None, observation: Any) -> tuple[Array | None, Any]:
-        """The frames so far with an observation, and what the model sees of them.
+        """Return the stacked observations including a new one, and the model's input.
 
         Args:
-            frames: of the observations before, None without any.
-            observation: the environment's.
+            frames: the previous stack, None at the first observation.
+            observation: the environment's observation.
         """
         if isinstance(observation, dict):
             return None, self._normalised(observation)
@@ -169,14 +169,14 @@ class BaselineModel:
         return observation if self._statistics is None else self._statistics.normalize_obs(observation)
 
     def predict(self, seen: Any, state: Any = None, *, is_first: bool = False) -> tuple[Any, Any]:
-        """The action for what the model sees, one or a row for each run, and the state of one that is recurrent."""
+        """Return the action for one input, or a row per run for several, and the state of a recurrent model."""
         start = np.array([is_first])
         action, state = self._model.predict(seen, state=state, episode_start=start, deterministic=self._deterministic)
         return action, state
 
 
 class BaselineAds:
-    """Drives one run.
+    """An ADS that drives one run.
 
     Attributes:
         pure: whether it decides from its observation alone.
@@ -190,7 +190,7 @@ class BaselineAds:
         self._is_first = True
 
     def __call__(self, observation: Any) -> Any:
-        """The environment's action."""
+        """Return the environment's action."""
         self._frames, seen = self._model.seen(self._frames, observation)
         action, self._state = self._model.predict(seen, self._state, is_first=self._is_first)
         self._is_first = False
@@ -198,14 +198,14 @@ class BaselineAds:
 
 
 class BatchingBaselineAds(BaselineAds):
-    """Drives one run, or many in lock step."""
+    """An ADS that drives one run, or many in lock step."""
 
     def __init__(self, model: BaselineModel) -> None:
         super().__init__(model)
         self._frames_of: dict[int, Array | None] = {}
 
     def batch(self, observations: Any) -> list[int]:
-        """The action for each of the :class:`~pytest_pafot.world.engines.lock_step.Observations`."""
+        """Return the action for each of the :class:`~pytest_pafot.world.engines.lock_step.Observations`."""
         rows = []
         for run, observation in zip(observations.runs, observations, strict=True):
             self._frames_of[run], seen = self._model.seen(self._frames_of.get(run), observation)
@@ -216,7 +216,7 @@ class BatchingBaselineAds(BaselineAds):
 
 
 def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int | None:
-    """The axis along which ``count`` arrays of a shape become one of another; None where they do not."""
+    """Return the axis along which ``count`` arrays of one shape stack to the other shape; None if there is none."""
     for axis in range(len(one)):
         if (*one[:axis], one[axis] * count, *one[axis + 1 :]) == tuple(stacked):
             return axis
@@ -224,18 +224,18 @@ def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int
 
 
 def pushed(frames: Array | None, observation: Array, count: int, shape: Sequence[int]) -> Array:
-    """The last observations as one array, the newest last, zeros in the place of those before the first.
+    """Return the last observations as one array, the newest last, with zeros for those before the first.
 
-    So it is in ``VecFrameStack`` of Stable-Baselines3.
+    This is how ``VecFrameStack`` of Stable-Baselines3 stacks.
 
     Args:
-        frames: the array before, None at the first observation.
-        observation: the newest.
-        count: observations in an array.
-        shape: of the array.
+        frames: the previous array, None at the first observation.
+        observation: the newest observation.
+        count: number of observations in an array.
+        shape: shape of the array.
 
     Raises:
-        AdsFactoryError: where so many observations do not give that shape.
+        AdsFactoryError: if this number of observations does not give that shape.
     """
     axis = stacking_axis(observation.shape, shape, count)
     if axis is None:
@@ -248,7 +248,7 @@ def pushed(frames: Array | None, observation: Array, count: int, shape: Sequence
 
 
 def _parameters(file: Path) -> dict[str, Any]:
-    """What a zip says of its model as JSON; nothing is unpickled."""
+    """Return the JSON description of the model in a zip; nothing is unpickled."""
     try:
         with zipfile.ZipFile(file) as zipped:
             parameters: dict[str, Any] = json.loads(zipped.read("data"))
@@ -259,11 +259,11 @@ def _parameters(file: Path) -> dict[str, Any]:
 
 
 def _missing_statistics(file: Path) -> str:
-    """Say why a zip without statistics is probably short of them; empty where nothing tells.
+    """Say why statistics for a zip are probably missing; empty if there is no evidence.
 
-    Which wrappers a model was trained in is stored nowhere. But ``learn`` keeps the observations from before
-    VecNormalize for the next call, or None where there was none, and the zip has all that is kept. Algorithms with a
-    replay buffer keep some in either case.
+    The wrappers of a training are stored nowhere. But ``learn`` stores the observations from before VecNormalize for
+    its next call, or None without VecNormalize, and the zip contains this. Algorithms with a replay buffer store some
+    in either case.
     """
     beside = [each for folder in (file.parent, file.with_suffix("")) for each in sorted(folder.glob("*.pkl"))]
     found = next((each for each in beside if _is_statistics(each)), None)
@@ -272,18 +272,18 @@ def _missing_statistics(file: Path) -> str:
     given = f"vecnormalize={name!r}"
     if "buffer_size" not in zipped and zipped.get("_last_original_obs") is not None:
         return (
-            f"{file.name} was trained behind VecNormalize, by what it stores, and is given no statistics: unless only "
-            f"rewards were normalised, it sees other numbers here than in its training; give sb3(..., {given})"
+            f"{file.name} was trained behind VecNormalize, as its content shows, but no statistics are given: unless "
+            f"only rewards were normalised, it sees different numbers here than in training; give sb3(..., {given})"
         )
     if found is None:
         return ""
     return (
-        f"{file.name} is given no statistics of VecNormalize, and {name} beside it has some: a model that was "
-        f"trained behind them sees other numbers here; give sb3(..., {given})"
+        f"no statistics of VecNormalize are given for {file.name}, but {name} next to it has some: a model that was "
+        f"trained behind them sees different numbers here; give sb3(..., {given})"
     )
 
 
 def _is_statistics(file: Path) -> bool:
-    """Return whether ``VecNormalize.save`` wrote a file, by the class at its beginning; nothing is unpickled."""
+    """Return whether ``VecNormalize.save`` wrote a file, by the class at its start; nothing is unpickled."""
     with file.open("rb") as opened:
         return b"vec_normalize" in opened.read(200)

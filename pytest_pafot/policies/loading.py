@@ -1,4 +1,4 @@
-"""What all loaders share: a policy is loaded once in a process, and known by a hash of what is loaded."""
+"""The common part of all loaders: a policy is loaded once per process, and identified by a hash of what is loaded."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ from typing import Any
 from pytest_pafot.support.errors import AdsFactoryError, sentence
 
 KEPT = 8
-"""Policies that a process keeps loaded, so that each run has its ADS at once."""
+"""The number of policies that stay loaded in a process, so that each run gets its ADS without a delay."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyLoader(ABC):
-    """An ADS factory whose policy is loaded once in a process; forked ones have it from the process before them."""
+    """An ADS factory whose policy is loaded once in a process; forked processes inherit it."""
 
     @property
     @abstractmethod
     def weights_digest(self) -> str:
-        """``sha256:`` and a hash of what is loaded, for findings; empty where there is nothing to tell it of."""
+        """``sha256:`` and a hash of what is loaded, for findings; empty if there is nothing to hash."""
 
     @abstractmethod
     def load(self) -> Any:
-        """What the ADSs of all runs share."""
+        """Load what the ADSs of all runs share."""
 
     @abstractmethod
     def __call__(self) -> Any:
-        """A fresh ADS."""
+        """Return a new ADS."""
 
     @abstractmethod
     def check_world(self, world: Any) -> None:
-        """Compare the policy with a world's ``observation_space`` and ``action_space``; Nones where it has none.
+        """Compare the policy with a world's ``observation_space`` and ``action_space``, which are None if it has none.
 
         Raises:
-            AdsFactoryError: naming both, where they differ.
+            AdsFactoryError: if they differ; the message names both.
         """
 
     def preload(self) -> None:
-        """Load it now; libraries take seconds, and processes that are forked from then on have them, too."""
+        """Load it now; libraries take seconds to import, and processes forked after that have them, too."""
         _ = self.loaded
 
     @functools.cached_property
     def loaded(self) -> Any:
-        """What :meth:`load` gives, also where an equal factory has loaded it."""
+        """The result of :meth:`load`, which equal factories share."""
         return _loaded(self, self.weights_digest)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -57,12 +57,12 @@ class PolicyLoader(ABC):
 
 @functools.lru_cache(maxsize=KEPT)
 def _loaded(loader: PolicyLoader, digest: str) -> Any:
-    """Loaded again where a file has changed, as in a notebook."""
+    """Load a policy, again if a file has changed, for example in a notebook."""
     return loader.load()
 
 
 def digest_of(files: Iterable[Path]) -> str:
-    """One of all files, in their order.
+    """Return one hash of all files, in their order.
 
     Raises:
         AdsFactoryError: for a file that cannot be read.
@@ -78,10 +78,10 @@ def digest_of(files: Iterable[Path]) -> str:
 
 
 def library(name: str, extra: str) -> Any:
-    """A module of a library that the user may lack.
+    """Import a library that the user may not have installed.
 
     Raises:
-        AdsFactoryError: when it is not installed, with the command that installs it.
+        AdsFactoryError: if it is not installed, with the command that installs it.
     """
     try:
         return import_module(name)
@@ -93,17 +93,17 @@ def library(name: str, extra: str) -> Any:
 
 
 def argmax(values: Any) -> int:
-    """The number of the largest value, the first of equal ones: the action of most networks with whole numbers."""
+    """Return the index of the largest value, the first of equal ones: the action of most networks."""
     return int(values.argmax())
 
 
 def refused(expected: str, received: str, fix: str) -> AdsFactoryError:
-    """The error of a policy that cannot drive."""
+    """Return the error for a policy that cannot drive."""
     return AdsFactoryError(sentence("ads", expected, received, fix))
 
 
 def named(world: Any) -> str:
-    """A world with its observations and actions, for an error."""
+    """Describe a world with its observations and actions, for an error."""
     name = getattr(world, "env_id", type(world).__name__)
     if world.observation_space is None:
         return f"{name}, whose observations are pafot.Observation and whose actions are in SI units"

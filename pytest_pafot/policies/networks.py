@@ -1,4 +1,4 @@
-"""Neural networks without an agent around them: modules of torch and ONNX files."""
+"""Neural networks that are no complete agents: torch modules and ONNX files."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ from pytest_pafot.support.errors import BadAction
 
 Array = npt.NDArray[Any]
 Network = Callable[[Array], Array]
-"""From observations, of shape [runs, ...], to what is put out for each, of shape [runs, ...]."""
+"""Maps observations of shape [runs, ...] to outputs of shape [runs, ...]."""
 
 ONNX_TYPES = {"tensor(double)": np.float64, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
-"""Of inputs; all others get float32."""
+"""Types of inputs; all other inputs receive float32."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkLoader(PolicyLoader):
-    """A factory of ADSs that ask a network, and make an action of what it puts out.
+    """A factory of ADSs that call a network and convert its output to an action.
 
     Attributes:
-        to_action: from the output for one observation to an action.
+        to_action: converts the output for one observation to an action.
     """
 
     to_action: Callable[[Array], Any]
 
     @abstractmethod
     def load(self) -> Network:
-        """The network on the CPU."""
+        """Load the network on the CPU."""
 
     @abstractmethod
     def told(self) -> str:
-        """What the network takes and puts out, for an error."""
+        """Describe the network's source or input, for an error."""
 
     def __call__(self) -> NetworkAds:
-        """A fresh ADS."""
-        # Of real numbers the last bits depend on how many observations go through a network at once.
+        """Return a new ADS."""
+        # The last bits of real-valued outputs depend on how many observations go through a network at once.
         ads = BatchingNetworkAds if self.to_action is argmax else NetworkAds
         return ads(self.loaded, self.to_action)
 
     def check_world(self, world: Any) -> None:
-        """Have it decide on zeros of the shape that an environment shows; a number of NPCs is no fixed shape."""
+        """Try a decision on zeros of the environment's observation shape; the number of NPCs does not fix a shape."""
         if world.observation_space is None:
             return
         from pytest_pafot.world.driving.policy import checked_action  # noqa: PLC0415  (imports highway-env)
@@ -70,10 +70,10 @@ class NetworkLoader(PolicyLoader):
 
 
 class NetworkAds:
-    """Drives one run.
+    """An ADS that drives one run.
 
     Attributes:
-        pure: that it decides from its observation alone.
+        pure: True, because it decides only from its observation.
     """
 
     pure = True
@@ -83,27 +83,27 @@ class NetworkAds:
         self._to_action = to_action
 
     def __call__(self, observation: Any) -> Any:
-        """The action for an observation: an array, or a :class:`pytest_pafot.Observation`, whose ``array`` counts."""
+        """Return the action for an array, or for the ``array`` of a :class:`pytest_pafot.Observation`."""
         return self._to_action(self._network(np.asarray(getattr(observation, "array", observation))[None])[0])
 
 
 class BatchingNetworkAds(NetworkAds):
-    """Drives one run, or many in lock step."""
+    """An ADS that drives one run, or many in lock step."""
 
     def batch(self, observations: Any) -> list[Any]:
-        """The action for each."""
+        """Return the action for each observation."""
         return [self._to_action(row) for row in self._network(observations.array)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TorchPolicy(NetworkLoader):
-    """See :func:`pytest_pafot.policies.torch`."""
+    """The factory that :func:`pytest_pafot.policies.torch` makes."""
 
     module: Any
 
     @functools.cached_property
     def weights_digest(self) -> str:
-        """Of the file; of a module, of the names and values that its ``state_dict`` has."""
+        """The hash of the file, or of the names and values in the module's ``state_dict``."""
         if isinstance(self.module, Path):
             return digest_of([self.module])
         hashed, as_bytes = hashlib.sha256(), library("torch", "").uint8
@@ -113,13 +113,13 @@ class TorchPolicy(NetworkLoader):
         return f"sha256:{hashed.hexdigest()}"
 
     def load(self) -> Network:
-        """A copy of the module on the CPU, in its mode for evaluation."""
+        """Load a copy of the module on the CPU, in evaluation mode."""
         torch = library("torch", "")
         torch.set_num_threads(1)
         module = self._read(torch) if isinstance(self.module, Path) else copy.deepcopy(self.module)
         if not isinstance(module, torch.nn.Module):
             fix = "make the module, load the weights into it, and give the module itself"
-            raise refused("a torch.nn.Module", f"{self.told()}, which holds a {type(module).__name__}", fix)
+            raise refused("a torch.nn.Module", f"{self.told()}, which contains a {type(module).__name__}", fix)
         module = module.to("cpu").eval()
         first = next(module.parameters(), None)
         dtype = torch.float32 if first is None else first.dtype
@@ -133,32 +133,32 @@ class TorchPolicy(NetworkLoader):
         return network
 
     def _read(self, torch: Any) -> Any:
-        digest_of([self.module])  # says what is wrong with a file that cannot be read
+        digest_of([self.module])  # raises a clear error for a file that cannot be read
         if zipfile.is_zipfile(self.module):
             with zipfile.ZipFile(self.module) as zipped:
-                if any("/code/" in name for name in zipped.namelist()):  # of TorchScript, which is no pickle
+                if any("/code/" in name for name in zipped.namelist()):  # TorchScript, which is not a pickle
                     return torch.jit.load(self.module, map_location="cpu")
         return torch.load(self.module, map_location="cpu", weights_only=False)
 
     def told(self) -> str:
-        """The file, or the class of the module."""
+        """Return the file, or the class of the module."""
         return str(self.module) if isinstance(self.module, Path) else f"the module {type(self.module).__name__}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class OnnxPolicy(NetworkLoader):
-    """See :func:`pytest_pafot.policies.onnx`."""
+    """The factory that :func:`pytest_pafot.policies.onnx` makes."""
 
     file: Path
 
     @functools.cached_property
     def weights_digest(self) -> str:
-        """Of the file."""
+        """The hash of the file."""
         return digest_of([self.file])
 
     def load(self) -> OnnxNetwork:
-        """The file in a session of one thread on the CPU."""
-        digest_of([self.file])  # says what is wrong with a file that cannot be read
+        """Load the file into a session with one thread on the CPU."""
+        digest_of([self.file])  # raises a clear error for a file that cannot be read
         onnxruntime = library("onnxruntime", "onnx")
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -169,7 +169,7 @@ class OnnxPolicy(NetworkLoader):
             raise refused("an ONNX file that onnxruntime can run", received, "export it again") from error
 
     def told(self) -> str:
-        """The file, and the shape that it takes."""
+        """Return the file with its input shape."""
         return f"{self.file} with inputs of shape {self.loaded.shape}"
 
 
@@ -177,7 +177,7 @@ class OnnxNetwork:
     """A session that is called with observations.
 
     Attributes:
-        shape: of its first input; text for a size that may be any.
+        shape: shape of its first input; a text stands for a variable size.
     """
 
     def __init__(self, session: Any) -> None:
@@ -187,11 +187,11 @@ class OnnxNetwork:
         self._dtype = ONNX_TYPES.get(first.type, np.float32)
 
     def __call__(self, observations: Array) -> Array:
-        """The first output for each; one by one where the file was exported for one at a time."""
+        """Return the first output for each observation; one by one if the file was exported for single observations."""
         if self.shape[:1] == [1] and len(observations) > 1:
             return np.concatenate([self(each[None]) for each in observations])
         sizes = [size for size in self.shape[1:] if isinstance(size, int)]
         if len(sizes) == len(self.shape) - 1 and math.prod(sizes) == observations[0].size:
-            observations = observations.reshape(-1, *sizes)  # such as a flat one, which much is exported for
+            observations = observations.reshape(-1, *sizes)  # many networks are exported for flat observations
         values: Array = self._session.run(None, {self._input: observations.astype(self._dtype)})[0]
         return values

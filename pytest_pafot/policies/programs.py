@@ -1,4 +1,4 @@
-"""A planner that is a program of its own: one line of JSON in, one out, whatever language it is written in."""
+"""A planner as a separate program in any language: it reads a line of JSON and writes one."""
 
 from __future__ import annotations
 
@@ -27,33 +27,33 @@ SEEN = (
     *("time", "decision_period", "lanes", "lane_width", "speed_limit", "lane_centres", "road_length"),
     *("acceleration", "steering", "lateral_velocities", "ids", "ego", "others", "crossing"),
 )
-"""Of a :class:`pytest_pafot.Observation`, the keys of a line in their order."""
+"""Attributes of a :class:`pytest_pafot.Observation` that become keys of a line, in their order."""
 
 LONGEST_LINE = 1 << 20
-"""Of an answer [bytes]."""
+"""Longest answer [bytes]."""
 LAST_WORDS = 2000
-"""How much of the end of its stderr the error of a program that has ended shows [bytes]."""
+"""Length of the end of stderr in the error of a program that has ended [bytes]."""
 WORDS = 4000
-"""How much of a program's stderr the session passes on from the beginning of a run, and from its end [bytes]."""
+"""Length of the beginning, and of the end, of a run's stderr that the session prints [bytes]."""
 GRACE = 1.0
-"""How long a program may take to end once its input has ended [s]."""
+"""Time a program has to end after its input was closed [s]."""
 SLICE = 0.2
-"""Longest wait that nothing interrupts, where the hang limit cannot send a signal [s]."""
+"""Longest uninterruptible wait, for systems in which the hang limit cannot send a signal [s]."""
 CHUNK = 1 << 16
-"""Bytes read from a pipe at once."""
+"""Number of bytes read from a pipe at once."""
 
 
-class ProgramEnded(Exception):  # noqa: N818  (named in findings as the fault it is)
-    """The program ended where it should have answered."""
+class ProgramEnded(Exception):  # noqa: N818  (findings show this name, so it names the mistake)
+    """The program ended instead of answering."""
 
 
-class ProgramTimeout(Exception):  # noqa: N818  (likewise)
-    """The program did not answer in its time."""
+class ProgramTimeout(Exception):  # noqa: N818  (for the same reason)
+    """The program did not answer in time."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramLoader:
-    """See :func:`pytest_pafot.policies.process`."""
+    """The factory that :func:`pytest_pafot.policies.process` makes."""
 
     command: tuple[str, ...]
     keep: bool = True
@@ -67,12 +67,12 @@ class ProgramLoader:
 
     @functools.cached_property
     def weights_digest(self) -> str:
-        """Of the files that the command names, the program's own among them; empty where it names none."""
+        """The hash of the files that the command names, including the program; empty if it names none."""
         files = [Path(word) for word in self.command if Path(word).is_file()]
         return digest_of(files) if files else ""
 
     def __call__(self) -> ProgramAds:
-        """A fresh ADS, with a program that waits for a line, or a new one."""
+        """Return a new ADS, with an idle program or a new one."""
         idle = _idle(self)
         while idle:
             program = idle.pop()
@@ -83,17 +83,17 @@ class ProgramLoader:
 
 @functools.cache
 def _idle_in(process: int, loader: ProgramLoader) -> list[Program]:
-    """By process, since a forked one has the pipes of the other's programs and must not use them."""
+    """Return the list of a process: a forked process has the pipes of its parent's programs and must not use them."""
     return []
 
 
 def _idle(loader: ProgramLoader) -> list[Program]:
-    """The programs of this process that wait for another run."""
+    """Return the programs of this process that are waiting for another run."""
     return _idle_in(os.getpid(), loader)
 
 
 class ProgramAds:
-    """Drives one run by a program."""
+    """An ADS that drives one run with a program."""
 
     def __init__(self, loader: ProgramLoader, program: Program) -> None:
         self._loader = loader
@@ -102,7 +102,7 @@ class ProgramAds:
         self._is_asked = False
 
     def __call__(self, observation: Any) -> Any:
-        """What the program answers to an observation."""
+        """Return the program's answer to an observation."""
         line = line_of(observation, reset=self._is_first)
         self._is_first, self._is_asked = False, True
         action = action_of(self._program.ask(line, self._loader.timeout))
@@ -110,7 +110,7 @@ class ProgramAds:
         return action
 
     def close(self) -> None:
-        """Say what the program has said; it ends, or waits for the next run if it has answered everything."""
+        """Print the program's stderr; then end it, or keep it for the next run if it has answered everything."""
         try:
             sys.stderr.write(self._program.said())
         finally:
@@ -123,7 +123,7 @@ class ProgramAds:
 
 
 def line_of(observation: Any, *, reset: bool) -> bytes:
-    """An observation as a line of JSON; ``reset`` says whether it is the first one of a run."""
+    """Write an observation as a line of JSON; ``reset`` says whether it is the first one of a run."""
     values: dict[str, Any] = {"reset": reset}
     if isinstance(observation, Observation):
         values |= {name: getattr(observation, name) for name in SEEN}
@@ -138,15 +138,16 @@ def line_of(observation: Any, *, reset: bool) -> bytes:
 
 
 def action_of(line: bytes) -> Any:
-    """What an answer says: a pair in SI units, a :class:`pytest_pafot.Drive`, or an environment's own action.
+    """Read an answer: a pair in SI units, a :class:`pytest_pafot.Drive`, or an environment's own action.
 
     Raises:
-        BadAction: where it says none of these.
+        BadAction: if it is none of these.
     """
     answer = None
-    with suppress(ValueError, RecursionError):  # no JSON, no text, a number of 5000 digits, or 100,000 brackets
+    with suppress(ValueError, RecursionError):  # not JSON, not text, 5000 digits, or 100,000 brackets
         answer = json.loads(line, object_pairs_hook=_without_repetition)
-    if isinstance(answer, dict) and "reset" in answer:  # it has the acceleration and the steering of now
+    # An echoed observation also has the keys acceleration and steering, so this check must be first.
+    if isinstance(answer, dict) and "reset" in answer:
         again = shown(line.decode("utf-8", "replace"))
         raise BadAction(f"expected a decision, as an object without the key reset, received an observation: {again}")
     if isinstance(answer, dict) and "action" in answer:
@@ -162,7 +163,7 @@ def action_of(line: bytes) -> Any:
 
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Refuse an object with a repeated key: libraries differ in which of the values they take."""
+    """Refuse an object with a repeated key, because libraries differ in which value they use."""
     values = dict(pairs)
     if len(values) < len(pairs):
         raise ValueError("a key is repeated")
@@ -170,17 +171,17 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class Program:
-    """A program under way, which ends when nobody needs it any more, or with this process.
+    """A running program, which ends when it is no longer needed, or with this process.
 
-    It leads a process group of its own, all of which is killed once the program has ended, also where it ends by
-    itself: what it leaves running would hold the pipes open, and keep the machine busy.
+    It leads its own process group, and the whole group is killed once the program has ended, even if it ended by
+    itself: processes that it leaves running would keep the pipes open and the machine busy.
 
     Raises:
-        AdsFactoryError: when it cannot be started.
+        AdsFactoryError: if it cannot be started.
     """
 
     def __init__(self, command: Sequence[str]) -> None:
-        self._name = os.path.basename(command[0])  # noqa: PTH119  (of any text)
+        self._name = os.path.basename(command[0])  # noqa: PTH119  (the name may be any text)
         self._buffer = bytearray()
         self._words = bytearray()
         self._left_out = 0
@@ -201,39 +202,40 @@ class Program:
         )
         self._sources = [self._from, self._errors]
         self.end = Finalize(self, _end, (self._process,), exitpriority=0)
-        """Ends the program, once; called by itself where this is forgotten, and when this process ends in order.
+        """Ends the program, once. It is also called when this object is garbage, and when this process ends normally.
 
-        Unlike a finalizer of ``weakref`` it is called in processes of the pool, too, and not in forked ones for others.
+        Unlike a finalizer of ``weakref`` it is also called in processes of the pool, and not in forks for their
+        parent's.
         """
 
     @property
     def is_running(self) -> bool:
-        """Whether it has not ended."""
+        """True if the program has not ended."""
         return not _has_ended(self._process, 0.0)
 
     @property
     def is_ready(self) -> bool:
-        """Whether it waits for a line: it has not ended, and has said nothing since its last answer."""
+        """True if it waits for a line: it has not ended, and has written nothing since its last answer."""
         with suppress(ProgramEnded, BadAction):
             self._hear(0.0)
             return not self._buffer
         return False
 
     def kill(self) -> None:
-        """End it at once, with all that it has started."""
+        """Kill it at once, with everything that it has started."""
         _kill(self._process)
 
     def ask(self, line: bytes, timeout: float | None) -> bytes:
-        """The line that the program answers to a line.
+        """Send a line to the program and return the line that it answers.
 
         Args:
-            line: with its end.
-            timeout: until the whole answer is there [s]; None for any time.
+            line: the line, including its newline.
+            timeout: limit for the whole answer [s]; None for no limit.
 
         Raises:
-            ProgramEnded: when it ends before that.
-            ProgramTimeout: when it takes longer.
-            BadAction: when it says more than one line, or a long one.
+            ProgramEnded: if it ends before it has answered.
+            ProgramTimeout: if it takes longer.
+            BadAction: if it writes more than one line, or too long a one.
         """
         pending, started = memoryview(line), time.monotonic()
         self._hear(0.0)
@@ -243,7 +245,7 @@ class Program:
             if timeout is not None and time.monotonic() - started > timeout:
                 raise ProgramTimeout(f"{self._name} did not answer within {timeout:g} s")
             if self._hear(SLICE, is_asking=bool(pending)):
-                try:  # of so much a pipe always takes all at once where it takes anything
+                try:  # a pipe takes up to PIPE_BUF bytes completely or not at all
                     pending = pending[os.write(self._to, pending[: select.PIPE_BUF]) :]
                 except BrokenPipeError:
                     self._gone("input")
@@ -253,11 +255,11 @@ class Program:
         return answer
 
     def _hear(self, seconds: float, *, is_asking: bool = False) -> bool:
-        """Wait up to a time [s] for what the program says, and read it; return whether it takes more of its line.
+        """Wait up to a time [s] for output, and read it; return whether the program accepts more of its input line.
 
-        Its stderr is read here, too, so that a program that fills that pipe goes on to answer.
+        Its stderr is read here as well, because a program that fills that pipe would stop answering.
         """
-        pipes = select.poll()  # and not select.select, which refuses descriptors from 1024
+        pipes = select.poll()  # select.select refuses descriptors from 1024 on
         for source in self._sources:
             pipes.register(source, select.POLLIN)
         if is_asking:
@@ -270,7 +272,7 @@ class Program:
         elif self._to in ready:
             return True
         elif not self.is_running and self._from not in {descriptor for descriptor, _ in pipes.poll(0)}:
-            self._gone()  # A process that it has started may hold the pipe open.
+            self._gone()  # A process that the program has started may keep the pipe open.
         return False
 
     def _read(self) -> None:
@@ -283,7 +285,7 @@ class Program:
             raise BadAction(f"expected a line of at most {LONGEST_LINE} bytes, received one that begins with {begins}")
 
     def _read_words(self) -> None:
-        """Keep the beginning and the end of what it writes to stderr: nobody reads megabytes, and they cost memory."""
+        """Store only the beginning and the end of its stderr: megabytes would cost memory, and no one reads them."""
         part = os.read(self._errors, CHUNK)
         if not part:
             self._sources.remove(self._errors)
@@ -298,13 +300,13 @@ class Program:
         return line
 
     def _gone(self, closed: str = "output") -> NoReturn:
-        """The program has closed an end of its; it is over, or as good as that."""
+        """Raise the error of a program that has closed one end of a pipe, and so has ended or soon will."""
         _has_ended(self._process, GRACE)
         code = self._process.returncode
         how = f"closed its {closed}" if code is None else f"ended with exit code {code}"
         if code is not None and code < 0:
             how = f"was ended by signal {-code}, {signal.strsignal(-code)},"
-        error = ProgramEnded(f"{self._name} {how} in the place of an answer")
+        error = ProgramEnded(f"{self._name} {how} instead of answering")
         self._read_rest()
         if self._words:
             words = self._words[-LAST_WORDS:].decode("utf-8", "replace")
@@ -312,7 +314,7 @@ class Program:
         raise error
 
     def _read_rest(self) -> None:
-        """Read what the pipe of stderr holds; a limit on it, as a program may fill it faster than it is read."""
+        """Read the rest of stderr, up to a limit, because a program may fill the pipe faster than it is read."""
         for _ in range(LONGEST_LINE // CHUNK):
             pipe = select.poll()
             pipe.register(self._errors, select.POLLIN)
@@ -321,7 +323,7 @@ class Program:
             self._read_words()
 
     def said(self) -> str:
-        """What the program has written to stderr since the last call, without the middle where that is long."""
+        """Return what the program wrote to stderr since the last call; a long text loses its middle."""
         self._read_rest()
         words, left_out = bytes(self._words), self._left_out
         self._words.clear()
@@ -341,7 +343,7 @@ def _more(line: bytes) -> BadAction:
 def _has_ended(process: subprocess.Popen[bytes], seconds: float) -> bool:
     """Return whether a program ends within a time [s]; then the rest of its group is killed.
 
-    At once, since the system may use the group's number again as soon as the group is empty.
+    The group is killed at once, because the system may reuse its number as soon as the group is empty.
     """
     if process.returncode is None:
         with suppress(subprocess.TimeoutExpired):
@@ -351,19 +353,19 @@ def _has_ended(process: subprocess.Popen[bytes], seconds: float) -> bool:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a program that has not ended, and its group."""
+    """Kill a program that has not ended, with its group."""
     if process.returncode is None:
         _kill_group(process)
         process.wait()
 
 
 def _kill_group(process: subprocess.Popen[bytes]) -> None:
-    with suppress(ProcessLookupError, PermissionError):  # none is left, or it runs as another user
+    with suppress(ProcessLookupError, PermissionError):  # no process is left, or it runs as a different user
         os.killpg(process.pid, signal.SIGKILL)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Close a program's input and output, and kill what has not ended soon after."""
+    """Close a program's input and output, and kill it if it does not end soon after."""
     pipes: Any = (process.stdin, process.stdout, process.stderr)
     *both, errors = pipes
     for pipe in both:
@@ -372,10 +374,10 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     words.register(errors, select.POLLIN)
     try:
         while not _has_ended(process, 0.0) and (left := until - time.monotonic()) > 0.0:
-            # Its stderr is read on, since its last words must neither block nor kill it.
+            # Continue to read stderr, because its last words must neither block nor kill it.
             if words.poll(1000.0 * min(left, SLICE / 10)) and not os.read(errors.fileno(), CHUNK):
                 _has_ended(process, left)
                 break
-    finally:  # also where the user interrupts this
+    finally:  # also if the user interrupts this
         _kill(process)
         errors.close()

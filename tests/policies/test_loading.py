@@ -219,8 +219,9 @@ def test_statistics_that_the_zip_tells_of_and_nobody_gives_are_missed(tmp_path):
     of_ppo, of_dqn = {"clip_range": 0.2}, {"buffer_size": 9, "exploration_fraction": 0.1}
     file = zipped(tmp_path / "model.zip", {**of_ppo, "_last_original_obs": STORED})
     assert pafot.policies.sb3(file).loading_hint == (
-        "model.zip was trained behind VecNormalize, by what it stores, and is given no statistics: unless only rewards "
-        "were normalised, it sees other numbers here than in its training; give sb3(..., vecnormalize='statistics.pkl')"
+        "model.zip was trained behind VecNormalize, as its content shows, but no statistics are given: unless only "
+        "rewards were normalised, it sees different numbers here than in training; give sb3(..., "
+        "vecnormalize='statistics.pkl')"
     )
     assert pafot.policies.sb3(file, vecnormalize=tmp_path / "given.pkl").loading_hint == ""
     for parameters in (of_ppo, {**of_ppo, "_last_original_obs": None}, {**of_dqn, "_last_original_obs": STORED}):
@@ -232,8 +233,8 @@ def test_statistics_beside_the_zip_are_a_hint(tmp_path, statistics):
     (tmp_path / "buffer.pkl").write_bytes(pickle.dumps({"other": "things"}))
     file = zipped(tmp_path / "model.zip", {"buffer_size": 9, "_last_original_obs": STORED})
     assert pafot.policies.sb3(file).loading_hint == (
-        "model.zip is given no statistics of VecNormalize, and vecnormalize.pkl beside it has some: a model that was "
-        "trained behind them sees other numbers here; give sb3(..., vecnormalize='vecnormalize.pkl')"
+        "no statistics of VecNormalize are given for model.zip, but vecnormalize.pkl next to it has some: a model that "
+        "was trained behind them sees different numbers here; give sb3(..., vecnormalize='vecnormalize.pkl')"
     )
     below = tmp_path / "model"
     below.mkdir()
