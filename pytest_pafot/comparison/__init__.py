@@ -1,4 +1,4 @@
 """The comparison of search algorithms: many runs of each, tidy results, tables, statistics and figures.
 
-The only room that knows pandas, scipy and matplotlib, and only while it makes a report.
+Only this room uses pandas, scipy and matplotlib, and only while it makes a report.
 """

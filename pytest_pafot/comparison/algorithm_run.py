@@ -1,4 +1,4 @@
-"""The runs of a comparison, each of one algorithm: a campaign without pytest, told as rows."""
+"""The runs of a comparison: each is a campaign of one algorithm without pytest, reported as rows."""
 
 from __future__ import annotations
 
@@ -27,37 +27,37 @@ from pytest_pafot.support.text import csv_text
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.protocol import WorldLike, first_decision, reference_world
 
-# Tidy results: one row a scenario, as text that is the same for the same run.
+# Tidy results: one row per scenario; equal runs give equal text.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One scenario that an algorithm asked for."""
+    """One scenario that an algorithm requested."""
 
-    algorithm: str  # its name
-    run: int  # of the algorithm, from 0
-    seed: int  # of the run
+    algorithm: str  # name of the algorithm
+    run: int  # number of the algorithm's run, from 0
+    seed: int  # seed of the run
     generation: int  # of the main search, from 0
     local_generation: int  # of a local search, from 1; 0 in the main search
-    index: int  # in the generation, from 0
-    scenario: str  # its id
-    duplicate: bool  # whether an earlier run of the same search showed what it does, so that it was not simulated
+    index: int  # index in the generation, from 0
+    scenario: str  # id of the scenario
+    duplicate: bool  # whether it was not simulated, because an earlier run of this search showed the result
     outcome: str  # how the run ended
-    duration: float  # of the run [s]
+    duration: float  # duration of the run [s]
     clock: float  # simulated time of the search until the end of the run [s]; duplicates take none
     failing: bool  # whether it counts as a failure, by the blame of the comparison
-    collision_time: float | None  # [s]; empty without a collision, and so are the next five
-    npc: int | None  # that collided
-    cell: int | None  # in which it was; empty where it crossed the ego's way
-    zone: str | None  # in which it crossed that, such as ``crossing from the left``; empty where it did not
-    side: str | None  # of the ego that was hit
-    closing_speed: float | None  # at the impact [m/s]
+    collision_time: float | None  # [s]; empty without a collision, as are the next five
+    npc: int | None  # the NPC that collided
+    cell: int | None  # cell of that NPC; empty if it crossed the ego's way
+    zone: str | None  # zone in which it crossed, such as ``crossing from the left``; else empty
+    side: str | None  # side of the ego that was hit
+    closing_speed: float | None  # closing speed at the impact [m/s]
     responsibility: str  # by :func:`~pytest_pafot.attribution.responsibility.rss_rule`; ``none`` without a collision
     position_responsibility: str  # by the rule of the authors' code
-    signature: str | None  # of a collision or a fault of the ADS: which runs show the same failure; else empty
-    fitness: float | None  # that the search maximised; empty where there is none
-    genes_started: int  # over all NPCs
-    genes_reached: int  # of these
+    signature: str | None  # identity of a collision or of an ADS error; otherwise empty
+    fitness: float | None  # the number that the search maximised; empty if there is none
+    genes_started: int  # started genes of all NPCs
+    genes_reached: int  # number of those that reached their cell or lane
     executed: str  # the scenario as driven, in canonical text
 
 
@@ -65,19 +65,19 @@ COLUMNS = tuple(field.name for field in fields(Row))
 
 
 def text_of(rows: Iterable[Row]) -> str:
-    """As CSV."""
+    """Format rows as CSV."""
     return csv_text(COLUMNS, map(astuple, rows))
 
 
-UNBOUNDED = 10**9  # generations of a run whose budget is a time
+UNBOUNDED = 10**9  # generations of a run with a time budget
 
 COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
-"""The failure of a property that forbids collisions, under which collisions are told apart."""
+"""The failure of a property that forbids collisions, which is used to distinguish collisions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunFacts:
-    """What rows, and the check of the set-up, need to know of a run beyond its evaluation."""
+    """Facts on a run, in addition to its evaluation, for the rows and for the check of the set-up."""
 
     responsibility: str
     position_responsibility: str
@@ -87,11 +87,11 @@ class RunFacts:
 
 
 def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
-    """Run what is not finished yet; the file with all rows, by algorithm and run in the order of the plan.
+    """Run what is not finished yet; return the file with all rows, by algorithm and run in the order of the plan.
 
-    Where algorithms have different scenarios, that is said before hours are spent on them.
+    If algorithms have different scenarios, a warning says so before hours are spent on them.
 
-    The arguments, and what is raised, are those of :func:`run_job`.
+    The arguments and the exceptions are those of :func:`run_job`.
     """
     job = ResumableJob(
         command="compare",
@@ -105,7 +105,7 @@ def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Call
         text=partial(_text, plan),
         caution=caution([plan.ads]),
     )
-    claim(job, folder)  # a folder that cannot be used is the first thing to hear of
+    claim(job, folder)  # report an unusable folder before anything else
     if len(plan.scenarios) > 1:
         groups = "".join(f"  {', '.join(names)}: {which}\n" for which, names in plan.scenarios.items())
         told.write(f"compare: warning: {DIFFERENT}\n{groups}")
@@ -117,14 +117,14 @@ def _text(plan: Plan, task: Task, tick: Tick) -> str:
 
 
 def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: None) -> Iterator[Row]:
-    """Simulate one run, row by row as its scenarios are evaluated.
+    """Simulate one run, and yield a row for each scenario after its evaluation.
 
     Raises:
-        PlanError: where the ADS fails alike at its first decision in the whole first generation.
+        PlanError: if the ADS fails for the same reason at its first decision in the whole first generation.
     """
     (world, _), factory, chosen = plan.setting(algorithm), ads_factory(plan.ads), plan.entrant(algorithm).algorithm
     seed, name = plan.run_seed(algorithm, run), plan.fitness or chosen.fitness
-    # Blame steers all but AV-Fuzzer's fitness, which its authors did not steer.
+    # Blame affects all fitnesses except AV-Fuzzer's, which its authors used without it.
     is_steered = plan.blame != "any" and name != "av-fuzzer"
     fitness = resolve(name, responsible=is_ego_responsible if is_steered else None)
     budget = math.inf if plan.seconds is None else plan.seconds
@@ -161,9 +161,9 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
 
 
 def evaluated(trace: Trace, fitness: Fitness, blame: str, world: WorldLike) -> Evaluation:
-    """A run in a world judged by who is responsible for it, with its :class:`RunFacts` as its note.
+    """Evaluate a run in a world by who is responsible for it, with its :class:`RunFacts` as a note.
 
-    The text of a signature can be read, and is equal exactly for equal signatures.
+    The text of a signature is readable, and equal only for equal signatures.
     """
     run, signature, mistake = Run(trace, world=reference_world(world)), None, None
     failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
@@ -194,7 +194,7 @@ def evaluated(trace: Trace, fitness: Fitness, blame: str, world: WorldLike) -> E
 
 
 def row_of(event: Evaluated, *, algorithm: str, run: int, seed: int, clock: float) -> Row:
-    """The row of an event whose evaluation has facts."""
+    """Return the row for an event whose evaluation has :class:`RunFacts`."""
     evaluation, hit = event.evaluation, event.evaluation.collision
     facts: RunFacts = evaluation.note
     return Row(
@@ -227,10 +227,10 @@ def row_of(event: Evaluated, *, algorithm: str, run: int, seed: int, clock: floa
 
 
 def check_set_up(world: WorldLike, factory: Callable[..., Any], first: Sequence[Evaluation]) -> None:
-    """Check by the first generation that an ADS drives at all: a fault of the set-up says nothing of any algorithm.
+    """Check in the first generation that the ADS drives at all: a set-up error says nothing about any algorithm.
 
     Raises:
-        PlanError: where one cause made it fail at its first decision in all of them.
+        PlanError: if it failed for one reason at its first decision in all runs.
     """
     error: AdsError | None = first[0].note.error
     causes = {first_decision_cause(each.note.error) for each in first}
@@ -243,13 +243,13 @@ def check_set_up(world: WorldLike, factory: Callable[..., Any], first: Sequence[
         others = (
             "A policy of a highway-env environment needs that environment, such as --env highway-v0."
             if asked.is_si
-            else "The environment has its own configuration here, and no other config=; a planner in SI units needs "
-            "the road that is there without --env."
+            else "The environment has its default configuration here, without config=; a planner in SI units needs "
+            "the road without --env."
         )
         given = f"{asked.text} {others}"
     raise PlanError(
         f"--ads: expected a policy that drives, received {error.kind}: {error.message}{where}\n\n"
-        f"So it was in all {len(first)} runs of the first generation, before anything had happened in them: an error "
-        "of the set-up, which says nothing of the algorithms. Correct the ADS, its factory, or the world that it "
-        f"drives in (--env and the options after it), and run the command again.\n\n{given}".rstrip()
+        f"This happened in all {len(first)} runs of the first generation, before anything else: an error of the "
+        "set-up, which says nothing about the algorithms. Correct the ADS, its factory, or the world that it drives in "
+        f"(--env and the options after it), and run the command again.\n\n{given}".rstrip()
     )

@@ -1,4 +1,4 @@
-"""``python -m pytest_pafot compare``: runs a comparison and writes its report."""
+"""``python -m pytest_pafot compare``: run a comparison and write its report."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
-START = " in the paper's scenarios, else drawn; where the road is not straight, the environment's"
+START = " in the paper's scenarios, otherwise sampled; on a bent road, the environment's"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,8 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--algorithms",
         default="pafot,av-fuzzer,random-manoeuvre,random",
         metavar="A,B,...",
-        help=f"of {', '.join(ALGORITHMS)}, or module:Class of your own; with @S behind it its runs last S "
-        "seconds, with @paper its scenarios are the paper's; the first is compared with each other one "
+        help=f"from {', '.join(ALGORITHMS)}, or your own module:Class; NAME@S makes its runs last S seconds, and "
+        "NAME@paper gives it the paper's scenarios; the first algorithm is compared with each of the others "
         "(default: %(default)s)",
     )
     parser.add_argument(
@@ -44,57 +44,71 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADS",
         help="the policy: a module of example_ads, module:factory, or module:factory:argument",
     )
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="where results and report go")
-    parser.add_argument("--runs", type=int, default=10, metavar="N", help="of each algorithm (default: %(default)s)")
+    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the results and the report")
+    parser.add_argument(
+        "--runs", type=int, default=10, metavar="N", help="runs of each algorithm (default: %(default)s)"
+    )
     budget = parser.add_mutually_exclusive_group()
-    budget.add_argument("--generations", type=int, metavar="N", help="of each run (default: 100)")
+    budget.add_argument("--generations", type=int, metavar="N", help="generations of each run (default: 100)")
     budget.add_argument("--seconds", type=float, metavar="S", help="simulated time of each run, instead of generations")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="base seed (default: %(default)s)")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     parser.add_argument(
         "--blame",
         choices=BLAMES,
         default="any",
-        help="ego: search for collisions that the ego is responsible for; preventable: for those of them where a "
-        "reference driver is not at fault (default: %(default)s, as the paper)",
+        help="ego: search for collisions that the ego is responsible for; preventable: only for those in which a "
+        "reference driver is not at fault (default: %(default)s, as in the paper)",
     )
     parser.add_argument(
         "--fitness",
-        help="of all algorithms: default, paper, av-fuzzer, a measure such as headway, or module:function "
-        "(default: each one's own)",
+        help="fitness for all algorithms: default, paper, av-fuzzer, a measure such as headway, or module:function "
+        "(default: that of each algorithm)",
     )
     parser.add_argument(
-        "--population", type=int, metavar="N", help="scenarios of a generation (default: each one's own)"
+        "--population", type=int, metavar="N", help="scenarios per generation (default: that of each algorithm)"
     )
     parser.add_argument("--env", metavar="ID", help="a highway-env environment such as highway-v0, for its policies")
-    parser.add_argument("--lanes", type=int, metavar="N", help="3 to 6 (default: 4)")
-    parser.add_argument("--speed-limit", type=float, metavar="V", help=f"[m/s] (default: {PAPER_SPEED_LIMIT})")
+    parser.add_argument("--lanes", type=int, metavar="N", help="number of lanes, 3 to 6 (default: 4)")
     parser.add_argument(
-        "--duration", type=float, metavar="S", help="of a scenario [s] (default: 60, or the environment's)"
+        "--speed-limit", type=float, metavar="V", help=f"speed limit [m/s] (default: {PAPER_SPEED_LIMIT})"
     )
-    parser.add_argument("--clearance", type=float, metavar="D", help="of the grid [m]; 0 is the paper's (default: 3)")
-    parser.add_argument("--npcs", type=int, metavar="N", help="1 to 8 (default: drawn, or 2 in the paper's scenarios)")
-    parser.add_argument("--genes", type=int, metavar="N", help="of each NPC (default: as a scenario lasts)")
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="duration of a scenario [s] (default: 60, or the environment's)"
+    )
+    parser.add_argument(
+        "--clearance", type=float, metavar="D", help="clearance of the grid [m]; the paper has 0 (default: 3)"
+    )
+    parser.add_argument(
+        "--npcs", type=int, metavar="N", help="number of NPCs, 1 to 8 (default: sampled, or 2 in the paper's scenarios)"
+    )
+    parser.add_argument(
+        "--genes", type=int, metavar="N", help="genes of each NPC (default: as many as fill a scenario)"
+    )
     parser.add_argument(
         "--gene-seconds",
         type=float,
         metavar="S",
-        help="[s] (default: drawn, or 10 in the paper's scenarios; where the road is not straight, about 10)",
+        help="duration of a gene [s] (default: sampled, or 10 in the paper's scenarios; on a bent road about 10)",
     )
     parser.add_argument(
         "--traffic", choices=STYLES, help="how the NPCs drive (default: as in a test with the algorithm)"
     )
-    parser.add_argument("--ego-lane", type=int, metavar="N", help=f"from 0 at the left (default: 1{START})")
-    parser.add_argument("--ego-speed", type=float, metavar="V", help=f"[m/s] (default: 22{START})")
+    parser.add_argument(
+        "--ego-lane", type=int, metavar="N", help=f"first lane of the ego, from 0 at the left (default: 1{START})"
+    )
+    parser.add_argument(
+        "--ego-speed", type=float, metavar="V", help=f"first speed of all vehicles [m/s] (default: 22{START})"
+    )
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Run the comparison and write its report, which shows the command as it was given; the exit code."""
-    sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
+    """Run the comparison and write its report, which includes the given command; return the exit code."""
+    sys.path.insert(0, str(Path.cwd()))  # The policy is in the current folder, as with pytest.
     try:
         plan = checked(plan_of(arguments))
         workers = worker_count(arguments.workers)
-        # What is wrong on the command line is told before anything is installed for it.
+        # Errors on the command line are reported before the user installs anything for it.
         missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
         if missing:
             raise PlanError(
@@ -114,17 +128,19 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         sys.stderr.write(f"compare: {error}\n")
         return BAD_USE
     except KeyboardInterrupt:
-        sys.stderr.write("\ncompare: interrupted; what is finished is kept, the same command goes on with the rest\n")
+        sys.stderr.write(
+            "\ncompare: interrupted; finished runs are saved, and the same command continues with the rest\n"
+        )
         return 130
     sys.stdout.write(f"{folder / 'report.md'}\n")
     return 0
 
 
 def plan_of(arguments: argparse.Namespace) -> Plan:
-    """The plan of parsed arguments.
+    """Make the plan from parsed arguments.
 
     Raises:
-        PlanError: for a value that no world or space takes.
+        PlanError: for a value that no world or space accepts.
     """
     world = _world(arguments)
     given = {name: value for name in SPACE_ARGUMENTS if (value := getattr(arguments, name, None)) is not None}
@@ -162,8 +178,8 @@ def _world(arguments: argparse.Namespace) -> Highway | World:
     for name in ("lanes", "speed_limit"):
         if name in given:
             raise PlanError(
-                f"--{name.replace('_', '-')}: expected no such option with --env, whose environment has its own road, "
-                f"received {given[name]!r}"
+                f"--{name.replace('_', '-')}: expected no such option with --env, because the environment has its own "
+                f"road, received {given[name]!r}"
             )
     world = replace(World(arguments.env), **given)
     world.check()

@@ -1,4 +1,4 @@
-"""The figures of a comparison: the paper's five, and two of distinct failures. Readable in grey, with units."""
+"""The figures of a comparison: the paper's five, and two on distinct failures. All are readable in grey, with units."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ SETTINGS: Any = {
     "svg.hashsalt": "pytest-pafot",
     "hatch.linewidth": 0.7,
 }
-POINTS = 300  # on a curve over time
+POINTS = 300  # number of points on a curve over time
 
 
 class Style(NamedTuple):
-    """How an algorithm looks; colours differ in lightness, and everything else differs too."""
+    """The appearance of an algorithm. Colours differ in lightness, and all other properties differ as well."""
 
     colour: str
     line: Any
@@ -46,12 +46,12 @@ class Style(NamedTuple):
 
     @property
     def bar(self) -> dict[str, Any]:
-        """Of bars."""
+        """Keyword arguments for bars."""
         return {"color": self.colour, "hatch": self.hatch, "edgecolor": "white", "linewidth": 0}
 
     @property
     def curve(self) -> dict[str, Any]:
-        """Of lines with markers."""
+        """Keyword arguments for lines with markers."""
         return {"color": self.colour, "linestyle": self.line, "marker": self.marker}
 
 
@@ -68,7 +68,7 @@ STYLES = (
 
 
 def _each(results: Results) -> Iterator[tuple[int, str, Style, pd.DataFrame]]:
-    """Place, name and looks of every algorithm, and the measures of its runs."""
+    """Yield place, name and style of every algorithm, and the measures of its runs."""
     for place, name in enumerate(results.plan.names):
         yield place, name, STYLES[place % len(STYLES)], of(name, results.whole)
 
@@ -78,7 +78,7 @@ def _unique(results: Results) -> pd.DataFrame:
 
 
 def draw_all(results: Results, folder: Path) -> dict[str, str]:
-    """Write every figure as PNG and SVG; their titles by the names of the files, without endings."""
+    """Write every figure as PNG and SVG; return their titles by file name without ending."""
     titles: dict[str, str] = {}
     with mpl.rc_context(SETTINGS):
         for name, (title, draw, size) in FIGURES.items():
@@ -93,7 +93,7 @@ def draw_all(results: Results, folder: Path) -> dict[str, str]:
 
 
 def _totals(axes: Axes, results: Results) -> None:
-    """All scenarios, in total over all runs, and the paper's beside them."""
+    """Draw all scenarios in total over all runs, next to the paper's."""
     width, reported = 0.36, [name for name in results.plan.names if name in PAPER]
     for place, name, style, runs in _each(results):
         counts = int(runs["collisions"].sum()), int(runs["scenarios"].sum())
@@ -120,7 +120,7 @@ def _stacked(axes: Axes, x: float, width: float, counts: tuple[int, int], style:
 
 
 def _curves(axes: Axes, results: Results, *, label: str, counts: Callable[[pd.DataFrame], pd.Series[bool]]) -> None:
-    """Means over the runs as far as all of them reach, and the range of their middle half."""
+    """Draw means over the runs up to the end of the shortest one, and the range of their middle half."""
     rows = _unique(results)
     rows = rows[counts(rows)]
     for _, name, style, runs in _each(results):
@@ -139,7 +139,7 @@ def _curves(axes: Axes, results: Results, *, label: str, counts: Callable[[pd.Da
 
 
 def _is_discovery(rows: pd.DataFrame) -> pd.Series[bool]:
-    """Whether a failure is the first of its signature in its run."""
+    """Return for each row whether it is the first failure with its signature in its run."""
     known = rows[rows["is_ego_failure"]].duplicated(["algorithm", "run", "signature"])
     return rows["is_ego_failure"] & ~known.reindex(rows.index, fill_value=False)
 
@@ -147,7 +147,7 @@ def _is_discovery(rows: pd.DataFrame) -> pd.Series[bool]:
 def _grouped(
     axes: Axes, results: Results, *, column: str, label: str, reported: Callable[[Plan, Reported], float | None]
 ) -> None:
-    """A bar for every run of every algorithm, and the paper's mean as a line where it can be compared."""
+    """Draw a bar for every run of every algorithm, and the paper's mean as a line if it can be compared."""
     width = 0.8 / len(results.plan.names)
     for place, name, style, runs in _each(results):
         x = runs["run"] + 1 + (place - (len(results.plan.names) - 1) / 2) * width
@@ -191,7 +191,7 @@ def _first_failure(axes: Axes, results: Results) -> None:
 
 
 FIGURES: Mapping[str, tuple[str, Callable[[Axes, Results], None], tuple[float, float]]] = {
-    "totals": ("Scenarios and collisions in total, beside the paper's", _totals, (7.0, 3.8)),
+    "totals": ("Scenarios and collisions in total, next to the paper's", _totals, (7.0, 3.8)),
     "collisions-over-time": (
         "Collisions over simulated time",
         partial(_curves, label="unique collisions of a run", counts=lambda rows: rows["outcome"] == "collision"),
@@ -212,7 +212,7 @@ FIGURES: Mapping[str, tuple[str, Callable[[Axes, Results], None], tuple[float, f
         partial(
             _grouped,
             column="collision_time",
-            label="mean time to a collision, where there is one [s]",
+            label="mean time to a collision, if there is one [s]",
             reported=lambda plan, told: told.time_to_collision[0],
         ),
         (7.4, 3.4),
@@ -225,4 +225,4 @@ FIGURES: Mapping[str, tuple[str, Callable[[Axes, Results], None], tuple[float, f
     ),
     "first-failure": ("Until the first ego-responsible failure (Kaplan-Meier)", _first_failure, (6.0, 3.6)),
 }
-"""Title, function and size [inches] by the name of the file."""
+"""Title, function and size [inches] of each figure, by file name."""

@@ -33,15 +33,15 @@ from pytest_pafot.support.versions import installed_versions
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reported:
-    """One technique over ten runs of 100 generations with two NPCs on CARLA."""
+    """Results of one technique over ten runs of 100 generations with two NPCs on CARLA."""
 
-    scenarios: int  # in total, and so are the next two
+    scenarios: int  # total over all runs, as in the next two
     collisions: int
     local_searches: int
     per_run: tuple[int, int, int]  # collisions of a run: mean, most, least
-    time_to_collision: tuple[float, float, float]  # where there is one: mean, longest, shortest [s]
-    seconds_per_scenario: float  # simulated, 60 s where safe [s]
-    hours: float  # simulated in total
+    time_to_collision: tuple[float, float, float]  # mean, longest, shortest, among those with a collision [s]
+    seconds_per_scenario: float  # simulated time, 60 s for a safe one [s]
+    hours: float  # total simulated time
 
 
 PAPER_GENERATIONS = 100  # of each run
@@ -66,7 +66,7 @@ PAPER: Mapping[str, Reported] = MappingProxyType(
             seconds_per_scenario=45.53,
             hours=54.73,
         ),
-        "random-manoeuvre": Reported(  # its Random, see HOW_TO_READ of a report
+        "random-manoeuvre": Reported(  # the paper's Random, see HOW_TO_READ
             scenarios=4000,
             collisions=997,
             local_searches=0,
@@ -81,7 +81,7 @@ PAPER: Mapping[str, Reported] = MappingProxyType(
 PEAKS: Mapping[str, str] = MappingProxyType(
     {"pafot": "10 to 20 s", "av-fuzzer": "20 to 30 s, none before 10 s", "random-manoeuvre": "50 to 60 s"}
 )
-"""The interval of ten seconds in which the paper says that most collisions happen."""
+"""The ten-second interval in which most collisions happen according to the paper."""
 
 
 HITS = {
@@ -90,33 +90,33 @@ HITS = {
     "preventable": "collisions that the ego is responsible for and a reference driver in its place is not (`--blame "
     "preventable`)",
 }
-"""What counts as a failure, by the blame of the comparison."""
+"""Descriptions of what counts as a failure, by the blame of the comparison."""
 
-BIN_SECONDS = 10.0  # width of the intervals in which the paper tells when collisions happen [s]
+BIN_SECONDS = 10.0  # width of the paper's intervals for the times of collisions [s]
 
 HOW_TO_READ = """
 ## How to read this
 
-- The paper ran on CARLA against its traffic manager, four to six lanes, at a speed limit of 96 km/h; here the world is
-  the one above. Its numbers are shown for orientation, and no test compares them.
+- The paper ran on CARLA against its traffic manager, with four to six lanes and a speed limit of 96 km/h; here the
+  world is the one above. The paper's numbers are for orientation, and no test compares with them.
 - The paper's Random "manipulates the driving behaviours of NPCs at specified intervals", and collided less often than
-  its AV-Fuzzer. Its numbers stand beside `random-manoeuvre`, whose NPCs know no grid either.
+  its AV-Fuzzer. Its numbers are next to `random-manoeuvre`, whose NPCs use no grid either.
 - `NAME@15` is an algorithm with runs of 15 s, which its genes share. So `av-fuzzer@15` has slices of 3 s, as in its
   release; the five slices of `av-fuzzer` last as long as all genes of the others together, as in the paper's
   reimplementation, whose runs last 60 s.
-- Without an `@` an algorithm has the scenarios that it has in a test. `NAME@paper` has the paper's, four in each of its
-  generations.
-- AV-Fuzzer simulates only scenarios that crossover or mutation touched, so that a generation of it is fewer scenarios
-  than one of the others. That is why algorithms are compared at equal simulated seconds, too.
-- `results.csv` has a row for every scenario, `runs/` the same run by run.
-- Equal arguments and versions give equal rows on any number of workers: {rows} rows here.
+- Without an `@` an algorithm has the same scenarios as in a test. `NAME@paper` has the paper's scenarios, four in each
+  of its generations.
+- AV-Fuzzer simulates only scenarios that crossover or mutation changed, so its generations have fewer scenarios than
+  those of the others. For this reason the algorithms are also compared at equal simulated seconds.
+- `results.csv` has a row for every scenario; `runs/` has the same rows run by run.
+- Equal arguments and versions give equal rows with any number of workers: {rows} rows here.
 """
 
 
 def report(results: Results, command: Sequence[str], wall: Mapping[str, float], figures: Mapping[str, str]) -> str:
-    """The whole text, with the command that made it, and the titles of figures by file name, without ending.
+    """Return the whole report, with the command that made it, and the titles of figures by file name without ending.
 
-    ``wall`` is the time of all runs of each algorithm by the clock on the wall [s]; empty where unknown.
+    ``wall`` is the wall-clock time of all runs of each algorithm [s]; empty if unknown.
     """
     parts = [
         _head(results, command, wall),
@@ -159,7 +159,7 @@ Scenarios: `{json.dumps(dict(plan.space))}`{drawn}.
 
 
 def _warning(plan: Plan) -> str:
-    """Name the groups of algorithms that were given different scenarios; say nothing of a single group."""
+    """Name the groups of algorithms with different scenarios; return nothing for a single group."""
     if len(plan.scenarios) == 1:
         return ""
     groups = "\n".join(f"- {', '.join(names)}: {scenarios}" for scenarios, names in plan.scenarios.items())
@@ -192,8 +192,8 @@ def _effectiveness(results: Results) -> str:
     return f"""
 ## How many collisions
 
-The paper's first table, with its numbers beside. A scenario that only repeats what an earlier one of the same search
-showed is counted in *all* and not in *unique*; it is not simulated.
+The paper's first table, with its numbers next to ours. A scenario that only repeats an earlier one of the same search
+is counted in *all*, but not in *unique*; it is not simulated.
 
 {markdown_table(header, rows)}
 """
@@ -228,12 +228,12 @@ def _efficiency(results: Results, wall: Mapping[str, float]) -> str:
 ## How fast
 
 The paper's second table. Simulated time per scenario counts a safe scenario with its full length; per collision it is
-all simulated time over all unique collisions. The clock on the wall is that of the machine of this report, all judging
-and telling of a scenario included; another one has other times, and no result depends on them.
+all simulated time divided by all unique collisions. The wall-clock times are from the machine of this report, and
+include evaluating and reporting each scenario. They differ on other machines, but no result depends on them.
 
 {markdown_table(header, rows)}
 
-**The time to collision is conditional**: it is the mean over the scenarios that did collide, and says nothing of the
+**The time to collision is conditional**: it is the mean over the scenarios that did collide, and says nothing about the
 others. It rewards a technique that rarely collides, as long as it does so early. The columns before it do not.
 """
 
@@ -252,8 +252,8 @@ def _responsibility(results: Results) -> str:
     return f"""
 ## Who caused them
 
-What the paper does not tell: which of the raw collisions are the NPC's doing. By RSS, and by the position rule of the
-authors' released code.
+The paper does not report this: which of the raw collisions NPCs have caused. Responsibility is by RSS, and by the
+position rule of the authors' released code.
 
 {markdown_table(header, rows)}
 """
@@ -290,10 +290,11 @@ Collisions that the ego is responsible for, alone or with the NPC, and faults of
 collisions are few failures. The columns with {hours} are at equal simulated time, the shortest of all runs. The median
 time to the first failure counts runs without one as censored (Kaplan-Meier).
 
-How much of what fails a run has shown, rather than how many kinds: the coverage inverted distance (Sorokin, Safin,
-Nejati 2024, arXiv:2410.11769), here of the impacts that count as failures, by the NPC's cell, the ego's side and the
-closing speed in steps of 5 m/s. It is the mean, over all such impacts of all runs of this report, of the distance to
-the nearest one that the run has shown, in shares of their range; the median of the runs is given. 0 is all of them.
+The inverted distance measures how much of all failures a run has shown, rather than how many kinds. It is the coverage
+inverted distance (Sorokin, Safin, Nejati 2024, arXiv:2410.11769), here of the impacts that count as failures, by the
+NPC's cell, the ego's side and the closing speed in steps of 5 m/s: the mean, over all such impacts of all runs of this
+report, of the distance to the nearest impact of the run, as a share of their range. The table has the median of the
+runs. 0 means that a run has shown all of them.
 
 {markdown_table(header, rows)}
 """
@@ -303,7 +304,7 @@ def _tests(results: Results) -> str:
     whole = results.whole if results.plan.generations else None
     found = comparisons(whole, results.equal, results.plan.names)
     if not found:
-        return "## Statistics\n\nOne algorithm alone, so that nothing is compared."
+        return "## Statistics\n\nThere is only one algorithm, so nothing is compared."
     adjusted = holm([each.p for each in found])
     rows = [
         [
@@ -318,18 +319,18 @@ def _tests(results: Results) -> str:
     return f"""
 ## Statistics
 
-Each run is one sample. A12 is the probability that the first algorithm's value is the greater one, ties by half
+Each run is one sample. A12 is the probability that the first algorithm's value is greater, counting ties as half
 (Vargha-Delaney; 0.56, 0.64 and 0.71 are called a small, medium and large effect, and so are 0.44, 0.36 and 0.29), with
 Newcombe's interval. All tests are two-sided; the last p is adjusted for all tests of this table. Equal seconds are the
-first {results.horizon:.0f} simulated seconds of every run. Counts of runs stand in the place of medians for Fisher's
-test, Kaplan-Meier medians for the log-rank test.
+first {results.horizon:.0f} simulated seconds of every run. Instead of medians, Fisher's test has counts of runs, and
+the log-rank test Kaplan-Meier medians.
 
 {markdown_table(header, rows)}
 """
 
 
 def _peak(times: pd.Series[float], longest: float) -> str:
-    """The interval in which most collisions happen; empty without any."""
+    """Return the interval in which most collisions happen; empty without collisions."""
     if times.empty:
         return ""
     last = max(math.ceil(longest / BIN_SECONDS) - 1, 0)
@@ -346,7 +347,7 @@ def _p(value: float) -> str:
 
 
 def wall_seconds(plan: Plan, folder: Path) -> dict[str, float]:
-    """Of all runs of each algorithm; empty where a run has none."""
+    """Return the wall-clock time of all runs of each algorithm [s]; empty if a run has none."""
     times = {name: [seconds_of(folder / file_name(name, run)) for run in range(plan.runs)] for name in plan.names}
     if any(seconds is None for each in times.values() for seconds in each):
         return {}

@@ -1,4 +1,4 @@
-"""What is compared: algorithms, a budget, a policy and the world in which it drives."""
+"""The plan of a comparison: algorithms, a budget, a policy and the world in which it drives."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from pytest_pafot.world import from_dict as world_from_dict
 from pytest_pafot.world.protocol import WorldLike, crossings, road_start
 
 DIFFERENT = (
-    "the algorithms have different scenarios, so that what differs between these groups may be due to the scenarios; "
-    "NAME@paper is an algorithm with the paper's"
+    "the algorithms have different scenarios, so differences between these groups may be due to the scenarios; "
+    "NAME@paper is an algorithm with the paper's scenarios"
 )
-"""What :attr:`Plan.scenarios` means where it has more than one entry."""
+"""The warning if :attr:`Plan.scenarios` has more than one entry."""
 PAPER, POPULATION = "paper", 4
-"""What stands behind the ``@`` for the paper's scenarios, and how many of them are in a generation then."""
+"""The text after the ``@`` for the paper's scenarios, and their number in a generation."""
 
 
 class Entrant(NamedTuple):
-    """What takes part in a comparison: an algorithm, how long its runs last, and which scenarios it has."""
+    """A participant of a comparison: an algorithm, the duration of its runs, and its scenarios."""
 
     algorithm: AlgorithmClass
-    seconds: float | None = None  # None: as long as those of the world
-    is_papers: bool = False  # whether its scenarios are the paper's; else they are what a test with it has
+    seconds: float | None = None  # duration of its runs; None for the world's duration
+    is_papers: bool = False  # whether its scenarios are the paper's; otherwise those of a test
 
     @classmethod
     def of(cls, given: str) -> Entrant:
-        """Of a name or ``module:Class``, with ``@`` and seconds, or ``paper``, behind it where it is not as in a test.
+        """Make an entrant from a name or ``module:Class``, optionally followed by ``@`` and seconds, or ``@paper``.
 
         Raises:
-            ValueError: where there is no such algorithm.
-            PlanError: where what follows the ``@`` is no time.
+            ValueError: if there is no such algorithm.
+            PlanError: if the text after the ``@`` is not a time.
         """
         reference, at, text = given.partition("@")
         if text == PAPER:
@@ -59,12 +59,12 @@ class Entrant(NamedTuple):
 
     @property
     def has_papers_scenarios(self) -> bool:
-        """Whether the space of its scenarios is the paper's."""
+        """True if the space of its scenarios is the paper's."""
         return self.is_papers or self.algorithm.is_papers
 
     @property
     def name(self) -> str:
-        """By which files, tables and figures call it."""
+        """The name in files, tables and figures."""
         if self.is_papers:
             return f"{self.algorithm.name}@{PAPER}"
         return self.algorithm.name + ("" if self.seconds is None else f"@{self.seconds:g}")
@@ -72,52 +72,52 @@ class Entrant(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """A comparison. Every (algorithm, run) is a function of this value alone."""
+    """A comparison. Every (algorithm, run) is a function of this value only."""
 
-    ads: str  # the policy, ``name`` of a module in example_ads, ``module:factory`` or ``module:factory:argument``
-    # names, or ``module:Class``; with ``@15`` its runs last 15 s, with ``@paper`` its scenarios are the paper's
+    ads: str  # the policy: ``name`` of a module in example_ads, ``module:factory`` or ``module:factory:argument``
+    # names, or ``module:Class``; ``@15`` makes its runs last 15 s, ``@paper`` gives it the paper's scenarios
     algorithms: tuple[str, ...]
-    runs: int = 10  # of each algorithm
-    generations: int | None = 100  # of the main search; None where the budget is a time
-    seconds: float | None = None  # simulated time of a run, after which no scenario begins; None for generations
-    seed: int = 0  # from which the seeds of all runs follow
-    # ``any`` counts all collisions as failures, as the paper does; ``ego`` those that the ego is responsible for, and
-    # steers the default fitness towards them; ``preventable`` the same, but counts only those of them in which a
-    # reference driver in the ego's place is not at fault
+    runs: int = 10  # number of runs of each algorithm
+    generations: int | None = 100  # of the main search; None with a time budget
+    seconds: float | None = None  # simulated time after which no scenario begins; None with a budget of generations
+    seed: int = 0  # base seed, from which the seeds of all runs are derived
+    # ``any`` counts all collisions as failures, as the paper does; ``ego`` only those that the ego is responsible for,
+    # and steers the default fitness towards them; ``preventable`` does the same, but counts only those of them in which
+    # a reference driver in the ego's place is not at fault
     blame: str = "any"
-    fitness: str | None = None  # of all algorithms, a name or ``module:function``; None for each one's own
-    # of the algorithms, such as ``{"population": 8}``; each must take all of them
+    fitness: str | None = None  # for all algorithms: a name or ``module:function``; None for each algorithm's own
+    # parameters such as ``{"population": 8}``; every algorithm must accept all of them
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())  # as a corpus file has it
+    world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())  # in the form of a corpus file
     space: Mapping[str, Any] = field(default_factory=lambda: SearchSpace().plain)  # fields of a SearchSpace
-    drawn: Mapping[str, Any] = field(default_factory=dict)  # those that algorithms without the paper's scenarios have
+    drawn: Mapping[str, Any] = field(default_factory=dict)  # fields for algorithms without the paper's scenarios
 
     @property
     def question(self) -> str:
-        """All but which algorithms and how many runs, as canonical text: results of equal questions go together."""
+        """Everything except the algorithms and the number of runs, as canonical text: equal ones can share results."""
         plain = asdict(replace(self, algorithms=(), runs=1))
         told = {"plan": plain, "policy": identity(self.ads), "versions": installed_versions()}
         return json.dumps(told, indent=1, sort_keys=True) + "\n"
 
     @property
     def tasks(self) -> tuple[tuple[str, int], ...]:
-        """(algorithm, run) in the order in which they are started: run by run, so that a part is balanced."""
+        """All (algorithm, run) in the order in which they start: run by run, so that a partial result is balanced."""
         return tuple((name, run) for run in range(self.runs) for name in self.names)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the algorithms, by which files, tables and figures call them."""
+        """The names of the algorithms in files, tables and figures."""
         return tuple(Entrant.of(each).name for each in self.algorithms)
 
     def entrant(self, name: str) -> Entrant:
-        """What one of the names, or of those of the catalogue, stands for."""
+        """Return the entrant for one of the names, or for a name of the catalogue."""
         return Entrant.of(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
 
     def setting(self, name: str) -> tuple[WorldLike, SearchSpace]:
-        """The world of one of the names and the space of its scenarios.
+        """Return the world of one of the names, and the space of its scenarios.
 
-        Genes of runs of another length share it evenly, in whole ticks, and last no longer than the plan's. Where their
-        duration is drawn, it stays so.
+        If its runs have a different length, the genes share it evenly, in whole ticks, and last no longer than the
+        plan's. Sampled durations stay sampled.
         """
         entrant, seconds, own = self.entrant(name), self.entrant(name).seconds, world_of(self)
         drawn = {} if entrant.has_papers_scenarios else {**self.drawn, "crossings": crossings(own)}
@@ -131,7 +131,7 @@ class Plan:
 
     @property
     def scenarios(self) -> dict[str, list[str]]:
-        """Return the names of the algorithms by what their scenarios are; those under one text have the same space."""
+        """The names of the algorithms by the description of their scenarios; those in one group have the same space."""
         found: dict[str, list[str]] = {}
         for name in self.names:
             _, space = self.setting(name)
@@ -144,22 +144,22 @@ class Plan:
         return found
 
     def made(self, name: str) -> Algorithm[Any]:
-        """The algorithm of one of the names, on the space of its scenarios."""
+        """Make the algorithm of one of the names, on the space of its scenarios."""
         entrant = self.entrant(name)
         own = {"population": POPULATION} if entrant.is_papers else {}
         return entrant.algorithm.make(self.setting(name)[1], **{**own, **self.parameters})
 
     def run_seed(self, algorithm: str, run: int) -> int:
-        """The seed of one run; runs of different algorithms are independent samples."""
+        """Return the seed of one run; runs of different algorithms are independent samples."""
         text = f"{self.seed}/{algorithm}/{run}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
 
 
 def checked(plan: Plan) -> Plan:
-    """The plan, if it can be run.
+    """Return the plan if it can be run.
 
     Raises:
-        PlanError: naming the first thing that is wrong.
+        PlanError: for the first error, with its name.
     """
     if not plan.algorithms:
         raise PlanError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, received none")
@@ -193,5 +193,5 @@ def _check_searches(plan: Plan) -> None:
 
 
 def world_of(plan: Plan) -> WorldLike:
-    """The world of a plan."""
+    """Return the world of a plan."""
     return world_from_dict(dict(plan.world))

@@ -17,33 +17,33 @@ from pytest_pafot.comparison.plan import Plan, world_of
 from pytest_pafot.comparison.statistics import Effect
 from pytest_pafot.model.grid import Cell
 
-# How much of all that fails a run of a search has shown, rather than how often: the coverage inverted distance.
+# The coverage inverted distance: how much of all failures a run of a search has shown, rather than how often.
 #
 # Source: Sorokin, Safin, Nejati, "Can search-based testing with Pareto optimization effectively cover failure-
 # revealing test inputs?", Empirical Software Engineering 2024, arXiv:2410.11769: the mean distance of the points of a
-# reference set to the nearest one that was found. Their points are inputs, and the reference set a grid of them. Here
-# the inputs of searches differ, Position- and Lane-Instructions, so that points are impacts; and no grid of 24
-# dimensions can be run, so that the reference set is what all searches of a comparison have shown together.
+# reference set to the nearest one that was found. Their points are inputs, and the reference set is a grid of inputs.
+# Here the searches have different inputs, Position- and Lane-Instructions, so the points are impacts. A grid of 24
+# dimensions cannot be run, so the reference set is what all searches of a comparison have shown together.
 
 SPEED_STEP = 5.0
-"""In which the closing speeds of impacts are told apart [m/s]."""
+"""Width of the steps by which closing speeds of impacts are distinguished [m/s]."""
 SIDES = {"front": (1, 0), "right": (0, 1), "rear": (-1, 0), "left": (0, -1)}
-"""Where a side of the ego is, as rows and columns of the grid are."""
+"""Directions of the ego's sides, as rows and columns of the grid."""
 ORIGINS = {"ahead": (1, 0), "right": (0, 1), "behind": (-1, 0), "left": (0, -1)}
-"""The same, of what an NPC comes from that crosses."""
+"""Directions of the origins of NPCs that cross, in the same form."""
 
 
 def inverted_distances(frame: pd.DataFrame, is_counted: pd.Series[bool]) -> pd.Series[float]:
-    """The distance of each run of a comparison, by its algorithm and number; infinite where a run shows nothing.
+    """Return the inverted distance of each run of a comparison, by algorithm and number; infinite without a failure.
 
-    0 says that the run shows all that any run shows; 1 that what is shown lies as far off as the whole range of a
-    feature. Equal points count once, so that it is no advantage to show one of them often. Rows of ``frame`` that are
-    not counted, such as those after a time, are part of the reference set all the same.
+    0 means that the run shows everything that any run shows; 1 means that it is as far away as the whole range of a
+    feature. Equal points count once, so showing one of them often is no advantage. Rows of ``frame`` that are not
+    counted, such as those after a time, are still part of the reference set.
     """
     hits = frame[frame["failing"] & (frame["outcome"] == "collision") & ~frame["duplicate"]]
     places = starmap(_place, zip(hits["cell"], hits["zone"], strict=True))
     impacts = zip(places, hits["side"], hits["closing_speed"], strict=True)
-    # Not when an impact was: that would tell against algorithms with short runs.
+    # The time of an impact is left out, because it would be a disadvantage for algorithms with short runs.
     rows = [(*place, *SIDES[side], round(speed / SPEED_STEP)) for place, side, speed in impacts]
     points = np.array(rows, dtype=np.float64)
     distances = dict.fromkeys(zip(frame["algorithm"], frame["run"], strict=True), math.inf)
@@ -58,7 +58,7 @@ def inverted_distances(frame: pd.DataFrame, is_counted: pd.Series[bool]) -> pd.S
 
 
 def _place(cell: float, zone: object) -> tuple[int, int]:
-    """Row and column of the grid in which an NPC was; of one that crossed, those next to the ego where it came from."""
+    """Return an NPC's row and column in the grid; for one that crossed, its direction of origin next to the ego."""
     if isinstance(zone, str):
         return ORIGINS[zone.rpartition(" ")[2]]
     return Cell(int(cell)).row, Cell(int(cell)).column
@@ -76,34 +76,34 @@ TESTED = {
     "distinct ego-responsible failures per simulated hour": "distinct_per_hour",
     "inverted distance to all failing impacts": "inverted_distance",
 }
-"""What is tested, and the column of :func:`measured` that it is."""
+"""The tested measures, and their columns in :func:`measured`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Results:
-    """What a report is made of."""
+    """The data of a report."""
 
-    plan: Plan  # of the comparison
+    plan: Plan  # plan of the comparison
     frame: pd.DataFrame  # the rows
-    horizon: float  # the simulated time that all runs have [s]: what equal times can be compared up to
+    horizon: float  # simulated time that all runs have, the limit of equal times [s]
     whole: pd.DataFrame  # measures of the runs to their ends
     equal: pd.DataFrame  # the same up to the horizon
 
     @classmethod
     def of(cls, plan: Plan, path: Path) -> Results:
-        """From the file with the rows of a comparison."""
+        """Read the file with the rows of a comparison."""
         frame = read(path)
         end = horizon(frame)
         return cls(plan=plan, frame=frame, horizon=end, whole=measured(frame), equal=measured(frame, end))
 
     @property
     def longest(self) -> float:
-        """How long a scenario lasts that nothing ends early [s]."""
+        """The duration of a scenario that nothing ends early [s]."""
         return float(world_of(self.plan).longest_run)
 
 
 def read(path: Path) -> pd.DataFrame:
-    """The rows of a comparison, with a column ``is_ego_failure``."""
+    """Read the rows of a comparison, and add a column ``is_ego_failure``."""
     frame = pd.read_csv(path, dtype={"scenario": str, "signature": str}, keep_default_na=False, na_values=[""])
     by_ego = (frame["outcome"] == "collision") & frame["responsibility"].isin(["ego", "both"])
     frame["is_ego_failure"] = by_ego | frame["outcome"].isin(FAULTS)
@@ -111,29 +111,29 @@ def read(path: Path) -> pd.DataFrame:
 
 
 def horizon(frame: pd.DataFrame) -> float:
-    """The simulated time that every run of a comparison has [s]: what equal times can be compared up to."""
+    """Return the simulated time that every run of a comparison has [s], the limit for comparisons at equal times."""
     return float(frame.groupby(["algorithm", "run"])["clock"].max().min())
 
 
 def measured(frame: pd.DataFrame, seconds: float | None = None) -> pd.DataFrame:
-    """A row for every run, whole or up to a simulated time [s]; what had not ended by then does not count.
+    """Return a row for every run, whole or up to a simulated time [s]; scenarios that end later do not count.
 
     Columns:
-        algorithm, run: which one.
-        scenarios: asked for; of these ``unique`` were simulated, and ``collisions`` collided.
+        algorithm, run: name and number.
+        scenarios: requested scenarios; of these ``unique`` were simulated, and ``collisions`` collided.
         unique_collisions, invalid: collisions of the ego and crashes between NPCs, among the unique ones.
-        by_npc, by_position_npc: unique collisions that an NPC alone is responsible for, by RSS and by position.
+        by_npc, by_position_npc: unique collisions that only an NPC is responsible for, by RSS and by position.
         by_ego: unique collisions that the ego is responsible for, alone or with the NPC.
-        local_searches: that were started.
-        distinct: signatures of failures that the ego is responsible for, faults of the ADS among them.
+        local_searches: number of started local searches.
+        distinct: number of signatures of failures that the ego is responsible for, including ADS errors.
         first_failure: simulated time until the first of them [s]; infinite if there was none.
-        collision_time: mean time to a collision where there is one [s]; NaN without any.
-        seconds: simulated [s].
-        share: of the unique scenarios that collide.
-        seconds_per_scenario, seconds_per_collision: simulated [s], over the unique scenarios and collisions; infinite
+        collision_time: mean time to a collision if there is one [s]; NaN without any.
+        seconds: simulated time [s].
+        share: share of the unique scenarios that collide.
+        seconds_per_scenario, seconds_per_collision: simulated time per unique scenario and collision [s]; infinite
             without a collision.
         distinct_per_hour: distinct failures per simulated hour.
-        inverted_distance: to all failing impacts of the comparison, see :func:`inverted_distances`.
+        inverted_distance: distance to all failing impacts of the comparison, see :func:`inverted_distances`.
     """
     within = frame["clock"] <= (math.inf if seconds is None else seconds)
     collides, unique = within & (frame["outcome"] == "collision"), within & ~frame["duplicate"]
@@ -171,39 +171,39 @@ def measured(frame: pd.DataFrame, seconds: float | None = None) -> pd.DataFrame:
 
 
 def of(algorithm: str, runs: pd.DataFrame) -> pd.DataFrame:
-    """The runs, or rows, of one algorithm."""
+    """Select the runs, or rows, of one algorithm."""
     return runs[runs["algorithm"] == algorithm]
 
 
 def distinct_in_all(frame: pd.DataFrame, algorithm: str) -> int:
-    """Distinct failures of the ego over all runs of an algorithm."""
+    """Count the distinct failures of the ego over all runs of an algorithm."""
     return int(of(algorithm, frame[frame["is_ego_failure"]])["signature"].nunique())
 
 
 def first_failures(runs: pd.DataFrame) -> tuple[list[float], list[bool]]:
-    """Times to the first failure of the ego [s], and whether they are only the end of a run without one."""
+    """Return the times to the ego's first failure [s], and whether each is only the end of a run without one."""
     is_censored = np.isinf(runs["first_failure"])
     return runs["first_failure"].where(~is_censored, runs["seconds"]).tolist(), is_censored.tolist()
 
 
 class Comparison(NamedTuple):
-    """One test of one algorithm against another."""
+    """One test of one algorithm against a second one."""
 
-    measure: str  # what is compared
+    measure: str  # name of the measure
     at: str  # ``generations`` or ``seconds``, the budget at which it is equal for both
-    first: str  # algorithm
+    first: str  # name of the first algorithm
     second: str
-    values: tuple[float, float]  # of the two: medians, or counts of runs
+    values: tuple[float, float]  # values of the two algorithms: medians, or counts of runs
     effect: Effect | None  # None for tests of counts and of censored times
-    p: float  # of the test
-    test: str  # its name
+    p: float  # p-value of the test
+    test: str  # name of the test
 
 
 def comparisons(whole: pd.DataFrame | None, equal: pd.DataFrame, algorithms: Sequence[str]) -> list[Comparison]:
-    """The first algorithm against each other one, at equal generations and at equal simulated seconds.
+    """Compare the first algorithm with each of the others, at equal generations and at equal simulated seconds.
 
-    ``whole`` has the measures of the runs to their ends, where these are equal generations, else it is None; ``equal``
-    those up to the time that all of them have.
+    ``whole`` has the measures of the complete runs if their generations are equal; otherwise it is None. ``equal`` has
+    those up to the time that all runs have.
     """
     first, *others = algorithms
     budgets = {"seconds": equal} if whole is None else {"generations": whole, "seconds": equal}

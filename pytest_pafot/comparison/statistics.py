@@ -1,7 +1,7 @@
-"""What randomised algorithms are compared by: effect sizes with intervals, tests, and times that may be censored.
+"""Statistics for comparing randomised algorithms: effect sizes with intervals, tests, and censored times.
 
 Sources: Arcuri, Briand, "A hitchhiker's guide to statistical tests for assessing randomized algorithms in software
-engineering", STVR 24(3), 2014; each function names its own.
+engineering", STVR 24(3), 2014; each function names its own source.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # which imports its parts when they are first used, for that takes a second
+import scipy  # it imports its parts on first use, which takes a second
 
 from pytest_pafot.model.trace import FloatArray
 
@@ -19,9 +19,9 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """How two samples compare."""
+    """The comparison of two samples."""
 
-    a12: float  # probability that a value of the first exceeds one of the second, ties by half (Vargha-Delaney)
+    a12: float  # probability that a value of the first is greater, counting ties as half (Vargha-Delaney)
     low: float  # end of its 95 % confidence interval
     high: float
     p: float  # two-sided Mann-Whitney U test
@@ -29,15 +29,15 @@ class Effect:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survival:
-    """Kaplan-Meier's estimate of the share that is without an event yet."""
+    """Kaplan-Meier's estimate of the share without an event so far."""
 
-    times: FloatArray  # at which the estimate steps down
-    shares: FloatArray  # from each of these times on
+    times: FloatArray  # times at which the estimate steps down
+    shares: FloatArray  # share from each of these times on
     median: float  # the first time at which it is at most one half; infinite if it never is
 
 
 def compared(first: Sequence[float], second: Sequence[float]) -> Effect:
-    """Effect size, its interval and the test of two samples; infinite values are the largest, and equal."""
+    """Return the effect size, its interval and the test of two samples; infinite values are the largest, and equal."""
     low, high = a12_interval(a12(first, second), len(first), len(second))
     is_one_value = len({*first, *second}) == 1
     p = 1.0 if is_one_value else float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
@@ -45,13 +45,13 @@ def compared(first: Sequence[float], second: Sequence[float]) -> Effect:
 
 
 def a12(first: Sequence[float], second: Sequence[float]) -> float:
-    """Vargha, Delaney, "A critique and improvement of the CL common language effect size statistics", 2000."""
+    """Return A12 (Vargha, Delaney, "A critique and improvement of the CL common language effect size", 2000)."""
     x, y = np.asarray(first, dtype=float)[:, None], np.asarray(second, dtype=float)[None, :]
     return float(np.mean((x > y) + 0.5 * (x == y)))
 
 
 def a12_interval(estimate: float, first: int, second: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Confidence interval of A12, which keeps its width where one sample exceeds the other entirely.
+    """Return the confidence interval of A12, which has a width even if one sample exceeds the other entirely.
 
     Newcombe, "Confidence intervals for an effect size measure based on the Mann-Whitney statistic. Part 2", Statistics
     in Medicine 25(4), 2006, method 5: the values whose own standard error, by Hanley and McNeil with the mean of the
@@ -64,20 +64,20 @@ def a12_interval(estimate: float, first: int, second: int, confidence: float = C
         spread = 1 + others * (1 - value) / (2 - value) + others * value / (1 + value)
         return float((value - estimate) ** 2 - z**2 * value * (1 - value) * spread / (first * second))
 
-    # At an estimate of 0 or 1 that value itself is a root, and the other one is the limit.
+    # At an estimate of 0 or 1, that value itself is a root, so only the other end is computed.
     low = 0.0 if estimate <= 0 else float(scipy.optimize.brentq(excess, 0.0, min(estimate, 1 - 1e-9)))
     high = 1.0 if estimate >= 1 else float(scipy.optimize.brentq(excess, max(estimate, 1e-9), 1.0))
     return low, high
 
 
 def found_in(first: tuple[int, int], second: tuple[int, int]) -> float:
-    """Fisher's exact test, two-sided, of (runs that found something, all runs) of two algorithms: p."""
+    """Return p of Fisher's exact test, two-sided, on (runs that found something, all runs) of two algorithms."""
     table = np.array([[found, runs - found] for found, runs in (first, second)])
     return float(scipy.stats.fisher_exact(table).pvalue)
 
 
 def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
-    """Of times to an event, or, where censored, times until which there was none (Kaplan, Meier, JASA 53, 1958)."""
+    """Estimate survival from times to an event or, if censored, without one (Kaplan, Meier, JASA 53, 1958)."""
     estimate = scipy.stats.ecdf(_censored(times, is_censored)).sf
     at = np.asarray(estimate.quantiles, dtype=np.float64)
     shares = np.asarray(estimate.probabilities, dtype=np.float64)
@@ -88,10 +88,10 @@ def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
 def log_rank(
     first: Sequence[float], first_censored: Sequence[bool], second: Sequence[float], second_censored: Sequence[bool]
 ) -> float:
-    """The log-rank test, two-sided, of times that may be censored: p; 1 where no event tells the samples apart."""
+    """Return p of the two-sided log-rank test on times that may be censored; 1 without any event that differs."""
     if all(first_censored) and all(second_censored):
         return 1.0
-    with np.errstate(invalid="ignore"):  # Where all have their events at once, it is 0 over a variance of 0.
+    with np.errstate(invalid="ignore"):  # If all events are at one time, it divides 0 by a variance of 0.
         result = scipy.stats.logrank(_censored(first, first_censored), _censored(second, second_censored))
     return 1.0 if np.isnan(result.pvalue) else float(result.pvalue)
 

@@ -199,7 +199,7 @@ def test_each_algorithm_has_the_scenarios_of_a_test_unless_the_papers_are_asked_
         "2 NPCs; the ego starts at 22 m/s in lane 1",
     )
     warning, _, tables = report.partition("## How many collisions")
-    assert "**Warning:** the algorithms have different scenarios, so that" in warning
+    assert "**Warning:** the algorithms have different scenarios, so differences" in warning
     assert f"- distinct: {of_test}; genes of 4 to 10 s, together 20 s; half of them are made of" in warning
     assert f"- distinct@paper, pafot: {papers}; 2 genes of 10 s\n" in warning
     assert "| pafot |" in tables
@@ -307,7 +307,7 @@ def test_interrupted_while_it_draws_it_goes_on_with_the_same_command(tmp_path, c
     monkeypatch.setattr("pytest_pafot.comparison.figures.draw_all", interrupted)
     assert compare(tmp_path, "--algorithms", "random", "--runs", "1", "--generations", "1") == 130
     assert capsys.readouterr().err.endswith(
-        "interrupted; what is finished is kept, the same command goes on with the rest\n"
+        "interrupted; finished runs are saved, the same command continues with the rest\n"
     )
 
 
@@ -340,7 +340,7 @@ def test_a_policy_that_fails_at_once_in_every_run_is_an_error_of_the_set_up(tmp_
     for part in (
         "received ValueError: unexpected shape ()\n",
         'raise ValueError(f"unexpected shape {shape}")\n',
-        "So it was in all 4 runs of the first generation",
+        "This happened in all 4 runs of the first generation",
         "The ADS was given a pafot.Observation (time, ego,",
         "must return (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive. "
         "A policy of a highway-env environment needs that environment, such as --env highway-v0.\n",
