@@ -169,7 +169,7 @@ def test_an_interrupted_session_writes_what_it_has(project, page):
     assert "interrupted" in page.read_text(encoding="utf-8")
 
 
-KEPT = "Every judged run kept the property."
+KEPT = "The property held in every evaluated run."
 NOT_KEPT = {
     "an ADS that fails at once": ("ads=lambda: lambda seen: None", "pass", "The search ended with an error."),
     "a property that is misspelt": ("", "assert run.collided", "did you mean `run.collision`?"),
@@ -187,7 +187,7 @@ def test_the_page_shows_an_error_first_and_does_not_say_that_the_property_was_ke
     result.assert_outcomes(passed=1, failed=len(NOT_KEPT))
     text = html.unescape(page.read_text(encoding="utf-8"))
     assert KEPT not in text
-    assert "No findings, since not everything ran to its end" in text
+    assert "No findings, but an error stopped something before its end." in text
     errors, main, rest = text.partition('<article class="error"')[2].partition("<main>")
     assert main
     assert rest
@@ -242,8 +242,8 @@ def test_only_finds_are_shown_where_a_search_and_its_finds_fail(failing, page):
     ("body", "ending"),
     [
         ("pass", KEPT),
-        ("raise KeyboardInterrupt", "No findings until the interrupt."),
-        ("pytest.exit('enough', returncode=3)", "No findings until the interrupt."),
+        ("raise KeyboardInterrupt", "No findings before the interrupt."),
+        ("pytest.exit('enough', returncode=3)", "No findings before the interrupt."),
     ],
 )
 def test_a_page_without_findings_says_whether_the_search_was_whole(project, page, body, ending):
@@ -257,7 +257,7 @@ def test_a_page_without_findings_says_whether_the_search_was_whole(project, page
 def test_a_search_that_time_cut_says_so_on_the_page(project, page):
     project.write("@pafot.search(SHORT)\ndef test_drive(run):\n    pass\n")
     project.run("--pafot-report=report.html", "--pafot-max-time=0")
-    assert "No findings until time ran out." in page.read_text(encoding="utf-8")
+    assert "No findings before time ran out." in page.read_text(encoding="utf-8")
 
 
 def test_known_failures_whose_scenarios_did_not_run_are_not_taken_for_a_property_that_was_kept(project, page):
@@ -265,7 +265,7 @@ def test_known_failures_whose_scenarios_did_not_run_are_not_taken_for_a_property
     project.run_once("--pafot-shrink-rollouts=0")
     project.run("--pafot-report=report.html", "test_it.py::test_fails[search]")
     text = page.read_text(encoding="utf-8")
-    assert "No new findings. Runs that failed are known" in text
+    assert "No new findings. Some runs failed" in text
     assert KEPT not in text
 
 
