@@ -1,1 +1,1 @@
-"""The user's code under guard: a limit on the time of a decision, and what is recorded of one that fails."""
+"""Protection against failures of the user's code: a time limit on decisions, and the record of a failed one."""

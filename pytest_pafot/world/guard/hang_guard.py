@@ -1,4 +1,4 @@
-"""A limit on the wall-clock time of one decision, so that an ADS that hangs costs one scenario, not the session."""
+"""A limit on the wall-clock time of one decision, so that an ADS that hangs ends one scenario, not the session."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from typing import Any
 from pytest_pafot.support.errors import AdsFactoryError
 
 LONGEST_PAUSE = 1.0
-"""Between two looks at the decisions under way [s]."""
+"""The longest time between two checks of the running decisions [s]."""
 IDLE_LOOKS = 5
-"""After so many looks with no run under way the watching thread ends."""
+"""The number of checks without a run after which the watching thread ends."""
 COPY_LATE = 0.05
-"""How much later than this process a copy of it may come to the end of what the ADS does [s]."""
+"""The extra time for a forked copy of this process to reach the end of the ADS's code [s]."""
 LONGEST_TIMER = 1e6
-"""A timer for more than this is as good as none, and systems refuse what is much longer [s]."""
+"""The longest timer [s]; systems refuse much longer ones, and nobody waits that long."""
 DEBUGGERS = frozenset({"bdb", "pydevd"})
-"""Modules with a function under way while pdb and its kin, or the debugger of an editor, wait for their user."""
+"""The modules that have a function on the stack while pdb, or an editor's debugger, waits for its user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LastResort:
-    """What is done about a decision that cannot be interrupted.
+    """The reaction to a decision that cannot be interrupted.
 
     Attributes:
-        end: ends the process; called by the watching thread.
-        grace: how much longer than its limit a decision may take before that, as interruptions do not end it [s].
-        file: descriptor for a traceback, where the process shall also end if no thread of Python's comes to run for so
-            long, as when native code holds the interpreter's lock; None where somebody else sees to that.
+        end: a function that ends the process; the watching thread calls it.
+        grace: the time for which a decision may ignore interruptions before that [s].
+        file: a file descriptor for a traceback. With it, the process also ends if no Python thread has run for so long,
+            for instance because native code holds the interpreter's lock. None if something else handles that case.
     """
 
     end: Callable[[], None]
@@ -48,7 +48,7 @@ class LastResort:
 
 @contextmanager
 def last_resort(resort: LastResort) -> Iterator[None]:
-    """Have decisions of this process that cannot be interrupted ended as told, inside of a ``with`` block."""
+    """Use a :class:`LastResort` for this process's decisions within a ``with`` block."""
     before = _WATCHDOG.set_resort(resort)
     try:
         yield
@@ -57,17 +57,17 @@ def last_resort(resort: LastResort) -> Iterator[None]:
 
 
 class OneProcess:
-    """The process that calls an ADS, which can fork it. To be used in a ``with`` statement around the ADS's code.
+    """The process that calls an ADS, which may fork it. Use it in a ``with`` statement around the ADS's code.
 
-    A copy that the ADS lets run on would run the rest of the session too, with all that this writes and prints. It is
-    noticed by its process id and ends where the statement does. There the process that it is a copy of raises an
-    ``AdsFactoryError``.
+    If the ADS forks and lets the copy return, the copy would also run the rest of the session, and write and print
+    everything twice. The copy is recognised by its process id, and is ended at the end of the ``with`` statement. The
+    original process raises an ``AdsFactoryError`` there.
     """
 
     def __init__(self) -> None:
         self.pid = os.getpid()
         self.forked_at: float | None = None
-        self._noticed = mmap.mmap(-1, 1)  # A byte that is shared with all copies.
+        self._noticed = mmap.mmap(-1, 1)  # one byte that is shared with all copies
 
     def __enter__(self) -> OneProcess:
         self.forked_at = None
@@ -76,12 +76,12 @@ class OneProcess:
     def __exit__(self, kind: type[BaseException] | None = None, *rest: object) -> None:
         if os.getpid() != self.pid:
             self._noticed[0] = 1
-            os._exit(1)  # Nothing is flushed: what the buffers hold is also in those of the other process.
+            os._exit(1)  # without flushing: the original process has the same data in its buffers
         if self.forked_at is not None:
-            # A copy has as much time as this process has taken since, while there is any child.
+            # Wait for a copy as long as this process has taken since the fork, while it has any child.
             now = time.perf_counter()
             until, self.forked_at = now + (now - self.forked_at) + COPY_LATE, None
-            with suppress(ChildProcessError, AttributeError):  # Not every system can look without taking what it sees.
+            with suppress(ChildProcessError, AttributeError):  # not every system has WNOWAIT
                 while not self._noticed[0] and time.perf_counter() < until:
                     os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
                     time.sleep(0.001)
@@ -89,32 +89,32 @@ class OneProcess:
             self._noticed[0] = 0
             raise AdsFactoryError(
                 "ads: expected an ADS that ends the processes that it forks, received one that lets a copy of this "
-                "process run on; the copy was ended and has written nothing. End it by os._exit() where os.fork() "
-                "gives 0, or use multiprocessing or subprocess"
+                "process run on; the copy was ended and has written nothing. End it with os._exit() if os.fork() "
+                "returns 0, or use multiprocessing or subprocess"
             )
 
 
 class AdsHang(BaseException):
-    """Raised inside a decision that exceeds the limit; no ``except Exception`` of the ADS catches it."""
+    """The interruption of a decision that exceeds the limit; no ``except Exception`` of the ADS catches it."""
 
 
 class HangGuard:
-    """Interrupts the thread that made it when a decision takes longer than a limit.
+    """A guard that interrupts the thread that made it when a decision takes longer than a limit.
 
-    On platforms with ``signal.pthread_kill`` and in the main thread, also blocking system calls are interrupted;
-    elsewhere the exception is raised at the thread's next Python instruction. An ADS that swallows it is interrupted
-    again. A debugger that waits for its user in the main thread is left alone where there are such signals. Code that
-    never returns to the interpreter cannot be interrupted, and an ADS may swallow each interruption: then the
-    :class:`LastResort` remains, and the record of the scenario in flight names it in the next session.
+    In the main thread of platforms with ``signal.pthread_kill``, it also interrupts blocking system calls; elsewhere
+    the exception is raised at the thread's next Python instruction. An ADS that swallows it is interrupted again. With
+    signals, a debugger that waits for its user in the main thread is not interrupted. Code that never returns to the
+    interpreter cannot be interrupted, and an ADS may swallow each interruption. Then the :class:`LastResort` remains,
+    and the next session names the scenario from its record on disk.
 
-    A decision is under guard while ``started`` is set. Whoever ends one cheaply clears ``started`` first and reads the
-    clock then: if by that clock the decision was within the limit, nobody has found it overdue, since the watching
-    thread reads the clock before it looks at ``started``. Else :meth:`settle` is to be called.
+    A decision is guarded while ``started`` is set. A caller may end a decision without a lock: it clears ``started``
+    first and then reads the clock. If the decision was within the limit by that clock, no thread has found it overdue,
+    because the watching thread reads the clock before ``started``. Otherwise the caller must call :meth:`settle`.
 
     Attributes:
         limit: longest decision [s].
-        clock: seconds, monotonic.
-        started: when the decision under way began, by the clock [s]; None between decisions.
+        clock: a monotonic clock [s].
+        started: the start of the running decision by the clock [s]; None between decisions.
     """
 
     def __init__(self, limit: float, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -147,28 +147,28 @@ class HangGuard:
 
     @property
     def pause(self) -> float:
-        """How long a look may be put off [s]."""
+        """The longest time until the next check [s]."""
         return min(self.limit / 4, LONGEST_PAUSE)
 
     def decision_starts(self) -> None:
-        """The ADS is asked now."""
+        """Start to guard a decision."""
         self.started = self.clock()
 
     def decision_ends(self) -> None:
-        """The ADS has answered; once this returns nothing is interrupted.
+        """End the guarded decision; after this returns, nothing is interrupted.
 
-        The interruption may still arrive inside this call, which is then to be called again.
+        The interruption may still arrive inside this call. The caller must then call it again.
         """
         self.started = None
         self.settle()
 
     def settle(self) -> None:
-        """Wait until an interruption that was sent has arrived, after ``started`` is cleared."""
+        """Wait for the arrival of an interruption that was sent; ``started`` must be cleared before."""
         with self._lock:
             sent, self._sent = self._sent, False
         if sent:
-            # It cannot be taken back: CPython 3.11 then looks for an exception for ever, and hangs as soon as a
-            # debugger or a coverage tool traces the thread.
+            # The exception must arrive here. If it is cancelled, CPython 3.11 checks for an exception forever, and
+            # hangs as soon as a debugger or a coverage tool traces the thread.
             try:
                 for _ in range(100):  # an exception for this thread is raised between two instructions of it
                     pass
@@ -176,9 +176,9 @@ class HangGuard:
                 return
 
     def look(self) -> float:
-        """From the watching thread, interrupt a decision that takes too long; for how long it has ignored that [s]."""
+        """Interrupt an overdue decision, and return for how long it has ignored that [s]; for the watching thread."""
         with self._lock:
-            now, started = self.clock(), self.started  # in this order, see above
+            now, started = self.clock(), self.started  # in this order; see the class
             if started is None or now - started <= self.limit:
                 return 0.0
             if self._ignored is None or self._ignored[0] != started:
@@ -191,7 +191,7 @@ class HangGuard:
             return now - self._ignored[1]
 
     def _overdue(self) -> bool:
-        now = self.clock()  # before the look at what is under way, see above
+        now = self.clock()  # before started is read; see the class
         started = self.started
         return started is not None and now - started > self.limit
 
@@ -199,13 +199,13 @@ class HangGuard:
         if not self._overdue():  # a signal that arrives late interrupts nothing
             return
         if _waits_in_a_debugger(sys._getframe()):
-            self.started = self.clock()  # The time of whoever looks is not that of the decision.
+            self.started = self.clock()  # the user's time in the debugger does not count
             return
         raise AdsHang
 
 
 class _Watchdog:
-    """The thread that looks after all guards of the process: to start one for each run would cost as much as a run."""
+    """The thread that serves all guards of the process; starting one for each run would take as long as a run."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -216,7 +216,7 @@ class _Watchdog:
         self._resort: LastResort | None = None
         self.process = OneProcess()
         self._timed: float | None = None
-        """The limit that the timer runs for [s]; None where it does not run."""
+        """The limit for which the timer runs [s]; None if it does not run."""
 
     def watch(self, guard: HangGuard) -> None:
         with self._lock:
@@ -232,7 +232,7 @@ class _Watchdog:
 
     def leave(self, guard: HangGuard) -> None:
         with self._lock:
-            if guard in self._guards:  # not in a process that was forked inside of a run
+            if guard in self._guards:  # it is not there in a process that was forked during a run
                 self._guards.remove(guard)
 
     def set_resort(self, resort: LastResort | None) -> LastResort | None:
@@ -242,12 +242,12 @@ class _Watchdog:
             return before
 
     def before_fork(self) -> None:
-        """The forked process has no thread that runs the timer, and would wait for its end."""
+        """Stop the timer before a fork; the forked process lacks the timer's thread, and would wait for it forever."""
         with self._lock:
             self._stop_timer()
 
     def after_fork(self) -> None:
-        """In the process that was forked."""
+        """Note the time of a fork, in the process that forked."""
         self.process.forked_at = time.perf_counter()
 
     def _run(self) -> None:
@@ -270,9 +270,9 @@ class _Watchdog:
                 resort.end()
 
     def _start_timer(self) -> None:
-        """Put the end of the process off until the next look; once no run is under way, nothing ends it.
+        """Restart the timer that ends the process, until the next check; stop it if no run is in progress.
 
-        Not from run to run, of which there may be a thousand in a second: a timer is a thread.
+        This is done per check and not per run, because a timer is a thread, and there may be a thousand runs a second.
         """
         resort = self._resort
         if not self._guards:
@@ -289,26 +289,26 @@ class _Watchdog:
 
 
 def _is_debugged() -> bool:
-    """Whether a debugger may have stopped all threads."""
-    monitoring = getattr(sys, "monitoring", None)  # of Python 3.12
+    """Return whether a debugger may have stopped all threads."""
+    monitoring = getattr(sys, "monitoring", None)  # since Python 3.12
     is_monitored = monitoring is not None and monitoring.get_tool(monitoring.DEBUGGER_ID) is not None
     return is_monitored or sys.gettrace() is not None
 
 
 def _waits_in_a_debugger(frame: FrameType | None) -> bool:
-    """Whether a debugger has stopped this thread at a line, or runs it."""
+    """Return whether a debugger has stopped this thread at a line, or runs it."""
     while frame is not None and frame.f_globals.get("__name__") not in DEBUGGERS:
         frame = frame.f_back
     return frame is not None
 
 
 def one_process() -> OneProcess:
-    """What notices copies of this process; the same object each time, since a run takes a millisecond."""
+    """Return the object that notices copies of this process; it is always the same one, which saves time per run."""
     return _WATCHDOG.process
 
 
 _WATCHDOG = _Watchdog()
-if hasattr(os, "register_at_fork"):  # a forked process has no other thread, and a lock that one held stays locked
+if hasattr(os, "register_at_fork"):  # a forked process has only one thread, and locks of others stay locked
     os.register_at_fork(
         before=_WATCHDOG.before_fork,
         after_in_parent=_WATCHDOG.after_fork,
