@@ -221,7 +221,7 @@ def test_drive_NUMBER(run):
 CONFIG = (
     "A policy needs the config= and the wrappers= that it was trained with; a planner in SI units needs pafot.Highway"
 )
-NO_FACTORY = "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: `lambda: MyPlanner()`"
+NO_FACTORY = "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh one: `lambda: MyPlanner()`"
 
 PREDICT = (
     "It has a method 'predict': let the factory return a function of the observation that calls it, "
@@ -237,7 +237,7 @@ MESSAGES = {
     "ads=lambda observation: (0.0, 0.0)": [NO_FACTORY],
     "ads=keep": [
         "with the signature (observation) ",
-        "Where keep is itself the ADS, write `lambda: keep`; where it makes one, `lambda: keep(...)`",
+        "If keep is the ADS itself, write `lambda: keep`; if it makes one, `lambda: keep(...)`",
     ],
     "ads=lambda: (0.0, 0.0)": ["received (0.0, 0.0)", "write `lambda: lambda observation: ...`"],
     "ads=lambda: print()": ["received None. Is a `return` missing in it?"],

@@ -1,1 +1,1 @@
-"""Who drives: kinds of ADS, the guard of their decisions, vehicles, drivers of NPCs."""
+"""Drivers and vehicles: kinds of ADS, their sight, highway-env's vehicles, and directors of NPCs."""

@@ -1,4 +1,4 @@
-"""The four kinds of ADS, behind one interface: something that drives the ego vehicle of one run."""
+"""The four kinds of ADS behind one interface, which drives the ego of one run; and calls of ADS factories."""
 
 from __future__ import annotations
 
@@ -35,54 +35,54 @@ if TYPE_CHECKING:
     from pytest_pafot.world.driving.vehicles import Car
 
 PREDICTING = "`lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
-"""The factory of an ADS that asks a trained model."""
+"""An example of a factory whose ADS calls a trained model, for messages."""
 
 AdsFactory = Callable[..., Any]
-"""Gives a fresh ADS, called once per scenario.
+"""A callable that returns a fresh ADS; it is called once per scenario.
 
-It may have a method ``check_world(world)``, which raises where it gives nothing that drives there; a method
-``preload()``, which is called in the session, whose forked processes then have what it loads; a text
-``weights_digest``, a hash of the policy, which findings keep; and a text ``loading_hint``, which is a note of a search.
+It may have these optional members: a method ``check_world(world)``, which raises if its ADSs cannot drive there; a
+method ``preload()``, which the session calls so that forked processes share what it loads; a text ``weights_digest``, a
+hash of the policy, which findings store; and a text ``loading_hint``, which a search reports as a note.
 """
 
 
 class EgoDriver(Protocol):
-    """Drives the ego of one run.
+    """The driver of the ego in one run.
 
     Attributes:
         vehicle: the ego, a highway-env vehicle.
-        every: physics ticks from one decision to the next.
+        every: the number of physics ticks between decisions.
     """
 
     vehicle: Any
     every: int
 
     def decide(self, tick: int) -> Any:
-        """Ask the ADS, apply its action, and return that; runs the user's code."""
+        """Call the ADS, which is the user's code, apply its action, and return the action."""
 
     def actuate(self) -> None:
-        """Low-level control in every tick, after a decision if there is one."""
+        """Apply the low-level control of a tick; called in every tick, after a decision if there is one."""
 
 
 class AskedDriver(EgoDriver, Protocol):
-    """Drives the ego with the actions of an ADS, which may be asked elsewhere."""
+    """The driver of the ego with actions of an ADS, which other code may call."""
 
     def observe(self, tick: int) -> Any:
-        """What the ADS sees."""
+        """Return the ADS's observation at a tick."""
 
     def apply(self, action: Any) -> Any:
         """Check an action, apply it, and return it as checked."""
 
 
 def is_vehicle_class(candidate: object) -> bool:
-    """Whether something is a highway-env vehicle class, or a ``functools.partial`` of one."""
+    """Return whether an object is a highway-env vehicle class, or a ``functools.partial`` of one."""
     inner = candidate.func if isinstance(candidate, functools.partial) else candidate
-    kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # whoever has a vehicle class has imported it
+    kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # imported wherever a vehicle class exists
     return kinematics is not None and isinstance(inner, type) and issubclass(inner, kinematics.Vehicle)
 
 
 def wants_env(factory: AdsFactory) -> bool:
-    """Whether a factory has a parameter ``env``."""
+    """Return whether a factory has a parameter ``env``."""
     if _takes_nothing(factory):
         return False
     try:
@@ -92,42 +92,45 @@ def wants_env(factory: AdsFactory) -> bool:
 
 
 def check_drives_in(factory: AdsFactory, world: Any) -> None:
-    """Have a factory compare itself with a world, where it can; it says by its error what does not fit."""
+    """Call a factory's ``check_world``, if it has one; its error reports what does not fit the world."""
     check = _of_factory(factory, "check_world")
     if check is not None:
         check(world)
 
 
 def preload(factory: AdsFactory) -> None:
-    """Have a factory load what its ADSs share, where it can, so that not each forked process has to."""
+    """Call a factory's ``preload``, if it has one, so that not each forked process has to load the same."""
     load = _of_factory(factory, "preload")
     if load is not None:
         load()
 
 
 def weights_digest(factory: AdsFactory) -> str:
-    """The hash of the policy that a factory gives; empty where it tells none."""
+    """Return the hash of a factory's policy; empty if it states none."""
     told = _of_factory(factory, "weights_digest")
     return told if isinstance(told, str) else ""
 
 
 def loading_hint(factory: AdsFactory) -> str:
-    """Return what a factory doubts of how it was asked to load its policy; empty where it says nothing."""
+    """Return a factory's doubt about the options for loading its policy; empty if it has none."""
     told = _of_factory(factory, "loading_hint")
     return told if isinstance(told, str) else ""
 
 
 def _of_factory(factory: AdsFactory, name: str) -> Any:
-    """An attribute of a factory, or of the one that it is around; None without, and of a class, whose ADSs have it."""
+    """Return an attribute of a factory or of the factory that it wraps; None without.
+
+    A class has none, because its attributes belong to its instances, the ADSs.
+    """
     inner = inspect.unwrap(factory)
     return None if isinstance(inner, type) else getattr(inner, name, None)
 
 
 def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
-    """A fresh ADS.
+    """Make a fresh ADS; a vehicle class is returned as it is.
 
     Raises:
-        AdsFactoryError: when the factory cannot be called so, or gives nothing that drives.
+        AdsFactoryError: if the factory cannot be called with these arguments, or returns nothing that drives.
     """
     if is_vehicle_class(factory):
         return factory
@@ -145,7 +148,7 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
         if re.search(r"__init__\(\) missing .*'position'", str(error)):
             error.add_note(
                 "To let a highway-env vehicle drive, give its class itself, as in `ads=MyVehicle`, without calling it: "
-                "each run puts a vehicle of its own on its road."
+                "each run makes its own vehicle."
             )
         raise
     if isinstance(ads, SeeingAds):
@@ -162,21 +165,21 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
 
 
 def _check_sight_is_told(factory: AdsFactory, ads: SeeingAds) -> None:
-    """Refuse an imperfect sight that only the ADS has: who looks at the factory would take it for perfect."""
+    """Refuse an imperfect sight that only the ADS has, because a reader of the factory would assume perfect sight."""
     seeing = inspect.unwrap(factory, stop=lambda each: getattr(each, "sight", None) == ads.sight)
     if getattr(seeing, "sight", None) != ads.sight:
         raise AdsFactoryError(
             f"ads: expected a pafot.Perception as the factory itself, received one that {shown(factory)} makes and "
-            "calls, so that no finding could tell what is not seen; write "
+            "calls, so that findings would not state the imperfect sight; write "
             "`ads=pafot.Perception(lambda: MyPlanner(), ...)`, or return that from the fixture"
         )
 
 
 def hint_at_object(given: Any) -> str:
-    """What to write where an object cannot be called but has what an ADS is made of; empty for others."""
+    """Return a hint for an object that cannot be called but has the parts of an ADS; empty for other objects."""
     if is_vehicle_class(type(given)):
         name = type(given).__name__
-        return f"Give the class itself, `{name}`, without calling it: each run puts a vehicle of its own on its road"
+        return f"Give the class itself, `{name}`, without calling it: each run makes its own vehicle"
     method = next((name for name in ("predict", "act", "decide", "step") if callable(getattr(given, name, None))), "")
     if not method:
         return ""
@@ -185,7 +188,7 @@ def hint_at_object(given: Any) -> str:
 
 
 def _takes_nothing(factory: AdsFactory) -> bool:
-    """Whether a factory is a plain function without parameters, seen at a glance: signatures cost much."""
+    """Return whether a factory is a plain function without parameters; this is much faster than its signature."""
     if type(factory) is not FunctionType or factory.__dict__:
         return False
     code = factory.__code__
@@ -208,13 +211,13 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
         if isinstance(inner, type):
             hint = f"Give the arguments in a function, `lambda: {inner.__name__}(...)`"
         elif getattr(inner, "__name__", "") == "predict":
-            hint = f"Of a model, write {PREDICTING}"
+            hint = f"For a model, write {PREDICTING}"
         elif inspect.isfunction(inner) and inner.__name__ != "<lambda>":
             name = inner.__name__
-            hint = f"Where {name} is itself the ADS, write `lambda: {name}`; where it makes one, `lambda: {name}(...)`"
+            hint = f"If {name} is the ADS itself, write `lambda: {name}`; if it makes one, `lambda: {name}(...)`"
         else:
             hint = (
-                "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: "
+                "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh one: "
                 "`lambda: MyPlanner()`, or `return lambda: MyPlanner()` in the fixture"
             )
         raise AdsFactoryError(
@@ -224,13 +227,13 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
 
 
 def give_route(vehicle: Any, route: Sequence[Any] | None) -> None:
-    """Give a vehicle the environment's route, if both have one; highway-env shortens the list as it drives."""
+    """Give a vehicle a copy of the environment's route, if both have one; highway-env shortens it while driving."""
     if route is not None and hasattr(vehicle, "route"):
         vehicle.route = list(route)
 
 
 class SelfDriving:
-    """Kind (c): a highway-env vehicle class that drives itself, at every physics tick."""
+    """The driver for kind (c) of ADS: a highway-env vehicle class that drives itself, at every physics tick."""
 
     every = 1
 
@@ -243,16 +246,16 @@ class SelfDriving:
         give_route(self.vehicle, route)
 
     def decide(self, tick: int) -> None:
-        """The vehicle's own ``act``."""
+        """Call the vehicle's own ``act``."""
         self.vehicle.act()
 
     def actuate(self) -> None:
-        """Nothing: the vehicle has acted."""
+        """Do nothing, because the vehicle has acted."""
 
 
 @dataclass(eq=False)
 class Planner:
-    """Kind (a): a callable from :class:`Observation` to (acceleration [m/s^2], steering [rad]) or :class:`Drive`."""
+    """The driver for kind (a) of ADS: a callable from :class:`Observation` to acceleration and steering, or a Drive."""
 
     ads: Callable[[Observation], Any]
     road: Road
@@ -263,15 +266,15 @@ class Planner:
     sight: PlannerSight | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        # What there was in the last ticks, the oldest as far back as the latency, or at the start.
+        # The exact observations of the last ticks. The oldest is as old as the latency, or from the start.
         self._past: deque[Observation] = deque(maxlen=0 if self.sight is None else self.sight.delay)
         self._drive: Drive | None = None
-        self._angle = 0.0  # of the wheels, on a road that bends beside what following the lane takes
+        self._angle = 0.0  # of the wheels, without what a bend adds
         self._tracker = LaneTracker(self.vehicle.LENGTH, 1 / self.physics_hz)
         self._tracks = False
 
     def decide(self, tick: int) -> tuple[float, float] | Drive:
-        """Observe, ask, check and apply."""
+        """Observe, call the ADS, and check and apply its action."""
         return self.apply(self.ads(self.observe(tick)))
 
     def apply(self, action: Any) -> tuple[float, float] | Drive:
@@ -287,7 +290,7 @@ class Planner:
         return checked
 
     def actuate(self) -> None:
-        """Steer to a lane and drive a speed, where so decided; brake to a standstill, never into reverse."""
+        """Set the controls of a tick: steer towards the lane and speed of a Drive, and never drive in reverse."""
         if self._past.maxlen:
             self._past.append(self._now(0))
         car, drive = self.vehicle, self._drive
@@ -312,13 +315,13 @@ class Planner:
         return 0.0
 
     def _place(self) -> tuple[float, float]:
-        """Across the road [m] and the heading to it [rad], now."""
+        """Return the ego's current position across the road [m] and its heading relative to it [rad]."""
         road, car = cast("StraightRoad", self.lanes), self.vehicle
         _, across, heading = road.project(car.x, car.y, car.heading)
         return across, heading
 
     def observe(self, tick: int) -> Observation:
-        """What the ADS sees: all vehicles as they are now, unless its sight is imperfect."""
+        """Return the ADS's observation: all vehicles in their current state, unless its sight is imperfect."""
         now = self._now(tick)
         return now if self.sight is None else self.sight.seen(now, self._past[0] if self._past else now)
 
@@ -339,7 +342,7 @@ class Planner:
         )
 
     def _details(self, lateral: tuple[float, ...]) -> dict[str, Any]:
-        """What an observation has on any road."""
+        """Return the fields of an observation that any road has."""
         return {
             "decision_period": self.every / self.physics_hz,
             "acceleration": self.vehicle.acceleration,

@@ -1,4 +1,4 @@
-"""Which highway-env vehicle classes the kernel can drive: IDMVehicle, and subclasses that only set its constants."""
+"""Recognition of the vehicle classes that the kernel can drive: IDMVehicle, and subclasses that only set constants."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ CONSTANTS = (
     "POLITENESS", "LANE_CHANGE_MIN_ACC_GAIN", "LANE_CHANGE_MAX_BRAKING_IMPOSED", "LANE_CHANGE_DELAY", "KP_HEADING",
     "KP_LATERAL", "MAX_STEERING_ANGLE",
 )  # fmt: skip
-"""Numbers of the model that a subclass may set."""
+"""The constants of the model that a subclass may set."""
 ORDINARY = frozenset({
     "__module__", "__qualname__", "__doc__", "__annotations__", "__annotate__", "__annotate_func__",
     "__firstlineno__", "__static_attributes__", "__abstractmethods__", "_abc_impl",
 })  # fmt: skip
-"""What Python itself puts into a class."""
+"""The attributes that Python itself adds to a class."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdmModel:
-    """IDM+MOBIL with these constants of the class, and whether it changes lanes."""
+    """The constants of a vehicle class that drives by IDM and MOBIL, and whether it changes lanes."""
 
     constants: Mapping[str, float]
     changes_lanes: bool
 
 
 def idm_model(ads: Any) -> IdmModel | None:
-    """The model of a vehicle class, or of a ``functools.partial`` of one; None where the class has code of its own."""
+    """Return the model of a vehicle class or a ``functools.partial`` of one; None if the class has its own code."""
     whole = ads if isinstance(ads, functools.partial) else functools.partial(ads)
     cls, options = whole.func, whole.keywords
     stock = getattr(sys.modules.get("highway_env.vehicle.behavior"), "IDMVehicle", None)

@@ -1,6 +1,6 @@
-"""highway-env's Kinematics observation written straight into an array, equal to its own to the last bit.
+"""highway-env's Kinematics observation without pandas, equal to the last bit.
 
-highway-env builds it through pandas, which costs more than all the rest of a run.
+highway-env builds the observation with pandas, which takes longer than all the rest of a run.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _RELATIVE = ("x", "y", "vx", "vy")
 
 
 def observer(env: Any) -> Any:
-    """A function without arguments that observes an environment as its observation type does."""
+    """Return a function without arguments that returns an environment's observation, a faster one if possible."""
     stock = env.observation_type
     is_supported = (
         type(stock) is observation.KinematicObservation
@@ -36,13 +36,13 @@ def observer(env: Any) -> Any:
 
 @dataclass(eq=False)
 class FastKinematics:
-    """Kinematics of the ego and of the vehicles nearest along its lane, with the settings of an environment's own."""
+    """The kinematics of the ego and of the vehicles nearest along its lane, with the environment's settings."""
 
     _env: Any
     _stock: Any
 
     def __call__(self) -> Any:
-        """float32, shape [vehicles_count, features]."""
+        """Return the observation as float32 of shape [vehicles_count, features]."""
         stock = self._stock
         ego = stock.observer_vehicle
         rows = [_features(vehicle) for vehicle in (ego, *self._close(ego))]
@@ -74,7 +74,7 @@ class FastKinematics:
         return [vehicle for _, vehicle in found[: self._stock.vehicles_count - 1]]
 
     def _along(self, ego: Any) -> Callable[[Any], float]:
-        """Return how far along the ego's lane a position is [m]."""
+        """Return a function from a position to its place along the ego's lane [m]."""
         lane = ego.lane
         if not self._is_straight:
             return lambda position: float(lane.local_coordinates(position)[0])
@@ -97,7 +97,7 @@ class FastKinematics:
 
     @cached_property
     def _ranges(self) -> list[tuple[float, float] | None]:
-        """Of each feature, what becomes -1 and 1."""
+        """The values of each feature that become -1 and 1; None for a feature that is not scaled."""
         ranges = self._stock.features_range
         if not ranges:
             lanes = len(self._env.road.network.all_side_lanes(self._stock.observer_vehicle.lane_index))

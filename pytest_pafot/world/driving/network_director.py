@@ -1,4 +1,4 @@
-"""Who drives where on roads of any shape: the director with lanes that bend, begin and end."""
+"""The director of NPCs on roads of any shape, with lanes that bend, begin and end."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import NetworkRoad
 
 LOOK_AHEAD = 3.0
-"""For how long a lane must go on to be entered, and from how long before its end on it is left [s]."""
+"""The time [s] for which a lane must continue so that an NPC enters it; an NPC leaves a lane that ends within it."""
 HEADING_SHARE = 0.9
-"""Share of the largest angle to a lane that is used to the lane that an NPC steers to: the one beside it, in which it
-still is, does not point exactly the same way where bends begin and end."""
+"""The share of the largest angle to a lane that an NPC uses towards its target lane. It leaves a reserve, because at
+the beginning and end of a bend the lane that it leaves has a slightly different direction."""
 CHANGING_SHARE = 0.3
-"""Share of the lateral acceleration that following a bend may take of an NPC that speeds up while it changes lanes."""
+"""The share of its lateral acceleration that an NPC may use for a bend while it speeds up during a lane change."""
 BETWEEN_LANES = 0.5
-"""How far from the centre of the lane that it steers to an NPC still changes lanes [m]."""
+"""The distance from the centre of its target lane beyond which an NPC still changes lanes [m]."""
 
 
 class Others(Protocol):
-    """NPCs on ways of their own, which those on the grid do not drive into."""
+    """NPCs on their own ways, into which NPCs on the grid do not drive."""
 
     def ceiling(self, npc: Npc) -> float:
-        """The highest speed of an NPC that leaves the others their places [m/s]."""
+        """Return the highest speed of an NPC that leaves the others their places [m/s]."""
 
     def leaves_room(self, npc: Npc, lane: int) -> bool:
-        """Return whether an NPC may enter a lane as far as the others are concerned."""
+        """Return whether the others leave room for an NPC in a lane."""
 
 
 class NetworkDirector(Director):
-    """Drives the NPCs of one run on a :class:`NetworkRoad`.
+    """The director of the NPCs of one run on a :class:`NetworkRoad`.
 
-    What differs from a straight road: a lane is only entered where it goes on, and left before it ends; the speed is
-    at most what bends and ends ahead leave; steering follows the lane; an NPC behind the ego that has no lane to pass
-    in follows it; steps on the ring skip cells that do not exist. Bodies have the position across the road in the
-    measure of lanes, and the heading to the ego's way; an NPC's course is a direction in the world.
-    An NPC may start in the ``start_cells``; what else is given is as for :class:`Director`.
+    It differs from the director of a straight road: NPCs enter only a lane that continues, and leave it before it ends.
+    Bends and ends ahead limit the speed. Steering follows the lane. An NPC behind the ego without a lane to pass in
+    follows it. Steps on the ring skip cells that do not exist. Bodies have their nominal position across the road, and
+    their heading relative to the ego's way; an NPC's course is a direction in the world.
+    NPCs may start in the ``start_cells``; all other arguments are as for :class:`Director`.
 
     Attributes:
-        others: who else drives there on ways of their own; None where nobody does.
+        others: the NPCs that drive on their own ways; None if there are none.
     """
 
     others: Others | None = None
@@ -64,16 +64,16 @@ class NetworkDirector(Director):
 
     @property
     def executed(self) -> Scenario:
-        """The scenario as driven, where it can be written so; else as requested.
+        """The scenario as driven, if chains can express it; else as requested.
 
-        A chain of a scenario steps from cell to neighbouring cell. Where cells were skipped, no chain says so, and the
-        scenario stays what it was, which gives the same run again as well.
+        A chain steps only between neighbouring cells and cannot express skipped cells. In that case the scenario is the
+        requested one, which gives the same run again, too.
         """
         return self._scenario if self.driven else super().executed
 
     @property
     def driven(self) -> tuple[tuple[Cell, ...], ...]:
-        """Per NPC and started gene, the cell that it drove to, where cells were skipped; else nothing."""
+        """The cell that each NPC drove to in each started gene if cells were skipped; else empty."""
         cells = tuple(tuple(npc.executed) for npc in self.npcs)
         written = super().executed.positions
         is_written = all(
@@ -100,10 +100,10 @@ class NetworkDirector(Director):
         wanted = self._following(npc, wanted)
         if self.others is not None:
             wanted = min(wanted, self.others.ceiling(npc))
-        gained = max(npc.asked, 0.0) ** 2 / (2 * self._jerk)  # while the accelerator is released
+        gained = max(npc.asked, 0.0) ** 2 / (2 * self._jerk)  # speed gained while the accelerator is released
         for lane in (npc.lane, goal):
             wanted = min(wanted, self._network.speed_at(lane, npc.x) - gained)
-        if abs(npc.y - self._network.centre(goal)) > BETWEEN_LANES:  # turned outwards it must be able to turn back
+        if abs(npc.y - self._network.centre(goal)) > BETWEEN_LANES:  # so that it can turn back if turned outwards
             changing = math.sqrt(CHANGING_SHARE * self._lateral / max(self._sharpest(npc, goal), 1e-9))
             wanted = min(wanted, max(npc.speed, changing))
         npc.asked = self._driver.acceleration(wanted, npc.asked, npc.speed)
@@ -111,11 +111,11 @@ class NetworkDirector(Director):
         self._steer(npc, goal)
 
     def _sharpest(self, npc: Npc, goal: int) -> float:
-        """Curvature of the sharpest bend of a lane that an NPC meets in a lane change [1/m]."""
+        """Return the largest curvature of a lane that an NPC meets during a lane change [1/m]."""
         return self._network.columns[goal].sharpest[self._network.point(npc.x)]
 
     def _aim(self, npc: Npc, ego: Body) -> tuple[int, float]:
-        """The lane to steer to, and the speed that the instruction asks for."""
+        """Return the lane to steer to, and the speed for the instruction [m/s]."""
         target_lane = ego.lane + npc.column
         stretch, ego_stretch = self._stretch(npc), self._stretch(ego)
         along = self._target(npc, ego) if self._attentive else npc.target
@@ -137,7 +137,7 @@ class NetworkDirector(Director):
         return goal, wanted
 
     def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
-        """One step nearer to the target where that lane goes on; out of a lane that ends."""
+        """Return the next lane towards the target if that lane continues; a neighbour if the NPC's own lane ends."""
         wanted = self._step(npc, target_lane, ego)
         if wanted != npc.lane or self._goes_on(npc.lane, npc):
             return wanted
@@ -153,7 +153,7 @@ class NetworkDirector(Director):
         return step if self._goes_on(step, npc) and is_slow_enough and has_room else npc.lane
 
     def _goes_on(self, lane: int, npc: Npc) -> bool:
-        """Whether a lane is there for an NPC, from its rear to where it is some seconds later."""
+        """Return whether a lane exists from an NPC's rear to its place :data:`LOOK_AHEAD` seconds later."""
         rear, later = npc.x - self._length, npc.x + self._length + LOOK_AHEAD * npc.speed
         return self._network.continues(lane, max(rear, 0.0), later)
 

@@ -1,4 +1,4 @@
-"""The factory of an ADS that sees the others imperfectly, around any factory of a planner or a policy."""
+"""A factory of ADSs with imperfect sight, which wraps any factory of a planner or a policy."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads
 from pytest_pafot.world.driving.seeing import SeeingAds
 
-DRIVES_ITSELF = "a highway-env vehicle class drives itself and looks at the road, where nothing can be hidden from it"
+DRIVES_ITSELF = "a highway-env vehicle class drives itself and reads the road, so nothing can be hidden from it"
 
 
 @dataclass(frozen=True)
 class Perception:
-    """An ADS factory around another one, whose ADS sees the other vehicles imperfectly.
+    """An ADS factory that wraps a factory, so that its ADS sees the other vehicles imperfectly.
 
-    Its own vehicle, the road and fixed objects beside it are as they are. What is drawn is drawn by the seed of the
-    scenario, so that a scenario gives the same run each time, in any process.
+    The ADS sees its own vehicle, the road and fixed objects exactly. All random values follow from the scenario's seed,
+    so a scenario gives the same run each time and in any process.
 
     Attributes:
-        ads: the factory: of planners in SI units, or of policies of an environment whose observation is Kinematics, an
-            occupancy grid, times to collision or a lidar's, also with a parameter ``env``.
-        range: others are not seen when their centre is farther from the ego's [m]; None without.
-        latency: others are seen as they were so long ago [s], to the next whole physics tick; before that time has
-            passed, as they were at the start. Range and occlusion are those of then, the ego's own state is that of
-            now.
+        ads: the wrapped factory. It makes planners in SI units, or policies for an environment with the observation
+            Kinematics, OccupancyGrid, TimeToCollision or LidarObservation; it may have a parameter ``env``.
+        range: the largest distance between centres at which the ADS sees a vehicle [m]; None for no limit.
+        latency: the age of the others' states [s], rounded up to whole physics ticks. Until that time has passed, the ADS
+            sees the states at the start. Range and occlusion also belong to the earlier time, but the ego's own state
+            is current.
         noise: standard deviations of normal errors of the others' ``"position"``, along x and along y [m], and
-            ``"speed"`` [m/s], such as ``{"position": 0.5}``; drawn anew for each vehicle at each decision.
-        dropout: probability with which another vehicle is not seen, drawn likewise; 0 to 1.
-        occlusion: whether vehicles hide others: one is not seen where the straight lines from the ego's centre to its
-            centre and to its four corners all run through boxes of others.
+            ``"speed"`` [m/s], such as ``{"position": 0.5}``. They are sampled for each vehicle at each decision.
+        dropout: the probability that the ADS does not see a vehicle, 0 to 1. It is sampled likewise.
+        occlusion: if true, vehicles hide each other: a vehicle is hidden if the straight lines from the ego's centre to
+            its centre and to its four corners all run through boxes of other vehicles.
 
     Raises:
-        FieldError: for a value that cannot be, such as a negative latency.
-        AdsFactoryError: for a vehicle class, which drives itself, and for another Perception.
+        FieldError: for an impossible value, such as a negative latency.
+        AdsFactoryError: for a vehicle class, which drives itself, and for a second Perception.
     """
 
     ads: AdsFactory
@@ -53,7 +53,7 @@ class Perception:
         _ = self.sight
         fix = ""
         if isinstance(self.ads, Perception):
-            fix = "give all that is imperfect to one Perception"
+            fix = "give all imperfections to one Perception"
         elif is_vehicle_class(self.ads):
             fix = DRIVES_ITSELF
         elif not callable(self.ads):
@@ -64,7 +64,7 @@ class Perception:
 
     @property
     def sight(self) -> Sight:
-        """How its ADS sees."""
+        """The sight of its ADS."""
         return Sight(
             range=self.range,
             latency=self.latency,
@@ -74,24 +74,24 @@ class Perception:
         )
 
     def seeing(self, sight: Sight) -> Perception:
-        """The same factory with another sight."""
+        """Return the same factory with a different sight."""
         return replace(self, **{each.name: getattr(sight, each.name) for each in fields(sight)})
 
     @property
     def __wrapped__(self) -> AdsFactory:
-        """Whose signature is the factory's."""
+        """The wrapped factory, from which :mod:`inspect` takes the signature."""
         return self.ads
 
     def __call__(self, *observations: Any, **arguments: Any) -> Any:
-        """A fresh ADS that sees so.
+        """Make a fresh ADS with this sight.
 
         Raises:
-            AdsFactoryError: where it is called with an observation, as an ADS is; where the factory cannot be called,
-                or gives nothing that drives, or a vehicle class.
+            AdsFactoryError: if it is called with an observation, like an ADS; if the factory cannot be called; or if
+                the factory returns a vehicle class or nothing that drives.
         """
         if observations:
             raise AdsFactoryError(
-                "ads: expected pafot.Perception as the factory, received one in the place of an ADS, given an "
+                "ads: expected pafot.Perception as the factory, received one in the place of an ADS, called with an "
                 "observation; write `ads=pafot.Perception(MyPlanner, ...)`, or return that from the fixture"
             )
         ads = make_ads(self.ads, **arguments)
@@ -101,12 +101,12 @@ class Perception:
 
 
 def sight_of(factory: Any) -> Sight | None:
-    """How the ADSs of a factory see; None where that is perfect."""
+    """Return the sight of a factory's ADSs; None if it is perfect."""
     factory = inspect.unwrap(factory, stop=lambda each: isinstance(each, Perception))
     sight = factory.sight if isinstance(factory, Perception) else None
     return sight if sight is not None and sight.imperfections else None
 
 
 def ads_and_sight(ads: Any) -> tuple[Any, Sight | None]:
-    """An ADS that is shown observations, and how it sees; None where all is as it is."""
+    """Return the ADS that receives observations, and its sight; None as the sight if it is perfect."""
     return (ads.ads, ads.sight) if isinstance(ads, SeeingAds) else (ads, None)

@@ -1,4 +1,4 @@
-"""ADSs that speak an environment's own language, and the view of it that planners inside it get."""
+"""ADSs that use an environment's own observations and actions, and the view that planners inside it simulate in."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from pytest_pafot.world.stock import Road, class_from_path
 
 
 class Policy:
-    """Kinds (b) and (d): a callable from the environment's observation to its action.
+    """The driver for kinds (b) and (d) of ADS: a callable from the environment's observation to its action.
 
-    The road and ego of the environment are those of the run. A view, for kind (d), is brought up to the run's state
-    before each decision. With a sight, both show what is seen.
+    The environment has the road and the ego of the run. For kind (d), the view is updated to the run's state before
+    each decision. With a sight, both show only what is seen.
     """
 
     def __init__(
@@ -38,11 +38,11 @@ class Policy:
         self._sight = sight
 
     def decide(self, tick: int) -> Any:
-        """Observe, ask, check and apply."""
+        """Observe, call the ADS, and check and apply its action."""
         return self.apply(self._ads(self.observe(tick)))
 
     def observe(self, tick: int) -> Any:
-        """What the ADS sees."""
+        """Return the ADS's observation at a tick."""
         env = self.env
         env.steps = tick
         env.time = tick / env.config["simulation_frequency"]
@@ -58,14 +58,14 @@ class Policy:
         return checked
 
     def actuate(self) -> None:
-        """Low-level control of highway-env's controlled vehicles."""
+        """Apply the low-level control of highway-env's controlled vehicles."""
         if self._sight is not None:
             self._sight.note()
         self.vehicle.act()
 
 
 def check_action_space(space: Any) -> None:
-    """Raise a :class:`WorldError` for actions that are not for one vehicle."""
+    """Raise a :class:`WorldError` for an action space that is not for one vehicle."""
     if not isinstance(space, (spaces.Discrete, spaces.Box)):
         raise WorldError(
             f"config.action: expected a discrete or continuous action for one vehicle, received the space "
@@ -74,7 +74,11 @@ def check_action_space(space: Any) -> None:
 
 
 def checked_action(action: Any, space: Any) -> Any:
-    """An action as the space has it, an int or a float array of its shape; raises :class:`BadAction` for any other."""
+    """Return an action in the form of a space, an int or a float array of its shape.
+
+    Raises:
+        BadAction: for an action that is not in the space.
+    """
     is_choice = isinstance(space, spaces.Discrete)
     expected = f"expected finite numbers of shape {space.shape}"
     if is_choice:
@@ -98,7 +102,7 @@ def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
 
 
 def _hint_at_choice(array: Any, space: Any) -> str:
-    """What an array probably is that should have been the number of an action."""
+    """Return a hint for an array in place of the number of an action; empty if its meaning is not clear."""
     if array.dtype.kind == "f" and array.shape == (2,) and space.n != 2:
         return "planners in SI units drive without world=, or in a pafot.World(..., planner_hz=5)"
     if array.dtype.kind == "f" and array.size == space.n:
@@ -109,7 +113,7 @@ def _hint_at_choice(array: Any, space: Any) -> str:
 
 
 def copies_on(objects: Sequence[Any], road: Road) -> list[Any]:
-    """Copies of a road's fixed objects on another road."""
+    """Copy a road's fixed objects to a different road."""
     copies = [copy.copy(each) for each in objects]
     for each in copies:
         each.road = road
@@ -117,10 +121,10 @@ def copies_on(objects: Sequence[Any], road: Road) -> list[Any]:
 
 
 class View:
-    """An environment for a planner to copy and simulate in, in step with the run but blind to the NPCs' genes.
+    """An environment for a planner to copy and simulate in, with the run's state but without the NPCs' genes.
 
-    The ego is a copy of the run's; every other vehicle is one of the environment's own traffic class, at the same
-    state and with the wish to keep its speed, which is all that an observer can know.
+    The ego is a copy of the run's ego. Every other vehicle is of the environment's own traffic class, in the same state
+    and with its current speed as the desired one, because an observer cannot know more.
     """
 
     def __init__(self, env: Any, run_env: Any) -> None:
@@ -130,7 +134,7 @@ class View:
         self.show(0)
 
     def show(self, tick: int) -> None:
-        """Bring the view up to the run's state."""
+        """Update the view to the run's state."""
         source, env = self._run_env, self.env
         road = Road(
             source.road.network,

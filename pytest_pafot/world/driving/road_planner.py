@@ -1,4 +1,4 @@
-"""Planners in SI units on roads of any shape: they see the road as if it were straight, and steer along its bends."""
+"""Planners in SI units on roads of any shape, which see the road straightened and whose steering follows its bends."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pytest_pafot.world.roads.route import wrapped
 
 
 class Pose(NamedTuple):
-    """A vehicle in the world, as it is or as it is seen; the lane is nobody's, columns are those of VehicleState."""
+    """The state of a vehicle in the world, real or as seen, with the columns of VehicleState; the lane is not used."""
 
     x: float
     y: float
@@ -36,15 +36,16 @@ class Pose(NamedTuple):
 
 @dataclass(eq=False)
 class RoadPlanner(Planner):
-    """A callable from :class:`Observation` to (acceleration [m/s^2], steering [rad]) or :class:`Drive`, as if straight.
+    """A planner for a road that is shown straightened; it returns acceleration and steering, or a :class:`Drive`.
 
-    Positions are along the ego's way and in the measure of lanes, distances as they are driven, headings to the lane.
-    The steering is that beside what following the lane takes. A lane can be driven to where it exists.
+    Positions are along the ego's way, and nominal across it (see :class:`NetworkRoad`). Distances are driven distances,
+    and headings are relative to the lane. The planner's steering is added to the steering that follows the lane. A
+    :class:`Drive` can only use a lane that exists at the ego's place.
 
     Attributes:
-        starts: where along the road vehicles start [m].
-        junction: the ways on which other traffic meets the ego's way, where there are any.
-        ways: on which each NPC drives that crosses, None for one on the grid; empty where nobody crosses.
+        starts: the places along the road at which vehicles start [m].
+        junction: the ways on which other traffic meets the ego's way, if there are any.
+        ways: the way of each crossing NPC, None for each NPC on the grid; empty if no NPC crosses.
     """
 
     lanes: NetworkRoad
@@ -56,7 +57,8 @@ class RoadPlanner(Planner):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # Who is seen late is put on the road as it is now; the straight road's past has no places in the world.
+        # With a latency, old world poses are put on today's straightened road. The base class stores observations,
+        # which have no places in the world.
         self._poses: deque[list[Pose]] = deque(maxlen=self._past.maxlen)
         self._past = deque(maxlen=0)
 
@@ -70,13 +72,13 @@ class RoadPlanner(Planner):
         return checked
 
     def actuate(self) -> None:
-        """Steer and accelerate as decided; with a latency, remember where everybody is."""
+        """Steer and accelerate as decided; with a latency, store all poses."""
         if self._poses.maxlen:
             self._poses.append(self._everybody())
         super().actuate()
 
     def observe(self, tick: int) -> Observation:
-        """What the ADS sees with the road straightened out: all as it is now, unless its sight is imperfect."""
+        """Return the observation of the straightened road; with an imperfect sight, others may be late or missing."""
         network, everybody = self.lanes, self._everybody()
         self._along = [self._place_of(number, pose) for number, pose in enumerate(everybody)]
         ego, own = everybody[0], network.spot(*everybody[0][:3], self._along[0])
@@ -106,11 +108,11 @@ class RoadPlanner(Planner):
         )
 
     def _everybody(self) -> list[Pose]:
-        """All vehicles as they are, the ego first."""
+        """Return the current poses of all vehicles, the ego first."""
         return [Pose(v.x, v.y, v.heading, v.speed, 0, v.LENGTH, v.WIDTH, v.steering) for v in self.road.vehicles]
 
     def _seen(self, now: list[Pose], tick: int) -> list[tuple[int, Pose]]:
-        """The NPCs that are seen, each as it is seen."""
+        """Return the number and the seen pose of each NPC that the ADS sees."""
         if self.sight is None:
             return list(enumerate(now[1:]))
         then = self._poses[0] if self._poses else now
@@ -122,7 +124,7 @@ class RoadPlanner(Planner):
         return seen
 
     def _place_of(self, vehicle: int, pose: Pose) -> float:
-        """Return how far along its way a vehicle is, the ego's way or its own, near where it was at last [m]."""
+        """Return a vehicle's place along its way, near its last place; NPCs on the grid use the ego's way [m]."""
         way = self.ways[vehicle - 1] if vehicle and self.ways else None
         if way is None:
             return self.lanes.spot(*pose[:3], self._along[vehicle] if self._along else self._start_of(pose)).along
@@ -130,7 +132,7 @@ class RoadPlanner(Planner):
         return way.place(pose.x, pose.y, near)[0]
 
     def _spot(self, npc: int, pose: Pose) -> tuple[Spot | None, float]:
-        """Return where an NPC is seen on the ego's way, if it is on it; and where along its own [m]."""
+        """Return an NPC's seen spot on the ego's way, None if it is not on it, and its place along its own way [m]."""
         way, near = self.ways[npc] if self.ways else None, self._along[npc + 1]
         if way is None or self.junction is None:
             return self.lanes.spot(*pose[:3], near), near
@@ -144,7 +146,7 @@ class RoadPlanner(Planner):
         return self._own.y, self._own.heading
 
     def _state(self, vehicle: Pose, spot: Spot, own: Spot) -> tuple[VehicleState, float]:
-        """A vehicle, and its velocity across the lane [m/s]."""
+        """Return a vehicle's state on the straightened road, and its velocity across the lane [m/s]."""
         network = self.lanes
         here, there = network.stretch(own.along, own.across), network.stretch(spot.along, spot.across)
         _, direction, lean = network.lane_at(spot.lane, spot.along)
@@ -155,13 +157,13 @@ class RoadPlanner(Planner):
         return state, lateral_velocity(to_lane, vehicle.speed, vehicle.steering)
 
     def _start_of(self, vehicle: Pose) -> float:
-        """Of all places along the road where vehicles start, the nearest to one [m]."""
+        """Return the start along the road that is nearest to a vehicle [m]."""
         place = vehicle.x, vehicle.y
         return min(self.starts, key=lambda along: math.dist(place, self.lanes.reference(along)[:2]))
 
 
 def seen_on(zone: Zone, npc: int, pose: Pose, along: float, ego: Pose, ego_along: float) -> CrossingVehicle:
-    """Return an NPC on its own way as the ego sees it, and where the two are along their ways [m]."""
+    """Return an NPC on its own way as the ego sees it, with the distances of both to their zone [m]."""
     x, y, cos, sin = pose.x - ego.x, pose.y - ego.y, math.cos(ego.heading), math.sin(ego.heading)
     return CrossingVehicle(
         id=npc,

@@ -1,4 +1,4 @@
-"""What an ADS with an imperfect sight is shown in one run: a planner its observation, a policy its environment's."""
+"""The observations of an ADS with an imperfect sight in one run, for planners and for policies of environments."""
 
 from __future__ import annotations
 
@@ -21,49 +21,49 @@ from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 
 OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollisionObservation", "LidarObservation")
-"""highway-env's observations that are made of the vehicles of a road, and of nothing that they are copied to."""
+"""highway-env's observations that are computed from the vehicles of a road, so that copies can replace these."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeeingAds:
-    """An ADS with the sight that an engine lends it, which shows ``ads`` what it sees."""
+    """An ADS and its sight; the engine passes to ``ads`` what that sight lets it see."""
 
     ads: Any
     sight: Sight
 
     def __call__(self, *_: Any) -> Any:
-        """Not for worlds that know nothing of sights."""
+        """Refuse a call, which only a world without support for sights makes."""
         raise WorldError(
             field="world",
-            expected="pafot.Highway or pafot.World around an ADS in a pafot.Perception",
-            received="a world that asks it itself",
-            fix="have that world show what the ADS sees",
+            expected="pafot.Highway or pafot.World for an ADS in a pafot.Perception",
+            received="a world that calls the ADS directly",
+            fix="apply the imperfect sight in that world itself",
         )
 
     @property
     def pure(self) -> bool:
-        """Whether it still decides by what is there alone."""
+        """True if the ADS is pure and the sight has no memory, so decisions depend only on the current state."""
         return self.sight.is_memoryless and getattr(self.ads, "pure", False) is True
 
     @property
     def batch(self) -> Any:
-        """The ADS's own, which is given what is seen in each run."""
+        """The ADS's own ``batch``, which receives what is seen in each run."""
         return self.ads.batch
 
     @property
     def close(self) -> Any:
-        """The ADS's own."""
+        """The ADS's own ``close``."""
         return self.ads.close
 
 
 @dataclass(frozen=True, slots=True)
 class PlannerSight:
-    """What a planner sees in one run.
+    """The sight of a planner in one run.
 
     Attributes:
-        seed: of the scenario.
+        seed: the scenario's seed.
         physics_hz: ticks per second.
-        lanes: of the road; None where it is not straight, whose planner puts everybody on it.
+        lanes: the road's lanes; None if it is not straight, because its planner finds the lanes of vehicles itself.
     """
 
     sight: Sight
@@ -77,19 +77,19 @@ class PlannerSight:
         return self.sight.delay(self.physics_hz)
 
     def tick(self, now: Observation) -> int:
-        """Of an observation."""
+        """Return the tick of an observation."""
         return round(now.time * self.physics_hz)
 
     def asking(self, ads: Callable[[Observation], Any], observer: Observer) -> Callable[[Observation], Any]:
-        """An ADS that is shown what is seen in a run whose record an observer has."""
+        """Wrap an ADS so that it receives what is seen in a run recorded by an observer."""
         return lambda now: ads(self.recorded(now, observer))
 
     def recorded(self, now: Observation, observer: Observer) -> Observation:
-        """What is seen now in a run whose record an observer has."""
+        """Return what is seen now in a run recorded by an observer."""
         return self.seen(now, observer.observation(max(0, self.tick(now) - self.delay)))
 
     def seen(self, now: Observation, then: Observation) -> Observation:
-        """What is seen now, by what was there when it was measured."""
+        """Return what is seen now, given the exact observation at the time of measurement."""
         others, ids, lateral = [], [], [now.lateral_velocities[0]]
         for glimpse in self.sight.glimpses(then.array, self.seed, self.tick(now)):
             was = then.others[glimpse.other]
@@ -115,7 +115,7 @@ class PlannerSight:
 
 
 def planner_sight(sight: Sight | None, rules: Rules, scenario: Scenario) -> PlannerSight | None:
-    """What a planner sees in a run; None where it sees all as it is."""
+    """Return the sight of a planner in a run; None for perfect sight."""
     if sight is None:
         return None
     lanes = rules.road.grid if isinstance(rules.road, StraightRoad) else None
@@ -123,15 +123,15 @@ def planner_sight(sight: Sight | None, rules: Rules, scenario: Scenario) -> Plan
 
 
 class PolicySight:
-    """What a policy sees in one run: its environment observes a road on which the others stand where they are seen.
+    """The sight of a policy in one run: the environment observes a road with the other vehicles as they are seen.
 
     Args:
-        env: of the run, whose road has its vehicles.
-        sight: of the policy.
-        seed: of the scenario.
+        env: the run's environment, whose road has its vehicles.
+        sight: the policy's sight.
+        seed: the scenario's seed.
 
     Raises:
-        WorldError: for an observation that is not made of the vehicles on the road alone.
+        WorldError: for an observation that is not computed only from the vehicles on the road.
     """
 
     def __init__(self, env: Any, sight: Sight, seed: int) -> None:
@@ -143,17 +143,17 @@ class PolicySight:
         self._env = env
         self._sight = sight
         self._seed = seed
-        # Everybody in the last ticks, the oldest as far back as the latency, or at the start.
+        # All vehicles in the last ticks. The oldest entry is as old as the latency, or from the start.
         self._past: deque[list[Any]] = deque(maxlen=sight.delay(env.config["simulation_frequency"]))
 
     def note(self) -> None:
-        """Remember where everybody is; called at each tick before they move."""
+        """Store the states of all vehicles; called at each tick before they move."""
         if self._past.maxlen:
             self._past.append([_copied(each) for each in self._vehicles])
 
     @contextmanager
     def shown(self) -> Iterator[None]:
-        """The road of the environment as the policy sees it."""
+        """Put the vehicles as the policy sees them on the environment's road, within the context."""
         env, road = self._env, self._env.road
         vehicles = road.vehicles
         road.vehicles = [env.vehicle, *self._others(self._past[0] if self._past else self._vehicles)]
@@ -163,7 +163,7 @@ class PolicySight:
             road.vehicles = vehicles
 
     def observe_through(self) -> None:
-        """Have the environment observe what is seen, also once a reset has made its observation anew."""
+        """Make the environment observe what is seen, also after a reset has replaced its observation type."""
         env = self._env
         define_spaces, plain = env.define_spaces, env.observation_type.observe
 
@@ -179,18 +179,18 @@ class PolicySight:
         env.define_spaces, env.observation_type.observe = define_again, observe
 
     def close(self) -> None:
-        """From its next reset on, the environment observes as ever."""
+        """Let the environment observe everything again from its next reset on."""
         self._env.__dict__.pop("define_spaces", None)
 
     @property
     def _vehicles(self) -> list[Any]:
-        """Everybody, the ego first."""
+        """All vehicles, the ego first."""
         ego = self._env.vehicle
         return [ego, *(each for each in self._env.road.vehicles if each is not ego)]
 
     def _others(self, then: list[Any]) -> Iterator[Any]:
         network = self._env.road.network
-        # Columns as in pytest_pafot.VehicleState; nobody looks at the lane.
+        # The columns are those of pytest_pafot.VehicleState. The lane is not used.
         states = np.array([(*each.position, each.heading, each.speed, 0.0, each.LENGTH, each.WIDTH) for each in then])
         for glimpse in self._sight.glimpses(states, self._seed, self._env.steps):
             vehicle = _copied(then[glimpse.other + 1])
@@ -202,7 +202,7 @@ class PolicySight:
 
 
 def policy_sight(env: Any, sight: Sight | None, scenario: Scenario) -> PolicySight | None:
-    """What a policy sees in a run in an environment; None where it sees all as it is."""
+    """Return the sight of a policy in a run in an environment; None for perfect sight."""
     return None if sight is None else PolicySight(env, sight, scenario.seed)
 
 

@@ -1,8 +1,8 @@
-"""highway-env's road and vehicles, trimmed to what a run needs.
+"""Faster subclasses of highway-env's road networks and vehicles, with the same results.
 
-The vehicles are real subclasses, so that highway-env's own drivers see them as their kind. What differs is
-cost: the state is plain floats instead of arrays, and the lane search knows that lanes are parallel. The
-equations are highway-env's, operation by operation.
+The vehicles are real subclasses, so that highway-env's own drivers treat them as vehicles. They are faster, because
+their state is plain floats instead of arrays, and because the lane search uses that lanes are parallel. The equations
+are highway-env's, operation by operation.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from pytest_pafot.world.stock import (
 )
 
 OUTLINE_STEP = 1.0
-"""Distance of the points of a lane, at most [m]."""
+"""The largest distance between the points of a lane's outline [m]."""
 SQUARE = 4.0
-"""Side of the squares for which it is known how far lanes are [m]."""
+"""The side of the squares for which the distances of lanes are cached [m]."""
 ROUNDING = 1e-6
-"""Far more than the rounding errors of a distance [m]."""
+"""A bound far above the rounding errors of a distance [m]."""
 
 
 class ParallelLanes(RoadNetwork):  # type: ignore[misc]
-    """A road network of parallel straight lanes along x, with a lane search that costs a few additions."""
+    """A road network of parallel straight lanes along x, whose lane search takes only a few additions."""
 
     def __init__(self, network: RoadNetwork) -> None:
         super().__init__()
@@ -53,20 +53,20 @@ class ParallelLanes(RoadNetwork):  # type: ignore[misc]
         self._grid = Lanes(len(lanes), float(first.width), float(first.length))
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
-        """highway-env's index of the lane of least lateral distance plus angle, the first of equals."""
+        """Return highway-env's index of the lane with the least lateral distance plus angle; the first of equals."""
         return self.closest(float(position[0]), float(position[1]), 0.0 if heading is None else heading)
 
     def closest(self, x: float, y: float, heading: float) -> tuple[str, str, int]:
-        """highway-env's index of the closest lane to a vehicle at x, y [m] with a heading [rad]."""
+        """Return highway-env's index of the closest lane to a vehicle at x, y [m] with a heading [rad]."""
         return self._start, self._end, self._grid.closest(x - self._x, y - self._y, heading)
 
 
 class SearchedLanes(RoadNetwork):  # type: ignore[misc]
-    """Any road network, with highway-env's own lane search, but only among the lanes that are near enough.
+    """Any road network, with highway-env's lane search restricted to the lanes that are near enough.
 
-    highway-env's distance of a vehicle to a lane is no less than that to the points of the lane, so that whatever lane
-    is further than that from one whose distance is known need not be asked. How far lanes are at least is kept for each
-    square of the plane in which somebody has been.
+    highway-env's distance from a vehicle to a lane is at least a known share of the distance to the lane's outline. A
+    lane whose lower limit exceeds the best distance found so far need not be computed. The lower limits are cached for
+    each square of the plane that a vehicle has visited.
     """
 
     def __init__(self, network: RoadNetwork) -> None:
@@ -77,7 +77,7 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
         self._squares: dict[tuple[int, int], list[tuple[float, int]]] = {}
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
-        """highway-env's index of the lane of least lateral distance plus angle, the first of equals."""
+        """Return highway-env's index of the lane with the least lateral distance plus angle; the first of equals."""
         index: tuple[str, str, int]
         x, y = float(position[0]), float(position[1])
         if not (math.isfinite(x) and math.isfinite(y)):
@@ -98,11 +98,11 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
         return index
 
     def closest(self, x: float, y: float, heading: float | None) -> tuple[str, str, int]:
-        """highway-env's index of the closest lane."""
+        """Return highway-env's index of the closest lane."""
         return self.get_closest_lane_index(np.array([x, y]), heading)
 
     def _near(self, square: tuple[int, int]) -> list[tuple[float, int]]:
-        """How far each lane is at least from all points of a square [m], and its number; the nearest first."""
+        """Return each lane's least distance from all points of a square [m], and its number; the nearest first."""
         x, y = ((each + 0.5) * SQUARE for each in square)
         least = []
         for number, (points, share) in enumerate(self._outlines):
@@ -112,10 +112,10 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
 
 
 def _outline(lane: AbstractLane) -> tuple[Any, float]:
-    """Points of a lane; and which share of the way there a distance is, at least.
+    """Return points of a lane, and a lower limit of highway-env's distance as a share of the distance to them.
 
-    How far a vehicle is beyond an end counts along the lane, or along the axis of a lane that swings to and fro: such a
-    line is longer than its axis. Nothing is known of the distances of other classes of lanes.
+    Beyond an end, highway-env measures along the lane, but for a :class:`SineLane` along its axis, which is shorter
+    than the line itself. For other classes of lanes no limit is known, and the share is 0.
     """
     share = 0.0
     if type(lane) in (StraightLane, CircularLane):
@@ -128,31 +128,31 @@ def _outline(lane: AbstractLane) -> tuple[Any, float]:
 
 
 def is_regulated(vehicle: Vehicle) -> bool:
-    """Return whether highway-env's :class:`RegulatedRoad` may tell a vehicle to yield."""
+    """Return whether highway-env's :class:`RegulatedRoad` may make a vehicle yield."""
     return isinstance(vehicle, ControlledVehicle) and not isinstance(vehicle, MDPVehicle)
 
 
 class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
-    """highway-env's regulated road, on which nobody but the ego, the first vehicle, can be told to yield.
+    """highway-env's regulated road if only the ego, the first vehicle, can be made to yield.
 
-    So pairs without it need not be looked at, and none where it is a vehicle that the road tells nothing.
+    Pairs of other vehicles are therefore not checked, and no pairs at all if the ego does not obey the road.
     """
 
     vehicles: list[Any]
 
     def regulate(self, dt: float) -> None:
-        """Do what highway-env does in each of its steps before the vehicles move."""
+        """Apply the road's rules as highway-env does in each step before the vehicles move."""
         self.steps += 1
         if self.steps % int(1 / dt / self.REGULATION_FREQUENCY) == 0:
             self.enforce_road_rules()
 
     def enforce_road_rules(self) -> None:
-        """Find conflicts of the ego, and have it yield where it has to."""
+        """Find the ego's conflicts, and make it yield if it has to."""
         ego, *others = everybody = self.vehicles
         if not is_regulated(ego):
             return
         self.vehicles = [ego]
-        super().enforce_road_rules()  # ends what it was told before
+        super().enforce_road_rules()  # ends its yielding after the set time
         for other in others:
             if self.is_conflict_possible(ego, other) and self.respect_priorities(ego, other) is ego:
                 ego.color = self.YIELDING_COLOR
@@ -163,10 +163,10 @@ class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
 
 
 class Car(Vehicle):  # type: ignore[misc]
-    """A vehicle whose controls are set from outside and held until they are set again.
+    """A vehicle that holds its controls until they are set again from outside.
 
-    ``target_speed`` is its own speed: highway-env's IDM takes it for the speed that a follower wants to keep,
-    which is all that an observer can know of an NPC.
+    ``target_speed`` is its current speed. highway-env's IDM uses it as the desired speed of a follower, and an observer
+    can know no more about an NPC.
     """
 
     x: float
@@ -188,7 +188,7 @@ class Car(Vehicle):  # type: ignore[misc]
 
     @property
     def position(self) -> Any:
-        """World coordinates [m], an array made on demand."""
+        """The world coordinates [m], as an array made on demand."""
         if self._position is None:
             self._position = np.array([self.x, self.y])
         return self._position
@@ -200,7 +200,7 @@ class Car(Vehicle):  # type: ignore[misc]
 
     @property
     def lane_index(self) -> tuple[str, str, int]:
-        """highway-env's index of the closest lane, searched on demand."""
+        """highway-env's index of the closest lane, found on demand."""
         if self._lane_index is None:
             self._lane_index = self.road.network.closest(self.x, self.y, self.heading)
         return self._lane_index
@@ -216,11 +216,11 @@ class Car(Vehicle):  # type: ignore[misc]
 
     @lane.setter
     def lane(self, value: StraightLane) -> None:
-        """highway-env sets it together with the index, from which it follows."""
+        """Ignore the lane that highway-env sets along with the index, because it follows from the index."""
 
     @property
     def target_speed(self) -> float:
-        """What an observer assumes that it wants to drive [m/s]."""
+        """The speed that an observer assumes to be the desired one [m/s]."""
         return float(self.speed)
 
     def control(self, acceleration: float, steering: float) -> None:
@@ -230,7 +230,7 @@ class Car(Vehicle):  # type: ignore[misc]
 
     @property
     def action(self) -> dict[str, float]:
-        """The controls as highway-env writes them."""
+        """The controls in the form of highway-env."""
         return {"steering": self.steering, "acceleration": self.acceleration}
 
     @action.setter
@@ -238,12 +238,12 @@ class Car(Vehicle):  # type: ignore[misc]
         self.steering, self.acceleration = float(value["steering"]), float(value["acceleration"])
 
     def act(self, action: Any = None) -> None:
-        """Hold the controls, or take new ones (highway-env's own predictions do)."""
+        """Hold the controls, or take new ones, as highway-env's own predictions pass them."""
         if action:
             self.action = action
 
     def step(self, dt: float) -> None:
-        """highway-env's kinematic bicycle model, one explicit Euler step of ``dt`` seconds, as the kernel has it."""
+        """Do one explicit Euler step of ``dt`` seconds of highway-env's kinematic bicycle model, with the kernel."""
         body = self._body
         body.place(self.x, self.y, self.heading, self.speed)
         body.acceleration, body.steering = self.acceleration, self.steering
@@ -254,13 +254,13 @@ class Car(Vehicle):  # type: ignore[misc]
 
 
 class DirectedVehicle(MDPVehicle):  # type: ignore[misc]
-    """highway-env's vehicle of discrete actions, steered with the same numbers in half the time.
+    """highway-env's vehicle for discrete actions, which computes the same steering in half the time.
 
-    ``numpy.clip`` takes longer for a number than all the rest.
+    For a single number, ``numpy.clip`` takes longer than all other operations together.
     """
 
     def steering_control(self, target_lane_index: Any) -> float:
-        """Steer to the centre of a lane, as :meth:`ControlledVehicle.steering_control` does [rad]."""
+        """Return the steering to the centre of a lane, like :meth:`ControlledVehicle.steering_control` [rad]."""
         lane = self.road.network.get_lane(target_lane_index)
         longitudinal, lateral = lane.local_coordinates(self.position)
         speed = not_zero(self.speed)
@@ -276,14 +276,14 @@ def _clipped(value: Any, bound: float) -> Any:
 
 
 def quick(vehicle_class: Any) -> Any:
-    """Return what makes the same vehicles as a class of an environment's actions, in less time where that is known."""
+    """Return a class or partial that makes equivalent vehicles for an environment's actions, a faster one if known."""
     if isinstance(vehicle_class, functools.partial) and vehicle_class.func is MDPVehicle:
         return functools.partial(DirectedVehicle, *vehicle_class.args, **vehicle_class.keywords)
     return vehicle_class
 
 
 def straight_network(lanes: int, length: float, lane_width: float, speed_limit: float) -> RoadNetwork:
-    """A highway-env network of parallel straight lanes between nodes "0" and "1", widths in metres."""
+    """Make a highway-env network of parallel straight lanes between the nodes "0" and "1"; sizes are in metres."""
     network = RoadNetwork()
     stock = RoadNetwork.straight_road_network(lanes, length=length, speed_limit=speed_limit)
     for index, lane in enumerate(stock.lanes_list()):
@@ -294,7 +294,7 @@ def straight_network(lanes: int, length: float, lane_width: float, speed_limit: 
 
 
 def straight_road(network: RoadNetwork) -> StraightRoad | None:
-    """The road of a network, if it is one straight road along the x axis."""
+    """Return the road of a network if it is one straight road along the x axis, else None."""
     lanes = network.lanes_list()
     segments = [(start, end) for start, ends in network.graph.items() for end in ends]
     values = tuple(

@@ -306,7 +306,7 @@ def test_an_ads_is_closed_and_has_only_the_methods_of_its_own():
     ("make", "error", "message"),
     [
         (lambda: pafot.Perception(IDMVehicle), AdsFactoryError, "a highway-env vehicle class drives itself"),
-        (lambda: pafot.Perception(pafot.Perception(Watching)), AdsFactoryError, "all that is imperfect to one"),
+        (lambda: pafot.Perception(pafot.Perception(Watching)), AdsFactoryError, "all imperfections to one"),
         (lambda: pafot.Perception(42), AdsFactoryError, "give a function or class that makes one"),
         (lambda: pafot.Perception(Watching, latency=-1.0), FieldError, "latency: expected"),
         (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "expected a callable in a Perception"),
