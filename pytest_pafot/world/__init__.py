@@ -1,4 +1,4 @@
-"""Worlds: roads on which a scenario is run against an ADS. The only room that knows highway-env."""
+"""Worlds: roads on which a scenario runs against an ADS. Most of the package's use of highway-env is here."""
 
 from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.support.errors import AdsFactoryError, WorldError

@@ -1,4 +1,4 @@
-"""What :class:`pytest_pafot.Highway` and :class:`pytest_pafot.World` share."""
+"""The common base of :class:`pytest_pafot.Highway` and :class:`pytest_pafot.World`, with reference drivers' runs."""
 
 from __future__ import annotations
 
@@ -27,16 +27,15 @@ from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.validation import number_within
 
-# What it takes to drive a recorded run again up to a tick, and to have a reference driver take over the ego there.
-
 WATCHED = 6.0
-"""For how long a driver has watched when it takes over [s]: long enough to have noticed whatever there is."""
+"""The time for which a driver has watched before it takes over [s]: long enough to have noticed every vehicle."""
 
 
 class RecordedBody(Body):
-    """The ego of a run, in the states that were recorded up to a tick, whatever its controls are; then it drives.
+    """The ego of a recorded run: it repeats the recorded states up to a tick, and then follows its controls.
 
-    What it did is recorded again to the bit, which decisions that are given again allow for planners only.
+    The states up to the tick are equal to the last bit for every kind of ADS. Repeating decisions would achieve that
+    for planners only.
     """
 
     def __init__(self, trace: Trace, tick: int) -> None:
@@ -44,7 +43,7 @@ class RecordedBody(Body):
         self._rows = iter(trace.ego[1 : tick + 1].tolist())
 
     def step(self, dt: float) -> None:
-        """Where it was at the next tick; from the last recorded one on, as any body."""
+        """Take the state of the next recorded tick; after the last one, move like any body."""
         row = next(self._rows, None)
         if row is None:
             super().step(dt)
@@ -55,13 +54,13 @@ class RecordedBody(Body):
 
 @dataclass(slots=True)
 class Relief:
-    """A reference driver that takes over at a time [s], having watched; before, what it returns has no effect."""
+    """A reference driver that watches first and takes over at a time [s]; until then its decisions have no effect."""
 
     driver: ReferenceDriver
     time: float
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Acceleration [m/s^2] and steering [rad]."""
+        """Return acceleration [m/s^2] and steering [rad]."""
         if observation.time >= self.time:
             return self.driver(observation)
         if observation.time >= self.time - WATCHED:
@@ -70,38 +69,38 @@ class Relief:
 
 
 BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
-"""Smallest and largest value of fields that both worlds have."""
+"""The smallest and largest value of the fields that both worlds have."""
 
 
 class BuiltInWorld(ABC):
-    """A world of this package: it has rules, and reference drivers can take the ego's place in it."""
+    """A world of this package, which has rules and in which reference drivers can take the ego's place."""
 
     clearance: float
     headway: float
     limits: NpcLimits
     hang_limit: float
     engine: str = "auto"
-    """What steps runs in SI units."""
+    """The engine that steps runs in SI units."""
 
     @property
     def observation_space(self) -> Any:
-        """What a policy sees, as gymnasium describes it; None where that is a :class:`pytest_pafot.Observation`."""
+        """The observation space of gymnasium; None if the ADS receives a :class:`pytest_pafot.Observation`."""
         return None
 
     @property
     def action_space(self) -> Any:
-        """What a policy decides, as gymnasium describes it; None where that is in SI units."""
+        """The action space of gymnasium; None if actions are in SI units."""
         return None
 
     @property
     @abstractmethod
     def rules(self) -> Rules:
-        """What all runs have in common."""
+        """The settings that all runs have in common."""
 
     @property
     @abstractmethod
     def network(self) -> Any:
-        """The road as highway-env has it."""
+        """The road in the form of highway-env."""
 
     @abstractmethod
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -109,51 +108,51 @@ class BuiltInWorld(ABC):
 
     @abstractmethod
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-        """A run that is given its decisions, by an ADS that may have a sight."""
+        """Begin a run that receives its decisions from outside, for an ADS with the given sight."""
 
     @property
     def has_lock_step(self) -> bool:
-        """Whether runs can take place in lock step."""
+        """True if runs can take place in lock step."""
         return True
 
     @property
     def longest_run(self) -> float:
-        """How long a run lasts that nothing ends early [s]."""
+        """The duration of a run that nothing ends early [s]."""
         return self.rules.duration
 
     @property
     def crossings(self) -> Crossings | None:
-        """The ways of other traffic that meet the ego's; None where there are none."""
+        """The ways of other traffic that meet the ego's way; None if there are none."""
         return self.rules.crossings
 
     @property
     def reference_drivers(self) -> tuple[str, ...]:
-        """Names of the reference drivers (:mod:`pytest_pafot.world.reference_drivers`)."""
+        """The names of the reference drivers (:mod:`pytest_pafot.world.reference_drivers`)."""
         return tuple(REFERENCES)
 
     def check_fits(self, scenario: Scenario) -> None:
         """Check a scenario against this world.
 
         Raises:
-            ScenarioError: naming the field that does not fit.
-            WorldError: when the environment cannot be used.
+            ScenarioError: if the scenario does not fit; the error names the field.
+            WorldError: if the environment cannot be used.
         """
         self.rules.check_fits(scenario)
 
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
-        """Simulate scenarios in lock step, where this world has that and the ADS has ``batch``; else one by one.
+        """Simulate scenarios in lock step if this world supports it and the ADS has ``batch``, else one by one.
 
         Args:
-            scenarios: to run; checked against this world.
-            ads_factory: gives the ADS; see :mod:`pytest_pafot.world.engines.lock_step` on what an ADS with ``batch``
-                promises.
+            scenarios: the scenarios to run; they are checked against this world.
+            ads_factory: a callable that returns the ADS. :mod:`pytest_pafot.world.engines.lock_step` states what an ADS
+                with ``batch`` promises.
 
         Raises:
-            ScenarioError: when a scenario does not fit this world.
-            AdsFactoryError: when the factory gives nothing that can drive here, or ``batch`` not one action for
-                each observation.
-            WorldError: when the environment cannot be used.
-            Exception: whatever the factory itself raises. What the ADS raises ends its run as ``ads_error``.
+            ScenarioError: if a scenario does not fit this world.
+            AdsFactoryError: if the factory returns nothing that can drive here, or ``batch`` does not return one action
+                for each observation.
+            WorldError: if the environment cannot be used.
+            Exception: any exception of the factory itself. An exception of the ADS ends its run as ``ads_error``.
         """
         for scenario in scenarios:
             self.check_fits(scenario)
@@ -165,37 +164,37 @@ class BuiltInWorld(ABC):
     def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
         """Simulate a scenario with a reference driver in the ego's place.
 
-        It drives in SI units on this road, decides at every physics tick, and has no foresight.
+        The driver works in SI units on this road, decides at every physics tick, and has no foresight.
 
         Args:
-            scenario: to run; checked against this world.
-            name: of :attr:`reference_drivers`.
+            scenario: the scenario to run; it is checked against this world.
+            name: one of :attr:`reference_drivers`.
 
         Raises:
-            WorldError: for another name.
-            ScenarioError: when the scenario does not fit this world.
+            WorldError: for a different name.
+            ScenarioError: if the scenario does not fit this world.
         """
         return self._driven_by(_reference_driver(name), scenario)
 
     def take_over(self, trace: Trace, tick: int, name: str) -> Trace:
-        """Simulate a run again in which a reference driver takes the ego over at a tick.
+        """Simulate a run again, and let a reference driver take over the ego at a tick.
 
-        Up to there the ego is in the states that the trace has, so that all others do what they did. The driver has
-        watched for the last 6 s, and drives as in :meth:`rollout_reference`.
+        Up to that tick the ego repeats the states in the trace, so the NPCs repeat theirs. The driver has watched for
+        the last 6 s before it, and then drives as in :meth:`rollout_reference`.
 
         Args:
-            trace: of a run in this world.
-            tick: of it, at which the driver decides for the first time.
-            name: of :attr:`reference_drivers`, or ``steady-braking``.
+            trace: the trace of a run in this world.
+            tick: the tick at which the driver decides for the first time.
+            name: one of :attr:`reference_drivers`, or ``steady-braking``.
 
         Raises:
-            WorldError: for another name, a tick that the run does not have, or one with other ticks than this world's.
-            ScenarioError: when its scenario does not fit this world.
+            WorldError: for a different name, a tick that the run does not have, or a trace with a different tick rate.
+            ScenarioError: if the trace's scenario does not fit this world.
         """
         if not 0 <= tick <= trace.ticks:
-            raise WorldError(field="tick", expected=f"one of the run, 0 to {trace.ticks}", received=repr(tick))
+            raise WorldError(field="tick", expected=f"a tick of the run, 0 to {trace.ticks}", received=repr(tick))
         if trace.physics_hz != self.rules.physics_hz:
-            expected = f"a run in this world, with {self.rules.physics_hz} ticks a second"
+            expected = f"a run in this world, with {self.rules.physics_hz} ticks per second"
             raise WorldError(field="trace", expected=expected, received=f"one with {trace.physics_hz}")
         relief = Relief(_reference_driver(name, TAKING_OVER), tick / trace.physics_hz)
         return self._driven_by(relief, trace.executed, RecordedBody(trace, tick))
@@ -208,7 +207,7 @@ class BuiltInWorld(ABC):
         return rollout_planner(self, every_tick, scenario, driver, body=body)
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
-        """What an ADS is given at its first decision in a scenario; None where the run does not come so far."""
+        """Describe the first decision of an ADS in a scenario; return None if the run fails before it."""
         return decision_asked(self.rollout, scenario)
 
     def _check_fields(self) -> None:

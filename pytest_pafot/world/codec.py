@@ -1,10 +1,10 @@
-"""Worlds and files: what a file holds of a world, which world a file stands for, and which one a test has to name.
+"""Worlds in files: conversion to plain data and back, and worlds that the test must name because they are code.
 
-A ``pafot.Highway`` or ``pafot.World`` is data, and a replay makes it from the file. So is a world whose class an
-installed package has registered: its entry point in the group ``pytest_pafot.worlds`` is named as the ``kind`` in
-files. Any other world of the user's own is code, as are the wrappers around an environment. Files may come from
-strangers, and none may say which code runs: a replay then takes the world that the test names, provided that it is of
-the class, or has the environment, that the file tells.
+A ``pafot.Highway`` or ``pafot.World`` is data, and a replay makes it from the file. The same holds for a world whose
+class an installed package has registered: the ``kind`` in a file is the name of its entry point in the group
+``pytest_pafot.worlds``. Any other user-defined world is code, and so are wrappers around an environment. Files may
+come from strangers, so no file may decide which code runs. In these cases a replay takes the world that the test
+names, if its class or its environment is the one in the file.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pytest_pafot.world.protocol import WorldLike, missing
 from pytest_pafot.world.validation import PHYSICS_HZ, plain_data
 
 GROUP = "pytest_pafot.worlds"
-"""Of entry points; each is a class with ``from_dict(data)`` and ``to_dict()``, under the name of its kind."""
+"""The group of entry points for worlds. Each names a class with ``from_dict(data)`` and ``to_dict()`` by its kind."""
 
 OWN = "own"
 """The kind of a world that is code."""
@@ -36,23 +36,23 @@ BUILT_IN: Mapping[str, type[Highway | World]] = MappingProxyType({"highway": Hig
 """The kinds of this package."""
 
 OTHER_VEHICLES = "highway_env.vehicle.behavior.IDMVehicle"
-"""What environments have as their class of other vehicles."""
+"""The default class of other vehicles in highway-env's environments."""
 
 NAMED_BY = ("kind", "class", "env_id")
-"""What must be as in the file where the test names the world. All else may have changed since, and is told."""
+"""The fields in which the world that the test names must equal the file. Changes in all others are only reported."""
 
 LONGEST_DECISION = 600.0
-"""What a decision in the world of a file may take at most where no test names another world [s]."""
+"""The longest decision in the world of a file if no test names a world [s]."""
 
 MAX_TOLD = 3
 
 
 def from_dict(data: Mapping[str, Any]) -> WorldLike:
-    """The world that a file describes, as :func:`described` or the ``to_dict`` of a built-in world gave it.
+    """Make the world that a file describes, from the data of :func:`described` or a built-in world's ``to_dict``.
 
     Raises:
-        WorldError: on an unknown kind or field, a bad value, a configuration that names code outside of highway-env,
-            or a registered class that cannot be imported or does not take the data.
+        WorldError: for an unknown kind or field, a bad value, a configuration that names code outside highway-env,
+            or a registered class that cannot be imported or does not accept the data.
     """
     if not isinstance(data, Mapping):
         raise WorldError(field="world", expected="a mapping", received=repr(data))
@@ -63,7 +63,7 @@ def from_dict(data: Mapping[str, Any]) -> WorldLike:
     if isinstance(kind, str) and kind in registered:
         return _from_registered(registered[kind], values)
     hint = (
-        "a world of your own is code, which no file holds: use itself"
+        "a world of your own is code, which no file holds; use the object itself"
         if kind == OWN
         else f"a package that registers its kind in the entry points {GROUP} may not be installed here"
     )
@@ -93,7 +93,7 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
 
 
 def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
-    known = {field.name for field in fields(cls) if field.compare}  # an engine is no part of what a world is
+    known = {field.name for field in fields(cls) if field.compare}  # the engine does not change results
     unknown = sorted(str(key) for key in values if key not in known)
     if unknown:
         expected = f"the fields {', '.join(sorted(known))}"
@@ -101,7 +101,7 @@ def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
 
 
 def _registered() -> dict[str, metadata.EntryPoint]:
-    """Kinds of installed packages; the built-in ones cannot be replaced."""
+    """Return the entry points of the kinds that installed packages have registered; none replaces a built-in kind."""
     entries = metadata.entry_points(group=GROUP)
     return {entry.name: entry for entry in entries if entry.name not in (*BUILT_IN, OWN)}
 
@@ -120,14 +120,14 @@ def _from_registered(entry: metadata.EntryPoint, values: dict[str, Any]) -> Worl
         received = f"{values['data']!r:.200}"
         raise WorldError(field="world.data", expected=expected, received=received, fix=fix) from error
     if lacking := missing(world):
-        expected = f"that {entry.value}.from_dict gives a world"
+        expected = f"that {entry.value}.from_dict returns a world"
         received = f"{world!r:.100}, which has no {', '.join(lacking)}"
         raise WorldError(field="world.kind", expected=expected, received=received)
     return world
 
 
 def _loaded(entry: metadata.EntryPoint) -> Any:
-    """The class of an entry point."""
+    """Import the class of an entry point."""
     try:
         return entry.load()
     except Exception as error:
@@ -139,8 +139,12 @@ def _loaded(entry: metadata.EntryPoint) -> Any:
 
 
 def described(world: Any) -> dict[str, Any]:
-    """A world as a file has it, provided that its environment can be used, and that it gives plain data."""
-    if type(world) in BUILT_IN.values():  # one that derives from these may do anything
+    """Describe a world as plain data for a file.
+
+    Raises:
+        WorldError: if its environment cannot be used, or a registered world gives data that a file cannot hold.
+    """
+    if type(world) in BUILT_IN.values():  # not isinstance: a derived class may do anything
         data: dict[str, Any] = world.to_dict()
         return data
     kind = _kind_of(type(world))
@@ -149,14 +153,14 @@ def described(world: Any) -> dict[str, Any]:
         given = plain_data("world", world.to_dict())
         check_plain("world", given)
     except ValueError as error:
-        if kind is None:  # What a file cannot hold cannot be compared; the scenario is worth keeping.
+        if kind is None:  # Such data cannot be compared later, but the scenario is worth saving.
             return own
         raise WorldError(f"{type(world).__name__}.to_dict: {error}") from error
     return {**own, "data": given}
 
 
 def _kind_of(cls: type[Any]) -> str | None:
-    """The kind that a class is registered as, by its own package; None where it is not."""
+    """Return the kind under which its own package has registered a class; None if it has not."""
     if not hasattr(cls, "from_dict"):  # reading the entry points of all packages takes milliseconds
         return None
     package = cls.__module__.partition(".")[0]
@@ -167,11 +171,11 @@ def _kind_of(cls: type[Any]) -> str | None:
 
 
 def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> WorldLike:
-    """The world that a file describes, within the limits of the one that the test names, as :func:`within` says.
+    """Make the world that a file describes, within the limits of the world that the test names; see :func:`within`.
 
     Raises:
-        WorldError: as :func:`from_dict`, and for a registered world beyond these limits, which nobody can cut but its
-            package.
+        WorldError: as :func:`from_dict`, and for a registered world beyond these limits, because only its package
+            could shorten its runs.
     """
     world = from_dict(within(data, scenario, own))
     if own is None or data.get("kind") in BUILT_IN:
@@ -182,21 +186,21 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Wor
     ):
         if asked > most + 1e-9:
             expected, received = f"{what} of at most {most:g} s, as in the world that the test names", f"{asked:g} s"
-            raise WorldError(field="world.data", expected=expected, received=received, fix="let that world have more")
+            raise WorldError(field="world.data", expected=expected, received=received, fix="raise that world's limit")
     return world
 
 
 def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapping[str, Any]:
-    """The world of a file, in which its scenario takes no longer than one may in the world that the test names.
+    """Return a file's world data, limited so that its run is no longer than the longest in the test's own world.
 
-    A file may come from anyone, and how long a session lasts is not for it to say. A decision may take as long as in
-    the test's own world, and a run has at most as many ticks as the longest one there: it is cut, so that it is the
-    beginning of what the file describes. A file that asks for no more means what it always meant.
+    A file may come from anyone and must not decide how long a session lasts. A decision may take as long as in the
+    test's own world, and a run has at most as many ticks as the longest run there. A longer run is cut: only its
+    beginning is simulated. Data within these limits is not changed.
 
     Args:
-        data: of the file; what is wrong with it stays as it is.
-        scenario: of the file.
-        own: the world that the test names; None where there is no test.
+        data: the world data of the file; errors in it are not corrected.
+        scenario: the scenario of the file.
+        own: the world that the test names; None without a test.
     """
     limits: dict[str, float] = {}
     hang_limit, most_seconds = data.get("hang_limit"), LONGEST_DECISION if own is None else protocol.hang_limit(own)
@@ -212,18 +216,18 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapp
 
 
 def cuts(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str]:
-    """Where the run of a file is cut, since none in the world that the test names is so long."""
+    """Describe the duration that :func:`within` changes for the run of a file; empty if it is not cut."""
     longest = within(data, scenario, own).get("duration")
     return [] if longest == data.get("duration") else differences("world", data, {**data, "duration": longest})
 
 
 def _longest(data: Mapping[str, Any], own: Any) -> float:
-    """How long a run may last at the rate of a file to have as many ticks as the longest in the test's world [s]."""
+    """Return the duration at a file's tick rate that has as many ticks as the longest run in the test's world [s]."""
     config = data.get("config")
     rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
     try:
         seconds, own_rate = float(own.longest_run), getattr(own, "physics_hz", None)
-    except WorldError:  # which every search of the test says
+    except WorldError:  # every search of this test reports this error
         return math.inf
     if own_rate is None or not isinstance(rate, int) or not PHYSICS_HZ[0] <= rate <= PHYSICS_HZ[1]:
         return seconds
@@ -231,30 +235,34 @@ def _longest(data: Mapping[str, Any], own: Any) -> float:
 
 
 def is_code(data: Mapping[str, Any]) -> bool:
-    """Whether the world of a file is one that the test has to name."""
+    """Return whether the world of a file is code, so that the test must name it."""
     return data.get("kind") == OWN or "wrappers" in data
 
 
 def named(data: Mapping[str, Any], world: Any) -> Any:
-    """The world that the test names, for a file whose world is code; another one than the file's is refused."""
+    """Return the world that the test names for a file whose world is code.
+
+    Raises:
+        WorldError: if it differs from the file in :data:`NAMED_BY`.
+    """
     now = described(world)
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
-    expected = f"that the test names the world that the scenario was saved in, {_title(data)}"
+    expected = f"that the test names the world in which the scenario was saved, {_title(data)}"
     way = "give it by @pafot.search(world=...) or the fixture pafot_world"
-    fix = f"{way}; if only its name is new, write that into the file"
+    fix = f"{way}; if only its name has changed, write the new name into the file"
     raise WorldError(expected=f"{expected}, because a file holds no code", received=_title(now), fix=fix)
 
 
 def changes(data: Mapping[str, Any], world: Any) -> list[str]:
-    """What differs between the world of a file, where it is code, and the one that the test names."""
+    """Describe how the world that the test names differs from a file whose world is code; empty for other files."""
     if not is_code(data):
         return []
     return differences("world", data, described(world))
 
 
 def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:
-    """What differs between data of a file and of this session, each with its place; a few, and how many more."""
+    """Describe the first differences between data of a file and of this session, and count the others."""
     then, now = dict(_leaves(place, file)), dict(_leaves(place, session))
     differ = [key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]]
     told = [f"{key} {_shown(then, key)} in the file, {_shown(now, key)} now" for key in differ[:MAX_TOLD]]
@@ -264,15 +272,15 @@ def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any])
 def _title(data: Mapping[str, Any]) -> str:
     kind = data.get("kind")
     if kind == OWN:
-        return f"one of the class {data['class']}" if "class" in data else "one of its own"
+        return f"a world of the class {data['class']}" if "class" in data else "a world of the user's own"
     if kind == "gym":
-        wrappers = f" with {', '.join(data['wrappers']) or 'what it is registered with'}" if "wrappers" in data else ""
+        wrappers = f" with {', '.join(data['wrappers']) or 'its registered wrappers'}" if "wrappers" in data else ""
         return f"pafot.World({data['env_id']!r}){wrappers}"
-    return "a pafot.Highway" if kind == "highway" else f"one of the kind {kind}"
+    return "a pafot.Highway" if kind == "highway" else f"a world of the kind {kind}"
 
 
 def _leaves(place: str, data: Any) -> Iterator[tuple[str, Any]]:
-    """Every value of nested mappings, by its place."""
+    """Yield every value of nested mappings with its dotted path."""
     if not isinstance(data, Mapping) or not data:
         yield place, data
         return

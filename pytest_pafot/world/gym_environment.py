@@ -1,6 +1,6 @@
-"""A highway-env environment as a world needs it: checked, without its random traffic, in the wrappers asked for.
+"""A highway-env environment as a world needs it: checked, without its random traffic, in the requested wrappers.
 
-Everything that could be wrong with an environment, its configuration or its wrappers is refused here, with the way out.
+This module refuses every unusable environment, configuration or wrapper, and its errors say how to correct it.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from pytest_pafot.world.stock import AbstractEnv, IntersectionEnv, RegulatedRoad
 from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, plain_data, whole_within
 
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
-"""What environments call their random traffic, besides ``vehicles_count``."""
+"""The options that environments have for their random traffic, besides ``vehicles_count``."""
 REPLACED = (*TRAFFIC, "vehicles_count", "offscreen_rendering")
-"""Options that are not as given while scenarios run; how to draw also depends on the machine."""
+"""The options that are replaced while scenarios run; the right one for rendering depends on the machine."""
 
 LARGEST: Mapping[str, float] = MappingProxyType(
     {
@@ -49,9 +49,11 @@ LARGEST: Mapping[str, float] = MappingProxyType(
         "scaling": 1000,
     }
 )
-"""Options of highway-env's environments whose size is the size of the work, with the largest that takes seconds."""
+"""The options of highway-env's environments that determine the amount of work, with the largest value that takes only
+seconds."""
 SMALLEST: Mapping[str, float] = MappingProxyType({"scaling": 0.01, "grid_step": 0.05})
-"""Options that highway-env divides by: pixels a metre, and metres a cell, by which it also walks along each lane."""
+"""The smallest values of options by which highway-env divides: pixels per metre, and metres per cell. The latter is
+also its step along each lane."""
 LONGEST: Mapping[str, int] = MappingProxyType(
     {
         **dict.fromkeys(("features", "attributes", "scales"), 50),  # highway-env's vehicles have 13 features
@@ -61,31 +63,31 @@ LONGEST: Mapping[str, int] = MappingProxyType(
         "weights": 3,
     }
 )
-"""Options that are lists, with the most entries that they may have."""
+"""The largest number of entries of options that are lists."""
 NESTED = ("observation_config", "observation_configs", "action_config")
-"""Options that are observations and actions themselves."""
+"""The options whose values are configurations of observations and actions."""
 MOST_CELLS = 250_000
-"""Of an occupancy grid."""
+"""The largest number of cells of an occupancy grid."""
 MOST_NUMBERS = 10_000_000
-"""Of one observation: 40 features of the largest grid, or four images of 1920 by 1080 pixels."""
+"""The largest number of values in one observation: 40 features of the largest grid, or four 1920 by 1080 images."""
 LEAST_NUMBERS = MOST_NUMBERS // 20
-"""What each part of an observation counts for at least, since even a small one takes milliseconds."""
+"""The least count for each part of an observation, because even a small part takes milliseconds."""
 
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
-"""Wrappers that ``gymnasium.make`` itself puts around any environment.
+"""The wrappers that ``gymnasium.make`` itself puts around any environment.
 
-They check, or end an episode, and leave observations and actions as they are. How long a run lasts is for the world to
-say, as for the environment's own ``duration``.
+They check, or end an episode, and do not change observations and actions. The world, and not ``TimeLimit``, decides the
+duration of a run, just as it overrides the environment's own ``duration``.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class GymEnvironment:
-    """The environment of a world, made when it is first asked for; where it cannot be used, a ``WorldError`` says why.
+    """The environment of a world, made at its first use; if it cannot be used, a ``WorldError`` says why.
 
     Attributes:
-        config: as given by the user; None for that of the registration.
-        wrappers: as given by the user; None where the policy must see the environment as it is.
+        config: the user's configuration; None for the registered one.
+        wrappers: the user's wrappers; None if the policy must see the environment without wrappers.
     """
 
     env_id: str
@@ -93,7 +95,7 @@ class GymEnvironment:
     wrappers: Sequence[Callable[[Any], Any]] | None
 
     def make(self, *, has_traffic: bool = False) -> Any:
-        """A fresh environment in all its wrappers, as ``gymnasium.make`` gives it, with or without random traffic."""
+        """Make a fresh environment in all its wrappers, with or without random traffic."""
         creator, given = _creator(self.env_id), self.config or {}
         if isinstance(creator, type):
             _check_base(self.env_id, creator)
@@ -111,10 +113,10 @@ class GymEnvironment:
         if self.wrappers is None and added:
             raise WorldError(
                 field="env_id",
-                expected="an environment whose policies see it as it is",
+                expected="an environment that is registered without wrappers",
                 received=f"{self.env_id!r}, which is registered with {' and '.join(added)} around it",
-                fix=f"use pafot.World({self.env_id!r}, wrappers=[]), which runs through env.step with what the "
-                "registration adds, and with further wrappers that the list gives",
+                fix=f"use pafot.World({self.env_id!r}, wrappers=[]), which runs through env.step with the registered "
+                "wrappers, and with any further ones in the list",
             )
         return _wrapped(env, self.wrappers or ())
 
@@ -124,9 +126,10 @@ class GymEnvironment:
         return self.make()
 
     def with_traffic(self) -> Any:
-        """An environment with its random traffic, in all its wrappers, to be reset with a seed.
+        """Return an environment with its random traffic, in all its wrappers; the caller resets it with a seed.
 
-        highway-env's own make everything anew in a reset and are made once; what others keep is not known.
+        highway-env's own environments rebuild everything in a reset, so each is made once and used again. Other
+        environments may retain state, so they are made for every call.
         """
         is_stock = self.wrappers is None and type(self.unwrapped).__module__.startswith("highway_env.")
         return self._stock_with_traffic if is_stock else self.make(has_traffic=True)
@@ -137,37 +140,37 @@ class GymEnvironment:
 
     @property
     def wrapper_names(self) -> list[str]:
-        """The classes of the wrappers, from the inside out, those of the registration included."""
+        """The names of the wrappers' classes, from the inside out, including registered wrappers."""
         return wrapper_names(self.outer)
 
     @property
     def unwrapped(self) -> Any:
-        """The environment without wrappers and vehicles, which no run changes."""
+        """The environment without wrappers and traffic, which no run changes."""
         return self.outer.unwrapped
 
     @cached_property
     def straight_road(self) -> StraightRoad | None:
-        """The road; None where it is not straight."""
+        """The road; None if it is not straight."""
         return straight_road(self.unwrapped.road.network)
 
     @cached_property
     def network(self) -> Any:
-        """The road as highway-env has it."""
+        """The road in the form of highway-env."""
         lanes = SearchedLanes if self.straight_road is None else ParallelLanes
         return lanes(self.unwrapped.road.network)
 
     @property
     def route(self) -> tuple[Any, ...] | None:
-        """The ego's, as the environment has planned it for a vehicle that follows one; None without."""
+        """The route that the environment has planned for the ego; None without a route, and on straight roads."""
         route = getattr(self.unwrapped.vehicle, "route", None) if self.straight_road is None else None
         return None if route is None else tuple(route)
 
     def steps_itself(self, *, drives_itself: bool) -> bool:
-        """Whether runs need the environment's own steps: they are its own, or its road does more than move vehicles.
+        """Return whether runs need the environment's own steps, because it or its road overrides highway-env's.
 
-        An ego that drives itself takes no part in the steps of the environment, only in those of the road. Those of
-        highway-env's intersections spawn and clear traffic, which is left out of runs, and on their roads somebody
-        tells vehicles to yield, which is known here.
+        An ego that drives itself depends only on the steps of the road. highway-env's intersections are an exception:
+        their ``step`` spawns and removes traffic, which runs do not have, and their ``RegulatedRoad`` makes vehicles
+        yield, which the engines here reproduce.
         """
         env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
@@ -176,16 +179,16 @@ class GymEnvironment:
 
     @property
     def has_ordinary_steps(self) -> bool:
-        """Return whether steps of the environment, with its own traffic, are those that all environments have."""
+        """True if neither the environment nor its road overrides the steps that all environments share."""
         env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_step = env.step is not AbstractEnv.step or env._simulate is not AbstractEnv._simulate
         return not has_own_step and road.step is Road.step and road.act is Road.act
 
     @property
     def whole_config(self) -> dict[str, Any]:
-        """All options with the values that the environment has, or would have with its random traffic.
+        """All options, with the values that the environment has or would have with its random traffic.
 
-        Those that are no plain data are left out.
+        Options that are not plain data are left out.
         """
         env = self.unwrapped
         values = {**env.default_config(), **self._given_config}
@@ -198,13 +201,13 @@ class GymEnvironment:
 
     @property
     def _given_config(self) -> dict[str, Any]:
-        """Instead of the environment's defaults; that of the registration where there is no other, as in gymnasium."""
+        """The configuration that overrides the defaults: the user's, or else the registered one, as in gymnasium."""
         registered: dict[str, Any] = gymnasium.registry[self.env_id].kwargs.get("config") or {}
         return registered if self.config is None else self.config
 
 
 def wrapper_names(env: Any) -> list[str]:
-    """The classes of all wrappers around an environment that are not neutral, from the inside out."""
+    """Return the class names of all wrappers around an environment that are not in :data:`NEUTRAL`, inside out."""
     found = []
     while isinstance(env, gymnasium.Wrapper):
         if type(env) not in NEUTRAL:
@@ -215,10 +218,10 @@ def wrapper_names(env: Any) -> list[str]:
 
 @contextmanager
 def vehicle_classes_kept() -> Iterator[None]:
-    """Undo what an environment writes to highway-env's vehicle classes.
+    """Undo all changes that an environment makes to constants of highway-env's vehicle classes.
 
-    intersection-v0 sets the IDM's distances on the class itself, for every other environment of the process; without
-    this, an environment that was merely tried would change how an IDM ego drives from then on.
+    intersection-v0 sets the IDM's distances on the class itself, and so for every other environment of the process.
+    Without this, making an environment once would change how an IDM ego drives from then on.
     """
     classes, queue = set(), [Vehicle]
     while queue:
@@ -237,7 +240,7 @@ def vehicle_classes_kept() -> Iterator[None]:
 
 
 def _wrapped(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
-    """An environment in further wrappers, the first one innermost."""
+    """Put further wrappers around an environment, the first one innermost."""
     outer = env
     for index, wrapper in enumerate(wrappers):
         expected = f"wrappers[{index}]: expected a callable that takes an environment and returns it wrapped"
@@ -252,7 +255,7 @@ def _wrapped(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
 
 
 def _creator(env_id: str) -> Any:
-    """The class of a registered environment, or the function that makes it."""
+    """Return the class of a registered environment, or the function that makes it."""
     if env_id not in gymnasium.registry:
         known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
         near = difflib.get_close_matches(env_id, gymnasium.registry, n=1)
@@ -271,7 +274,7 @@ def _check_base(env_id: str, cls: type[Any]) -> None:
 
 
 def _check_sizes(config: dict[str, Any], creator: Any) -> None:
-    """Refuse what would take the environment minutes to make; what options of the user's own mean is not known."""
+    """Refuse options with which highway-env would take minutes; the meaning of user-defined options is not known."""
     given = {name: value for name, value in config.items() if name not in REPLACED}
     for name, bounds in (("simulation_frequency", PHYSICS_HZ), ("policy_frequency", ADS_HZ)):
         if name in given:
@@ -303,12 +306,12 @@ def _check_size(place: str, config: Any) -> None:
 
 
 def _exceeded(name: str, value: Any) -> str:
-    """The limit of an option that its value or the entries of its list exceed; empty where there is none."""
+    """Return the limit that an option's value, or an entry of its list, exceeds; empty if it exceeds none."""
     entries = value if isinstance(value, (list, tuple)) else [value]
     numbers = [abs(each) for each in entries if isinstance(each, (int, float))]
     if _length(value, 0) > LONGEST.get(name, math.inf):
         return f"at most {LONGEST[name]} entries"
-    if name == "weights" and len(numbers) < len(entries):  # each column of a matrix would be an image of its own
+    if name == "weights" and len(numbers) < len(entries):  # a matrix would make one image per column
         return "one number for each colour"
     if any(each > LARGEST.get(name, math.inf) for each in numbers):
         return f"at most {LARGEST[name]:g}"
@@ -316,12 +319,12 @@ def _exceeded(name: str, value: Any) -> str:
 
 
 def _length(value: Any, default: int) -> int:
-    """Of a list, or of a text or mapping, which highway-env takes for one."""
+    """Return the length of a list, or of a text or mapping, which highway-env treats like a list."""
     return len(value) if isinstance(value, (list, tuple, str, Mapping)) else default
 
 
 def _cells(grid: Mapping[str, Any]) -> float:
-    """The number of cells of an occupancy grid; infinite where it is none of two dimensions, as highway-env needs."""
+    """Return the number of cells of an occupancy grid; infinite if it does not have highway-env's two dimensions."""
     size, step = grid.get("grid_size"), grid.get("grid_step")
     try:
         (low_x, high_x), (low_y, high_y) = ((-27.5, 27.5), (-27.5, 27.5)) if size is None else size
@@ -332,7 +335,7 @@ def _cells(grid: Mapping[str, Any]) -> float:
 
 
 def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
-    """About how many numbers highway-env computes for an observation; those that other limits hold are not counted."""
+    """Estimate how many numbers highway-env computes for an observation, except those that other limits bound."""
     if not isinstance(observation, Mapping):
         return 0.0
 
@@ -363,7 +366,7 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
         fix = _hint(unknown[0], default, "it has")
         raise WorldError(field="config", expected=f"options of {env_id}", received=", ".join(unknown), fix=fix)
     for name, value in given.items():
-        if isinstance(value, str) and isinstance(default[name], (int, float)):  # it would fail once a run needs it
+        if isinstance(value, str) and isinstance(default[name], (int, float)):  # it would fail during a run
             expected = f"a number such as {default[name]!r}"
             raise WorldError(field=f"config.{name}", expected=expected, received=repr(value))
     if (egos := env.config.get("controlled_vehicles", 1)) != 1:
@@ -371,12 +374,12 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
         raise WorldError(field="config.controlled_vehicles", expected="1, the ego", received=repr(egos), fix=fix)
     for name, module in (("observation", observation), ("action", action)):
         kind = getattr(env, f"{name}_type", None)
-        if name in given and type(kind).__module__ == module.__name__:  # what others take is not known
+        if name in given and type(kind).__module__ == module.__name__:  # options of other classes are not known
             _check_names(f"config.{name}", given[name], {*_options(module), *default.get(name, ())})
 
 
 def _check_names(place: str, given: Any, known: Collection[str]) -> None:
-    """Refuse options that highway-env's observations and actions, and those inside of them, would pass over."""
+    """Refuse options that highway-env's observations and actions, and those nested in them, would ignore."""
     if isinstance(given, list):
         for index, inner in enumerate(given):
             _check_names(f"{place}[{index}]", inner, known)
@@ -396,19 +399,19 @@ def _hint(name: str, known: Collection[str], all_are: str) -> str:
 
 
 def _options(module: Any) -> set[str]:
-    """What any class of observations or actions of a module takes.
+    """Return the options that any class of observations or actions in a module accepts.
 
-    Each of them takes the options of all others, too, and highway-env's own configurations make use of that.
+    Each class also accepts the options of all others, and highway-env's own configurations rely on that.
     """
     kinds = [each for each in vars(module).values() if inspect.isclass(each) and each.__module__ == module.__name__]
     taken = {name for kind in kinds for name in inspect.signature(kind).parameters}
-    return (taken - {"env", "kwargs"}) | {"type", "flatten"}  # intersection-v0 has "flatten", which none takes
+    return (taken - {"env", "kwargs"}) | {"type", "flatten"}  # intersection-v0 has "flatten", which no class uses
 
 
 def _made(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool) -> Any:
-    """An environment in the wrappers that it is registered with.
+    """Make an environment in its registered wrappers.
 
-    Where its road is not straight, it is as a reset with seed 0 leaves it: road and start may depend on chance.
+    If its road is not straight, the environment is reset with seed 0, because road and start may be random.
     """
     known = creator.default_config() if hasattr(creator, "default_config") else {}
     config = _as_known(_with_tuples(given), known)
@@ -417,7 +420,7 @@ def _made(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool
     parameters = inspect.signature(creator).parameters
     takes_config = "config" in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
     keywords: dict[str, Any] = {"config": config} if takes_config else {}
-    with warnings.catch_warnings():  # whoever names merge-v0 has chosen it, and needs not be told in every run
+    with warnings.catch_warnings():  # who names merge-v0 has chosen it, and needs no warning in every run
         warnings.filterwarnings("ignore", message=".*is out of date", category=DeprecationWarning)
         env: Any = gymnasium.make(env_id, disable_env_checker=True, **keywords)
     unwrapped: Any = env.unwrapped
@@ -429,7 +432,7 @@ def _made(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool
 
 
 def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy with the environment's own value wherever plain data, which has no tuples or arrays, means that value."""
+    """Replace plain data that stands for one of the environment's own values, such as a tuple or an array, by it."""
 
     def is_known(name: str, value: Any) -> bool:
         with suppress(WorldError):
@@ -440,7 +443,7 @@ def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any
 
 
 def _with_tuples(config: Any) -> Any:
-    """A copy with a tuple where highway-env insists on one."""
+    """Copy a configuration, with tuples where highway-env requires them."""
     if isinstance(config, list):
         return [_with_tuples(item) for item in config]
     if not isinstance(config, dict):

@@ -1,4 +1,4 @@
-"""A registered highway-env environment as a world: its road, observations, actions and frequencies, our NPCs."""
+"""A world that takes road, observations, actions and frequencies from a registered highway-env environment."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pytest_pafot.world.gym_environment import GymEnvironment
 
 LONGEST_RUN = 60.0
-"""Where neither the option nor the environment says how long a run lasts, and on circuits [s]; the paper's."""
+"""The paper's duration of a run [s]: the default on circuits, and if neither option nor environment states one."""
 
 
 @dataclass(frozen=True)
@@ -45,23 +45,23 @@ class World(BuiltInWorld):
 
     Its ADS is a callable from the environment's own observation to its own action, or a highway-env vehicle class
     that drives itself, or comes from a factory with a parameter ``env`` for planners that simulate inside the
-    environment. With ``planner_hz`` it is a planner in SI units, as in :class:`pytest_pafot.Highway`. The environment's
-    road is kept; its random traffic is replaced by the NPCs.
+    environment. With ``planner_hz`` it is a planner in SI units, as in :class:`pytest_pafot.Highway`. The NPCs replace
+    the random traffic on the environment's road.
 
     Attributes:
-        env_id: such as ``"highway-v0"``.
+        env_id: the environment's registered id, such as ``"highway-v0"``.
         config: the environment's configuration, as for ``gymnasium.make(env_id, config=config)``.
-        duration: of a run, at most [s]; by default the environment's own ``duration``.
+        duration: the longest duration of a run [s]; by default the environment's own ``duration``.
         clearance, headway, limits, hang_limit: as in :class:`pytest_pafot.Highway`.
-        wrappers: callables that take an environment and return it wrapped, such as gymnasium's wrappers, put around
-            what ``gymnasium.make`` gives, the first one innermost; runs then go through ``env.step`` of the whole. By
-            default none, and an environment that is registered with wrappers is refused.
+        wrappers: callables that take an environment and return it wrapped, such as gymnasium's wrappers. They are put
+            around the result of ``gymnasium.make``, the first one innermost, and runs go through ``env.step`` of the
+            outermost. By default none; an environment that is registered with wrappers is then refused.
         planner_hz: decisions per second of an ADS that is a callable from :class:`pytest_pafot.Observation` to
             ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`; divides the environment's
-            ``simulation_frequency``. None where the ADS has the environment's own observation and action.
+            ``simulation_frequency``. None if the ADS uses the environment's own observation and action.
 
     Raises:
-        WorldError: when the environment cannot be used; the message says why. The environment itself is made at
+        WorldError: if the environment cannot be used; the message says why. The environment itself is made at
             the first use, or by :meth:`check`.
     """
 
@@ -91,7 +91,7 @@ class World(BuiltInWorld):
         if self.wrappers is None:
             return
         if self.planner_hz is not None:
-            expected = "none around the environment of a planner in SI units, which sees nothing through them"
+            expected = "no wrappers around the environment of a planner in SI units, which does not see through them"
             raise WorldError(field="wrappers", expected=expected, received=f"{self.wrappers!r:.200}")
         if not isinstance(self.wrappers, (list, tuple)):
             raise WorldError(field="wrappers", expected="a list of callables", received=f"{self.wrappers!r:.200}")
@@ -101,17 +101,17 @@ class World(BuiltInWorld):
         object.__setattr__(self, "wrappers", tuple(self.wrappers))
 
     def check(self) -> None:
-        """Make the environment now, to see whether it can be used.
+        """Make the environment now, to check that it can be used.
 
         Raises:
-            WorldError: when it cannot; the message says why.
+            WorldError: if it cannot; the message says why.
         """
         road, rules = self.road, self.rules
         self.limits.top_speed(road.speed_limit)
         if not isinstance(road, StraightRoad):
             return
         room = road.lanes[0].length - 2 * rules.ego_start
-        if rules.duration * TOP_SPEED > room:  # somebody could reach the end of the road
+        if rules.duration * TOP_SPEED > room:  # a vehicle could reach the end of the road
             expected = f"at most {room / TOP_SPEED:g} s on a road of {road.lanes[0].length:g} m"
             raise WorldError(field="duration", expected=expected, received=f"{rules.duration:g}")
 
@@ -119,33 +119,33 @@ class World(BuiltInWorld):
         """Check the environment, and a scenario against it.
 
         Raises:
-            ScenarioError: naming the field that does not fit.
-            WorldError: when the environment cannot be used.
+            ScenarioError: if the scenario does not fit; the error names the field.
+            WorldError: if the environment cannot be used.
         """
         self.check()
         super().check_fits(scenario)
 
     @property
     def road(self) -> StraightRoad | NetworkRoad:
-        """The environment's road; where it is not straight, the ego's way through it."""
+        """The environment's road; if it is not straight, the ego's way through it."""
         return self.rules.road
 
     @property
     def lanes(self) -> int:
-        """Number of lanes; on roads that are not straight, of those along the ego's way."""
+        """The number of lanes; on a road that is not straight, the number of lanes along the ego's way."""
         return self.road.lane_count
 
     @property
     def start(self) -> tuple[int, float] | None:
-        """The ego's lane and speed [m/s] as the environment has them; None on a straight road, where any will do."""
+        """The ego's lane and speed [m/s] at the environment's start; None on a straight road, where any will do."""
         road = self.road
         return None if isinstance(road, StraightRoad) else (road.ego_lane, road.ego_speed)
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
-        """Return how roads meet the ego's way on which nobody drives, as far as that is known.
+        """The kinds of meeting roads on which no vehicle drives, as far as that is known.
 
-        An environment of the user's own that has steps of its own may have anybody drive there.
+        In a user-defined environment that overrides ``step``, any vehicle may drive there.
         """
         environment, road = self.environment, self.road
         is_stock = type(environment.unwrapped).__module__.startswith("highway_env.")
@@ -154,17 +154,17 @@ class World(BuiltInWorld):
 
     @property
     def speed_limit(self) -> float:
-        """Of the fastest lane [m/s]."""
+        """The speed limit of the fastest lane [m/s]."""
         return self.road.speed_limit
 
     @property
     def observation_space(self) -> Any:
-        """What a policy sees, in all wrappers; None for a planner in SI units."""
+        """The observation space of a policy, outside all wrappers; None for a planner in SI units."""
         return None if self.planner_hz is not None else self.environment.outer.observation_space
 
     @property
     def action_space(self) -> Any:
-        """What a policy decides, in all wrappers; None for a planner in SI units."""
+        """The action space of a policy, outside all wrappers; None for a planner in SI units."""
         return None if self.planner_hz is not None else self.environment.outer.action_space
 
     @property
@@ -181,14 +181,14 @@ class World(BuiltInWorld):
         """Simulate a scenario with a fresh ADS.
 
         Args:
-            scenario: to run; checked against this world.
-            ads_factory: called once, gives the ADS; with ``env=`` if it has such a parameter.
+            scenario: the scenario to run; it is checked against this world.
+            ads_factory: a callable that returns the ADS. It is called once, with ``env=`` if it has such a parameter.
 
         Raises:
-            ScenarioError: when the scenario does not fit this world.
-            AdsFactoryError: when the factory gives nothing that can drive here.
-            WorldError: when the environment cannot be used.
-            Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
+            ScenarioError: if the scenario does not fit this world.
+            AdsFactoryError: if the factory returns nothing that can drive here.
+            WorldError: if the environment cannot be used.
+            Exception: any exception of the factory itself. An exception of the ADS ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
         check_drives_in(ads_factory, self)
@@ -198,7 +198,7 @@ class World(BuiltInWorld):
                 "sees a pafot.Observation; leave planner_hz= out for planners that simulate inside the environment"
             )
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
-            ads = make_ads(ads_factory)  # Whether the run needs the environment's own steps depends on what drives.
+            ads = make_ads(ads_factory)  # the ADS decides whether the run needs the environment's own steps
             ads_factory = ads if is_vehicle_class(ads) else wraps(ads_factory, updated=())(lambda: ads)
         drives_itself = self.planner_hz is not None or is_vehicle_class(ads_factory)
         if self.wrappers is not None or self.environment.steps_itself(drives_itself=drives_itself):
@@ -215,11 +215,11 @@ class World(BuiltInWorld):
         return policy_engine.rollout(self.environment, self.rules, scenario, ads_factory)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario as :meth:`rollout` does, by ``env.step`` of the plain environment.
+        """Simulate a scenario as :meth:`rollout` does, but with ``env.step`` of the plain environment.
 
         Args:
-            scenario: to run, as :attr:`pytest_pafot.Trace.executed` has it; it must fit this world.
-            ads_factory: called once, gives the ADS.
+            scenario: the scenario as :attr:`pytest_pafot.Trace.executed` has it; it must fit this world.
+            ads_factory: a callable that returns the ADS; it is called once.
         """
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)
 
@@ -233,18 +233,18 @@ class World(BuiltInWorld):
 
     @property
     def has_lock_step(self) -> bool:
-        """Whether runs can take place in lock step: not by the steps of a whole environment, nor on bends."""
+        """True if runs can take place in lock step: on a straight road, and without the environment's own steps."""
         is_bare = isinstance(self.road, StraightRoad) and self.wrappers is None
         return is_bare and self.planner_hz is None and not self.environment.steps_itself(drives_itself=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.
+        """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.
 
-        It is complete: the configuration with the environment's own defaults, and the duration that comes of it.
-        Defaults that are no plain data are left out.
+        The data is complete: it includes the environment's own defaults, and the duration that follows from them.
+        Defaults that are not plain data are left out.
 
         Raises:
-            WorldError: when the environment cannot be used.
+            WorldError: if the environment cannot be used.
         """
         is_straight = isinstance(self.road, StraightRoad)
         data = {"kind": "gym", **asdict(replace(self, wrappers=None))}
@@ -257,23 +257,23 @@ class World(BuiltInWorld):
 
     @cached_property
     def environment(self) -> GymEnvironment:
-        """What makes the environment, which that needs highway-env for."""
+        """The maker of the environment. Using it imports highway-env."""
         from pytest_pafot.world.gym_environment import GymEnvironment  # noqa: PLC0415  (imports highway-env)
 
         return GymEnvironment(self.env_id, self.config, self.wrappers)
 
     def make(self) -> Any:
-        """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it."""
+        """Make a fresh environment without traffic, in all its wrappers."""
         return self.environment.make()
 
     @property
     def network(self) -> Any:
-        """The road as highway-env has it."""
+        """The road in the form of highway-env."""
         return self.environment.network
 
     @cached_property
     def rules(self) -> Rules:
-        """What all runs have in common."""
+        """The settings that all runs have in common."""
         env = self.environment.unwrapped
         config = env.config
         physics_hz = whole_within("config.simulation_frequency", config["simulation_frequency"], *PHYSICS_HZ)
@@ -287,28 +287,28 @@ class World(BuiltInWorld):
         road: StraightRoad | NetworkRoad | None = self.environment.straight_road
         junction = None
         if road is None:
-            from pytest_pafot.world.roads.junction import junction_of  # noqa: PLC0415  (only where a road is not straight)
-            from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only where a road is not straight)
+            from pytest_pafot.world.roads.junction import junction_of  # noqa: PLC0415  (only for bent roads)
+            from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for bent roads)
 
             duration = min(duration, self._longest)
             road = survey(env, self.env_id, self.limits, ahead=duration * TOP_SPEED)
             junction = junction_of(env, road, self.limits)
             if junction is not None:
                 road = replace(road, start=junction.crossings.ego_start)
-            if road.ego_speed > 0:  # a run ends where the ego, at its first speed, comes to the end of the road
+            if road.ego_speed > 0:  # the run ends when an ego at its first speed would reach the end of the road
                 duration = min(duration, (road.end - road.start) / road.ego_speed)
         return self._rules_on(road, physics_hz=physics_hz, ads_hz=ads_hz, duration=duration, junction=junction)
 
     @property
     def _wanted(self) -> float:
-        """How long a run on a straight road lasts [s]."""
+        """The duration of a run on a straight road [s]."""
         config, name = self.environment.unwrapped.config, "config.duration" if self.duration is None else "duration"
         value = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
         return number_within(name, value, 1 / config["simulation_frequency"], 3600.0)
 
     @property
     def _longest(self) -> float:
-        """How long a run on any other road may last [s]."""
+        """The longest duration of a run on any other road [s]."""
         own = self.environment.unwrapped.config.get("duration", LONGEST_RUN)
         most = LONGEST_RUN if self.duration is None else math.inf
         return min(number_within("config.duration", own, 0.0, math.inf), most)

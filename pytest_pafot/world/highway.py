@@ -1,4 +1,4 @@
-"""The default world: a straight motorway, and an ADS that thinks in SI units."""
+"""The default world: a straight motorway for an ADS that works in SI units."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from pytest_pafot.world.run_config import Rules, ego_start
 from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, check_divides, check_ticks, number_within, whole_within
 
 LANE_WIDTH = 4.0
-"""highway-env's [m]."""
+"""highway-env's lane width [m]."""
 ENGINES = ("auto", "kernel", "highway-env")
-"""What can step a run; ``auto`` takes the kernel wherever it can drive the ego."""
+"""The engines that can step a run; ``auto`` uses the kernel whenever that can drive the ego."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,20 +36,20 @@ class Highway(BuiltInWorld):
     :class:`pytest_pafot.Drive`, or a highway-env vehicle class that drives itself.
 
     Attributes:
-        lanes: 3 to 6, numbered from 0 at the left.
-        speed_limit: [m/s]; the default is the paper's 60 mph.
+        lanes: the number of lanes, 3 to 6; lane 0 is the leftmost.
+        speed_limit: the speed limit [m/s]; the default is the paper's 60 mph.
         physics_hz: simulation ticks per second.
         ads_hz: decisions of the ADS per second; divides ``physics_hz``.
-        duration: of a run, at most [s].
+        duration: the longest duration of a run [s].
         clearance: gap between the ego and the cells ahead and behind [m]; 0 is the paper's literal grid.
-        headway: of NPCs that start ahead of or behind the ego [s].
-        limits: of every NPC.
+        headway: the headway of NPCs that start ahead of or behind the ego [s].
+        limits: the limits of every NPC.
         hang_limit: longest decision of the ADS in wall-clock time, after which it is interrupted [s].
-        engine: what steps a run: ``"kernel"``, ``"highway-env"``, or ``"auto"``, the kernel wherever it can. The
-            results are the same, so it is not part of a saved world.
+        engine: the engine that steps a run: ``"kernel"``, ``"highway-env"``, or ``"auto"``, which uses the kernel if
+            that can drive the ego. The results are the same, so the engine is not part of a saved world.
 
     Raises:
-        WorldError: when a value cannot be used; the message says what can.
+        WorldError: if a value cannot be used; the message states the possible values.
     """
 
     lanes: int = 4
@@ -77,7 +77,7 @@ class Highway(BuiltInWorld):
 
     @cached_property
     def road(self) -> StraightRoad:
-        """Long enough that nobody reaches its end."""
+        """The road, which is so long that no vehicle reaches its end."""
         length = 100.0 + 2 * ego_start(self.headway, self.clearance) + TOP_SPEED * self.duration
         return StraightRoad.uniform(self.lanes, length, LANE_WIDTH, self.speed_limit)
 
@@ -85,17 +85,17 @@ class Highway(BuiltInWorld):
         """Simulate a scenario with a fresh ADS.
 
         Args:
-            scenario: to run; checked against this world.
-            ads_factory: called once, gives the ADS.
-            decisions: the first decisions of the run, which the ADS is not asked for, as ``Trace.actions`` has them;
-                more than the run comes to are no fault.
+            scenario: the scenario to run; it is checked against this world.
+            ads_factory: a callable that returns the ADS; it is called once.
+            decisions: the first decisions of the run, in the form of ``Trace.actions``; the ADS is not called for
+                them. Decisions beyond the end of the run are ignored.
 
         Raises:
-            ScenarioError: when the scenario does not fit this world.
-            AdsFactoryError: when the factory gives nothing that can drive here.
-            BadAction: when one of the decisions is none.
-            WorldError: for decisions in the place of a vehicle class, which returns none.
-            Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
+            ScenarioError: if the scenario does not fit this world.
+            AdsFactoryError: if the factory returns nothing that can drive here.
+            BadAction: if one of the decisions is not a valid action.
+            WorldError: for decisions with a vehicle class, which returns no decisions.
+            Exception: any exception of the factory itself. An exception of the ADS ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
         check_drives_in(ads_factory, self)
@@ -111,15 +111,15 @@ class Highway(BuiltInWorld):
             return selection.rollout_planner(self, self.rules, scenario, ads, decisions)
 
     def runs_in_kernel(self, ads: Any) -> bool:
-        """Whether an ADS is a vehicle class that the kernel drives here."""
+        """Return whether an ADS is a vehicle class that the kernel drives in this world."""
         return selection.kernel_model(self, ads) is not None
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario as :meth:`rollout` does, by ``env.step`` of highway-env's own highway-v0.
+        """Simulate a scenario as :meth:`rollout` does, but with ``env.step`` of highway-env's own highway-v0.
 
         Args:
-            scenario: to run, as :attr:`pytest_pafot.Trace.executed` has it; it must fit this world.
-            ads_factory: called once, gives the ADS.
+            scenario: the scenario as :attr:`pytest_pafot.Trace.executed` has it; it must fit this world.
+            ads_factory: a callable that returns the ADS; it is called once.
         """
         from pytest_pafot.world.engines.gym_replay import replay_highway  # noqa: PLC0415  (imports highway-env)
 
@@ -129,14 +129,14 @@ class Highway(BuiltInWorld):
         return selection.begin(self, scenario, guard, sight)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
+        """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
         values = asdict(self)
-        del values["engine"]  # both give the same results
+        del values["engine"]  # all engines give the same results
         return {"kind": "highway", **values}
 
     @cached_property
     def network(self) -> Any:
-        """The road as highway-env has it."""
+        """The road in the form of highway-env."""
         from pytest_pafot.world.driving.vehicles import ParallelLanes, straight_network  # noqa: PLC0415  (imports highway-env)
 
         lane = self.road.lanes[0]
@@ -144,5 +144,5 @@ class Highway(BuiltInWorld):
 
     @cached_property
     def rules(self) -> Rules:
-        """What all runs have in common."""
+        """The settings that all runs have in common."""
         return self._rules_on(self.road, physics_hz=self.physics_hz, ads_hz=self.ads_hz, duration=self.duration)

@@ -1,4 +1,4 @@
-"""What an NPC's driver may do: the limits that make NPCs vehicles and not missiles."""
+"""The limits of an NPC's driver, which make NPCs drive like vehicles and not fly like missiles."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.validation import number_within
 
 TOP_SPEED = 40.0
-"""highway-env vehicles do not get faster [m/s]."""
+"""The highest speed of highway-env's vehicles [m/s]."""
 CLEARANCE, HEADWAY, HANG_LIMIT = 3.0, 2.0, 30.0
-"""Where a world does not say: the gap between the ego and the cells ahead and behind [m], the headway of NPCs that
-start there [s], and the longest decision of an ADS in wall-clock time [s]."""
+"""The defaults of worlds: the gap between the ego and the cells ahead and behind [m], the headway of NPCs that start
+there [s], and the longest decision of an ADS in wall-clock time [s]."""
 BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
     {
         "acceleration": (0.1, 100.0, ""),
@@ -25,7 +25,7 @@ BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
         "heading": (0.01, math.pi / 4, ", so that no NPC drives sideways"),
     }
 )
-"""Smallest and largest value of each limit, and why; beyond them the arithmetic is no longer sound."""
+"""The smallest and the largest value of each limit, and the reason; beyond them the arithmetic is not sound."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,10 +53,10 @@ class NpcLimits:
             object.__setattr__(self, name, number_within(f"limits.{name}", getattr(self, name), *bounds))
 
     def top_speed(self, speed_limit: float) -> float:
-        """The highest speed of NPCs on a road with a speed limit [m/s].
+        """Return the highest speed of NPCs on a road with a speed limit [m/s].
 
         Raises:
-            WorldError: when highway-env's vehicles cannot drive it.
+            WorldError: if highway-env's vehicles cannot drive that fast.
         """
         speed = self.overspeed * speed_limit
         if speed > TOP_SPEED:

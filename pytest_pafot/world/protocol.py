@@ -1,7 +1,7 @@
-"""What a search asks of a world: what each one has, and what some can do besides.
+"""The interface between a search and a world: members that every world has, and optional capabilities.
 
-A world of the user's own needs to be no more than :class:`WorldLike`. Each capability beyond that has a function here
-that finds it; nobody else looks for methods or classes of worlds.
+A user-defined world only needs to satisfy :class:`WorldLike`. For each further capability, a function in this module
+detects it; no other module looks for methods or classes of worlds.
 """
 
 from __future__ import annotations
@@ -22,23 +22,21 @@ from pytest_pafot.world.limits import HANG_LIMIT
 from pytest_pafot.world.roads.network import Meeting
 from pytest_pafot.world.roads.straight import StraightRoad
 
-# What an ADS is given at its first decision and must return, for the message where it fails there.
-
 
 @dataclass(frozen=True, slots=True)
 class FirstDecision:
-    """How a world asks an ADS."""
+    """The input that an ADS receives at its first decision and the output that it must return, for error messages."""
 
     is_si: bool
-    """Whether the ADS is given a :class:`pafot.Observation`, rather than an environment's own."""
+    """True if the ADS receives a :class:`pafot.Observation`, and not an environment's own observation."""
     text: str
-    """A sentence that says what it is given and must return."""
+    """A sentence that states what the ADS receives and what it must return."""
 
 
 def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario) -> FirstDecision | None:
-    """How a world, by its ``rollout``, asks at first in a scenario; None where it does not come so far."""
+    """Find out the first decision of a world by a run of ``rollout``; return None if the run fails before it."""
     seen: list[Any] = []
-    trace = rollout(scenario, lambda: seen.append)  # returns None, so that the message says what is expected
+    trace = rollout(scenario, lambda: seen.append)  # returns None, so that the error names the expected action
     if not seen or trace.error is None:
         return None
     expected = trace.error.message.removeprefix("expected ").partition(", received")[0]
@@ -55,52 +53,52 @@ def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: S
 
 
 REQUIRED = ("rollout", "to_dict", "speed_limit", "longest_run")
-"""What :class:`WorldLike` has."""
+"""The names of all members of :class:`WorldLike`."""
 
 
 class WorldLike(Protocol):
-    """What a search needs of any world."""
+    """The members that a search needs in any world."""
 
     @property
     def speed_limit(self) -> float:
-        """Highest target speed of NPCs [m/s]."""
+        """The highest target speed of NPCs [m/s]."""
 
     @property
     def longest_run(self) -> float:
-        """How long a run lasts that nothing ends early [s]."""
+        """The duration of a run that nothing ends early [s]."""
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, /) -> Trace:
-        """Simulate a scenario with a fresh ADS, which ``ads_factory()`` gives; equal scenarios give equal traces."""
+        """Simulate a scenario with a fresh ADS from ``ads_factory()``; equal scenarios give equal traces."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The world as plain data: numbers, text, lists, mappings."""
+        """Return the world as plain data: numbers, text, lists, mappings."""
 
 
 class LockStepping(WorldLike, Protocol):
-    """A world in which many runs go from decision to decision together."""
+    """A world in which many runs can proceed together, one decision at a time."""
 
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory, /) -> list[Trace]:
-        """The traces of :meth:`WorldLike.rollout`, in lock step where the ADS has a method ``batch``."""
+        """Return the traces of :meth:`WorldLike.rollout`; runs are in lock step if the ADS has a method ``batch``."""
 
 
 class Resumable(WorldLike, Protocol):
-    """A world that can be given the first decisions of a run."""
+    """A world whose runs can start with given decisions."""
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, /, *, decisions: Sequence[Any] = ()) -> Trace:
-        """Simulate a scenario; the ADS is not asked for ``decisions``, which are as ``Trace.actions`` has them."""
+        """Simulate a scenario; the first ``decisions``, in the form of ``Trace.actions``, replace those of the ADS."""
 
 
 class GymReplaying(WorldLike, Protocol):
-    """A world whose runs can be driven a second time, by ``env.step`` of a plain gymnasium environment."""
+    """A world whose runs can be repeated with ``env.step`` of a plain gymnasium environment."""
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory, /) -> Trace:
-        """Simulate a scenario by other means, to confirm a find."""
+        """Simulate a scenario in gymnasium, to confirm a finding."""
 
 
 class RoadStart(NamedTuple):
-    """How the ego starts where its road says so: its lane, counted from 0 at the left, and its speed [m/s].
+    """The ego's start on a road that prescribes it: the lane, counted from 0 at the left, and the speed [m/s].
 
-    There are ``physics_hz`` ticks per second, in whole numbers of which genes last.
+    There are ``physics_hz`` ticks per second, and a gene lasts a whole number of ticks.
     """
 
     lane: int
@@ -109,17 +107,20 @@ class RoadStart(NamedTuple):
 
 
 def missing(world: object) -> list[str]:
-    """What a world lacks of :data:`REQUIRED`; properties, which may make an environment, are not evaluated."""
+    """Return the names in :data:`REQUIRED` that a world lacks.
+
+    Properties are not evaluated, because they may make an environment.
+    """
     return [name for name in REQUIRED if not hasattr(type(world), name) and not hasattr(world, name)]
 
 
 def lock_stepping(world: Any) -> LockStepping | None:
-    """The world, where its runs can take place in lock step, which its ``has_lock_step`` may deny."""
+    """Return the world if it has ``rollout_batch`` and ``has_lock_step`` is not false, else None."""
     return world if hasattr(world, "rollout_batch") and getattr(world, "has_lock_step", True) else None
 
 
 def resumable(world: Any) -> Resumable | None:
-    """The world, where its ``rollout`` takes ``decisions``."""
+    """Return the world if its ``rollout`` has a parameter ``decisions``, else None."""
     try:
         return world if "decisions" in inspect.signature(world.rollout).parameters else None
     except (TypeError, ValueError):  # builtins without a signature
@@ -127,36 +128,36 @@ def resumable(world: Any) -> Resumable | None:
 
 
 def gym_replaying(world: Any) -> GymReplaying | None:
-    """The world, where its own class says how to replay in gymnasium.
+    """Return the world if its own class defines ``rollout_in_gym``, else None.
 
-    What it inherits does not count: a class that derives from a world may do anything in its ``rollout``, which that
-    world's environment would not confirm.
+    An inherited method does not count: a derived class may do anything in its ``rollout``, and the environment of its
+    base class would not confirm that.
     """
     return world if "rollout_in_gym" in vars(type(world)) else None
 
 
 def road_start(world: Any) -> RoadStart | None:
-    """How the ego starts where the road of a world says so, by its ``start``; None where any lane and speed will do."""
+    """Return the ego's start that a world's ``start`` prescribes; None if any lane and speed is possible."""
     start: tuple[int, float] | None = getattr(world, "start", None)
     return None if start is None else RoadStart(*start, physics_hz=world.physics_hz)
 
 
 def unused_roads(world: Any) -> frozenset[Meeting]:
-    """Return how roads meet the ego's way in a world on which no NPC drives, where its own class says so.
+    """Return the kinds of meeting roads on which no NPC drives, if the world's own class states them.
 
-    What it inherits does not count: a class that derives from a world may have anybody drive anywhere.
+    An inherited property does not count: in a derived class any vehicle may drive on these roads.
     """
     return world.unused_roads if "unused_roads" in vars(type(world)) else frozenset()
 
 
 def crossings(world: Any) -> Crossings | None:
-    """Return the ways of a world on which other traffic meets the ego's, where it says so; None without."""
+    """Return the ways on which other traffic meets the ego's way; None if the world states none."""
     found: Crossings | None = getattr(world, "crossings", None)
     return found
 
 
 def most_on_grid(world: Any) -> int:
-    """Return how many NPCs have a cell to start in where the road of a world has the ego start; 8 where it does not."""
+    """Return how many NPCs have a cell at the ego's prescribed start; 8 if the world prescribes no start."""
     start = road_start(world)
     return len(Cell) if start is None else next(n for n in range(len(Cell), -1, -1) if _has_cells(world, start, n))
 
@@ -172,39 +173,39 @@ def _has_cells(world: Any, start: RoadStart, npcs: int) -> bool:
 
 
 def straight_road(world: Any) -> StraightRoad | None:
-    """The road of a world, where that is straight and the world says so."""
+    """Return the road of a world if it is a :class:`StraightRoad`, else None."""
     road = getattr(world, "road", None)
     return road if isinstance(road, StraightRoad) else None
 
 
 def runs_in_kernel(world: Any, ads: Any) -> bool:
-    """Whether a world drives an ADS, or its factory, in compiled code alone, and so runs in a few milliseconds."""
+    """Return whether a world drives an ADS, or its factory, only in compiled code, so that a run takes milliseconds."""
     return bool(world.runs_in_kernel(ads)) if hasattr(world, "runs_in_kernel") else False
 
 
 def reference_world(world: Any) -> ReferenceWorld | None:
-    """The world, where it has reference drivers."""
+    """Return the world if it has reference drivers, else None."""
     return world if hasattr(world, "rollout_reference") and hasattr(world, "reference_drivers") else None
 
 
 def taking_over(world: Any) -> Callable[[Trace, int, str], Trace] | None:
-    """What has a reference driver take over in the midst of a run in a world, where it can."""
+    """Return a world's ``take_over``, which lets a reference driver take over during a run; None without."""
     found: Callable[[Trace, int, str], Trace] | None = getattr(world, "take_over", None)
     return found
 
 
 def hang_limit(world: Any) -> float:
-    """Longest decision of the ADS in wall-clock time [s]."""
+    """Return the longest decision of the ADS that a world allows, in wall-clock time [s]."""
     return float(getattr(world, "hang_limit", HANG_LIMIT))
 
 
 def check_fits(world: Any, scenario: Scenario) -> None:
-    """Check a scenario against a world, where it can do so without a run; its error names the field."""
+    """Check a scenario against a world, if it can do so without a run; its error names the field."""
     if hasattr(world, "check_fits"):
         world.check_fits(scenario)
 
 
 def first_decision(world: Any, scenario: Scenario) -> FirstDecision | None:
-    """How a world asks an ADS at first in a scenario; None where it does not tell, or does not come so far."""
+    """Return a world's first decision in a scenario; None if it does not state one, or the run fails before it."""
     asked: FirstDecision | None = world.first_decision(scenario) if hasattr(world, "first_decision") else None
     return asked

@@ -1,7 +1,7 @@
-"""Reference drivers, to see whether a careful one gets through the same scenario in the ego's place.
+"""Reference drivers, which show whether a careful driver in the ego's place gets through the same scenario.
 
-Planners in SI units that decide at every physics tick, keep their lane and know nothing but what they see: no plan of
-the NPCs, no future. Their sources:
+They are planners in SI units that decide at every physics tick and keep their lane. They know only what they see, and
+neither the NPCs' plans nor the future. Their sources:
 
 - ``careful-human``: the competent and careful human driver of UN Regulation No. 157, annex 4, appendix 3 (01 series:
   annex 3): risk perception 0.4 s, delay 0.75 s, 0.774 g reached within 0.6 s.
@@ -10,12 +10,13 @@ the NPCs, no future. Their sources:
 - ``idm-aeb``: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic
   simulations", Physical Review E 62, 2000, with emergency braking at a low time to collision.
 
-The regulation's models say how to react to danger. How to follow where there is none it leaves to the following
-distance (5.2.3.3); the two drivers keep two seconds for it, and brake gently while nothing more is needed.
+The regulation's models define reactions to danger. Without danger the regulation only requires a following distance
+(5.2.3.3). For that, the two drivers keep a headway of two seconds, and brake gently as long as that suffices.
 
-None of the models knows a junction. There all three give way alike: they drive up so that they can stop, wait before
-the zone for whoever comes sooner after them than the critical headways of the Highway Capacity Manual (two-way stop,
-two-lane major road), and answer with the regulation's braking to one that is in the way without priority.
+None of the models covers junctions. There all three give way by the same rules. They approach at a speed at which they
+can stop. They wait before the zone for each vehicle that would follow them sooner than the critical headway of the
+Highway Capacity Manual (two-way stop, two-lane major road). They brake as in the regulation for a vehicle that is in
+the way without priority.
 """
 
 from __future__ import annotations
@@ -33,56 +34,59 @@ from pytest_pafot.model.crossings import CrossingVehicle, Kind
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 GRAVITY = 9.81
-"""[m/s^2]."""
+"""The gravitational acceleration [m/s^2]."""
 DELAY = 0.75
-"""Time from the perception of a risk until the brakes act (UN R157); the reaction time of the fuzzy model [s]."""
+"""The time from the perception of a risk until the brakes act (UN R157), and the fuzzy model's reaction time [s]."""
 HARD_BRAKING = 0.774 * GRAVITY
-"""[m/s^2] (UN R157)."""
+"""The deceleration of hard braking (UN R157) [m/s^2]."""
 BUILD_UP = 0.6
-"""Time within which hard braking builds up (UN R157) [s]."""
+"""The time in which hard braking builds up (UN R157) [s]."""
 
 HEADWAY = 2.0
-"""Kept behind a leader [s]."""
+"""The headway to a leader [s]."""
 STANDSTILL_GAP = 3.0
-"""Kept behind a standing leader [m]."""
+"""The gap to a standing leader [m]."""
 GENTLE_BRAKING = 4.0
-"""What drivers call comfortable at most (Mattas et al. 2020) [m/s^2]."""
+"""The hardest braking that drivers call comfortable (Mattas et al. 2020) [m/s^2]."""
 GENTLE_ACCELERATION = 1.5
-"""[m/s^2]."""
+"""The highest acceleration of a calm driver [m/s^2]."""
 GAP_GAIN = 0.25
-"""Acceleration per missing metre of the following distance [1/s^2]."""
+"""The braking per missing metre of the following distance [1/s^2]."""
 CLOSING_GAIN = 0.8
-"""Acceleration per closing speed [1/s]."""
+"""The braking per closing speed [1/s]."""
 SPEED_GAIN = 0.5
-"""Acceleration per speed that is missing to the wanted one [1/s]."""
+"""The acceleration per difference to the desired speed [1/s]."""
 
 CRITICAL: Mapping[Kind, float] = MappingProxyType({"oncoming": 4.1, "merging": 6.2, "crossing": 7.1})
-"""Who comes sooner after the driver's own entry is let pass first: the critical headways of a left turn from the major
-road, and of a right and a left turn from the minor one (Highway Capacity Manual) [s]."""
+"""The critical headways of a left turn from the major road, and of a right and a left turn from the minor road (Highway
+Capacity Manual) [s]. The driver lets a vehicle pass first if it would arrive sooner than this after the driver's entry.
+"""
 LINE = 1.0
-"""Kept between the front of the zone and the driver that waits [m]."""
+"""The distance between a waiting driver and the zone [m]."""
 STOPPING = 2.0
-"""Braking from which on a stop before a zone is begun: what comfort models take (Treiber et al. 2000) [m/s^2]."""
+"""The required braking at which a driver begins to stop before a zone: the comfortable braking of Treiber et al. (2000)
+[m/s^2]."""
 CREEPING = 2.0
-"""Speed that one who may set off is counted with at least, to the zone [m/s]."""
+"""The least speed for predicting arrivals at a zone, because a slow or standing vehicle may set off [m/s]."""
 STANDING, PATIENCE = 0.3, 2.0
-"""Who has been slower [m/s] for so long [s] lets others go first, and is not expected to come."""
+"""A speed [m/s] and a time [s]: a vehicle that has been slower for so long lets others go first and is not expected to
+come."""
 CLEAR = 0.5
-"""What is left at least between one that leaves a zone and the driver that enters behind it [s]."""
+"""The least time between a vehicle that leaves a zone and the driver that enters behind it [s]."""
 
 EPSILON = 1e-6
-"""Times are compared within this, so that rounding costs no tick [s]."""
+"""The tolerance of comparisons of times, so that rounding delays nothing by a tick [s]."""
 
 LANE_GAIN, HEADING_GAIN = 0.01, 0.3
-"""Steering per offset to the lane's centre [rad/m] and per heading [1]."""
+"""The steering per offset from the lane's centre [rad/m] and per heading [1]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leader:
     """A vehicle ahead: its speed along the road [m/s] and its deceleration [m/s^2].
 
-    The gap is that between the boxes along the road [m], negative while side by side; ``closing`` is the ego's speed
-    minus the vehicle's [m/s].
+    The gap is the distance between the boxes along the road [m], negative while they overlap; ``closing`` is the ego's
+    speed minus the vehicle's [m/s].
     """
 
     gap: float
@@ -92,12 +96,12 @@ class Leader:
 
     @property
     def time_to_collision(self) -> float:
-        """At constant speeds [s], infinite if the two do not close in."""
+        """The time to collision at constant speeds [s]; infinite if the two do not close in."""
         return max(self.gap, 0.0) / self.closing if self.closing > 0 else math.inf
 
     @property
     def is_critical(self) -> bool:
-        """Whether a careful driver has to brake hard."""
+        """True if a careful driver has to brake hard."""
         near = STANDSTILL_GAP + HEADWAY * (self.speed + self.closing)
         is_braking = self.braking > EMERGENCY.leader_braking and self.gap < near
         return is_braking or self.time_to_collision < EMERGENCY.time_to_contact
@@ -105,22 +109,23 @@ class Leader:
 
 @dataclass(slots=True)
 class ReferenceDriver(ABC):
-    """What all reference drivers share: they keep their lane and their wanted speed, and see who is ahead.
+    """The base of all reference drivers, which keep their lane and their desired speed, and see leaders.
 
     Attributes:
-        now, step: time of the observation, and since the last one [s].
-        since: when conditions began that have held without a break [s].
-        lane: that is kept.
-        wanted: speed [m/s].
-        acceleration: that the pedals have reached [m/s^2].
-        speeds, brakings: of the others [m/s, m/s^2].
-        places, drifts: of the others across the road [m], and how fast they move to the right, slip included [m/s].
+        now, step: the time of the observation, and the time since the previous one [s].
+        since: the beginning of each condition that has held without a break [s].
+        lane: the lane to keep.
+        wanted: the desired speed [m/s].
+        acceleration: the acceleration that the pedals have reached [m/s^2].
+        speeds, brakings: the other vehicles' speeds and decelerations [m/s, m/s^2].
+        places, drifts: the other vehicles' places across the road [m], and their speeds to the right, including slip
+            [m/s].
     """
 
     HARDEST = HARD_BRAKING
-    """Braking at most [m/s^2]."""
+    """The hardest braking [m/s^2]."""
     JERK = HARD_BRAKING / BUILD_UP
-    """With which braking builds up [m/s^3]."""
+    """The jerk with which braking builds up [m/s^3]."""
 
     now: float = 0.0
     step: float = 0.0
@@ -134,7 +139,7 @@ class ReferenceDriver(ABC):
     drifts: tuple[float, ...] = ()
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Acceleration [m/s^2] and steering [rad]."""
+        """Return acceleration [m/s^2] and steering [rad]."""
         ego, speeds = observation.ego, tuple(_along(other) for other in observation.others)
         if self.wanted is None:
             self.lane, self.wanted, self.now = ego.lane, min(ego.speed, observation.speed_limit), observation.time
@@ -153,13 +158,13 @@ class ReferenceDriver(ABC):
         return self.acceleration, steering
 
     def watch(self, observation: Observation) -> None:
-        """See and think as at the wheel while another drives, whose lane and whose highest speed it takes over."""
+        """Observe while a different driver has the wheel, and adopt the ego's lane and its highest speed."""
         self(observation)
         self.lane = observation.ego.lane
         self.wanted = max(self.wanted or 0.0, min(observation.ego.speed, observation.speed_limit))
 
     def at_junction(self, observation: Observation) -> float:
-        """The acceleration that those leave it who come on other ways [m/s^2]; infinite where nobody does."""
+        """Return the acceleration that vehicles on other ways leave to the driver [m/s^2]; infinite without any."""
         meeting = [other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0]
         passes = [self.lets_pass(observation, other) for other in meeting]
         stops = [other.ego_distance for other, first in zip(meeting, passes, strict=True) if first]
@@ -170,7 +175,7 @@ class ReferenceDriver(ABC):
         return min(wishes, default=math.inf)
 
     def before_zone(self, observation: Observation, other: CrossingVehicle, waits: bool) -> float:
-        """The acceleration that one of them leaves it [m/s^2]; it may have to wait for that one."""
+        """Return the acceleration that one vehicle on a different way leaves to the driver, who may wait [m/s^2]."""
         ego = observation.ego
         lets_pass = self.held(f"lets pass {other.id}", waits)
         if other.zone.kind == "merging" and other.is_inside and other.to_leave < other.ego_to_leave:
@@ -181,13 +186,13 @@ class ReferenceDriver(ABC):
             return math.inf
         if other.ego_distance > 0 and ego.speed**2 <= 2 * self.HARDEST * other.ego_distance:
             room = other.ego_distance - LINE
-            needed = ego.speed**2 / (2 * max(room, LINE / 2))  # a little beyond the line is no reason to brake hard
+            needed = ego.speed**2 / (2 * max(room, LINE / 2))  # near the line: no hard braking for a few cm
             return -max(needed, STOPPING) if needed >= STOPPING or room < LINE else math.inf
         in_the_way = other.is_inside and other.ahead > 0
-        return -self.HARDEST if in_the_way else math.inf  # it can stop no more: the quickest way out is ahead
+        return -self.HARDEST if in_the_way else math.inf  # it can no longer stop; leaving the zone is fastest
 
     def lets_pass(self, observation: Observation, other: CrossingVehicle) -> bool:
-        """Whether it waits before a zone for another, or for room behind a queue while another may come."""
+        """Return whether the driver waits before a zone for a vehicle, or for room behind a queue."""
         ego = observation.ego
         enters = max(other.ego_distance, 0.0) / max(ego.speed, CREEPING)
         leaves = other.to_leave / other.speed if other.speed > STANDING else math.inf
@@ -204,7 +209,7 @@ class ReferenceDriver(ABC):
         return leaves + CLEAR > enters and arrives < enters + CRITICAL[other.zone.kind]
 
     def is_queue_behind(self, observation: Observation, other: CrossingVehicle) -> bool:
-        """Whether a slow vehicle leaves no room behind a zone."""
+        """Return whether a slow vehicle leaves no room behind a zone."""
         ego = observation.ego
         room = other.ego_to_leave + ego.length / 2 + STANDSTILL_GAP
         leaders = (self.ahead(observation, index) for index in range(len(observation.others)))
@@ -212,17 +217,17 @@ class ReferenceDriver(ABC):
 
     @abstractmethod
     def wish(self, observation: Observation) -> float:
-        """The acceleration that the driver wants now [m/s^2]."""
+        """Return the acceleration that the driver wants now [m/s^2]."""
 
     def held(self, condition: str, holds: bool) -> float:
-        """For how long a condition has held without a break [s]; minus infinity while it does not hold."""
+        """Return the time for which a condition has held without a break [s]; minus infinity if it does not hold."""
         if not holds:
             self.since.pop(condition, None)
             return -math.inf
         return self.now - self.since.setdefault(condition, self.now)
 
     def ahead(self, observation: Observation, index: int) -> Leader | None:
-        """Another vehicle as a leader, whatever its lane; None if its centre is not ahead."""
+        """Return another vehicle as a leader, whatever its lane; None if its centre is not ahead."""
         ego, other, speed = observation.ego, observation.others[index], self.speeds[index]
         if other.x <= ego.x:
             return None
@@ -230,30 +235,30 @@ class ReferenceDriver(ABC):
         return Leader(gap=gap, speed=speed, closing=_along(ego) - speed, braking=self.brakings[index])
 
     def cruise(self, speed: float) -> float:
-        """Towards the wanted speed [m/s^2]."""
+        """Return the acceleration towards the desired speed [m/s^2]."""
         missing = (self.wanted or 0.0) - speed
         return max(min(SPEED_GAIN * missing, GENTLE_ACCELERATION), -GENTLE_BRAKING)
 
     def follow(self, speed: float, leader: Leader) -> float:
-        """Towards the following distance, gently [m/s^2]."""
+        """Return the gentle acceleration towards the following distance [m/s^2]."""
         missing = STANDSTILL_GAP + HEADWAY * speed - leader.gap
         return max(min(-GAP_GAIN * missing - CLOSING_GAIN * leader.closing, GENTLE_ACCELERATION), -GENTLE_BRAKING)
 
 
 @dataclass(slots=True)
 class CarefulHuman(ReferenceDriver):
-    """The competent and careful human driver of UN R157, who keeps two seconds behind a leader.
+    """The competent and careful human driver of UN R157, who keeps a headway of two seconds to a leader.
 
     Another vehicle matters once it is in the ego's way, or has left the centre of its lane towards the ego by more
     than 0.375 m. Danger is a time to collision below 2 s, or a leader that brakes harder than 5 m/s^2. The driver needs
-    0.4 s to perceive it and 0.75 s to brake, then brakes with up to 0.774 g, until no danger is left. Where there is
-    no danger the same times pass before it opens the gap to somebody new; from then on it follows attentively.
+    0.4 s to perceive it and 0.75 s to brake. It then brakes with up to 0.774 g until no danger is left. Without danger,
+    the same times pass before it opens the gap to a new vehicle; from then on it follows attentively.
     """
 
     brakes_from: float = math.inf
 
     def wish(self, observation: Observation) -> float:
-        """The acceleration that the driver wants now [m/s^2]."""
+        """Return the acceleration that the driver wants now [m/s^2]."""
         ego = observation.ego
         calm, is_danger, is_over = self.cruise(ego.speed), False, True
         for index, other in enumerate(observation.others):
@@ -272,7 +277,7 @@ class CarefulHuman(ReferenceDriver):
             if noticed >= EMERGENCY.perception + DELAY - EPSILON or noticed == self.now:
                 calm = min(calm, follow)
             elif noticed >= EMERGENCY.perception - EPSILON and follow < 0:
-                calm = min(calm, 0.0)  # the foot is off the accelerator, and not yet on the brake
+                calm = min(calm, 0.0)  # the foot has left the accelerator, but is not yet on the brake
         if is_danger:
             self.brakes_from = min(self.brakes_from, self.now + DELAY)
         elif is_over and self.brakes_from <= self.now:
@@ -284,26 +289,26 @@ class CarefulHuman(ReferenceDriver):
 
 @dataclass(slots=True)
 class FuzzySafety(ReferenceDriver):
-    """The Fuzzy Safety Model: brakes early and comfortably where danger may come, harder where it is there.
+    """The Fuzzy Safety Model, which brakes early and comfortably if danger may arise, and harder in danger.
 
-    Proactive (PFS) and critical (CFS) fuzzy measures, each from 0 to 1, give the braking: PFS up to the comfortable
-    4 m/s^2, CFS from there to 6 m/s^2. It reacts to leaders, and to vehicles that will be in its way sideways before
-    it has passed them. CFS takes a leader to keep its speed, so that for one which goes on braking hard the driver
-    brakes with 4 m/s^2 until little time is left: the published model runs into some of those.
+    Two fuzzy measures from 0 to 1, proactive (PFS) and critical (CFS), determine the braking: PFS up to the comfortable
+    4 m/s^2, CFS from there to 6 m/s^2. The driver reacts to leaders, and to vehicles that will move into its way before
+    it has passed them. CFS assumes that a leader keeps its speed. For a leader that goes on braking hard, the driver
+    therefore brakes with only 4 m/s^2 until little time is left, and the published model hits some of them.
     """
 
     COMFORTABLE = 4.0
     HARDEST = 6.0
     OTHERS = 7.0
-    """What it expects of others' braking at most [m/s^2]."""
+    """The hardest braking that it expects of other vehicles [m/s^2]."""
     MARGIN = 2.0
-    """Kept by PFS [m]."""
+    """The safety margin of PFS [m]."""
     ROUNDING = 0.5
-    """Kept by CFS [m]. The published model keeps none: it stops exactly at the other's bumper, which in steps of time
-    is a contact at 0.1 m/s."""
+    """The safety margin of CFS [m]. The published model has none and stops exactly at the other's bumper. In discrete
+    time that is a contact at 0.1 m/s."""
 
     def wish(self, observation: Observation) -> float:
-        """The acceleration that the driver wants now [m/s^2]."""
+        """Return the acceleration that the driver wants now [m/s^2]."""
         ego = observation.ego
         calm, hardest = self.cruise(ego.speed), 0.0
         for index, other in enumerate(observation.others):
@@ -321,7 +326,7 @@ class FuzzySafety(ReferenceDriver):
 
     @staticmethod
     def will_be_in_the_way(ego: VehicleState, other: VehicleState, drift: float, leader: Leader) -> bool:
-        """Whether it is in the ego's way, or comes into it before the ego has passed."""
+        """Return whether a vehicle is in the ego's way, or will move into it before the ego has passed."""
         apart = _apart(ego, other)
         if apart <= 0:
             return True
@@ -332,21 +337,21 @@ class FuzzySafety(ReferenceDriver):
         return apart / sideways <= passing + 0.1
 
     def braking(self, speed: float, leader: Leader) -> float:
-        """The deceleration that the two measures ask for [m/s^2]."""
+        """Return the deceleration that the two measures require [m/s^2]."""
         critical = self.critical(speed, leader)
         if critical > 0:
             return self.COMFORTABLE + critical * (self.HARDEST - self.COMFORTABLE)
         return self.proactive(speed, leader) * self.COMFORTABLE
 
     def proactive(self, speed: float, leader: Leader) -> float:
-        """PFS: 1 where even hard braking could not follow a leader that brakes hard, 0 where gentle braking could."""
+        """Return PFS: 0 if gentle braking suffices behind a leader that brakes hard, 1 if hard braking does not."""
         others = leader.speed**2 / (2 * self.OTHERS)
         safe = speed * DELAY + speed**2 / (2 * self.COMFORTABLE) - others + self.MARGIN
         unsafe = speed * DELAY + speed**2 / (2 * self.HARDEST) - others
         return _fuzzy(leader.gap - self.MARGIN, safe, unsafe)
 
     def critical(self, speed: float, leader: Leader) -> float:
-        """CFS: 1 where hard braking does not avoid a leader that keeps its speed, 0 where gentle braking does."""
+        """Return CFS: 0 if gentle braking avoids a leader that keeps its speed, 1 if hard braking does not."""
         if leader.closing <= 0:
             return 0.0
         gap = leader.gap - self.ROUNDING
@@ -362,24 +367,24 @@ class FuzzySafety(ReferenceDriver):
 
 @dataclass(slots=True)
 class IdmAeb(ReferenceDriver):
-    """The Intelligent Driver Model behind whoever is in the way, and full braking at a low time to collision."""
+    """The Intelligent Driver Model behind vehicles in the way, with full braking at a low time to collision."""
 
     HEADWAY = 1.5
-    """[s]."""
+    """The desired headway [s]."""
     STANDSTILL_GAP = 2.0
-    """[m]."""
+    """The desired gap to a standing leader [m]."""
     BRAKING = 2.0
-    """Comfortable [m/s^2]."""
+    """The comfortable braking [m/s^2]."""
     HARDEST = 0.85 * GRAVITY
-    """Of emergency braking (UN R157, annex 4, appendix 3) [m/s^2]."""
+    """The deceleration of emergency braking (UN R157, annex 4, appendix 3) [m/s^2]."""
     JERK = HARDEST / BUILD_UP
     TRIGGER = 1.5
-    """Time to collision [s]."""
+    """The time to collision below which it brakes fully [s]."""
 
     braking: bool = False
 
     def wish(self, observation: Observation) -> float:
-        """The acceleration that the driver wants now [m/s^2]."""
+        """Return the acceleration that the driver wants now [m/s^2]."""
         ego = observation.ego
         leaders = [
             leader
@@ -392,7 +397,7 @@ class IdmAeb(ReferenceDriver):
         return -self.HARDEST if self.braking else self.idm(ego.speed, leaders)
 
     def idm(self, speed: float, leaders: list[Leader]) -> float:
-        """The model's acceleration behind the leader that asks for the least [m/s^2]."""
+        """Return the model's acceleration behind the leader that allows the least [m/s^2]."""
         free = 1 - (speed / max(self.wanted or 0.0, 0.1)) ** 4
         comfort = 2 * math.sqrt(GENTLE_ACCELERATION * self.BRAKING)
         pressing = 0.0
@@ -404,38 +409,38 @@ class IdmAeb(ReferenceDriver):
 
 @dataclass(slots=True)
 class SteadyBraking(ReferenceDriver):
-    """Brake with 6 m/s^2 down to a standstill in the lane that the ego is in, whatever happens."""
+    """A driver that brakes with 6 m/s^2 to a standstill in the ego's lane, whatever happens."""
 
     HARDEST = FOLLOWING.deceleration
     JERK = 1000.0
-    """So that the brakes act at once."""
+    """A jerk with which the brakes act at once [m/s^3]."""
 
     acceleration: float = -FOLLOWING.deceleration
 
     def wish(self, observation: Observation) -> float:
-        """The acceleration that the driver wants now [m/s^2]."""
+        """Return the acceleration that the driver wants now [m/s^2]."""
         return -min(self.HARDEST, observation.ego.speed / self.step) if self.step > 0 else -self.HARDEST
 
     def at_junction(self, observation: Observation) -> float:
-        """The acceleration that those leave it who come on other ways [m/s^2]: it looks at nobody."""
+        """Return infinity, because this driver ignores all vehicles."""
         return math.inf
 
 
 REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {"careful-human": CarefulHuman, "fuzzy-safety": FuzzySafety, "idm-aeb": IdmAeb}
 )
-"""Factories of the reference drivers; each can be given to a search as its ADS."""
+"""The factories of the reference drivers; each can be the ADS of a search."""
 
 TAKING_OVER: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {**REFERENCES, STEADY_BRAKING: SteadyBraking}
 )
-"""Factories of those that can take over in the midst of a run."""
+"""The factories of the drivers that can take over during a run."""
 
 
 def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float, is_known: bool) -> bool:
-    """Whether a vehicle is in the ego's way, or visibly leaves its lane towards it; it drifts to the right [m/s].
+    """Return whether a vehicle is in the ego's way, or visibly leaves its lane towards the ego.
 
-    One that is known already is not forgotten where it pauses over the line.
+    ``drift`` is its speed to the right [m/s]. A known vehicle still matters while it pauses over the line.
     """
     if _apart(ego, other) <= 0:
         return True
@@ -459,12 +464,12 @@ def _half_width(vehicle: VehicleState) -> float:
 
 
 def _apart(ego: VehicleState, other: VehicleState) -> float:
-    """Distance between the boxes across the road [m]; negative in one track."""
+    """Return the distance between the boxes across the road [m]; negative if they overlap."""
     return abs(ego.y - other.y) - _half_width(ego) - _half_width(other)
 
 
 def _fuzzy(distance: float, safe: float, unsafe: float) -> float:
-    """1 below the unsafe distance, 0 above the safe one, in proportion between them."""
+    """Return 1 below the unsafe distance, 0 above the safe distance, and a linear interpolation between them."""
     if distance >= safe:
         return 0.0
     return 1.0 if distance <= unsafe else (safe - distance) / (safe - unsafe)

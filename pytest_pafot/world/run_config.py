@@ -1,4 +1,4 @@
-"""What all runs of a world have in common: its road and rates, which scenarios fit it, where everybody starts."""
+"""The settings that all runs of a world share: road and rates, checks of scenarios, and starts of all vehicles."""
 
 from __future__ import annotations
 
@@ -29,15 +29,17 @@ from pytest_pafot.world.roads.straight import StraightRoad
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rules:
-    """What all runs of a world have in common.
+    """The settings that all runs of a world share.
 
     Attributes:
+        road: the straight road, or the ego's way through a network.
         physics_hz, ads_hz: ticks and decisions per second.
-        duration: of a run, at most [s].
+        duration: the longest duration of a run [s].
         clearance: gap between the ego and the cells ahead and behind [m].
-        headway: of NPCs that start ahead or behind [s].
+        headway: the headway of NPCs that start ahead or behind [s].
+        limits: the limits of every NPC.
         hang_limit: longest decision of the ADS in wall-clock time [s].
-        junction: the ways on which other traffic meets the ego's way; None where there are none.
+        junction: the ways on which other traffic meets the ego's way; None if there are none.
     """
 
     road: StraightRoad | NetworkRoad
@@ -52,44 +54,44 @@ class Rules:
 
     @property
     def crossings(self) -> Crossings | None:
-        """What a search may draw Crossing-Instructions from; None where no way of others meets the ego's."""
+        """The zones and ways for Crossing-Instructions; None if no other way meets the ego's."""
         return None if self.junction is None else self.junction.crossings
 
     def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
-        """Return on which way each NPC drives that crosses, None for one on the grid; empty where nobody crosses."""
+        """Return the way of each crossing NPC, None for each NPC on the grid; empty if no NPC crosses."""
         known = {} if self.junction is None else self.junction.ways
         return [None if each is None else known[each.zone] for each in scenario.crossings]
 
     @property
     def ego_start(self) -> float:
-        """Where along the road the ego starts [m]."""
+        """The ego's start along the road [m]."""
         if isinstance(self.road, NetworkRoad):
             return self.road.start
         return ego_start(self.headway, self.clearance)
 
     def ego_position(self, scenario: Scenario) -> tuple[float, float, float]:
-        """World x [m], y [m] and heading [rad] of the ego at tick 0."""
+        """Return world x [m], y [m] and heading [rad] of the ego at tick 0."""
         return self.road.position(self.ego_start, scenario.ego_lane)
 
     @property
     def straight(self) -> StraightRoad:
         """The road, which must be straight."""
         if not isinstance(self.road, StraightRoad):
-            raise TypeError(f"road: expected a straight one, received {type(self.road).__name__}")
+            raise TypeError(f"road: expected a straight road, received {type(self.road).__name__}")
         return self.road
 
     def start_distance(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
-        """From the ego to NPCs that start ahead or behind, by their centres [m]."""
+        """Return the distance between the centres of the ego and of NPCs that start ahead or behind [m]."""
         return float(ego_length + NPC_LENGTH) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
 
     def start_cells(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> frozenset[Cell]:
-        """The cells in which an NPC may start."""
+        """Return the cells in which an NPC may start."""
         if isinstance(self.road, NetworkRoad):
             return self.road.cells(self.road.start, scenario.ego_lane, self.start_distance(scenario, ego_length))
         return self.road.cells(scenario.ego_lane)
 
     def director(self, scenario: Scenario, ego_length: float) -> Director | JunctionDirector:
-        """Who drives the NPCs of one run around an ego of a length [m]."""
+        """Make the director of the NPCs for one run around an ego of the given length [m]."""
         common: dict[str, Any] = {"clearance": self.clearance, "physics_hz": self.physics_hz}
         common |= {"ego_length": ego_length, "length": NPC_LENGTH, "width": NPC_WIDTH}
         if isinstance(self.road, StraightRoad):
@@ -104,20 +106,25 @@ class Rules:
         return JunctionDirector(scenario, self.road, self.junction, self.limits, grid=grid, **common)
 
     def check_fits(self, scenario: Scenario) -> None:
-        """Refuse a scenario that does not fit, as for Lane-Instructions on a road that is not straight."""
+        """Refuse a scenario that does not fit this world.
+
+        Raises:
+            ScenarioError: for a value that does not fit; the error names the field.
+            WorldError: for Lane-Instructions on a road that is not straight.
+        """
         if not isinstance(scenario, Scenario):
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
         if not isinstance(self.road, StraightRoad) and isinstance(scenario.npcs[0][0], LaneInstruction):
             expected = "Position-Instructions on a road that is not straight"
-            received = "Lane-Instructions, which know no lanes that begin and end"
-            fix = "give NPCs PositionInstruction(cell, speed), or take a straight road such as pafot.Highway()"
+            received = "Lane-Instructions, which cannot handle lanes that begin or end"
+            fix = "give NPCs PositionInstruction(cell, speed), or use a straight road such as pafot.Highway()"
             raise WorldError(field="scenario", expected=expected, received=received, fix=fix)
         self._check_lane(scenario.ego_lane)
         cells, crossings = self.start_cells(scenario), scenario.crossings
         on_grid = crossings.count(None) if crossings else len(scenario.npcs)
         if on_grid > len(cells):
             kind = " on the grid" if crossings else ""
-            expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists beside lane {scenario.ego_lane}"
+            expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"
             raise ScenarioError(field="npcs", expected=expected, received=str(on_grid))
         self._check_speeds(scenario)
         for npc, instruction in enumerate(crossings):
@@ -137,7 +144,7 @@ class Rules:
         else:
             does_exist = lane in road.start_lanes
             expected = f"a lane that exists where the ego starts, {' or '.join(map(str, road.start_lanes))}"
-            fix = "lanes are counted from 0 at the left over all of the ego's way"
+            fix = "lanes are counted from 0 at the left, over all lanes along the ego's way"
         if not does_exist:
             raise ScenarioError(field="ego_lane", expected=expected, received=str(lane), fix=fix)
 
@@ -145,9 +152,7 @@ class Rules:
         crossings = self.crossings
         if crossings is None:
             expected = "Position-Instructions on a road on which no way of other traffic meets the ego's"
-            fix = (
-                'give NPCs PositionInstruction(cell, speed), or take a world with crossings, such as "intersection-v0"'
-            )
+            fix = 'give NPCs PositionInstruction(cell, speed), or use a world with crossings, such as "intersection-v0"'
             raise ScenarioError(field=place, expected=expected, received=instruction.goal, fix=fix)
         if instruction.zone not in crossings.ways:
             expected = f"one of {', '.join(zone.way for zone in crossings.zones)}"
@@ -158,12 +163,12 @@ class Rules:
         most = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
         slots = [slot / SLOT_STEPS_PER_SECOND for slot in range(-most, most + 1)]
         slots = [slot for slot in slots if crossings.fits(replace(instruction, slot=slot))]
-        fits = f"a slot from {min(slots):g} to {max(slots):g} s" if slots else "another zone or speed"
+        fits = f"a slot from {min(slots):g} to {max(slots):g} s" if slots else "a different zone or speed"
         expected = (
             f"{fits} at {instruction.zone} and {instruction.speed:g} m/s, to start on the way and before the zone"
         )
         received = (
-            f"{instruction.slot:g} s, for which it would start at {crossings.start(instruction):.0f} m of its way"
+            f"{instruction.slot:g} s, with which it would start at {crossings.start(instruction):.0f} m of its way"
         )
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
@@ -180,22 +185,22 @@ class Rules:
                     raise ScenarioError(field=place, expected=expected, received=f"{instruction.speed:g}")
 
     def ticks(self, scenario: Scenario) -> int:
-        """Physics steps of a run that nothing ends early."""
+        """Return the number of physics ticks of a run that nothing ends early."""
         return int(min(self.duration, scenario.seconds) * self.physics_hz + 1e-9)
 
 
 def ego_start(headway: float, clearance: float) -> float:
-    """Where along the road the ego starts [m]: with room behind it for NPCs at any speed, and as much ahead again."""
+    """Return the ego's start on a straight road [m], with room behind it for NPCs at any speed."""
     return max(200.0, 50.0 + headway * TOP_SPEED + clearance)
 
 
 def start_positions(
     rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
 ) -> list[tuple[float, float, float]]:
-    """World x [m], y [m], heading [rad] of the ego and of each NPC at tick 0.
+    """Return world x [m], y [m] and heading [rad] of the ego and of each NPC at tick 0.
 
-    NPCs of cells 4 and 8 start beside the ego, all others in their cell's lane at the headway ahead or behind,
-    so that danger is created by driving and never present at the start.
+    NPCs of cells 4 and 8 start next to the ego, all others in their cell's lane, ahead or behind by the headway.
+    So there is no danger at the start, and all danger results from driving.
     """
     return [rules.road.position(along, lane) for along, lane in start_places(rules, scenario, cells, ego_length)]
 
@@ -203,16 +208,16 @@ def start_positions(
 def start_places(
     rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
 ) -> list[tuple[float, int]]:
-    """How far along the road [m], and in which lane, the ego and each NPC are at tick 0."""
+    """Return the place along the road [m] and the lane of the ego and of each NPC at tick 0."""
     far = rules.start_distance(scenario, ego_length)
     beside = [(rules.ego_start + cell.row * far, scenario.ego_lane + cell.column) for cell in cells]
     return [(rules.ego_start, scenario.ego_lane), *beside]
 
 
 def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float) -> list[float]:
-    """Of each NPC [m/s]: the ego's, or less where it starts in a bend that it could not drive so fast, or just after.
+    """Return the start speed of each NPC [m/s]: the ego's, or less in a bend and just after it.
 
-    There it still lies in its lane as in the bend, and turns as fast as it drives.
+    Just after a bend the NPC's body still has the slip of the bend, so it turns at a rate in proportion to its speed.
     """
     road = rules.road
     if isinstance(road, StraightRoad):
@@ -229,7 +234,10 @@ def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_
 def starts_of(
     rules: Rules, scenario: Scenario, director: Director | JunctionDirector, ego_length: float
 ) -> tuple[list[float], list[tuple[float, float, float, float]]]:
-    """Return where along its way everybody is at tick 0, the ego first [m]; x, y, heading, speed of each NPC there."""
+    """Return the places of all vehicles along their ways at tick 0 [m], the ego first; and each NPC's start.
+
+    A start is x [m], y [m], heading [rad] and speed [m/s].
+    """
     cells = director.first_cells()
     places = [along for along, _ in start_places(rules, scenario, cells, ego_length)]
     _, *poses = start_positions(rules, scenario, cells, ego_length)

@@ -1,7 +1,7 @@
-"""What the package uses of highway-env, without waiting for what highway-env imports for other purposes.
+"""The parts of highway-env that the package uses, imported without matplotlib and pandas.
 
-It imports matplotlib for one function that plots, and pandas for observations that most runs have no use for. Together
-they take three times as long as all the rest. Here they are imported when something of them is first used.
+highway-env imports matplotlib for one function that plots, and pandas for observations that most runs do not use.
+Together they take three times as long as all its other imports. Here they are imported at their first use.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 
 class _Later(ModuleType):
-    """Stands for a library until something of it is used."""
+    """A placeholder for a library, which imports the library when an attribute is first used."""
 
     def __init__(self, name: str, **parts: ModuleType) -> None:
         super().__init__(name)
@@ -29,7 +29,7 @@ class _Later(ModuleType):
 
 @contextmanager
 def _later() -> Iterator[None]:
-    """Whoever imports matplotlib or pandas meanwhile has something that imports it when it is used."""
+    """Let every import of matplotlib or pandas in the context return a placeholder."""
     pyplot = _Later("matplotlib.pyplot")
     libraries = _Later("matplotlib", pyplot=pyplot), pyplot, _Later("pandas")
     absent = {each.__name__: each for each in libraries if each.__name__ not in sys.modules}

@@ -1,6 +1,6 @@
 """Checks of the arguments of worlds: numbers within bounds, plain data, frequencies.
 
-Each of them raises a :class:`WorldError` that names the field, what is possible, and what was received.
+Each check raises a :class:`WorldError` that names the field, the possible values and the received value.
 """
 
 from __future__ import annotations
@@ -11,26 +11,26 @@ from typing import Any
 from pytest_pafot.support.errors import WorldError, checked_number, checked_whole
 
 PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)
-"""Fewest and most ticks and decisions per second."""
+"""The smallest and largest number of ticks, and of decisions, per second."""
 
 MOST_TICKS = 400_000
-"""Of a run; its record takes about 0.5 KB for each tick with all NPCs."""
+"""The largest number of ticks of a run. With 8 NPCs its record takes about 0.5 KB per tick."""
 
 
 def number_within(name: str, value: object, low: float, high: float, why: str = "") -> float:
-    """A finite number within bounds, as float; ``why`` follows the bounds in the message."""
+    """Return a finite number within bounds as a float; in the error message, ``why`` follows the bounds."""
     expected = f"a number from {low:g} to {high:g}{why}"
     return checked_number(value, name, expected, least=low, most=high, error=WorldError)
 
 
 def whole_within(name: str, value: object, low: int, high: int) -> int:
-    """A whole number within bounds."""
+    """Return a whole number within bounds."""
     expected = f"a whole number from {low} to {high}"
     return checked_whole(value, name, expected, least=low, most=high, error=WorldError)
 
 
 def plain_data(name: str, value: Any) -> Any:
-    """A copy of plain data, as a corpus file can hold it: tuples and numpy arrays become lists."""
+    """Copy plain data in the form that a corpus file can hold: tuples and numpy arrays become lists."""
     if isinstance(value, dict):
         for key in value:
             if not isinstance(key, str):

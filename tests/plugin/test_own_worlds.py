@@ -112,11 +112,13 @@ def test_a_world_of_another_class_is_refused_with_the_file_the_line_and_the_way_
     result = saved.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(
-        [f"*{saved.only_file.name}:3: world: expected *, one of the class Ring, *, received one of the class Circle; *"]
+        [f"*{saved.only_file.name}:3: world: expected *, a world of the class Ring, *received *of the class Circle; *"]
     )
     saved.write("@pafot.search(genes=2, gene_seconds=5, npcs=1)\ndef test_fails(run):\n    assert run.outcome")
     result = saved.run(generations=0)
-    result.stdout.fnmatch_lines(["*one of the class Ring, *, received a pafot.Highway; *(world=...) or *pafot_world*"])
+    result.stdout.fnmatch_lines(
+        ["*a world of the class Ring, *, received a pafot.Highway; *(world=...) or *pafot_world*"]
+    )
 
 
 def test_a_scenario_that_does_not_fit_a_world_of_ones_own_names_its_file_and_line(saved):

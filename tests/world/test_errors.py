@@ -355,7 +355,7 @@ def test_the_callers_configuration_is_neither_changed_nor_followed():
         (None, "scenario: expected a Scenario, received None"),
         (hold(1, ego_lane=4), "ego_lane: expected a lane from 0 to 3, received 4; the road has 4 lanes"),
         (hold(1, ego_lane=9), "ego_lane: expected a lane from 0 to 3, received 9; the road has 4 lanes"),
-        (hold(*range(1, 7), ego_lane=0), "npcs: expected at most 5 NPCs, one per cell that exists beside lane 0"),
+        (hold(*range(1, 7), ego_lane=0), "npcs: expected at most 5 NPCs, one per cell that exists around lane 0"),
         (hold(1, ego_speed=33.5), "ego_speed: expected at most "),
         (hold(1, gene_seconds=0.15), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.15; the"),
         (hold(1, gene_seconds=0.01), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.01; the"),

@@ -110,8 +110,8 @@ def test_it_takes_over_in_the_same_way_each_time():
     ("tick", "name", "world", "message"),
     [
         (10, "me", HIGHWAY, "expected one of careful-human, fuzzy-safety, idm-aeb, steady-braking, received 'me'"),
-        (-1, "idm-aeb", HIGHWAY, "tick: expected one of the run, 0 to .*, received -1"),
-        (10**6, "idm-aeb", HIGHWAY, "tick: expected one of the run, 0 to .*, received 1000000"),
+        (-1, "idm-aeb", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received -1"),
+        (10**6, "idm-aeb", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received 1000000"),
         (10, "idm-aeb", Highway(physics_hz=30), "trace: expected a run in this world, with 30 ticks .* one with 15"),
     ],
 )

@@ -166,7 +166,7 @@ def test_cells_are_those_whose_centre_is_on_a_lane_in_the_egos_direction():
 
 def test_more_npcs_than_cells_at_the_start_is_an_error_that_says_so():
     world = world_of("roundabout-v1")
-    with pytest.raises(ScenarioError, match="npcs: expected at most 2 NPCs, one per cell that exists beside lane 1"):
+    with pytest.raises(ScenarioError, match="npcs: expected at most 2 NPCs, one per cell that exists around lane 1"):
         world.rollout(hold(world, 2, 6, 7), idm)
     with pytest.raises(ScenarioError, match="ego_lane: expected a lane that exists where the ego starts, 1, rec"):
         world.rollout(hold(world, 2, ego_lane=0), idm)
