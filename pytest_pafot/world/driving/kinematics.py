@@ -1,4 +1,4 @@
-"""highway-env's Kinematics observation without pandas, equal to the last bit.
+"""The Kinematics observation of highway-env without pandas, equal to the last bit.
 
 highway-env builds the observation with pandas, which takes longer than all the rest of a run.
 """

@@ -27,8 +27,8 @@ class Perception:
         ads: the wrapped factory. It makes planners in SI units, or policies for an environment with the observation
             Kinematics, OccupancyGrid, TimeToCollision or LidarObservation; it may have a parameter ``env``.
         range: the largest distance between centres at which the ADS sees a vehicle [m]; None for no limit.
-        latency: the age of the others' states [s], rounded up to whole physics ticks. Until that time has passed, the ADS
-            sees the states at the start. Range and occlusion also belong to the earlier time, but the ego's own state
+        latency: the age of the others' states [s], rounded up to whole physics ticks. Before that time, the ADS sees
+            the states at the start. Range and occlusion also belong to the earlier time, but the ego's own state
             is current.
         noise: standard deviations of normal errors of the others' ``"position"``, along x and along y [m], and
             ``"speed"`` [m/s], such as ``{"position": 0.5}``. They are sampled for each vehicle at each decision.

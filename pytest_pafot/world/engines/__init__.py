@@ -1,1 +1,1 @@
-"""What steps a run: the kernel, highway-env's objects, lock step, the environment itself."""
+"""The engines that step a run: the kernel, highway-env's objects, lock step, and the environment itself."""

@@ -1,9 +1,9 @@
-"""A run a second time, by other means: ``env.step`` of the plain registered highway-env environment.
+"""A second run of a scenario by independent code: ``env.step`` of the plain registered highway-env environment.
 
-A find rests on this package's own road, vehicles and loop. Here the same scenario is driven by highway-env's own: the
-environment that ``gymnasium.make`` gives, its road and vehicle classes as they are, its observation, its action types
-and its division of decisions into frames. Of this package there are only what belongs to the question: the NPCs'
-driver, called from the road's ``act``; the contact oracle, called after each of the road's steps; and the record.
+A finding depends on this package's own road, vehicles and loop. This module confirms it with highway-env's own code:
+the environment of ``gymnasium.make``, its road and vehicle classes, observations, action types and frames per decision.
+Only three parts are this package's: the NPCs' director, called in the road's ``act``; the contact test, called after
+each step of the road; and the record.
 """
 
 from __future__ import annotations
@@ -32,33 +32,34 @@ from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
-"""What highway-env's intersections call after each step."""
+"""The methods with which highway-env's intersections change their traffic after each step."""
 
 
 class StockVehicle(Vehicle):  # type: ignore[misc]
-    """highway-env's vehicle with names for its state; its physics, lane search and shape are untouched.
+    """A highway-env vehicle with names for its state, and with highway-env's own physics, lane search and shape.
 
-    ``target_speed`` is what highway-env's IDM assumes of a vehicle ahead: that it likes its speed.
+    ``target_speed`` is its current speed, which highway-env's IDM then assumes to be the desired speed of a vehicle
+    ahead.
     """
 
     @property
     def x(self) -> float:
-        """[m]."""
+        """The world coordinate x [m]."""
         return float(self.position[0])
 
     @property
     def y(self) -> float:
-        """[m]."""
+        """The world coordinate y [m]."""
         return float(self.position[1])
 
     @property
     def target_speed(self) -> float:
-        """[m/s]."""
+        """The current speed [m/s]."""
         return float(self.speed)
 
     @property
     def acceleration(self) -> float:
-        """[m/s^2]."""
+        """The acceleration of its current action [m/s^2]."""
         return float(self.action["acceleration"])
 
     @acceleration.setter
@@ -67,19 +68,19 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
 
     @property
     def steering(self) -> float:
-        """[rad]."""
+        """The steering angle of its current action [rad]."""
         return float(self.action["steering"])
 
     def control(self, acceleration: float, steering: float) -> None:
-        """What the vehicle's own ``act`` does with an action."""
+        """Set acceleration [m/s^2] and steering angle [rad] through the vehicle's own ``act``."""
         super().act({"steering": steering, "acceleration": acceleration})
 
 
 class StockPolicy:
-    """A policy in its environment: it sees what ``env.step`` returned, and ``env.step`` gets its action.
+    """The driver for a policy in its environment, which observes by the results of ``env.step`` and acts through it.
 
-    Wrappers, where the environment ``outer`` has any, stand between the two. The ``view`` is what a planner that
-    simulates inside of the environment is shown before each decision.
+    ``outer`` is the environment in its wrappers, if it has any. ``view`` is the environment for a planner that
+    simulates; it is updated before each decision.
     """
 
     def __init__(
@@ -99,7 +100,11 @@ class StockPolicy:
             sight.observe_through()
 
     def begin(self, seed: int) -> None:
-        """See what a reset returns, which leaves everybody in the places of the scenario, and adds nobody."""
+        """Reset the environment for its first observation, but leave all vehicles at the scenario's start.
+
+        Raises:
+            WorldError: if the reset adds vehicles.
+        """
         plain = self._outer.unwrapped
         vehicles = list(plain.road.vehicles)
         if type(plain).reset is AbstractEnv.reset:
@@ -111,11 +116,11 @@ class StockPolicy:
         if plain.road.vehicles != vehicles:
             raise WorldError(
                 f"env_id: expected an environment that makes its vehicles in `_reset`, received "
-                f"{type(plain).__name__}, whose `reset` adds others after that; make them in `_reset`"
+                f"{type(plain).__name__}, whose `reset` adds others afterwards; make them in `_reset`"
             )
 
     def decide(self, tick: int) -> Any:
-        """Ask and check; the environment applies the action."""
+        """Call the ADS and check its action, which the environment applies later."""
         if self.failure is not None:
             raise self.failure
         if self._view is not None:
@@ -125,11 +130,11 @@ class StockPolicy:
         return self._action
 
     def step(self) -> None:
-        """The environment's, with what was decided."""
+        """Do the environment's step with the last action."""
         self._see(lambda: self._outer.step(self._action))
 
     def _see(self, call: Callable[[], tuple[Any, ...]]) -> None:
-        """What a wrapper raises is raised in the decision that would have seen its result."""
+        """Store the observation of a reset or step; a wrapper's exception is raised later, in the next decision."""
         try:
             self._seen, *_ = call()
         except UNFIT as error:
@@ -139,14 +144,14 @@ class StockPolicy:
             self.failure = error
 
     def actuate(self) -> None:
-        """Low-level control of highway-env's controlled vehicles."""
+        """Apply the low-level control of highway-env's controlled vehicles."""
         if self._sight is not None:
             self._sight.note()
         self.vehicle.act()
 
 
 def _reset_result(env: Any) -> tuple[Any, dict[str, Any]]:
-    """What highway-env's own reset returns when everybody is at the start."""
+    """Return the result of highway-env's own reset for the current state."""
     seen = env.observation_type.observe()
     return seen, env._info(seen, env.action_space.sample())
 
@@ -155,7 +160,7 @@ Driver = Planner | SelfDriving | StockPolicy
 
 
 def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-    """A run of a :class:`pytest_pafot.Highway` in highway-v0, with its lanes and speed limit."""
+    """Repeat a run of a :class:`pytest_pafot.Highway` in highway-v0, with its lanes and speed limit."""
     lane, lanes = rules.straight.lanes[0], rules.straight.lane_count
     config = {
         "lanes_count": lanes,
@@ -163,7 +168,7 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
         "simulation_frequency": rules.physics_hz,
         "policy_frequency": rules.ads_hz,
         "action": {"type": "ContinuousAction"},
-        "observation": {"type": "AttributesObservation", "attributes": ()},  # nobody sees it, and others cost more
+        "observation": {"type": "AttributesObservation", "attributes": ()},  # unused; this one is the fastest
     }
     env = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
@@ -176,7 +181,7 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
 def replay_environment(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory, *, is_planner: bool
 ) -> Trace:
-    """A run of a :class:`pytest_pafot.World` by ``env.step`` of its environment in its wrappers."""
+    """Do a run of a :class:`pytest_pafot.World` with ``env.step`` of its environment in its wrappers."""
     outer, route = environment.make(), environment.route
     env = _reset(outer, scenario)
     is_policy, view = not (is_planner or is_vehicle_class(ads_factory)), None
@@ -186,8 +191,8 @@ def replay_environment(
         if environment.wrappers is not None:
             raise WorldError(
                 f"wrappers: expected none for a factory with a parameter `env`, received "
-                f"{', '.join(wrapper_names(outer)) or 'an empty list'}; a planner that simulates inside of the "
-                f"environment knows it as it is, and decides in its own actions"
+                f"{', '.join(wrapper_names(outer)) or 'an empty list'}; a planner that simulates inside the "
+                f"environment uses its observations and actions without wrappers"
             )
         view = View(environment.make().unwrapped, env)
     ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
@@ -204,7 +209,7 @@ def replay_environment(
 
 
 def _reset(outer: Any, scenario: Scenario) -> Any:
-    """The environment itself after its reset, without what adds traffic later."""
+    """Reset an environment, disable its methods that add traffic later, and return it without wrappers."""
     env = outer.unwrapped
     with vehicle_classes_kept():
         env.reset(seed=0)
@@ -218,13 +223,14 @@ def _reset(outer: Any, scenario: Scenario) -> Any:
 def _si_driver(
     rules: Rules, scenario: Scenario, env: Any, ads: Any, route: tuple[Any, ...] | None
 ) -> Planner | SelfDriving:
-    """Who drives without the environment's observations and actions; those are not computed.
+    """Make the driver of an ego that does not use the environment's observations and actions.
 
-    Observations would cost more than all the rest, and some environments have rewards only for egos of their own.
+    Observations, rewards and infos are disabled. Observations would take longer than all the rest, and some
+    environments compute rewards only for their own egos.
     """
     driver: Planner | SelfDriving
     if is_vehicle_class(ads):
-        env.config["policy_frequency"] = env.config["simulation_frequency"]  # Such a vehicle decides in every tick.
+        env.config["policy_frequency"] = env.config["simulation_frequency"]  # such a vehicle decides in every tick
         driver = SelfDriving(ads, env.road, rules.ego_position(scenario), scenario.ego_speed, route)
         put_ego(env, driver.vehicle, None)
     else:
@@ -236,11 +242,11 @@ def _si_driver(
 
 
 def _nothing(*_: Any, **__: Any) -> None:
-    """In the place of what shall not happen in an environment."""
+    """Do nothing, in place of a method of the environment."""
 
 
 class _Loop:
-    """One episode. The road's ``act`` and ``step`` are extended by the NPCs' driver and by the record."""
+    """One episode, with the NPCs' director added to the road's ``act``, and the record to its ``step``."""
 
     def __init__(self, rules: Rules, scenario: Scenario, env: Any, driver: Driver) -> None:
         def npc(x: float, y: float, heading: float, speed: float) -> StockVehicle:
@@ -254,16 +260,16 @@ class _Loop:
         self._last = rules.ticks(scenario)
         self._ended: Trace | None = None
         if isinstance(env.road, RegulatedRoad) and not is_regulated(driver.vehicle):
-            env.road.enforce_road_rules = _nothing  # It has no effect on others, and its predictions cost seconds.
+            env.road.enforce_road_rules = _nothing  # without effect here, and slow
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
 
     def __deepcopy__(self, memo: object) -> _Loop:
-        """Itself: highway-env copies vehicles to look ahead, with their road and all that hangs on it."""
+        """Return itself, because highway-env deep-copies vehicles and their road to predict them."""
         return self
 
     def run(self) -> Trace:
-        """Decide and step until the run ends."""
+        """Decide and step until the run ends, and return its trace."""
         driver, record = self._driver, self._traffic.record
         with self._guard as guard:
             if isinstance(driver, StockPolicy):
@@ -275,25 +281,25 @@ class _Loop:
                     return record.trace(error=error)
                 if isinstance(driver, StockPolicy):
                     driver.step()
-                else:  # The driver has set the ego's controls; the environment leaves them.
+                else:  # the driver has set the ego's controls, and None does not change them
                     AbstractEnv.step(self._env, None)
                 if self._ended is not None:
                     return self._ended
                 if record.tick == tick and getattr(driver, "failure", None) is None:
                     raise WorldError(
                         f"wrappers: expected that a step through them steps the environment, received one that did "
-                        f"not, at {tick / record.rules.physics_hz:.1f} s; leave out what ends or resets episodes"
+                        f"not, at {tick / record.rules.physics_hz:.1f} s; leave out wrappers that end or reset episodes"
                     )
         return record.trace()
 
     def _act(self) -> None:
-        """In the place of ``Road.act``, which asks each vehicle in turn: the ego, then the NPCs."""
+        """Control the ego and then the NPCs; this replaces ``Road.act``, which calls each vehicle's ``act``."""
         self._driver.actuate()
         if not self._is_over:
             self._traffic.command()
 
     def _step(self, dt: float) -> None:
-        """After ``Road.step``: record, and test for contact, until the run has ended inside a decision."""
+        """Do ``Road.step``, and then record and test for contact, unless the run has ended within the decision."""
         record = self._traffic.record
         error = step_ego(record.tick, self._guard, lambda: self._road_step(dt))
         if not self._is_over:

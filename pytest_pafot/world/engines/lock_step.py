@@ -1,9 +1,9 @@
-"""Runs in lock step: an ADS with a method ``batch`` decides for all of them at once.
+"""Runs in lock step, in which an ADS with a method ``batch`` decides for all runs at once.
 
-``batch(observations) -> actions`` gets the :class:`Observations` of the runs that still go on, at one decision tick,
-and returns one action for each in the same order. One fresh ADS serves all runs of a batch, so that it may not remember
-anything from one decision to the next but by ``observations.runs``, and an action may depend on its own run alone. Then
-the runs are those of the same ADS asked one by one.
+``batch(observations) -> actions`` receives the :class:`Observations` of all unfinished runs at one decision tick, and
+returns one action for each in the same order. One fresh ADS serves all runs of a batch. It may therefore store state
+between decisions only per run, by ``observations.runs``, and an action may depend only on its own run. Under these
+conditions, the runs equal those of the same ADS called one by one.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from pytest_pafot.world.kernel.observation import Observation, stacked
 
 
 class Observations(list[Any]):
-    """What the ADS sees in each of the runs that still go on.
+    """The observations of all unfinished runs.
 
     Args:
-        runs: the number of each of them among all runs of the batch, the same at every tick, from 0.
-        seen: in them, in the same order.
+        runs: the number of each unfinished run among all runs of the batch, from 0; it is the same at every tick.
+        seen: the observation of each of them, in the same order.
     """
 
     def __init__(self, runs: Sequence[int], seen: Iterable[Any]) -> None:
@@ -39,28 +39,28 @@ class Observations(list[Any]):
 
     @property
     def array(self) -> Any:
-        """All of it, made when it is asked for, of shape [runs, vehicles, features].
+        """All observations as one array of shape [runs, vehicles, features], made on demand.
 
-        In SI units float64, the features those of :class:`pytest_pafot.VehicleState` in their order; runs with fewer
-        vehicles than others have NaN in the rows that they lack. In an environment the stack of its own observations.
+        In SI units it is float64, with the fields of :class:`pytest_pafot.VehicleState` as features; missing rows of
+        runs with fewer vehicles are NaN. In an environment it is the stack of the environment's own observations.
         """
         return stacked(self) if isinstance(self[0], Observation) else np.stack(self)
 
 
 class SteppedRun(Protocol):
-    """A run that goes from one decision to the next, until it has a trace."""
+    """A run that proceeds from one decision to the next, until it has a trace."""
 
     trace: Trace | None
 
     def observe(self) -> Any:
-        """What the ADS sees now."""
+        """Return the ADS's current observation."""
 
     def take(self, action: Any, seconds: float) -> None:
-        """Drive with a decision that took so long, up to the next one or the end."""
+        """Apply a decision, which took some seconds, and drive up to the next one or the end."""
 
 
 def batching_ads(factory: AdsFactory, hang_limit: float) -> Any:
-    """A fresh ADS that decides for many runs at once; None where the factory gives another, which is closed then."""
+    """Make a fresh ADS that decides for many runs at once; close it and return None if it has no ``batch``."""
     if is_vehicle_class(factory) or wants_env(factory):
         return None
     ads = make_ads(factory)
@@ -77,15 +77,15 @@ def rollouts(
     rollout: Callable[[Scenario, AdsFactory], Trace],
     hang_limit: float,
 ) -> list[Trace]:
-    """Simulate scenarios, in lock step where the ADS has a method ``batch`` and that works, else one by one.
+    """Simulate scenarios, in lock step if the ADS has a method ``batch`` that works, else one by one.
 
-    Where ``batch`` raises or hangs, all runs are repeated one by one, so that the error is that of its own run.
+    If ``batch`` raises or hangs, all runs are repeated one by one, so that the error belongs to the run that causes it.
 
-    ``start`` begins a run in lock step by an ADS that may have a sight, ``rollout`` simulates one by itself.
-    Where a decision for one run may take up to ``hang_limit`` [s], one for many may take as many times as long.
+    ``start`` begins a run in lock step for an ADS with the given sight; ``rollout`` simulates a single run. A decision
+    for one run may take ``hang_limit`` [s], and a decision for n runs n times as long.
 
     Raises:
-        AdsFactoryError: when the factory gives nothing that drives, or ``batch`` not one action for each run.
+        AdsFactoryError: if the factory returns nothing that drives, or ``batch`` does not return one action per run.
     """
     ads = batching_ads(factory, hang_limit) if len(scenarios) > 1 else None
     if ads is not None:
@@ -101,7 +101,7 @@ def rollouts(
 def _in_lock_step(
     runs: Sequence[SteppedRun], batch: Callable[[Observations], Any], guard: HangGuard
 ) -> list[Trace] | None:
-    """The traces of all runs; None where ``batch`` raised or hung."""
+    """Return the traces of all runs; None if ``batch`` raised or hung."""
     live = {number: run for number, run in enumerate(runs) if run.trace is None}
     while live:
         observations = Observations(list(live), [run.observe() for run in live.values()])
@@ -115,12 +115,12 @@ def _in_lock_step(
         except UNFIT as error:
             guard.decision_ends()
             let_through(error)
-            return None  # nothing is lost: whoever is at fault raises again by itself
+            return None  # no error is lost: its run raises it again when repeated alone
         seconds, count = (guard.clock() - started) / len(live), len(live)
         if not isinstance(actions, list) or len(actions) != count:
             raise AdsFactoryError(
                 f"ads.batch: expected {count} actions, one for each of {count} observations in the same order, "
-                f"received {shown(actions)}; runs that are over are not asked for any more, so that the number changes"
+                f"received {shown(actions)}; the number decreases during a batch, because finished runs are left out"
             )
         for run, action in zip(live.values(), actions, strict=True):
             run.take(action, seconds)
@@ -129,7 +129,7 @@ def _in_lock_step(
 
 
 def _listed(actions: Any) -> Any:
-    """What can be iterated over as a list. It may be a generator, and so the ADS's code; anything else as it is."""
+    """Return an iterable as a list, anything else unchanged; iterating may run the ADS's code in a generator."""
     try:
         iterator = iter(actions)
     except TypeError:

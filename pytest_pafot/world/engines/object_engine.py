@@ -1,4 +1,4 @@
-"""One run with highway-env's objects stepped directly, every tick recorded, contact tested after each."""
+"""The engine that steps highway-env's objects directly, records every tick, and tests for contact after each."""
 
 from __future__ import annotations
 
@@ -37,9 +37,10 @@ def run(
     make_ego: Callable[[tuple[float, float, float]], EgoDriver],
     decisions: Sequence[Any] = (),
 ) -> Trace:
-    """Simulate one scenario, with what an :class:`ObjectRun` needs.
+    """Simulate one scenario; the arguments are those of :class:`ObjectRun`.
 
-    The driver, an :class:`AskedDriver` then, is not asked for ``decisions``, the first ones of the run.
+    ``decisions`` are the first decisions of the run and replace calls of the ADS. The driver must then be an
+    :class:`AskedDriver`.
     """
     guard = HangGuard(rules.hang_limit)
     under_way = ObjectRun(rules, scenario, road, make_ego, guard)
@@ -62,7 +63,7 @@ def run_on(
     decisions: Sequence[Any] = (),
     body: Body | None = None,
 ) -> Trace:
-    """Simulate a scenario on a road with a vehicle class or an ADS in SI units, whose car may be given a body."""
+    """Simulate a scenario with a vehicle class or an ADS in SI units; ``body`` replaces the body of an ADS's car."""
     road = Road(network, np_random=np.random.default_rng(scenario.seed))
     if is_vehicle_class(ads):
         return run(rules, scenario, road, lambda start: SelfDriving(ads, road, start, scenario.ego_speed), decisions)
@@ -73,7 +74,7 @@ def run_on(
 def begin_planner(
     network: RoadNetwork, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None
 ) -> ObjectRun:
-    """A run on a road that is given its decisions in SI units."""
+    """Begin a run that receives its decisions in SI units from outside."""
     road = Road(network, np_random=np.random.default_rng(scenario.seed))
     return ObjectRun(rules, scenario, road, partial(_planner, rules, scenario, road, None, sight, None), guard)
 
@@ -103,10 +104,10 @@ def planner_of(rules: Rules, scenario: Scenario, road: Road, ads: Any, sight: Si
 
 
 class ObjectRun:
-    """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`.
+    """A run that receives its decisions; see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`.
 
-    The road is fresh: vehicles are added here, the ego first. Its driver is made for its start (x [m], y [m],
-    heading [rad]) before the NPCs exist.
+    The road must be empty: the run adds all vehicles, the ego first. ``make_ego`` makes the ego's driver for its start
+    (x [m], y [m], heading [rad]) before the NPCs exist.
     """
 
     def __init__(
@@ -126,11 +127,11 @@ class ObjectRun:
         self._dt, self._last = 1 / rules.physics_hz, rules.ticks(scenario)
 
     def observe(self) -> Any:
-        """What the ADS sees now."""
+        """Return the ADS's current observation."""
         return cast("AskedDriver", self.traffic.driver).observe(self.traffic.record.tick)
 
     def take(self, action: Any, seconds: float) -> None:
-        """Drive with a decision that took so long, up to the next one or the end."""
+        """Apply a decision, which took some seconds, and drive up to the next one or the end."""
         record, error = self.traffic.record, None
         try:
             record.actions.append(cast("AskedDriver", self.traffic.driver).apply(action))
@@ -141,7 +142,7 @@ class ObjectRun:
         self.go_on(error)
 
     def go_on(self, error: AdsError | None = None) -> None:
-        """Drive up to the next decision; the trace is there once the run is over, as by an error of the ADS."""
+        """Drive up to the next decision; set ``trace`` if the run ends, also because of an error of the ADS."""
         traffic, record, driver = self.traffic, self.traffic.record, self.traffic.driver
         for _ in range(min(driver.every, self._last - record.tick) if error is None else 0):
             driver.actuate()
@@ -161,14 +162,14 @@ class ObjectRun:
 
 
 def decide(driver: EgoDriver, tick: int, record: Record, guard: HangGuard) -> AdsError | None:
-    """Have the ADS decide, under guard; what it did instead of that, or None."""
+    """Let the ADS decide, under guard, and return its error, or None."""
     started = guard.clock()
     try:
         try:
             guard.decision_starts()
             action = driver.decide(tick)
         finally:
-            guard.decision_ends()  # before anything is made of an exception: nothing may interrupt that
+            guard.decision_ends()  # before the exception is handled, which nothing may interrupt
     except UNFIT as error:
         return error_of(error, tick, guard)
     if action is not None:
@@ -178,7 +179,7 @@ def decide(driver: EgoDriver, tick: int, record: Record, guard: HangGuard) -> Ad
 
 
 def step_ego(tick: int, guard: HangGuard, step: Callable[[], Any]) -> AdsError | None:
-    """Move an ego by its vehicle class, whose methods may be the user's; what it did instead of that, or None."""
+    """Move an ego by its vehicle class, which may be the user's code, and return its error, or None."""
     try:
         step()
     except UNFIT as error:
@@ -187,9 +188,9 @@ def step_ego(tick: int, guard: HangGuard, step: Callable[[], Any]) -> AdsError |
 
 
 class VehiclesOfRun:
-    """The vehicles of a run, as highway-env has them, between the director and the record.
+    """The highway-env vehicles of a run; it passes the director's controls to them and their states to the record.
 
-    The ego is at its start. ``make_npc`` goes from x [m], y [m], heading [rad] and speed [m/s] to a vehicle.
+    The ego is at its start. ``make_npc`` makes a vehicle from x [m], y [m], heading [rad] and speed [m/s].
     """
 
     def __init__(
@@ -227,13 +228,13 @@ class VehiclesOfRun:
         self._write(self._states(), [(0.0, 0.0)] * len(self.vehicles))
 
     def command(self) -> None:
-        """Have the director set the NPCs' controls."""
+        """Let the director set the NPCs' controls."""
         self._director.command(self._bodies[0])
         for vehicle, npc in zip(self._npcs, self._director.npcs, strict=True):
             vehicle.control(npc.acceleration, npc.steering)
 
     def note(self) -> Trace | None:
-        """Record the state after a step; the finished trace, when somebody touches somebody or the road is left."""
+        """Record the state after a step, and return the trace if it ends the run by a contact or off the road."""
         self.record.tick += 1
         states = self._states()
         left = self._write(states, [self._controls(vehicle) for vehicle in self.vehicles])
@@ -256,20 +257,20 @@ class VehiclesOfRun:
         return float(vehicle.acceleration), float(vehicle.steering)
 
     def _write(self, states: Sequence[State], controls: Sequence[tuple[float, float]]) -> Outcome | None:
-        """Record all vehicles, and show their bodies to the director; how the run leaves the road, if it does."""
+        """Record all vehicles, update the director's bodies, and return the outcome if the run leaves the road."""
         lanes, left = self._frame.see(states, self._bodies)
         rows: list[float] = []
         for state, own, lane in zip(states, controls, lanes, strict=True):
             rows += (*state, *own, lane)
-        self.record.rows.extend(array("d", rows))  # a list one by one would take several times as long
+        self.record.rows.extend(array("d", rows))  # extending by a list takes several times as long
         return left
 
 
 def _foresight(road: NetworkRoad, body: Body) -> Callable[[Any], tuple[list[Any], list[float]]]:
-    """Return how highway-env's regulated road foresees an NPC: it goes on along its way or lane, at its speed.
+    """Return a prediction for highway-env's regulated road: an NPC continues along its way or lane at its speed.
 
-    highway-env's own vehicles are predicted along their routes. An NPC has none there, and would be taken for one that
-    keeps the angle of its wheels.
+    highway-env predicts its own vehicles along their routes. An NPC has no such route, so highway-env would assume that
+    it keeps its steering angle.
     """
 
     def foresight(times: Any) -> tuple[list[Any], list[float]]:

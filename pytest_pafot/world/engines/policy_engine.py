@@ -1,4 +1,4 @@
-"""One run in a copy of a highway-env environment: policies see and act through it, and its road is stepped directly."""
+"""The engine for policies, which observe and act through a copy of an environment whose road is stepped directly."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
 def begin(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None
 ) -> ObjectRun:
-    """A run that is given its actions, by an ADS that may have a sight."""
+    """Begin a run that receives its actions from outside, for an ADS with the given sight."""
     env = _env_of(environment, scenario)
 
     def make_ego(start: tuple[float, float, float]) -> Policy:
@@ -71,7 +71,10 @@ def begin(
 
 
 def put_ego(env: Any, ego: Any, route: Sequence[Any] | None) -> None:
-    """Make a vehicle the only one of an environment, on a route if it follows one; pafot looks for contact itself."""
+    """Make a vehicle the only one of an environment, on a route if it follows one.
+
+    highway-env's own check of collisions is turned off, because pafot tests for contact itself.
+    """
     ego.check_collisions = False
     give_route(ego, route)
     env.road.vehicles = [ego]
@@ -82,13 +85,13 @@ def put_ego(env: Any, ego: Any, route: Sequence[Any] | None) -> None:
 def put_new_ego(
     env: Any, vehicle_class: Any, start: tuple[float, float, float], speed: float, route: Sequence[Any] | None
 ) -> None:
-    """Make a vehicle of a class, with a speed [m/s] at x [m], y [m], heading [rad], and put it as :func:`put_ego`."""
+    """Make a vehicle of a class, with a speed [m/s] at x [m], y [m], heading [rad]; then call :func:`put_ego`."""
     x, y, heading = start
     put_ego(env, vehicle_class(env.road, [x, y], heading, speed), route)
 
 
 def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
-    """The environment of one run, without vehicles; runs may nest and share no state."""
+    """Copy the environment for one run, without vehicles; runs may nest, so they share no state."""
     env = copy.copy(environment.unwrapped)
     env.np_random = np.random.default_rng(scenario.seed)
     env.time = env.steps = 0
@@ -99,6 +102,6 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
         neighbour_vehicles_connected_lanes=env.config.get("neighbour_vehicles_connected_lanes", False),
     )
     if isinstance(env.road, EgosRegulatedRoad):
-        env.road.steps = own.steps  # a reset has made some, by which it is known when the next rules are enforced
+        env.road.steps = own.steps  # a reset has done some steps, and the count decides when rules are enforced next
     env.road.objects = copies_on(environment.unwrapped.road.objects, env.road)
     return env

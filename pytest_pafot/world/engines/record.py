@@ -1,4 +1,4 @@
-"""The trace of a run, from what was recorded of it."""
+"""The record of a run, and the trace that is made from it."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from pytest_pafot.world.run_config import Rules
 
 @dataclass(slots=True, kw_only=True)
 class Record:
-    """A run as far as it has come.
+    """The record of a run up to its current tick.
 
     Attributes:
         sizes: length and width of each vehicle [m].
         rows: :data:`COLUMNS` numbers for each vehicle at each tick.
-        tick: the last one that is recorded.
+        tick: the last recorded tick.
         slowest: longest decision of the ADS [s].
-        frame: where everybody is on a road that is not straight; None on a straight one.
+        frame: the places of all vehicles on a road that is not straight; None on a straight road.
     """
 
     rules: Rules
@@ -45,10 +45,10 @@ class Record:
     frame: NetworkFrame | None = None
 
     def trace(self, ended: Outcome | None = None, error: AdsError | None = None) -> Trace:
-        """The finished trace of a run that ended so, by an error of the ADS, or where neither is given in peace."""
+        """Return the trace of a run that has ended with an outcome or an error of the ADS, or else without an event."""
         shape = (self.tick + 1, len(self.sizes), COLUMNS)
         rows = np.frombuffer(self.rows, count=shape[0] * shape[1] * COLUMNS)
-        # Read-only, and without a copy where they fill their room.
+        # Read-only, and without a copy if the run has filled the whole buffer.
         states = (rows if rows.size == len(self.rows) else rows.copy()).reshape(shape)
         states.flags.writeable = False
         track = None if self.frame is None else self.frame.track()
@@ -93,7 +93,7 @@ class Record:
         ego, other = states[-1, 0], states[-1, npc + 1]
         positions = RelativePositions(states, np.array(self.sizes), self.rules.road.lanes, track)
         both = states[-1, [0, npc + 1]]
-        course = both[:, HEADING] + np.arctan(0.5 * np.tan(both[:, STEERING]))  # where wheels are turned, it slips
+        course = both[:, HEADING] + np.arctan(0.5 * np.tan(both[:, STEERING]))  # a vehicle with turned wheels slips
         velocity = both[:, SPEED] * np.array([np.cos(course), np.sin(course)])
         return Collision(
             tick=self.tick,
@@ -107,7 +107,7 @@ class Record:
         )
 
     def _cell(self, npc: int, positions: RelativePositions, track: FloatArray | None) -> Cell | None:
-        """Return the cell of an NPC that the ego has touched; None where it was not on the ego's way."""
+        """Return the cell of an NPC that the ego has touched; None if the NPC was not on the ego's way."""
         if track is not None and np.isnan(track[-1, npc + 1, 0]):
             return None
         cell = positions.last_cell(npc, self.tick)

@@ -1,4 +1,4 @@
-"""Which of two engines steps a run in SI units: the kernel, or highway-env's own objects. The results are the same."""
+"""The choice between two engines for runs in SI units, the kernel and highway-env's objects, with the same results."""
 
 from __future__ import annotations
 
@@ -25,8 +25,6 @@ from pytest_pafot.world.kernel.observation import COLUMNS, Observation, Observer
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.run_config import Rules, start_positions
 
-# One run by the kernel: a straight road that starts at the origin, and an ego that it can drive or ask.
-
 
 def run_planner(
     rules: Rules,
@@ -35,9 +33,10 @@ def run_planner(
     decisions: Sequence[Any] = (),
     body: Body | None = None,
 ) -> Trace:
-    """Simulate a scenario that fits the rules with a callable from an observation to its action.
+    """Simulate a scenario that fits the rules in the kernel, with a callable from an observation to its action.
 
-    The ADS is not asked for ``decisions``, the first ones of the run; it may be given a body of its own.
+    The road must be straight and start at the origin. ``decisions`` are the first decisions of the run and replace
+    calls of the ADS. ``body`` replaces the ego's usual body.
     """
     ego = body or Body(NPC_LENGTH, NPC_WIDTH)
     ego.place(*rules.ego_position(scenario), scenario.ego_speed)
@@ -56,7 +55,7 @@ def run_planner(
 
 
 class KernelRun:
-    """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`."""
+    """A run in the kernel that receives its decisions; see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`."""
 
     def __init__(self, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None = None) -> None:
         ego = Body(NPC_LENGTH, NPC_WIDTH)
@@ -71,12 +70,12 @@ class KernelRun:
         self._sight = planner_sight(sight, rules, scenario)
 
     def observe(self) -> Observation:
-        """What the ADS sees now."""
+        """Return the ADS's current observation."""
         now = self._observer.observation(self._loop.tick)
         return now if self._sight is None else self._sight.recorded(now, self._observer)
 
     def take(self, action: Any, seconds: float) -> None:
-        """Drive with a decision that took so long, up to the next one or the end."""
+        """Apply a decision, which took some seconds, and drive up to the next one or the end."""
         loop, record, error = self._loop, self._record, None
         try:
             self._pilot.take(action, seconds)
@@ -91,7 +90,7 @@ class KernelRun:
 
 
 def run_model(rules: Rules, scenario: Scenario, model: IdmModel) -> Trace:
-    """Simulate a scenario that fits the rules with highway-env's IDM+MOBIL as the ego."""
+    """Simulate a scenario that fits the rules in the kernel, with highway-env's IDM and MOBIL as the ego."""
     road = rules.straight
     ego = IdmEgo(model.constants, road.grid, road.speed_limit)
     ego.start(*rules.ego_position(scenario), scenario.ego_speed, model.changes_lanes)
@@ -101,7 +100,7 @@ def run_model(rules: Rules, scenario: Scenario, model: IdmModel) -> Trace:
 
 
 def _prepared(rules: Rules, scenario: Scenario, ego: Body) -> tuple[Record, Loop]:
-    """Everybody at the start."""
+    """Put all vehicles at their starts, and return the record and the loop."""
     director = cast("Director", rules.director(scenario, ego.length))  # the road is straight
     _, *starts = start_positions(rules, scenario, director.first_cells(), ego.length)
     for npc, (x, y, heading) in zip(director.npcs, starts, strict=True):
@@ -129,19 +128,19 @@ class SiWorld(Protocol):
 
     @property
     def engine(self) -> str:
-        """``"kernel"``, ``"highway-env"`` or ``"auto"``."""
+        """The requested engine: ``"kernel"``, ``"highway-env"`` or ``"auto"``."""
 
     @property
     def rules(self) -> Rules:
-        """Of its runs."""
+        """The rules of its runs."""
 
     @property
     def network(self) -> Any:
-        """The road as highway-env has it."""
+        """The road in the form of highway-env."""
 
 
 def rollout_vehicle(world: SiWorld, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
-    """Run a scenario, which fits the world, on a straight road, with an ego of a vehicle class that drives itself."""
+    """Run a scenario that fits the world, with an ego of a vehicle class that drives itself, on a straight road."""
     if decisions:
         raise WorldError(
             f"decisions: expected none for {ads!r}, a vehicle class, which drives itself and returns no actions, "
@@ -160,7 +159,7 @@ def rollout_vehicle(world: SiWorld, scenario: Scenario, ads: Any, decisions: Seq
 
 
 def kernel_model(world: SiWorld, ads: Any) -> IdmModel | None:
-    """The model by which the kernel drives a vehicle class; None where it cannot, or is not to."""
+    """Return the model by which the kernel drives a vehicle class; None if it cannot or must not."""
     return None if world.engine == "highway-env" else idm_model(ads)
 
 
@@ -172,9 +171,9 @@ def rollout_planner(
     decisions: Sequence[Any] = (),
     body: Body | None = None,
 ) -> Trace:
-    """Run a scenario on the road of a world, by its rules or others, with a callable from an observation to an action.
+    """Run a scenario on a world's road by the given rules, with a callable from an observation to an action.
 
-    On a road that is not straight, the callable decides at every tick. Its car may have a body of its own.
+    The kernel runs it if the road is straight and starts at the origin. ``body`` replaces the ego's usual body.
     """
     road = rules.road
     if world.engine == "highway-env" or isinstance(road, NetworkRoad) or not road.starts_at_origin:
@@ -183,7 +182,7 @@ def rollout_planner(
 
 
 def begin(world: SiWorld, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-    """A run that is given its decisions in SI units, by an ADS that may have a sight."""
+    """Begin a run that receives its decisions in SI units from outside, for an ADS with the given sight."""
     if world.engine != "highway-env":
         return KernelRun(world.rules, scenario, guard, sight)
     from pytest_pafot.world.engines.object_engine import begin_planner  # noqa: PLC0415  (a second of imports)
