@@ -213,7 +213,7 @@ def test_every_environment_of_highway_env_either_runs_or_says_why_not(env_id):
             world.check()
     elif env_id.startswith("parking"):
         with raises(
-            f"{env_id}: expected an ego that starts on a lane and in its direction, because the grid lies along"
+            f"{env_id}: expected an ego that starts on a lane and in its direction, because the grid runs along"
         ):
             world.check()
     else:

@@ -1,1 +1,1 @@
-"""The roads that vehicles drive on."""
+"""Roads: straight roads, ways through networks of lanes, and junctions."""

@@ -1,10 +1,11 @@
-"""Roads of any shape, as the grid sees them: positions along the ego's way and across its lanes.
+"""Roads of any shape in the grid's coordinates: positions along the ego's way and across its lanes.
 
-The way (:mod:`pytest_pafot.world.roads.route`) is the line to measure along. Beside it, at every half metre, are the
-lanes of the same road section, found by projecting as highway-env's own ``side_lanes`` are used. A lane is known by its
-number from the left, the ego's way having the same number from the beginning to the end; it need not exist everywhere.
+The way (:mod:`pytest_pafot.world.roads.route`) is the line for measurements along the road. At every half metre, the
+lanes of the same road section are next to it, found by projection like highway-env's ``side_lanes``. Lanes are numbered
+from the left. The ego's way has the same number from beginning to end; other lanes need not exist everywhere.
 
-Across the road positions are given in lanes: lane ``k`` has its centre at ``k`` lane widths, whatever the road does.
+Nominal positions across the road are in lane widths: the centre of lane ``k`` is always at ``k`` times the lane width,
+wherever the lane really is.
 """
 
 from __future__ import annotations
@@ -26,27 +27,25 @@ from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
 from pytest_pafot.world.roads.straight import StraightRoad
 
 Meeting = Literal["crosses", "joins", "oncoming"]
-"""How another road meets the ego's way; one that only leaves it does not count."""
-
-# How fast an NPC may be at each place of a lane, and how a vehicle lies in its bends. Pure functions of arrays.
+"""The manner in which a road meets the ego's way; a road that only leaves it does not count."""
 
 BEND_SHARE = 0.8
-"""Share of the lateral acceleration that following a bend may take; the rest is left for control."""
+"""The share of the lateral acceleration available for following a bend; the rest is reserved for control."""
 SLOWING = 2.0
-"""Deceleration by which an NPC gets slower for a bend or an end [m/s^2], at most a third of what it can."""
+"""The deceleration of an NPC before a bend or a lane's end [m/s^2]; at most a third of its braking limit is used."""
 SPEED_LAG = 1 / 1.5
-"""How long the speed control lags behind a speed that falls steadily: the inverse of its gain [s]."""
+"""The lag of the speed control behind a steadily falling speed, which is the inverse of its gain [s]."""
 
 
 def allowed_speeds(
     curvature: FloatArray, limit: FloatArray, stops: float | None, lengths: FloatArray, limits: NpcLimits
 ) -> FloatArray:
-    """The highest speed at each point of a lane [m/s].
+    """Return the highest speed of an NPC at each point of a lane [m/s].
 
-    At most the speed limit times the NPCs' excess of it, at most what the bend allows, sqrt(share * a / curvature),
-    and at every point so slow that gentle braking suffices for all points that follow, begun early enough. Arrays have
-    an entry per point: curvature [1/m], speed limit [m/s], length along the lane [m]. ``stops`` is the length at which
-    the lane ends [m], None if it does not.
+    It is at most the speed limit times ``limits.overspeed``, and at most sqrt(share * a / curvature) in a bend. It is
+    also so low that gentle braking suffices for all following points. Arrays have an entry per point: curvature [1/m],
+    speed limit [m/s], length along the lane [m]. ``stops`` is the length at which the lane ends [m], None if it does
+    not.
     """
     with np.errstate(divide="ignore"):
         bend = np.sqrt(BEND_SHARE * limits.lateral_acceleration / np.abs(curvature))
@@ -59,15 +58,15 @@ def allowed_speeds(
         reach = squares[index + 1] + 2 * slowing * (lengths[index + 1] - lengths[index])
         squares[index] = min(squares[index], reach)
     speed = np.sqrt(squares)
-    reached = np.searchsorted(lengths, lengths + speed * SPEED_LAG, side="right")  # while the speed control lags behind
+    reached = np.searchsorted(lengths, lengths + speed * SPEED_LAG, side="right")  # the lag of the speed control
     return np.array([speed[index : last + 1].min() for index, last in enumerate(reached)])
 
 
 def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> FloatArray:
-    """The angle to a lane of a vehicle whose centre follows it exactly [rad], by highway-env's bicycle model.
+    """Return the angle to a lane of a vehicle whose centre follows it exactly, by highway-env's bicycle model [rad].
 
-    Its rear axle is half a length behind its centre and moves where it points: per metre the heading turns by
-    sin(direction - heading) / (length / 2).
+    The rear axle is half a length behind the centre and moves in the direction of the heading. The heading therefore
+    turns by sin(direction - heading) / (length / 2) per metre.
     """
     lean = np.zeros(len(direction))
     for index in range(1, len(direction)):
@@ -80,20 +79,20 @@ def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> 
 
 
 def sharpest_ahead(curvature: FloatArray, lengths: FloatArray, reach: float) -> FloatArray:
-    """The largest curvature from each point of a lane to so far ahead [1/m]."""
+    """Return the largest curvature within a distance ahead of each point of a lane [1/m]."""
     last = np.searchsorted(lengths, lengths + reach, side="right")
     bend = np.abs(curvature)
     return np.array([bend[index:end].max() for index, end in enumerate(last)])
 
 
 class Spot(NamedTuple):
-    """A vehicle on the road.
+    """The place of a vehicle on the road.
 
     Attributes:
-        along, across: of its centre, on the ego's way and to its right [m].
-        angle: of its heading to the way [rad].
-        lane: the nearest one that exists there.
-        offset: to the centre of that lane, to the right [m].
+        along, across: the place of its centre, along the ego's way and to the right of it [m].
+        angle: its heading relative to the way [rad].
+        lane: the nearest lane that exists there.
+        offset: its offset from the centre of that lane, to the right [m].
     """
 
     along: float
@@ -108,14 +107,14 @@ class Column:
     """One lane along the whole way; lists have an entry per point of the line.
 
     Attributes:
-        exists: whether there is such a lane here.
-        across: of its centre from the line [m].
-        direction: of its centre line [rad].
-        lean: angle to it of a vehicle that follows it without error [rad]; a car in a bend points inwards less than
-            it moves.
-        speed: highest speed that bends, limits and the lane's end leave to an NPC [m/s].
-        sharpest: largest curvature of the lane from here on, as far as a lane change takes [1/m].
-        part: index of the lane in ``Trace.lanes``, -1 where there is none.
+        exists: True if the lane exists at the point.
+        across: the distance of its centre from the line, to the right [m].
+        direction: the direction of its centre line [rad].
+        lean: the angle to it of a vehicle that follows it exactly [rad]. In a bend, a car's heading is turned inwards
+            less than its course.
+        speed: the highest speed that bends, limits and the lane's end leave to an NPC [m/s].
+        sharpest: the largest curvature of the lane over the length of a lane change from here [1/m].
+        part: the index of the lane in ``Trace.lanes``, -1 if it does not exist.
     """
 
     exists: list[bool]
@@ -132,14 +131,15 @@ class NetworkRoad:
     """The lanes along the ego's way through a network.
 
     Attributes:
-        lanes: all lanes, as a trace has them: first those of the way from the left, then the others of the network.
+        lanes: all lanes in the form of a trace: first the lanes of the way from the left, then the network's others.
         columns: the lanes of the way, from the left.
-        sections: of the way, as pairs of highway-env's nodes.
-        route: the lanes of the way in driving order, by the numbers that ``line.piece`` has.
-        others: highway-env's indices of the lanes that are in no section of the way, the last of ``lanes``.
-        lane_width: of the ego's lane at the start [m].
-        speed_limit: of the fastest lane of the way, or the ego's first speed where that is more [m/s].
-        start, ego_lane, ego_speed: where along the road [m], in which lane and at which speed [m/s] the ego starts.
+        sections: the way's sections, as pairs of highway-env's nodes.
+        route: the lanes of the way in driving order; ``line.piece`` has indices of this tuple.
+        line: the line of the way.
+        others: highway-env's indices of the lanes that are in no section of the way; they are the last of ``lanes``.
+        lane_width: the width of the ego's lane at the start [m].
+        speed_limit: the speed limit of the way's fastest lane, or the ego's first speed if that is higher [m/s].
+        start, ego_lane, ego_speed: the ego's place along the road [m], lane and speed [m/s] at the start.
     """
 
     lanes: tuple[Lane, ...]
@@ -155,27 +155,27 @@ class NetworkRoad:
     ego_speed: float
 
     def __deepcopy__(self, _: dict[int, object]) -> NetworkRoad:
-        """Itself, as nothing in it changes: highway-env copies vehicles with all that hangs on them to predict them."""
+        """Return itself, because it is immutable and highway-env deep-copies the road to predict vehicles."""
         return self
 
     @cached_property
     def end(self) -> float:
-        """Of the road [m]."""
+        """The end of the road [m]."""
         return (len(self.line.x) - 1) * STEP
 
     @property
     def lane_count(self) -> int:
-        """How many lanes there are along the way, each of them somewhere."""
+        """The number of lanes along the way; some may exist only in places."""
         return len(self.columns)
 
     @property
     def start_lanes(self) -> tuple[int, ...]:
-        """The lanes that exist where the ego starts."""
+        """The lanes that exist at the ego's start."""
         return tuple(lane for lane in range(len(self.columns)) if self.exists(lane, self.start))
 
     @cached_property
     def bends(self) -> Bends:
-        """The same in plain numbers."""
+        """The same road in plain numbers, for the kernel."""
         line, columns = self.line, self.columns
         exists = [flag for each in columns for flag in each.exists]
         part = [number for each in columns for number in each.part]
@@ -187,74 +187,74 @@ class NetworkRoad:
         return Bends(points, (exists, part), (across, direction, lean, speed), widths, self.lane_width)
 
     def exists(self, lane: int, along: float) -> bool:
-        """Whether there is such a lane at a place of the road."""
+        """Return whether a lane exists at a place along the road."""
         return self.bends.exists(lane, along)
 
     def continues(self, lane: int, since: float, until: float) -> bool:
-        """Whether a lane exists from one place to another, or to the end of the road."""
+        """Return whether a lane exists from one place to another, or to the end of the road."""
         return self.bends.continues(lane, since, until)
 
     def cells(self, along: float, ego_lane: int, rows: float) -> frozenset[Cell]:
-        """The cells whose centre is on a lane, for rows that are so far apart [m]."""
+        """Return the cells whose centre is on a lane; ``rows`` is the distance between rows [m]."""
         return frozenset(cell for cell in Cell if self.exists(ego_lane + cell.column, along + cell.row * rows))
 
     def position(self, longitudinal: float, lane: int) -> tuple[float, float, float]:
-        """World x [m], y [m] and heading [rad] of a vehicle on the centre of a lane."""
+        """Return world x [m], y [m] and heading [rad] of a vehicle on the centre of a lane."""
         x, y, heading = self.reference(longitudinal)
         across, direction, lean = self.lane_at(lane, longitudinal)
         return x - math.sin(heading) * across, y + math.cos(heading) * across, direction + lean
 
     def centre(self, lane: int) -> float:
-        """How far across the road the centre of a lane is, in the measure of lanes [m]."""
+        """Return the nominal position of a lane's centre across the road [m]."""
         return lane * self.lane_width
 
     def nearest_lane(self, lateral: float) -> int:
-        """The lane whose centre is nearest, in the measure of lanes."""
+        """Return the lane whose centre is nearest to a nominal position."""
         return self.bends.nearest_lane(lateral)
 
     def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
-        """Of a lane: across [m], direction [rad], lean [rad]."""
+        """Return a lane's distance across from the line [m], its direction [rad], and a vehicle's lean in it [rad]."""
         return self.bends.lane_at(lane, along)
 
     def speed_at(self, lane: int, along: float) -> float:
-        """The highest speed of an NPC in a lane [m/s]."""
+        """Return the highest speed of an NPC in a lane [m/s]."""
         return self.bends.speed_at(lane, along)
 
     def stretch(self, along: float, across: float) -> float:
-        """Metres driven there per metre of the road: more outside of a bend, less inside."""
+        """Return the metres driven per metre along the road: more than 1 on the outside of a bend, less inside."""
         return self.bends.stretch(along, across)
 
     def spot(self, x: float, y: float, heading: float, near: float) -> Spot:
-        """A vehicle on the road, looked for near a place along it, since roads may cross themselves."""
+        """Return a vehicle's place on the road near a place along it, because roads may cross themselves."""
         bends = self.bends
         bends.locate(x, y, heading, near)
         return Spot(bends.along, bends.across, bends.angle, bends.lane, bends.offset)
 
     def in_lanes(self, spot: Spot) -> float:
-        """Where across the road a vehicle is, in the measure of lanes [m]."""
+        """Return the nominal position of a vehicle across the road [m]."""
         return self.bends.in_lanes(spot.lane, spot.along, spot.offset)
 
     def part(self, spot: Spot) -> int:
-        """Index in ``lanes`` of the lane of the way that a vehicle's centre is on, -1 beside them."""
+        """Return the index in ``lanes`` of the way's lane that a vehicle's centre is on; -1 if it is on none."""
         return self.bends.part(spot.lane, spot.along, spot.offset)
 
     def reference(self, along: float) -> tuple[float, float, float]:
-        """World x, y and heading of the line; straight on beyond its ends."""
+        """Return world x [m], y [m] and heading [rad] of the line, which goes straight on beyond its ends."""
         return self.bends.reference(along)
 
     def point(self, along: float) -> int:
-        """The point of the line that is nearest to a place."""
+        """Return the index of the line's point that is nearest to a place along the road."""
         return self.bends.point(along)
 
     @cached_property
     def unused(self) -> frozenset[Meeting]:
-        """Return how lanes meet the ego's way on which no NPC ever drives, as all of them drive along that way."""
+        """The manners in which other lanes meet the ego's way. NPCs on the grid never drive on them."""
         own_lanes = len(self.lanes) - len(self.others)
         ways = zip(self.others, self.lanes[own_lanes:], strict=True)
         return frozenset(filter(None, (self._meeting(index[:2], lane) for index, lane in ways)))
 
     def _meeting(self, section: tuple[str, str], lane: Lane) -> Meeting | None:
-        """Return how a lane of no section of the way meets it; None where it leaves the way, or is far from it."""
+        """Return how a lane outside the way's sections meets it; None if it leaves the way, or is far from it."""
         nodes, ends = {node for each in self.sections for node in each}, {end for _, end in self.sections}
         is_turned = section[::-1] in self.sections
         if section[1] in ends:
@@ -269,29 +269,27 @@ class NetworkRoad:
         apart = np.hypot(points[:, :1] - self.line.x, points[:, 1:] - self.line.y)
         if not is_turned:
             return "crosses" if apart.min() < self.lane_width / 2 else None
-        # Two halves of a ring have the same two nodes as the two directions of a road, but lead on where they meet.
+        # Two halves of a roundabout have the same two nodes as the two directions of a road, but go on where they meet.
         here, there = np.unravel_index(int(apart[:-1].argmin()), apart[:-1].shape)
         x, y = points[here + 1] - points[here]
         heading = self.line.heading[there]
         return "oncoming" if x * math.cos(heading) + y * math.sin(heading) < 0 else None
 
 
-# Where the vehicles of one run are on the road, tick by tick, and whether the run leaves it.
-
 State = tuple[float, float, float, float]
-"""x [m], y [m], heading [rad], speed [m/s]."""
+"""The state of a vehicle: x [m], y [m], heading [rad], speed [m/s]."""
 
 
 class StraightFrame:
-    """Shows vehicles on a straight road to the director."""
+    """The places of vehicles on a straight road, for the director and the record."""
 
     def __init__(self, road: StraightRoad) -> None:
         self._road = road
 
     def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
-        """Put bodies where the vehicles are on the road; the lane of each, and how the run leaves the road: not at all.
+        """Place the bodies on the road, and return the lane of each vehicle, and None.
 
-        A run on a straight road goes on where the ego is beside it.
+        A run on a straight road continues even if the ego leaves the road, so there is never an outcome.
         """
         road, lanes = self._road, []
         for body, (x, y, heading, speed) in zip(bodies, states, strict=True):
@@ -301,19 +299,19 @@ class StraightFrame:
 
 
 class NetworkFrame:
-    """Follows the vehicles along the road: a road may cross itself, and a circuit comes back to where it began."""
+    """The places of vehicles on a bent road, tracked from tick to tick, because the road may cross or repeat itself."""
 
     def __init__(self, road: NetworkRoad, network: Any, starts: Sequence[float]) -> None:
-        """``starts`` is where along the road each vehicle starts [m], the ego first."""
+        """Start with each vehicle's place along the road at the start [m], the ego first."""
         self._road = road
-        self._network = network  # highway-env's, to see on which lane an ego is that has left the road
+        self._network = network  # highway-env's, to find the lane of an ego that has left the road
         self._along = list(starts)
         self._rows: list[float] = []
 
     def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
-        """Put bodies where the vehicles are on the road; the lane of each, and how the run leaves the road, if it does.
+        """Place the bodies on the road, and return each vehicle's lane, and the outcome if the run leaves the road.
 
-        Across the road bodies are in the measure of lanes, their heading is to the ego's way; see :class:`Trace`.
+        Bodies have nominal positions across the road, and headings relative to the ego's way; see :class:`Trace`.
         """
         road, bends, lanes, has_ended = self._road, self._road.bends, [], False
         for number, ((x, y, heading, speed), body) in enumerate(zip(states, bodies, strict=True)):
@@ -333,11 +331,11 @@ class NetworkFrame:
         return [own, *lanes[1:]], ended
 
     def track(self) -> FloatArray:
-        """Where all were at every tick, with the columns of :attr:`pytest_pafot.Trace.track`."""
+        """Return the places of all vehicles at every tick, with the columns of :attr:`pytest_pafot.Trace.track`."""
         return np.array(self._rows).reshape(-1, len(self._along), 5)
 
     def _beside(self, position: FloatArray, spot: Spot) -> tuple[int, Outcome | None]:
-        """Of an ego that is on no lane of its way: the lane that it is on, and what that means."""
+        """Return the lane of an ego that is on no lane of its way, and the outcome of the run."""
         on = [index for index, lane in self._network.lanes_dict().items() if lane.on_lane(position)]
         if any(index[:2] in self._road.sections for index in on):
             return self._road.columns[spot.lane].part[self._road.point(spot.along)], None

@@ -1,7 +1,8 @@
-"""The way of the ego through a road network: which lanes, in which order, and the line that they make.
+"""The ego's way through a road network: its lanes in driving order, and the line that they make.
 
-``RoadNetwork`` of highway-env is a graph of lanes with shapes of any kind. The grid needs one line to measure along:
-the lane that the ego starts in, what its route (else ``next_lane``) leads to, and the lanes by which it came.
+highway-env's ``RoadNetwork`` is a graph of lanes of any shape. The grid needs one line for measurements along the road.
+It consists of the lane in which the ego starts, the lanes to which its route (else ``next_lane``) leads, and the lanes
+before the start.
 """
 
 from __future__ import annotations
@@ -16,26 +17,26 @@ import numpy as np
 from pytest_pafot.model.trace import FloatArray
 
 LaneIndex = tuple[str, str, int]
-"""Of highway-env: the nodes that a road section leads from and to, and the lane's number in it, from the left."""
+"""The index of a lane in highway-env: its road section's start and end node, and its number there from the left."""
 Angle = TypeVar("Angle", float, FloatArray)
 
 STEP = 0.5
-"""Distance of the points of a line [m]."""
+"""The distance between neighbouring points of a line [m]."""
 WIDEST_GAP = 10.0
-"""Between the end of a lane and the beginning of the next [m]; highway-env's roundabouts have gaps of 6 m."""
+"""The largest gap between a lane's end and the next lane's beginning [m]; highway-env's roundabouts have 6 m."""
 SHARPEST_BEND = 1.3
-"""Between the directions of two lanes where they meet [rad]; more is no way to drive."""
+"""The largest angle between the directions of two consecutive lanes [rad]; a larger one cannot be driven."""
 DECIDED_BEFORE = 2.5
-"""How far before the end of a lane highway-env's vehicles choose the next one [m]."""
+"""The distance before a lane's end at which highway-env's vehicles choose the next lane [m]."""
 ROUGH = 0.06
-"""Between the directions of neighbouring points of a line [rad]; no vehicle can follow more at a joint of two lanes."""
+"""The largest angle between neighbouring points of a line [rad]; no vehicle can follow more at a joint of two lanes."""
 BLEND = 3.0
-"""How far to either side a gap or bend between two lanes is rounded off [m]."""
+"""The length scale of rounding a gap or bend between two lanes, to either side [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A lane of the way, from a longitudinal coordinate of the lane to another [m]."""
+    """A part of a lane that belongs to the way; ``begin`` and ``end`` are longitudinal coordinates of the lane [m]."""
 
     index: LaneIndex
     lane: Any
@@ -45,12 +46,12 @@ class Piece:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """A line to measure along, a point every 0.5 m.
+    """A line for measurements along the road, with a point every 0.5 m.
 
     Attributes:
         x, y: world coordinates [m], shape [points].
-        heading: [rad], without jumps.
-        piece: index of the piece that each point belongs to.
+        heading: the direction at each point [rad], without jumps of 2 pi.
+        piece: the index of the piece to which each point belongs.
     """
 
     x: FloatArray
@@ -62,10 +63,10 @@ class Line:
 def way(
     network: Any, start: LaneIndex, at: float, planned: Sequence[Any] | None, *, ahead: float, behind: float
 ) -> tuple[tuple[Piece, ...], int]:
-    """The lanes of the ego's way in driving order, and the number of the one that the ego starts in.
+    """Return the pieces of the ego's way in driving order, and the number of the piece in which the ego starts.
 
-    Looked for so far ahead and behind [m] of the longitudinal coordinate at which the ego starts in its lane [m], along
-    its route as highway-env has it.
+    The ego starts in lane ``start`` at the longitudinal coordinate ``at`` [m]. The way covers the distances ``ahead``
+    and ``behind`` [m] if the network continues so far. ``planned`` is the ego's route in the form of highway-env.
     """
     first = Piece(start, network.get_lane(start), 0.0, float(network.get_lane(start).length))
     before: list[Piece] = []
@@ -85,7 +86,7 @@ def way(
 
 
 def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
-    """The piece that the route asks for, else the nearest one that can be driven on to."""
+    """Return the next piece on the route, or without a route the nearest piece that can be driven on to."""
     origin, node, number = last.index
     point = last.lane.position(last.end, 0)
     deciding = last.lane.position(max(last.end - DECIDED_BEFORE, last.begin), 0)
@@ -104,7 +105,7 @@ def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
 
 
 def _predecessor(network: Any, piece: Piece) -> Piece | None:
-    """The nearest piece that leads to one; highway-env's networks know no predecessors."""
+    """Return the nearest piece that leads to a piece; highway-env's networks do not store predecessors."""
     point = np.asarray(piece.lane.position(0, 0))
     lanes = network.lanes_dict().items()
     leading = (Piece(index, lane, 0.0, float(lane.length)) for index, lane in lanes if index[1] == piece.index[0])
@@ -113,14 +114,14 @@ def _predecessor(network: Any, piece: Piece) -> Piece | None:
 
 
 def is_drivable(last: Piece, piece: Piece) -> bool:
-    """Return whether a vehicle can drive from the end of one lane on to the beginning of another."""
+    """Return whether a vehicle can drive from the end of one piece to the beginning of the next."""
     step = np.asarray(piece.lane.position(piece.begin, 0)) - np.asarray(last.lane.position(last.end, 0))
     turn = piece.lane.heading_at(piece.begin) - last.lane.heading_at(last.end)
     return float(np.hypot(*step)) <= WIDEST_GAP and abs(wrapped(float(turn))) <= SHARPEST_BEND
 
 
 def line_of(pieces: Sequence[Piece]) -> Line:
-    """The centre lines of the pieces as one line; gaps and bends between them are rounded off."""
+    """Join the centre lines of the pieces to one line, with gaps and bends between them rounded off."""
     points, owners = _spaced(*_sampled(pieces))
     joints = []
     for joint in (np.flatnonzero(np.diff(owners)) + 1).tolist():
@@ -150,7 +151,7 @@ def _sampled(pieces: Sequence[Piece]) -> tuple[FloatArray, FloatArray]:
 
 
 def _spaced(points: FloatArray, owners: Any) -> tuple[FloatArray, Any]:
-    """A line with its points moved to equal distances along it, and the piece that each belongs to."""
+    """Resample a line at equal distances, and return its points and the piece of each."""
     length = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     places = np.arange(0.0, length[-1] + STEP / 2, STEP)
     spaced = np.stack([np.interp(places, length, points[:, axis]) for axis in (0, 1)], axis=-1)
@@ -175,5 +176,5 @@ def _rounded(points: FloatArray, joints: Sequence[int]) -> FloatArray:
 
 
 def wrapped(angle: Angle) -> Angle:
-    """An angle or an array of angles in [-pi, pi) [rad]."""
+    """Return an angle or an array of angles wrapped to [-pi, pi) [rad]."""
     return (angle + math.pi) % (2 * math.pi) - math.pi

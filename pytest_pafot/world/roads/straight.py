@@ -1,7 +1,7 @@
-"""Roads as the grid sees them: positions along the road and across its lanes.
+"""The straight road in the grid's coordinates: positions along the road and across its lanes.
 
-A road maps world coordinates to (longitudinal, lateral, heading to the road). The NPC's driver, the grid and
-the start positions know nothing else of a road, so that other shapes can be added behind the same interface.
+A road maps world coordinates to (longitudinal, lateral, heading relative to the road). The NPC's driver, the grid and
+the start positions know no more about a road, so other shapes can have the same interface.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ class StraightRoad:
     """Parallel straight lanes of equal width along the x axis, lane 0 at the left (smallest y).
 
     Attributes:
-        lanes: at least one, from the left.
-        lane_width: of every lane [m].
-        speed_limit: of the fastest lane [m/s].
+        lanes: the lanes from the left, at least one.
+        lane_width: the width of every lane [m].
+        speed_limit: the speed limit of the fastest lane [m/s].
         grid: the lanes in road coordinates.
     """
 
@@ -34,7 +34,7 @@ class StraightRoad:
     def __post_init__(self) -> None:
         first, count = self.lanes[0], len(self.lanes)
         cells = tuple(frozenset(cell for cell in Cell if 0 <= lane + cell.column < count) for lane in range(count))
-        self.__dict__.update(  # frozen, so that assignments are refused
+        self.__dict__.update(  # the class is frozen and refuses assignments
             lane_width=first.width,
             speed_limit=max(lane.speed_limit for lane in self.lanes),
             grid=Lanes(count, first.width, first.length),
@@ -44,7 +44,7 @@ class StraightRoad:
 
     @classmethod
     def uniform(cls, lanes: int, length: float, lane_width: float, speed_limit: float) -> StraightRoad:
-        """So many lanes that start at x = 0 with the centre of lane 0 at y = 0."""
+        """Make a road of equal lanes that start at x = 0, with the centre of lane 0 at y = 0."""
         return cls(
             tuple(
                 Lane(x=0.0, y=k * lane_width, heading=0.0, length=length, width=lane_width, speed_limit=speed_limit)
@@ -54,28 +54,28 @@ class StraightRoad:
 
     @property
     def lane_count(self) -> int:
-        """How many lanes there are."""
+        """The number of lanes."""
         return len(self.lanes)
 
     @property
     def starts_at_origin(self) -> bool:
-        """Whether world coordinates are road coordinates."""
+        """True if world coordinates are also road coordinates."""
         return self._origin == (0.0, 0.0)
 
     def project(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
-        """World coordinates to (along the road [m], across it from the centre of lane 0 [m], heading to it [rad])."""
+        """Return the place along the road [m], across it from the centre of lane 0 [m], and the heading to it [rad]."""
         x0, y0 = self._origin
         return x - x0, y - y0, heading
 
     def position(self, longitudinal: float, lane: int) -> tuple[float, float, float]:
-        """World x [m], y [m] and heading [rad] of a point on the centre of a lane."""
+        """Return world x [m], y [m] and heading [rad] of a point on the centre of a lane."""
         x0, y0 = self._origin
         return x0 + longitudinal, y0 + self.centre(lane), 0.0
 
     def centre(self, lane: int) -> float:
-        """How far across the road the centre of a lane is [m]."""
+        """Return the position of a lane's centre across the road [m]."""
         return lane * self.lane_width
 
     def cells(self, ego_lane: int) -> frozenset[Cell]:
-        """The cells whose lane exists when the ego drives in a lane."""
+        """Return the cells whose lane exists around an ego in the given lane."""
         return self._cells[ego_lane]

@@ -1,4 +1,4 @@
-"""A :class:`NetworkRoad` from a highway-env environment: the ego's way, and the lanes beside it."""
+"""The construction of a :class:`NetworkRoad` from a highway-env environment: the ego's way and the lanes next to it."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from pytest_pafot.world.roads.network import Column, NetworkRoad, allowed_speeds
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, line_of, way, wrapped
 
 TIGHTEST = 1 / 6.5
-"""Curvature of the tightest bend that an NPC can follow [1/m]."""
+"""The curvature of the tightest bend that an NPC can follow [1/m]."""
 SHORTEST_LANE = 10.0
-"""A lane beside the way that is shorter is none for the grid [m]."""
+"""The least length of a lane next to the way; the grid ignores shorter ones [m]."""
 BEYOND_ENDS = 0.5
-"""How far beyond its ends a lane still counts as beside the way [m]."""
+"""The distance beyond its ends within which a lane still counts as next to the way [m]."""
 SAME_DIRECTION = 0.5
-"""Largest angle between lanes of one direction [rad]."""
+"""The largest angle between lanes of one direction [rad]."""
 SAME_LANE = 1.0
-"""Largest step across the road of a lane that goes on [m]."""
+"""The largest step across the road within a continuous lane [m]."""
 BRIDGED = 10.0
-"""Longest stretch without a lane, such as where two sections meet, over which it counts as going on [m]."""
+"""The longest interruption of a lane, such as between two sections, that is bridged [m]."""
 EVENED = 2.0
-"""Over which steps across the road are rounded off [m]."""
+"""The length scale over which steps across the road are rounded off [m]."""
 LANE_CHANGE = 25.0
-"""How far a lane change takes at the speeds at which bends matter [m]."""
+"""The length of a lane change at the speeds at which bends matter [m]."""
 STOP_BEFORE_END = NPC_LENGTH / 2 + 1.5
-"""Where an NPC stands at the end of its lane, by its centre [m]."""
+"""The distance between an NPC's centre and the end of its lane when it stops there [m]."""
 POINT_STEP = 2.0
-"""Distance of the points of a lane in a trace [m]."""
+"""The distance between the points of a lane in a trace [m]."""
 ROOM_BEHIND = 150.0
-"""How far behind the ego's start the way is looked at [m]."""
+"""The length of the way behind the ego's start [m]."""
 
 Flags = npt.NDArray[np.bool_]
 
 
 class _Strip:
-    """One lane number along the way; arrays have an entry per point of the line."""
+    """A lane with one number along the way; arrays have an entry per point of the line."""
 
     def __init__(self, points: int) -> None:
         self.exists = np.zeros(points, dtype=bool)
@@ -53,12 +53,12 @@ class _Strip:
 
 
 def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
-    """The road of an environment after its reset.
+    """Make the road of an environment after its reset.
 
-    ``ahead`` is how far the fastest vehicle may get [m].
+    ``ahead`` is the greatest distance that a vehicle may drive [m].
 
     Raises:
-        WorldError: when the grid has no meaning there; the message says why.
+        WorldError: if the grid has no meaning on the road; the message says why.
     """
     network, ego = env.road.network, env.vehicle
     index, at = _start(network, ego, name)
@@ -94,7 +94,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     if road.end - road.start < 2 * NPC_LENGTH:
         raise WorldError(
             field=name,
-            expected="a road that goes on from where the ego starts",
+            expected="a road that goes on ahead of the ego's start",
             received=f"one that ends {road.end - start:.0f} m ahead",
             fix="give the ego a route, or a start further back",
         )
@@ -102,7 +102,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
 
 
 def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
-    """The lane that the ego starts in, and where in it [m]."""
+    """Return the lane in which the ego starts, and its place in that lane [m]."""
     if ego is None or not network.lanes_list():
         raise WorldError(field=name, expected="an ego on a road with lanes", received="an environment without")
     index = network.get_closest_lane_index(ego.position, ego.heading)
@@ -113,8 +113,8 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
     if is_beside or turned > math.pi / 4:
         raise WorldError(
             field=name,
-            expected="an ego that starts on a lane and in its direction, because the grid lies along its lane",
-            received=f"one {abs(offset):.1f} m beside the centre of the nearest lane {index}, at an angle of "
+            expected="an ego that starts on a lane and in its direction, because the grid runs along its lane",
+            received=f"one {abs(offset):.1f} m from the centre of the nearest lane {index}, at an angle of "
             f"{math.degrees(turned):.0f} degrees",
             fix="free areas such as parking lots have no grid",
         )
@@ -122,7 +122,7 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
 
 
 def _place(line: Line, piece: int, point: FloatArray) -> float:
-    """Where along the line a point of a piece is [m]."""
+    """Return the place along the line of a point of a piece [m]."""
     distance = np.hypot(line.x - point[0], line.y - point[1]) + np.where(line.piece == piece, 0.0, 1e6)
     near = int(distance.argmin())
     heading = line.heading[near]
@@ -131,7 +131,7 @@ def _place(line: Line, piece: int, point: FloatArray) -> float:
 
 
 def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float) -> dict[int, _Strip]:
-    """The lanes of the way by their number relative to the ego's way, negative to the left."""
+    """Return the lanes of the way by their number relative to the ego's way, negative to the left."""
     strips: dict[int, _Strip] = {}
     for point, owner in enumerate(line.piece):
         for number, (across, lane, longitudinal) in _beside(network, pieces[owner], line, point).items():
@@ -150,7 +150,7 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
 
 
 def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tuple[float, Any, float]]:
-    """The lanes of a section at a point of the line: by number, how far across, the lane and the place in it."""
+    """Return each lane's distance across, the lane, and the place in it at a point of the line, by lane number."""
     place, heading = np.array([line.x[point], line.y[point]]), float(line.heading[point])
     origin, end, own = piece.index
     found = []
@@ -168,7 +168,7 @@ def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tup
 
 
 def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
-    """The own lane and those to either side, as far as each touches the one before."""
+    """Yield the ego's lane and the lanes to either side, as long as each adjoins the previous one."""
     yield own, found[own]
     for way_out in (range(own, -1, -1), range(own, len(found))):
         for before, rank in pairwise(way_out):
@@ -180,7 +180,7 @@ def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
 
 
 def _bridge(strip: _Strip) -> None:
-    """Have a lane go on over the short stretches between sections where none of them reaches."""
+    """Bridge the short interruptions of a lane between sections."""
     for before, after in pairwise(_parts(strip.exists)):
         last, following = before[-1], after[0]
         is_near = (following - last) * STEP <= BRIDGED
@@ -192,7 +192,7 @@ def _bridge(strip: _Strip) -> None:
 
 
 def _smooth(strip: _Strip) -> None:
-    """Round the small steps off that lanes of neighbouring sections have where they meet."""
+    """Round off the small steps between lanes of consecutive sections."""
     reach = round(3 * EVENED / STEP)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP / EVENED) ** 2)
     for part in _parts(strip.exists):
@@ -201,7 +201,7 @@ def _smooth(strip: _Strip) -> None:
 
 
 def _drop_broken(strip: _Strip, line: Line) -> None:
-    """End a lane where it does not go on, and drop what is too short or bends too tightly."""
+    """End a lane at large steps, and drop parts that are too short or bend too tightly."""
     strip.exists[np.flatnonzero(np.abs(np.diff(strip.across)) > SAME_LANE)] = False
     for part in _parts(strip.exists):
         is_short = len(part) * STEP < SHORTEST_LANE
@@ -217,12 +217,13 @@ def _parts(exists: Flags) -> list[npt.NDArray[np.intp]]:
 def _course(
     line: Line, across: FloatArray, part: npt.NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Of a part of a lane: x, y, direction without jumps as that of the line, length along it."""
+    """Return x, y, direction and length along it of a part of a lane; the direction has no jumps, like the line's."""
     heading = line.heading[part]
     x = line.x[part] - np.sin(heading) * across[part]
     y = line.y[part] + np.cos(heading) * across[part]
     turned = np.arctan2(np.gradient(y), np.gradient(x)) - heading
-    direction = heading + (turned + np.pi) % (2 * np.pi) - np.pi  # not wrapped(turned): other rounding, other runs
+    # Not wrapped(turned), which rounds differently: runs of saved scenarios would change.
+    direction = heading + (turned + np.pi) % (2 * np.pi) - np.pi
     lengths = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
     return x, y, direction, lengths
 
@@ -233,7 +234,7 @@ def curvature_of(line: Line) -> FloatArray:
 
 
 def lone_column(line: Line, pieces: Sequence[Piece], limits: NpcLimits, ego_speed: float, parts: list[int]) -> Column:
-    """Return the lane that a line of pieces makes, of which each point is in a part of it."""
+    """Return the only lane along a line of pieces; ``parts`` has the index of the trace's lane at each point."""
     strip = _Strip(len(line.x))
     strip.exists[:] = True
     for number, piece in enumerate(pieces):
@@ -243,14 +244,14 @@ def lone_column(line: Line, pieces: Sequence[Piece], limits: NpcLimits, ego_spee
 
 
 def _curvature(direction: FloatArray, lengths: FloatArray) -> FloatArray:
-    """[1/m], over a metre and a half."""
+    """Return the curvature of a lane [1/m], averaged over three points."""
     raw = np.gradient(direction) / np.maximum(np.gradient(lengths), 1e-9)
     padded = np.concatenate([raw[:1], raw, raw[-1:]])
     return np.convolve(padded, np.full(3, 1 / 3), mode="valid")
 
 
 def _columns(line: Line, strips: dict[int, _Strip], limits: NpcLimits) -> tuple[tuple[Column, ...], list[Lane]]:
-    """The lanes of the way for driving, and for the trace: the first part of each, then the others."""
+    """Return the lanes of the way for driving, and for the trace: the first part of each lane, then all other parts."""
     firsts: list[Lane] = []
     others: list[Lane] = []
     columns = []
@@ -259,7 +260,7 @@ def _columns(line: Line, strips: dict[int, _Strip], limits: NpcLimits) -> tuple[
         strip = strips[number]
         known = np.flatnonzero(strip.exists)
         column = {
-            "across": np.interp(np.arange(len(line.x)), known, strip.across[known]),  # the nearest, where there is none
+            "across": np.interp(np.arange(len(line.x)), known, strip.across[known]),  # elsewhere the nearest
             "direction": line.heading.copy(),
             "lean": np.zeros(len(line.x)),
             "speed": np.zeros(len(line.x)),

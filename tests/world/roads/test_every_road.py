@@ -495,7 +495,7 @@ def test_where_the_lane_of_its_cell_is_gone_an_npc_keeps_its_own_and_takes_the_g
 
 @pytest.mark.usefixtures("registered")
 def test_a_road_that_ends_in_front_of_the_ego_is_refused():
-    with pytest.raises(WorldError, match="OwnDeadEnd-v0: expected a road that goes on from where the ego starts"):
+    with pytest.raises(WorldError, match="OwnDeadEnd-v0: expected a road that goes on ahead of the ego's start"):
         World("OwnDeadEnd-v0").check()
 
 
