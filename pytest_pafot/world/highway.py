@@ -23,7 +23,7 @@ from pytest_pafot.world.run_config import Rules, ego_start
 from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, check_divides, check_ticks, number_within, whole_within
 
 LANE_WIDTH = 4.0
-"""highway-env's lane width [m]."""
+"""The lane width of highway-env [m]."""
 ENGINES = ("auto", "kernel", "highway-env")
 """The engines that can step a run; ``auto`` uses the kernel whenever that can drive the ego."""
 

@@ -21,7 +21,7 @@ from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 
 OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollisionObservation", "LidarObservation")
-"""highway-env's observations that are computed from the vehicles of a road, so that copies can replace these."""
+"""The observations of highway-env that are computed from the vehicles of a road, so that copies can replace these."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -133,7 +133,7 @@ def is_regulated(vehicle: Vehicle) -> bool:
 
 
 class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
-    """highway-env's regulated road if only the ego, the first vehicle, can be made to yield.
+    """The regulated road of highway-env if only the ego, the first vehicle, can be made to yield.
 
     Pairs of other vehicles are therefore not checked, and no pairs at all if the ego does not obey the road.
     """
@@ -200,7 +200,7 @@ class Car(Vehicle):  # type: ignore[misc]
 
     @property
     def lane_index(self) -> tuple[str, str, int]:
-        """highway-env's index of the closest lane, found on demand."""
+        """The index of the closest lane in highway-env, found on demand."""
         if self._lane_index is None:
             self._lane_index = self.road.network.closest(self.x, self.y, self.heading)
         return self._lane_index
@@ -254,7 +254,7 @@ class Car(Vehicle):  # type: ignore[misc]
 
 
 class DirectedVehicle(MDPVehicle):  # type: ignore[misc]
-    """highway-env's vehicle for discrete actions, which computes the same steering in half the time.
+    """The vehicle of highway-env for discrete actions, which computes the same steering in half the time.
 
     For a single number, ``numpy.clip`` takes longer than all other operations together.
     """

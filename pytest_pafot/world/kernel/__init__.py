@@ -1,7 +1,7 @@
-"""The part of a run that is stepped: typed, plain Python, which is compiled where there is a C compiler.
+"""The kernel, which steps runs: typed, plain Python that is compiled if there is a C compiler.
 
-The types for the compiler stand in the ``.pxd`` file beside each module. Without compiled modules, or with the
-environment variable ``PAFOT_KERNEL=interpreted`` at the first import, the same files run interpreted.
+The types for the compiler are in the ``.pxd`` file next to each module. Without compiled modules, or if the environment
+variable ``PAFOT_KERNEL`` is ``interpreted`` at the first import, the same files run interpreted.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from pathlib import Path
 MODULES = (
     "driver", "action", "bodies", "lanes", "bends", "director", "crossing", "observation", "idm", "loop", "traffic",
 )  # fmt: skip
-"""Of this package, each after those that it imports."""
+"""The modules of this package, each after those that it imports."""
 VARIABLE = "PAFOT_KERNEL"
 
 
 def is_compiled() -> bool:
-    """Whether the kernel runs compiled; then all of its modules do, since one is built against the other."""
+    """Return whether the kernel runs compiled; either all modules do or none, because they are built together."""
     from pytest_pafot.world.kernel import loop  # noqa: PLC0415  (imports the others)
 
     return not str(loop.__file__).endswith(".py")
 
 
 def _load_interpreted() -> None:
-    """Import the modules from their source, also where compiled ones lie beside it."""
+    """Import the modules from their source, even if compiled ones are next to it."""
     for name in MODULES:
         full = f"{__name__}.{name}"
         path = str(Path(__file__).with_name(f"{name}.py"))

@@ -1,4 +1,4 @@
-"""What a planner returns, checked, what of it a car can do, and how :class:`Drive` is driven."""
+"""The actions of planners: their checks, the limits of a car, and the control for a :class:`Drive`."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from pytest_pafot.support.text import shown
 from pytest_pafot.world.kernel.driver import clamped
 
 EGO_ACCELERATION = 6.0
-"""Strongest acceleration that a planner's action has an effect up to [m/s^2]."""
+"""The strongest acceleration of an ego; more in a planner's action has no effect [m/s^2]."""
 EGO_BRAKING = 9.81
-"""Strongest deceleration that a planner's action has an effect up to: full braking on a dry road [m/s^2]."""
+"""The strongest deceleration of an ego, full braking on a dry road; more has no effect [m/s^2]."""
 EGO_STEERING = math.pi / 4
-"""Largest steering angle that a planner's action has an effect up to [rad]."""
+"""The largest steering angle of an ego; more has no effect [rad]."""
 
 KP_SPEED = 1.0 / 0.6
-"""Acceleration per speed error [1/s], as of highway-env's ``ControlledVehicle``."""
+"""The acceleration per speed error, the value of highway-env's ``ControlledVehicle`` [1/s]."""
 STEEPEST = math.pi / 4
-"""Largest heading to the lane that highway-env's vehicles steer for [rad]."""
+"""The largest heading relative to the lane that highway-env's vehicles steer for [rad]."""
 
 LATERAL_ACCELERATION, LATERAL_JERK = 2.5, 3.0
-"""Limits where a :class:`Drive` names none [m/s^2, m/s^3]: those of UN R79, 5.6.2.1.3, are 3 and 5. The rest is for
-what braking and speeding up in a turn add, so that ``properties.comfort`` finds fault with no lane change."""
+"""The default limits of a :class:`Drive` [m/s^2, m/s^3]. UN R79, 5.6.2.1.3, allows 3 and 5. The difference is for what
+braking and speeding up in a turn add, so that ``properties.comfort`` fails for no lane change."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
-    """What a planner may return in place of acceleration and steering: a lane, and either a speed or an acceleration.
+    """An action that replaces acceleration and steering: a lane, and either a speed or an acceleration.
 
-    In every physics tick until the next decision it is steered to the centre of the lane, under the limits, and
-    driven to the speed; the acceleration is held.
+    In every physics tick until the next decision, the ego is steered towards the centre of the lane, within the limits.
+    It is driven towards the speed, or holds the acceleration.
 
     Attributes:
-        lane: 0 at the left, as in :class:`VehicleState`.
-        speed: [m/s], 0 or more.
-        acceleration: [m/s^2].
-        lateral_acceleration: largest speed times turning rate that steering takes [m/s^2], 0.1 to 100.
-        lateral_jerk: largest change of that per second [m/s^3], 0.1 to 1000.
+        lane: the target lane, 0 at the left, as in :class:`VehicleState`.
+        speed: the target speed [m/s], 0 or more.
+        acceleration: the acceleration [m/s^2].
+        lateral_acceleration: largest speed times turning rate of the steering [m/s^2], 0.1 to 100.
+        lateral_jerk: largest change of the lateral acceleration per second [m/s^3], 0.1 to 1000.
     """
 
     lane: int
@@ -53,10 +53,10 @@ class Drive:
 
 
 def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | Drive:
-    """(acceleration, steering) as two floats, or a :class:`Drive` with an int and a float.
+    """Return an action as a pair of floats, acceleration and steering, or as a :class:`Drive` with plain numbers.
 
     Raises:
-        BadAction: unless it is a pair of finite numbers, or a :class:`Drive` to one of so many lanes.
+        BadAction: if it is neither a pair of finite numbers nor a :class:`Drive` to one of the ``lanes`` lanes.
     """
     if type(action) is tuple and len(action) == 2 and type(action[0]) is float and type(action[1]) is float:
         pair = action
@@ -70,30 +70,30 @@ def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | Drive:
 
 
 def possible_acceleration(wanted: float) -> float:
-    """A wanted acceleration, cut to what has an effect [m/s^2]."""
+    """Limit an acceleration to what an ego can do [m/s^2]."""
     return min(max(wanted, -EGO_BRAKING), EGO_ACCELERATION)
 
 
 def possible_steering(wanted: float) -> float:
-    """A wanted steering angle, cut to what has an effect [rad]."""
+    """Limit a steering angle to what an ego can do [rad]."""
     return min(max(wanted, -EGO_STEERING), EGO_STEERING)
 
 
 def acceleration_to_speed(wanted: float, speed: float) -> float:
-    """The acceleration that drives to a speed [m/s^2]."""
+    """Return the acceleration towards a speed [m/s^2]."""
     return possible_acceleration(KP_SPEED * (wanted - speed))
 
 
 def lane_steering(
     offset: float, heading: float, speed: float, length: float, kp_heading: float, kp_lateral: float
 ) -> float:
-    """The angle that steers to the centre of a lane [rad], which may be more than wheels can turn.
+    """Return the angle that steers to the centre of a lane, which may exceed what wheels can turn [rad].
 
     Args:
-        offset: from the lane's centre, positive to the right [m].
-        heading: to the lane [rad].
-        speed: [m/s].
-        length: of the vehicle [m].
+        offset: offset from the lane's centre, positive to the right [m].
+        heading: heading relative to the lane [rad].
+        speed: the current speed [m/s].
+        length: the vehicle's length [m].
         kp_heading, kp_lateral: gains [1/s].
     """
     divisor = not_zero(speed)
@@ -104,14 +104,14 @@ def lane_steering(
 
 
 def not_zero(value: float) -> float:
-    """A number that is at least a hundredth away from zero, to divide by."""
+    """Return a number moved to at least 0.01 away from zero, so that it can be a divisor."""
     if abs(value) > 1e-2:
         return value
     return 1e-2 if value >= 0.0 else -1e-2
 
 
 def without_reversing(wanted: float, speed: float, dt: float) -> float:
-    """An acceleration that brakes to a standstill and not into reverse [m/s^2]."""
+    """Limit an acceleration so that braking ends at a standstill and not in reverse [m/s^2]."""
     return max(wanted, -speed / dt) if wanted < 0.0 else wanted
 
 
@@ -134,7 +134,7 @@ def _checked_drive(drive: Drive, lanes: int) -> Drive:
     most, jerk = drive.lateral_acceleration, drive.lateral_jerk
     is_plain = type(drive.lane) is int and type(given[0]) is float and type(most) is float and type(jerk) is float
     lane, value = drive.lane, given[0]
-    if not is_plain:  # what takes longer than the whole rest of a tick is left to those who need it
+    if not is_plain:  # these conversions take longer than the rest of a tick
         lane, value = _lane_and_value(drive, given[0])
         most, jerk = _finite(most), _finite(jerk)
     if not 0 <= lane < lanes:
@@ -155,18 +155,20 @@ def _checked_drive(drive: Drive, lanes: int) -> Drive:
 
 
 def _lane_and_value(drive: Drive, given: Any) -> tuple[int, float]:
-    """Return the lane as an int and what is given of speed and acceleration as a float."""
+    """Return the lane as an int, and the given speed or acceleration as a float."""
     try:
         if isinstance(drive.lane, bool) or isinstance(given, (str, bytes)):
             raise TypeError("neither is a number")
-        is_whole = isinstance(drive.lane, numbers.Real) and drive.lane == int(drive.lane)  # also 2.0, as of JSON
+        is_whole = isinstance(drive.lane, numbers.Real) and drive.lane == int(
+            drive.lane
+        )  # also 2.0, for instance from JSON
         return operator.index(int(drive.lane) if is_whole else drive.lane), float(given)
     except (TypeError, ValueError, OverflowError):
-        raise _bad_drive("numbers, that of the lane a whole one", drive) from None
+        raise _bad_drive("numbers, with a whole number for the lane", drive) from None
 
 
 def _finite(value: Any) -> float:
-    """Return a limit as a float, -1 where it is no number."""
+    """Return a limit as a float, -1 if it is not a number."""
     number = plain_number(value)
     return -1.0 if number is None else float(number)
 
@@ -187,7 +189,7 @@ def _expected(action: Any) -> str:
 
 
 def hint_at(action: Any) -> str:
-    """What probably went wrong in the making of an action that is none, wherever it was to be used; or empty."""
+    """Return a hint at the probable cause of an invalid action; empty if there is none."""
     if action is None:
         return "is a `return` missing?"
     if type(action) is tuple and len(action) == 2 and (action[1] is None or isinstance(action[1], tuple)):
@@ -198,9 +200,9 @@ def hint_at(action: Any) -> str:
         return "pafot.Drive is for planners in SI units: leave world= out, or give pafot.World(..., planner_hz=5)"
     if inspect.iscoroutine(action) or inspect.isgenerator(action):
         if inspect.iscoroutine(action):
-            action.close()  # else Python warns of it, too
+            action.close()  # otherwise Python also warns about it
         return "an ADS is an ordinary function, without `async` and `yield`"
     shape = getattr(action, "shape", ())
     if isinstance(shape, tuple) and len(shape) > 1 and shape[0] == 1:
-        return f"of shape {tuple(shape)}, as for several environments: take its first row, `action[0]`"
+        return f"its shape {tuple(shape)} is for several environments; use its first row, `action[0]`"
     return ""

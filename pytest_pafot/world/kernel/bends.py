@@ -1,7 +1,7 @@
-"""Roads that bend, by plain numbers: places along a line and across its lanes, and the vehicles there.
+"""Bent roads in plain numbers: places along a line and across its lanes, and the places of vehicles.
 
-Positions are along the line, of which there is a point every half metre, and across it to the right. Lanes are numbered
-from the left; none of them needs to exist everywhere.
+Positions are along the line, which has a point every half metre, and across it to the right. Lanes are numbered from
+the left; none of them needs to exist everywhere.
 """
 
 from __future__ import annotations
@@ -11,25 +11,26 @@ from array import array
 from collections.abc import Sequence
 
 STEP = 0.5
-"""Distance of the points of a line [m]."""
+"""The distance between neighbouring points of a line [m]."""
 HALF_TURN = math.pi
-"""A number of C's where compiled, which ``math.pi`` is not [rad]."""
+"""Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
 ON_LANE = 1e-6
-"""How far beside a lane a vehicle still is on it, as rounding has it [m]."""
+"""The tolerance for rounding within which a vehicle next to a lane is still on it [m]."""
 
 
 class Bends:
     """The lanes along a line.
 
     Args:
-        x, y, heading: of the line's points [m, m, rad].
-        exists, part: of each lane and each of its points, whether it is there and its number in a trace, in one row.
-        across, direction, lean, speed: of each lane and each of its points [m, rad, rad, m/s], in one row.
-        widths: of the lanes of a trace [m].
-        lane_width: of the ego's lane at the start [m].
+        line: x, y and heading of the line's points [m, m, rad].
+        flags: for each point of each lane, lane after lane: 1 if it exists there, else 0; and its number in a trace.
+        shape: for each point of each lane, lane after lane: its distance across from the line, direction, lean, and
+            highest speed of NPCs [m, rad, rad, m/s].
+        widths: the widths of the trace's lanes [m].
+        lane_width: the width of the ego's lane at the start [m].
 
     Attributes:
-        along, across, angle, lane, offset: where :meth:`locate` has found a vehicle [m, m, rad, , m].
+        along, across, angle, lane, offset: the place at which :meth:`locate` has found a vehicle [m, m, rad, , m].
     """
 
     def __init__(
@@ -57,29 +58,29 @@ class Bends:
         self._share = self._x0 = self._y0 = self._direction0 = 0.0
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Roads travel to other processes with their worlds."""
+        """Return the parts for pickling, because worlds send their roads to other processes."""
         line = list(self._x), list(self._y), list(self._heading)
         flags = list(self._exists), list(self._part)
         shape = list(self._across), list(self._direction), list(self._lean), list(self._speed)
         return Bends, (line, flags, shape, list(self._widths), self._lane_width)
 
     def point(self, along: float) -> int:
-        """The point of the line that is nearest to a place; of two the even one, as Python rounds."""
+        """Return the line's point that is nearest to a place; of two equally near, the even one, as Python rounds."""
         exact = along / STEP
-        below = int(math.floor(exact))  # noqa: RUF046  (where compiled it is not)
+        below = int(math.floor(exact))  # noqa: RUF046  (a C function returns a float)
         rest = exact - below
         if rest > 0.5 or (rest == 0.5 and below % 2 != 0):
             below += 1
         return min(max(below, 0), self._points - 1)
 
     def exists(self, lane: int, along: float) -> bool:
-        """Whether there is such a lane at a place of the road."""
+        """Return whether a lane exists at a place along the road."""
         if not (0 <= lane < self._lanes and 0.0 <= along <= self._end):
             return False
         return self._exists[lane * self._points + self.point(along)] != 0
 
     def continues(self, lane: int, since: float, until: float) -> bool:
-        """Whether a lane exists from one place to another, or to the end of the road."""
+        """Return whether a lane exists from one place to another, or to the end of the road."""
         if not 0 <= lane < self._lanes or since < 0.0:
             return False
         row = lane * self._points
@@ -89,23 +90,23 @@ class Bends:
         return True
 
     def _between(self, along: float) -> int:
-        """The point before a place; sets the share of the way to the next, which goes on straight beyond the ends."""
+        """Return the point before a place, and set the share of the step to the next; beyond the ends it is linear."""
         index = min(max(int(along / STEP), 0), self._points - 2)
         self._share = along / STEP - index
         return index
 
     def _value(self, values: array[float], lane: int, along: float) -> float:
-        """What a lane has at a place; as at the ends beyond them."""
+        """Return a lane's interpolated value at a place; beyond the ends it is constant."""
         index = self._between(along) + lane * self._points
         share = min(max(self._share, 0.0), 1.0)
         return values[index] + share * (values[index + 1] - values[index])
 
     def across_at(self, lane: int, along: float) -> float:
-        """How far to the right of the line the centre of a lane is [m]."""
+        """Return the distance of a lane's centre from the line, to the right [m]."""
         return self._value(self._across, lane, along)
 
     def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
-        """Of a lane: across [m], direction [rad], lean [rad]."""
+        """Return a lane's distance across from the line [m], its direction [rad], and a vehicle's lean in it [rad]."""
         return (
             self._value(self._across, lane, along),
             self._value(self._direction, lane, along),
@@ -113,17 +114,17 @@ class Bends:
         )
 
     def speed_at(self, lane: int, along: float) -> float:
-        """The highest speed of an NPC in a lane [m/s]."""
+        """Return the highest speed of an NPC in a lane [m/s]."""
         return self._value(self._speed, lane, along)
 
     def stretch(self, along: float, across: float) -> float:
-        """Metres driven there per metre of the road: more outside of a bend, less inside."""
+        """Return the metres driven per metre along the road: more than 1 on the outside of a bend, less inside."""
         index = self._between(along)
         bend = (self._heading[index + 1] - self._heading[index]) / STEP
         return max(1.0 - bend * across, 0.2)
 
     def _refer(self, along: float) -> None:
-        """Set x, y and direction of the line at a place; straight on beyond its ends."""
+        """Set x, y and direction of the line at a place; it goes straight on beyond its ends."""
         index = self._between(along)
         share = self._share
         turned = min(max(share, 0.0), 1.0) * (self._heading[index + 1] - self._heading[index])
@@ -132,12 +133,12 @@ class Bends:
         self._direction0 = self._heading[index] + turned
 
     def reference(self, along: float) -> tuple[float, float, float]:
-        """World x [m], y [m] and heading [rad] of the line; straight on beyond its ends."""
+        """Return world x [m], y [m] and heading [rad] of the line, which goes straight on beyond its ends."""
         self._refer(along)
         return self._x0, self._y0, self._direction0
 
     def locate(self, x: float, y: float, heading: float, near: float) -> None:
-        """Find a vehicle on the road, near a place along it, since roads may cross themselves."""
+        """Find a vehicle on the road near a place along it, because roads may cross themselves."""
         along = near
         for _ in range(4):
             self._refer(along)
@@ -159,7 +160,7 @@ class Bends:
         self.offset = across - self._value(self._across, nearest, along)
 
     def in_lanes(self, lane: int, along: float, offset: float) -> float:
-        """Where across the road somebody is who is so far beside a lane's centre, in the measure of lanes [m]."""
+        """Return the nominal position across the road of a vehicle with an offset from a lane's centre [m]."""
         toward = lane + (1 if offset > 0.0 else -1)
         scale = 1.0
         if self.exists(toward, along):
@@ -168,13 +169,13 @@ class Bends:
         return lane * self._lane_width + offset * scale
 
     def part(self, lane: int, along: float, offset: float) -> int:
-        """Number in a trace of the lane of the way that somebody's centre is on, -1 beside them."""
+        """Return the number in a trace of the way's lane that a vehicle's centre is on; -1 if it is on none."""
         if not 0.0 <= along <= self._end:
             return -1
         part = self._part[lane * self._points + self.point(along)]
         return part if part >= 0 and abs(offset) <= self._widths[part] / 2.0 + ON_LANE else -1
 
     def nearest_lane(self, lateral: float) -> int:
-        """The lane whose centre is nearest, in the measure of lanes."""
-        nearest = int(math.ceil(lateral / self._lane_width - 0.5))  # noqa: RUF046  (where compiled it is not)
+        """Return the lane whose centre is nearest to a nominal position."""
+        nearest = int(math.ceil(lateral / self._lane_width - 0.5))  # noqa: RUF046  (a C function returns a float)
         return min(max(nearest, 0), self._lanes - 1)

@@ -1,7 +1,7 @@
-"""Vehicles as boxes that move, and the contact of two: do they overlap, and which side of the ego was hit.
+"""Vehicles as moving boxes, and the contact of two boxes: overlap, depth, and the side of the ego that was hit.
 
-They move by highway-env's kinematic bicycle model in plain numbers. Its own ``crashed`` also fires on predicted contact
-and pushes vehicles apart; it is switched off.
+They move by highway-env's kinematic bicycle model in plain numbers. highway-env's own check of collisions is switched
+off, because it also reports predicted contact and pushes vehicles apart.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from pytest_pafot.model.trace import Side
 from pytest_pafot.world.limits import TOP_SPEED
 
 NPC_LENGTH, NPC_WIDTH = 5.0, 2.0
-"""Of highway-env's vehicles, and so of NPCs and of egos in SI units [m]."""
+"""The size of highway-env's vehicles, which is also the size of NPCs and of egos in SI units [m]."""
 MAX_SPEED = TOP_SPEED
-"""Highest speed, forwards and backwards [m/s]; here a number of C's where compiled."""
+"""The highest speed, forwards and backwards [m/s]; unlike ``TOP_SPEED``, it is a C number in compiled code."""
 
 
 class Box:
@@ -29,13 +29,13 @@ class Box:
 
 
 class Body(Box):
-    """A box with a speed and controls, which are held until they are set again.
+    """A box with a speed, and with controls that hold until they are set again.
 
     Attributes:
-        speed: [m/s].
-        acceleration: [m/s^2].
-        steering: [rad].
-        lane: index of the nearest lane; whoever moves a body keeps it true.
+        speed: the speed [m/s].
+        acceleration: the acceleration [m/s^2].
+        steering: the steering angle [rad].
+        lane: the index of the nearest lane; the code that moves a body must update it.
     """
 
     def __init__(self, length: float, width: float) -> None:
@@ -45,14 +45,14 @@ class Body(Box):
         self.lane = 0
 
     def place(self, x: float, y: float, heading: float, speed: float) -> None:
-        """Put it somewhere [m, m, rad, m/s]."""
+        """Set position, heading and speed [m, m, rad, m/s]."""
         self.x = x
         self.y = y
         self.heading = heading
         self.speed = speed
 
     def step(self, dt: float) -> None:
-        """highway-env's kinematic bicycle model, one explicit Euler step of ``dt`` seconds, operation by operation."""
+        """Do one explicit Euler step of ``dt`` seconds of highway-env's bicycle model, operation by operation."""
         speed = self.speed
         if speed > MAX_SPEED:
             self.acceleration = min(self.acceleration, MAX_SPEED - speed)
@@ -72,8 +72,8 @@ class Body(Box):
 
 
 def overlap(a: Box, b: Box) -> bool:
-    """Whether two boxes share more than a border (separating axes)."""
-    turn_a, turn_b = abs(a.heading), abs(b.heading)  # bound the sines, so that most pairs cost no trigonometry
+    """Return whether two boxes share more than a border (separating axes)."""
+    turn_a, turn_b = abs(a.heading), abs(b.heading)  # bounds of the sines: most pairs need no trigonometry
     if 2.0 * abs(b.x - a.x) > a.length + b.length + a.width * turn_a + b.width * turn_b:
         return False
     if 2.0 * abs(b.y - a.y) > a.width + b.width + a.length * turn_a + b.length * turn_b:
@@ -82,14 +82,14 @@ def overlap(a: Box, b: Box) -> bool:
 
 
 def depth(a: Box, b: Box) -> float:
-    """Gap between two boxes along the axis of theirs along which it is largest [m]; negative where they overlap."""
+    """Return the largest gap between two boxes along any of their axes [m]; negative if they overlap."""
     along, across = separation(a, b)
     its_along, its_across = separation(b, a)
     return max(along, across, its_along, its_across)
 
 
 def separation(a: Box, b: Box) -> tuple[float, float]:
-    """Gap between two boxes along the first one's length and along its width [m]; negative where they overlap."""
+    """Return the gap between two boxes along the length and along the width of the first [m]; negative for overlap."""
     cos_a, sin_a = math.cos(a.heading), math.sin(a.heading)
     turn = b.heading - a.heading
     cos_t, sin_t = abs(math.cos(turn)), abs(math.sin(turn))
@@ -103,9 +103,9 @@ def separation(a: Box, b: Box) -> tuple[float, float]:
 
 
 def side_hit(ego_before: Box, other_before: Box) -> Side:
-    """The ego's side that the other met, judged at the last tick without contact.
+    """Return the ego's side that a vehicle hit, as determined at the last tick without contact.
 
-    The axis along which the boxes were further apart then is the one along which they met.
+    The boxes met along the axis along which they were further apart at that tick.
     """
     along, across = separation(ego_before, other_before)
     dx, dy = other_before.x - ego_before.x, other_before.y - ego_before.y

@@ -1,7 +1,7 @@
-"""Who drives where: turns the instructions of NPCs into controls of all of them, tick by tick.
+"""The director, which turns the NPCs' instructions into their controls, tick by tick.
 
-The director keeps the gene clock, repairs requests at gene boundaries (paper, section 2.1), latches arrivals
-and lets NPCs give way to each other. It sees road coordinates only.
+The director counts the time of genes, repairs requests at the beginning of a gene (paper, section 2.1), records
+arrivals, and makes NPCs give way to each other. It works only in road coordinates.
 """
 
 from __future__ import annotations
@@ -30,46 +30,47 @@ if TYPE_CHECKING:
     from pytest_pafot.world.roads.straight import StraightRoad
 
 ARRIVED_LATERAL = 0.5
-"""How near to the cell's centre an NPC has arrived, across the lane [m]; along it, half the cell's length."""
+"""The distance to a cell's centre, across the lane, at which an NPC has arrived [m]; along it, half an NPC's length."""
 CREEP_SPEED = 3.0
-"""Speed at which an NPC ahead of a standing ego moves on to change lanes, as it cannot sideways [m/s]."""
+"""The speed of an NPC ahead of a standing ego during a lane change, because it cannot move sideways [m/s]."""
 BESIDE = 0.6
-"""Room that NPCs side by side keep, without which one has the other in its way [m]."""
+"""The least room between NPCs side by side; with less, each is in the other's way [m]."""
 NO_LANE = -1
 
-# Of attentive traffic: the verdicts ask no more where the ego moves in ahead of it, or brakes there for nothing.
+# The following numbers are for attentive traffic. The verdicts require no more of an NPC when the ego moves in ahead of
+# it, or brakes there for nothing.
 TRACK = 0.3
-"""How far beside the ego's side an NPC still counts as behind it, or ahead of it [m]."""
+"""The distance next to the ego's side within which an NPC still counts as behind or ahead of it [m]."""
 REACTION = 1.0
-"""How late an NPC answers what it could not expect of the ego [s]."""
+"""The reaction time of an NPC to unexpected behaviour of the ego [s]."""
 ANSWER = 6.0
-"""Hardest braking by which it answers that [m/s^2]."""
+"""The hardest braking with which an NPC reacts to it [m/s^2]."""
 ENTRY_TIME, ENTRY_BRAKING = 0.35, 6.0
-"""In what time, and then with what braking, the ego can adapt to an NPC that moves in ahead of it [s, m/s^2]."""
+"""The time, and then the braking, with which the ego can adapt to an NPC that moves in ahead of it [s, m/s^2]."""
 ENTRY_GAP = 1.5
-"""Gap to the ego, at the same speed, at which an NPC moves in behind it [m]."""
+"""The gap to an ego of equal speed at which an NPC moves in behind it [m]."""
 NOT_BEHIND = -1
 
 
 class Npc(Body):
-    """An NPC in road coordinates, and what the director remembers of it.
+    """An NPC in road coordinates, and the director's state for it.
 
     Attributes:
-        index: in the scenario.
+        index: its index in the scenario.
         chain: its instructions.
         executed: the cells of the genes that have begun.
-        arrivals: per gene that has begun, the tick of arrival.
-        row, column: of the present cell.
-        target: where that is along the road, from the ego [m].
-        target_speed: of the present gene [m/s].
-        kept_lane: the lane held until the gene ends: after arriving, or because the target's lane is gone.
-        kept_speed: the speed driven in it [m/s].
-        shift_lane: the lane that a Lane-Instruction leads to, at the kept speed; none under Position-Instructions.
+        arrivals: the tick of arrival for each gene that has begun, None before it.
+        row, column: the row and column of the current cell.
+        target: the cell's centre along the road, from the ego [m].
+        target_speed: the target speed of the current gene [m/s].
+        kept_lane: the lane to keep until the gene ends, after arriving, or because the target's lane does not exist.
+        kept_speed: the speed in that lane [m/s].
+        shift_lane: the target lane of a Lane-Instruction, at ``kept_speed``; none under Position-Instructions.
         heading_for: the lane steered to in the previous tick.
-        asked: the acceleration asked for in the previous tick [m/s^2].
-        course: direction of motion that the previous tick's steering gave [rad].
-        behind: for how many ticks it has been behind the ego in its track; as many as its reaction takes where it moved
-            in itself.
+        asked: the acceleration in the previous tick [m/s^2].
+        course: the direction of motion after the previous tick's steering [rad].
+        behind: the number of ticks for which it has been behind the ego in its track. It starts at the reaction time
+            if the NPC itself moved in, so that the NPC reacts at once.
     """
 
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
@@ -92,20 +93,20 @@ class Npc(Body):
 
 
 class Director:
-    """Drives the NPCs of one run, on a straight road; a subclass says what differs on others.
+    """The director of the NPCs of one run on a straight road; subclasses are for other roads.
 
     Args:
-        scenario: the chains.
-        road: on which all drive.
-        limits: of every NPC.
+        scenario: the scenario with the NPCs' chains.
+        road: the road.
+        limits: the limits of every NPC.
         clearance: gap between the ego and the cells ahead and behind [m].
-        ego_length: [m].
-        length, width: of each NPC [m].
+        ego_length: the ego's length [m].
+        length, width: the size of each NPC [m].
         physics_hz: ticks per second.
 
     Attributes:
-        npcs: one for each chain; their owner puts them where they are before each tick.
-        skips: whether steps on the ring skip cells that do not exist.
+        npcs: one NPC for each chain; the engine updates their places before each tick.
+        skips: true if steps on the ring skip cells that do not exist.
     """
 
     def __init__(
@@ -143,19 +144,19 @@ class Director:
         self._least_gap = traffic.least_gap
         self._time_gap = traffic.time_gap
         self._ample = AMPLE
-        self._easing = -speed_asking_for(traffic.braking, 0.0)  # how much less than its speed an NPC may want [m/s]
+        self._easing = -speed_asking_for(traffic.braking, 0.0)  # largest decrease of the desired speed [m/s]
         self._reaction = max(round(REACTION * physics_hz), 1)
         self._delay = self._reaction / physics_hz
-        self._kept = self._reaction + 1  # ticks: the difference of two speeds tells how hard the ego braked
+        self._kept = self._reaction + 1  # ticks; two speeds are needed for the ego's braking
         if self._attentive:
-            self._seen = array("d", [0.0]) * (2 * self._kept)  # the ego's x and speed in the ticks before, in a circle
+            self._seen = array("d", [0.0]) * (2 * self._kept)  # a ring buffer of the ego's x and speed
         self._tick = 0
         self._gene = 0
         self._left = 0
 
     @property
     def executed(self) -> Scenario:
-        """The scenario with the genes so far as driven, and those to come as requested."""
+        """The scenario with the genes so far as driven, and the later ones as requested."""
         if all(
             cell == gene.cell
             for npc, chain in zip(self.npcs, self._positions, strict=False)
@@ -167,16 +168,16 @@ class Director:
 
     @property
     def driven(self) -> tuple[tuple[Cell, ...], ...]:
-        """Per NPC and started gene, the cell that it drove to, where ``executed`` cannot say so; else nothing."""
+        """The cell that each NPC drove to in each started gene if ``executed`` cannot express it; else empty."""
         return ()
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
-        """Per NPC and started gene, the tick at which the cell was reached."""
+        """The tick at which each NPC reached the cell of each started gene, None before it."""
         return tuple([tuple(npc.arrivals) for npc in self.npcs])
 
     def first_cells(self) -> tuple[Cell, ...]:
-        """The cells of the first gene as executed, which say where the NPCs start."""
+        """Return the cells of the first gene as executed, in which the NPCs start."""
         return self._repaired(0, self._first_existing(), list(range(len(self.npcs))))
 
     def command(self, ego: Body) -> None:
@@ -188,7 +189,7 @@ class Director:
                     self._begin_gene(ego)
                 else:
                     self._begin_shifts()
-                for npc in self.npcs:  # without a further gene it keeps its lane and speed (paper, section 2)
+                for npc in self.npcs:  # after its last gene it keeps lane and speed (paper, section 2)
                     if self._gene == len(npc.chain) and npc.kept_lane == NO_LANE:
                         npc.kept_lane = npc.lane
                         npc.kept_speed = npc.speed
@@ -201,14 +202,14 @@ class Director:
         self._tick += 1
 
     def _is_led(self, ego: Body) -> bool:
-        """Return whether anybody is ahead of the ego in its track, however far away."""
+        """Return whether an NPC is ahead of the ego in its track, at any distance."""
         for npc in self.npcs:  # noqa: SIM110  (any() makes a closure, which cannot be compiled)
             if npc.x > ego.x and abs(npc.y - ego.y) < (npc.width + ego.width) / 2.0 + TRACK:
                 return True
         return False
 
     def _remember(self, ego: Body) -> None:
-        """Keep where the ego was, for NPCs that see it late; before the first tick it was driving on as it starts."""
+        """Store the ego's place and speed for late reactions; before the first tick, assume its start speed."""
         seen = self._seen
         if self._tick == 0:
             for place in range(1, self._kept):
@@ -235,7 +236,7 @@ class Director:
                 npc.heading_for = npc.lane
 
     def _begin_shifts(self) -> None:
-        """Set out for the lanes and speeds of Lane-Instructions; a lane that does not exist is the own one."""
+        """Begin Lane-Instructions; if a target lane does not exist, the NPC keeps its own lane."""
         for npc in self.npcs:
             instruction = npc.chain[self._gene] if self._gene < len(npc.chain) else None
             if isinstance(instruction, LaneInstruction):
@@ -248,12 +249,12 @@ class Director:
                     npc.heading_for = npc.lane
 
     def _first_existing(self) -> frozenset[Cell]:
-        """The cells in which an NPC may start."""
+        """Return the cells in which an NPC may start."""
         cells: frozenset[Cell] = self._road.cells(self._scenario.ego_lane)
         return cells
 
     def _existing(self, ego: Body) -> frozenset[Cell]:
-        """The cells that exist around the ego now."""
+        """Return the cells that exist around the ego now."""
         cells: frozenset[Cell] = self._road.cells(ego.lane)
         return cells
 
@@ -297,9 +298,9 @@ class Director:
         npc.course = driver.course
 
     def _target(self, npc: Npc, ego: Body) -> float:
-        """Return where an attentive NPC's cell is along the road, from the ego [m].
+        """Return the place of an attentive NPC's cell along the road, from the ego [m].
 
-        In the ego's lane its place is where it follows at the ego's speed, or where it may move in ahead of the ego.
+        In the ego's lane, this is the place at which it follows the ego at its speed, or may move in ahead of it.
         """
         if npc.row == 0 or npc.column != 0:
             return npc.target
@@ -308,15 +309,15 @@ class Director:
         return self._row + max(self._clearance, self._ahead(ego) + self._ample)
 
     def _ahead(self, ego: Body) -> float:
-        """Return the gap to an ego of the same speed that the traffic asks for of whoever moves in ahead of it [m]."""
+        """Return the gap that this traffic requires for moving in ahead of an ego of the same speed [m]."""
         return max(self._least_gap, self._time_gap * ego.speed)
 
     def _stretch(self, body: Body) -> float:
-        """Return how many metres a vehicle drives per metre along the road, which is 1 where the road is straight."""
+        """Return the metres that a vehicle drives per metre along the road, which is 1 on a straight road."""
         return 1.0
 
     def _attending(self, npc: Npc, ego: Body, speed: float) -> float:
-        """Bring a wanted speed within the traffic's style, and cut it to what leaves room behind the ego [m/s]."""
+        """Limit a desired speed to the traffic's style, and to what leaves room behind the ego [m/s]."""
         least_speed = self._least_share * min(self._speed_limit, ego.speed)
         speed = max(speed, least_speed, npc.speed - self._easing)
         is_behind = npc.x < ego.x and (
@@ -335,7 +336,7 @@ class Director:
             return speed
         is_led = self._is_led(ego)
         x, ego_speed = ego.x, ego.speed
-        ahead = 0.0  # of what it saw, where it believes the ego to be, which brakes as it did [m]
+        ahead = 0.0  # expected distance that the ego has driven since then, if it brakes on as it did [m]
         if not is_led and self._tick > 0:
             seen = self._seen
             before, place = self._tick % self._kept, (self._tick + 1) % self._kept  # the two oldest
@@ -346,13 +347,13 @@ class Director:
             ahead = (ego_speed - braking * seconds / 2.0) * seconds
             ego_speed -= braking * seconds
         gap = (x - npc.x) * self._stretch(npc) + ahead - self._row
-        safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)  # who reverses leaves no more room than who stands
+        safe = following_speed(gap, max(ego_speed, 0.0), npc.speed)  # a reversing ego counts as standing
         if not is_led:
             safe = max(safe, speed_asking_for(ANSWER, npc.speed))
         return min(speed, safe)
 
     def _may_enter(self, npc: Npc, ego: Body) -> bool:
-        """Return whether there is room for an NPC in the ego's lane, ahead of it or behind."""
+        """Return whether there is room for an NPC in the ego's lane, ahead of the ego or behind it."""
         gap = abs(npc.x - ego.x) * self._stretch(ego) - self._row
         if npc.x > ego.x:
             closing = max(ego.speed - npc.speed, 0.0)
@@ -360,13 +361,13 @@ class Director:
         return gap > closing_room(ENTRY_GAP, npc.speed - ego.speed)
 
     def _creeping(self, npc: Npc, goal: int, speed: float) -> float:
-        """A wanted speed, no less than what it takes to change lanes ahead of an ego that stands [m/s]."""
+        """Raise a desired speed to what a lane change ahead of a standing ego needs [m/s]."""
         if npc.row > 0 and abs(npc.y - goal * self._lane_width) > ARRIVED_LATERAL:
             return max(speed, CREEP_SPEED)
         return speed
 
     def _keep_lane_if_due(self, npc: Npc, target_lane: int, distance: float) -> None:
-        """Latch the arrival in a cell, so far away along the road [m], or that its lane does not exist."""
+        """Keep the lane from now on if the NPC has arrived, given the distance along the road [m], or has no target."""
         if not 0 <= target_lane <= self._last_lane:
             npc.kept_lane = npc.lane
             npc.kept_speed = npc.target_speed
@@ -378,7 +379,7 @@ class Director:
             npc.arrivals[-1] = self._tick
 
     def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
-        """The lane to steer to now: one step nearer to the target, where nobody is in the way."""
+        """Return the lane to steer to: one step towards the target lane, if no vehicle is in the way."""
         lane = npc.lane
         if lane == target_lane:
             return lane
@@ -392,7 +393,7 @@ class Director:
         return step
 
     def _clear_of(self, mine: Npc, theirs: Npc, lane: int) -> bool:
-        """Whether an NPC may enter a lane as far as one other NPC is concerned."""
+        """Return whether one other NPC leaves room for an NPC to enter a lane."""
         reach = (self._lane_width + self._width) / 2.0
         in_lane = abs(theirs.y - lane * self._lane_width) < reach
         claims = theirs.heading_for == lane and theirs.index < mine.index
@@ -402,7 +403,7 @@ class Director:
         return clear_to_enter(front.x - rear.x - self._length, rear.speed - front.speed)
 
     def _following(self, mine: Npc, speed: float) -> float:
-        """A wanted speed, cut to what leaves room behind the NPCs ahead [m/s]."""
+        """Limit a desired speed to what leaves room behind the NPCs ahead [m/s]."""
         lane, goal = mine.lane, mine.heading_for
         for theirs in self.npcs:
             distance = theirs.x - mine.x

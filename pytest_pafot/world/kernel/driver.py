@@ -1,7 +1,7 @@
-"""How an NPC drives, and how a :class:`pytest_pafot.Drive` is steered: cascaded control under hard limits.
+"""The control of NPCs, and the steering for a :class:`pytest_pafot.Drive`: cascaded control under hard limits.
 
-The paper moves NPCs "based on a PID controller" (section 2.1) and gives no gains; these are chosen so that a lane
-change at motorway speed takes two seconds without overshoot.
+The paper moves NPCs "based on a PID controller" (section 2.1) and states no gains. The gains here let a lane change at
+motorway speed take two seconds without overshoot.
 """
 
 from __future__ import annotations
@@ -11,63 +11,64 @@ import math
 from pytest_pafot.world.limits import NpcLimits
 
 SPEED_GAIN = 1.5
-"""Acceleration per speed error [1/s]."""
+"""The acceleration per speed error [1/s]."""
 GAP_GAIN = 0.7
-"""Relative speed per distance to the cell's centre [1/s]."""
+"""The relative speed per distance to the cell's centre [1/s]."""
 GAP_BRAKING = 2.5
-"""Deceleration by which a far cell is approached, so that it is not overshot [m/s^2]."""
+"""The planned deceleration when a far cell is approached, so that the NPC does not overshoot [m/s^2]."""
 LATERAL_GAIN = 1.4
-"""Lateral speed per distance to the lane's centre [1/s]."""
+"""The lateral speed per distance to the lane's centre [1/s]."""
 HEADING_GAIN = 5.0
-"""Turning rate per heading error [1/s], at most what one tick can hold."""
+"""The turning rate per heading error [1/s]; it is lower if a tick is too long for it to be stable."""
 LATERAL_SHARE = 0.7
-"""Share of the lateral acceleration planned for the end of a lane change; the rest is left for control."""
+"""The share of the lateral acceleration planned for the end of a lane change; the rest is reserved for control."""
 TURNED_SHARE = 0.65
-"""Share of the lateral acceleration that may go into speeding up while turned; the rest straightens the vehicle."""
+"""The share of the lateral acceleration for speeding up while turned; the rest straightens the vehicle."""
 MARGIN = 0.97
-"""Share of a lateral limit that is used, so that rounding and changing speed stay inside it."""
+"""The used share of a lateral limit, so that rounding and changes of speed do not exceed the limit."""
 FOLLOWING_GAP = 2.0
-"""Gap kept behind a standing leader [m]."""
+"""The gap to a standing leader [m]."""
 FOLLOWING_TIME = 0.4
-"""Time in which braking builds up [s]."""
+"""The time in which braking builds up [s]."""
 FOLLOWING_BRAKING = 5.0
-"""Braking that an NPC counts on, its leader's and its own [m/s^2]."""
+"""The braking that an NPC assumes for its leader and for itself [m/s^2]."""
 MAX_SLIP = 0.4
-"""Largest slip angle, as far as the wheels turn [rad]."""
+"""The largest slip angle, to which the wheels' steering is limited [rad]."""
 LEAST_SPARE = 0.15
-"""Share of the lateral acceleration that a lane change may take however much a bend takes."""
+"""The share of the lateral acceleration that a lane change may always use, even in a sharp bend."""
 
-# Of a Drive, which has a limit of lateral jerk as well. Found by trying: with these numbers no lane is overshot at any
-# speed, frequency and limits; larger ones save at most a tenth of the time and overshoot by up to 0.2 m.
+# The following numbers are for a Drive, which also limits lateral jerk. They were found by trial: with them, no lane
+# change overshoots at any speed, frequency or limit. Larger ones save at most a tenth of the time, but overshoot by up
+# to 0.2 m.
 LANE_ANGLE = 0.5
-"""Largest angle to the lane that a :class:`Drive` steers for [rad], as that of NPCs by default."""
+"""The largest angle to the lane that a :class:`Drive` steers for, which is the default limit of NPCs [rad]."""
 TRACKING_SHARE = 0.4
-"""Share of the lateral jerk for coming to the planned lateral speed; the plan's own changes take what is left."""
+"""The share of the lateral jerk for reaching the planned lateral speed; the rest is for changes of the plan."""
 TRACKING_GAIN = 4.0
-"""Lateral acceleration per error of the lateral speed [1/s], at most half of what one tick can hold."""
+"""The lateral acceleration per error of the lateral speed [1/s]; it is at most 0.5 / dt, to be stable."""
 CLOSEST_GAIN = 3.0
-"""Highest planned lateral speed per distance to the lane's centre [1/s]."""
+"""The highest planned lateral speed per distance to the lane's centre [1/s]."""
 SPEEDING_UP = 6.0
-"""Acceleration along the road that a lane change leaves room for: all that an ego has [m/s^2]."""
+"""The acceleration along the road that is possible during a lane change: the highest of an ego [m/s^2]."""
 USEFUL_WIDTH = 2.5
-"""A lane change plans with at most the cube root of this times the jerk squared [m]. More acceleration would take so
-long to build up that the change became slower; found by trying on lanes of 4 m."""
+"""A length that limits the planned acceleration to the cube root of the length times the jerk squared [m]. A higher
+acceleration would take so long to build up that the lane change became slower; found by trial on lanes of 4 m."""
 HALF_TURN = math.pi
-"""A number of C's where compiled, which ``math.pi`` is not [rad]."""
+"""Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
 
 
 def gap_speed(distance: float) -> float:
-    """Speed relative to the ego that closes a distance to a cell without overshoot [m/s]."""
+    """Return the speed relative to the ego that closes a distance to a cell without overshoot [m/s]."""
     magnitude = min(GAP_GAIN * abs(distance), math.sqrt(2.0 * GAP_BRAKING * abs(distance)))
     return math.copysign(magnitude, distance)
 
 
 def following_speed(gap: float, leader_speed: float, own_speed: float) -> float:
-    """Highest speed that leaves room to stop behind a leader that brakes [m/s].
+    """Return the highest speed that leaves room to stop behind a leader that brakes [m/s].
 
     Args:
-        gap: bumper to bumper [m].
-        leader_speed, own_speed: [m/s].
+        gap: the gap from bumper to bumper [m].
+        leader_speed, own_speed: the current speeds [m/s].
     """
     room = gap - FOLLOWING_GAP - FOLLOWING_TIME * own_speed
     return math.sqrt(max(leader_speed * leader_speed + 2.0 * FOLLOWING_BRAKING * room, 0.0))
@@ -79,48 +80,48 @@ def following_gap(speed: float) -> float:
 
 
 def speed_asking_for(braking: float, speed: float) -> float:
-    """Return the wanted speed at which an NPC of a speed brakes so hard [m/s]."""
+    """Return the desired speed with which an NPC at a speed brakes with the given deceleration [m/s]."""
     return speed - braking / SPEED_GAIN
 
 
 def stopping_room(top_speed: float) -> float:
-    """The gap behind a standing leader from which on :func:`following_speed` allows the top speed [m]."""
+    """Return the least gap behind a standing leader at which :func:`following_speed` allows the top speed [m]."""
     return FOLLOWING_GAP + FOLLOWING_TIME * top_speed + top_speed * top_speed / (2.0 * FOLLOWING_BRAKING)
 
 
 def clear_to_enter(gap: float, closing_speed: float) -> bool:
-    """Whether a lane may be entered in front of or behind another NPC.
+    """Return whether an NPC may enter a lane in front of or behind another NPC.
 
     Args:
-        gap: bumper to bumper [m]; negative when they overlap.
-        closing_speed: of the rear one on the front one [m/s]; negative when they part.
+        gap: the gap from bumper to bumper [m]; negative if they overlap.
+        closing_speed: the rear NPC's speed minus the front NPC's [m/s].
     """
     return gap > closing_room(3.0, closing_speed)
 
 
 def closing_room(gap: float, closing_speed: float) -> float:
-    """Return the gap in which a closing speed is given up without hard braking [m], given the gap at the same speed."""
+    """Return the gap in which a vehicle loses a closing speed without hard braking; ``gap`` is for equal speeds [m]."""
     closing = max(closing_speed, 0.0)
     return gap + 0.5 * closing + closing * closing / (2.0 * 3.0)
 
 
 def clamped(value: float, bound: float) -> float:
-    """A number cut to [-bound, bound]."""
+    """Return a number limited to [-bound, bound]."""
     return bound if value > bound else -bound if value < -bound else value
 
 
 class NpcDriver:
-    """Pedals and wheel of every NPC of a run.
+    """The controller of acceleration and steering for every NPC of a run.
 
     Args:
-        limits: of every NPC.
-        top_speed: [m/s].
-        length: of an NPC [m].
+        limits: the limits of every NPC.
+        top_speed: the highest speed [m/s].
+        length: the length of an NPC [m].
         dt: physics tick [s].
-        lateral_speed: highest speed across the road [m/s].
+        lateral_speed: the highest speed across the road [m/s].
 
     Attributes:
-        course: direction of motion that the last steering gives, to the lane [rad].
+        course: the direction of motion after the last steering, relative to the lane [rad].
     """
 
     def __init__(
@@ -143,16 +144,16 @@ class NpcDriver:
         self.course = 0.0
 
     def acceleration(self, wanted_speed: float, previous: float, speed: float) -> float:
-        """The acceleration towards a speed, as near to what is desired as all limits allow [m/s^2].
+        """Return the acceleration towards a speed, as near to the desired one as all limits allow [m/s^2].
 
-        The bound for the top speed leaves room to release the accelerator under the limit of jerk: accelerations
-        ``a, a - j dt, a - 2 j dt, ...`` add up to at most ``(a + j dt / 2)^2 / (2 j)`` of speed, so the bound holds
-        at the next tick again once it holds at one.
+        The limit for the top speed leaves room to release the accelerator under the limit of jerk. Accelerations
+        ``a, a - j dt, a - 2 j dt, ...`` add at most ``(a + j dt / 2)^2 / (2 j)`` to the speed. So a limit that holds at
+        one tick also holds at the next.
         """
         acceleration = SPEED_GAIN * (wanted_speed - speed)
         before = 0.0 if speed <= 0.0 and previous < 0.0 else previous
         lowest, highest = before - self._jerk_step, before + self._jerk_step
-        lowest = lowest if lowest > -self._braking else -self._braking  # max and min cost much where interpreted
+        lowest = lowest if lowest > -self._braking else -self._braking  # max() is slow interpreted
         acceleration = lowest if acceleration < lowest else acceleration
         acceleration = highest if acceleration > highest else acceleration
         if acceleration > 0.0:
@@ -164,7 +165,7 @@ class NpcDriver:
         return acceleration
 
     def _released(self, acceleration: float, speed: float) -> float:
-        """What of an acceleration the own limit and the top speed allow [m/s^2]."""
+        """Limit an acceleration to what the NPC's limit and the top speed allow [m/s^2]."""
         release = 0.0
         if speed < self._top_speed:
             release = math.sqrt(self._jerk_twice * (self._top_speed - speed)) - self._jerk_step / 2.0
@@ -173,45 +174,45 @@ class NpcDriver:
         return release if acceleration > release else acceleration
 
     def steering(self, offset: float, heading: float, course: float, speed: float) -> float:
-        """The angle that steers to the centre of a lane [rad], for highway-env's bicycle model.
+        """Return the angle that steers to the centre of a lane, for highway-env's bicycle model [rad].
 
-        Lateral position, then heading, then turning rate; the course (heading plus slip) turns no faster than the
-        lateral acceleration allows, and neither does the heading.
+        The cascade controls the lateral position, the heading and the turning rate. Neither the course (heading plus
+        slip) nor the heading turns faster than the lateral acceleration allows.
 
         Args:
-            offset: from the lane's centre, positive to the right [m].
-            heading: to the lane [rad].
-            course: direction of motion in the previous tick, to the lane [rad].
-            speed: [m/s].
+            offset: offset from the lane's centre, positive to the right [m].
+            heading: heading relative to the lane [rad].
+            course: direction of motion in the previous tick, relative to the lane [rad].
+            speed: the current speed [m/s].
         """
         if -1e-3 < offset < 1e-3 and -1e-5 < heading < 1e-5 and -1e-5 < course < 1e-5:
             self.course = heading
-            return 0.0  # as good as straight
+            return 0.0  # straight enough
         return self.steering_in_bend(offset, heading, course, speed, 0.0, 0.0, 0.0)
 
     def steering_in_bend(
         self, offset: float, heading: float, course: float, speed: float, lean: float, turn: float, sharpest: float
     ) -> float:
-        """The angle that steers to the centre of a lane that turns [rad], for highway-env's bicycle model.
+        """Return the angle that steers to the centre of a bent lane, for highway-env's bicycle model [rad].
 
-        The heading of a vehicle that keeps its angle to a lane that turns differs from its course by the lean. The
-        course is bounded by what that leaves of the largest angle: in a bend the wheel comes back only slowly, with
-        what following the lane leaves of the lateral acceleration, and meanwhile the heading goes after the course.
+        The heading of a vehicle that follows a bend differs from its course by the lean, which reduces the largest
+        angle for the course. The reason is that the steering returns only slowly in a bend, because following the lane
+        already uses some lateral acceleration, and meanwhile the heading approaches the course.
 
         Args:
-            offset, heading, course, speed: as for :meth:`steering`; angles are to the lane's direction here.
-            lean: angle to the lane of a vehicle that follows it without error; a car in a bend points inwards less than
-                it moves [rad].
-            turn: by how much the heading of such a vehicle turns in the coming tick [rad].
-            sharpest: largest curvature of the lane from here to where a lane change could end [1/m].
+            offset, heading, course, speed: as for :meth:`steering`; angles are relative to the lane's direction here.
+            lean: angle to the lane of a vehicle that follows it exactly [rad]. In a bend, a car's heading is turned
+                inwards less than its course.
+            turn: the change of such a vehicle's heading in the coming tick [rad].
+            sharpest: largest curvature of the lane from here to the end of a possible lane change [1/m].
         """
         self.course = heading
         if speed < self._slow:
-            return 0.0  # so slow that the wheels may be straightened at once
+            return 0.0  # slow enough to straighten the wheels at once
         distance = abs(offset)
         aside = heading - lean
         spare = self._lateral_limit - sharpest * speed * speed
-        planned = spare - self._acceleration * abs(aside)  # speeding up turns it into lateral speed
+        planned = spare - self._acceleration * abs(aside)  # speeding up also adds lateral speed
         planned = LATERAL_SHARE * max(planned, LEAST_SPARE * self._lateral_limit)
         lateral_speed = min(LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance), self._lateral_speed)
         bound = min(MARGIN * self._most - abs(lean), math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest))
@@ -222,7 +223,7 @@ class NpcDriver:
         rate = clamped(turn / self._dt + self._heading_gain * (wanted - aside), fastest)
         slip = math.asin(clamped(rate * self._half_length / speed, MAX_SLIP))
         most = max(self._most - abs(lean), 0.0)
-        if self._lateral_speed < speed:  # who speeds up must straighten, or the same angle is more speed across
+        if self._lateral_speed < speed:  # at a constant angle, speeding up adds lateral speed
             most = min(most, math.asin(self._lateral_speed / speed))
         new_course = clamped(heading + slip, most)
         new_course = course + clamped(new_course - course, fastest * self._dt)
@@ -232,13 +233,13 @@ class NpcDriver:
 
 
 class LaneTracker:
-    """Steers a car along lanes and from one to another, under limits of lateral acceleration and jerk.
+    """A controller that steers a car along lanes and between them, under limits of lateral acceleration and jerk.
 
-    It plans the lateral speed from which the car can still stop at the lane's centre, and turns the course (heading
-    plus slip) towards it. The heading goes after the course as a bicycle's does, which changes no faster.
+    It plans a lateral speed from which the car can still stop at the lane's centre, and turns the course (heading plus
+    slip) towards it. The heading follows the course like that of a bicycle, and turns no faster.
 
     Args:
-        length: of the car [m].
+        length: the length of the car [m].
         dt: physics tick [s].
     """
 
@@ -250,31 +251,34 @@ class LaneTracker:
         self._course = self._acceleration = self._angle = 0.0
 
     def begin(self, heading: float, angle: float, speed: float, most: float) -> None:
-        """Take over from another, who held an angle in the last tick [rad, rad, m/s], with at most so much [m/s^2]."""
+        """Take over a car with a heading, steering angle and speed [rad, rad, m/s].
+
+        ``most`` limits the initial lateral acceleration [m/s^2].
+        """
         slip = math.atan(0.5 * math.tan(angle))
         rate = speed * math.sin(slip) / self._half_length
         self._course = heading + slip - rate * self._dt
-        self._acceleration = clamped(speed * rate, most)  # a sharper turn is given up at once: it led off the road
+        self._acceleration = clamped(speed * rate, most)  # a sharper turn ends at once; it led off the road
         self._angle = angle
 
     def steering(self, offset: float, heading: float, speed: float, most: float, jerk: float) -> float:
-        """Return the angle for the coming tick [rad], for highway-env's bicycle model.
+        """Return the steering angle for the coming tick, for highway-env's bicycle model [rad].
 
         Args:
-            offset: from the lane's centre, positive to the right [m].
-            heading: to the lane [rad].
-            speed: [m/s].
+            offset: offset from the lane's centre, positive to the right [m].
+            heading: heading relative to the lane [rad].
+            speed: the current speed [m/s].
             most, jerk: limits of lateral acceleration [m/s^2] and jerk [m/s^3].
         """
         if speed < 0.01:
             self._acceleration = 0.0
-            return self._angle  # it stands; the wheels do not turn
+            return self._angle  # a standing car does not turn its wheels
         turning = self._tightest * speed * speed
-        # The heading goes after the course within half the car's length. Speeding up there makes its turn sharper.
+        # The heading follows the course within half the car's length. Speeding up meanwhile makes the turn sharper.
         share = speed * speed / (speed * speed + 2.0 * SPEEDING_UP * self._half_length)
         limit, step = MARGIN * min(share * most, turning), MARGIN * jerk
         planned = LATERAL_SHARE * min(limit, math.cbrt(step * step * USEFUL_WIDTH))
-        # The way to stop from a lateral speed v is v^2 / 2a, and what building up the braking a takes, v a / 2j.
+        # The distance to stop from a lateral speed v is v^2 / 2a, plus v a / 2j for building up the braking a.
         ramp = max(planned * planned / (2.0 * LATERAL_SHARE * step), planned / CLOSEST_GAIN)
         lateral_speed = math.sqrt(ramp * ramp + 2.0 * planned * abs(offset)) - ramp
         slope = planned / (lateral_speed + ramp)
@@ -285,14 +289,14 @@ class LaneTracker:
         change = clamped(clamped(wanted, limit) - self._acceleration, step * self._dt)
         self._acceleration = clamped(self._acceleration + change, turning)
         self._course += self._acceleration / speed * self._dt
-        # In a tick in which the heading would come farther than the course, it is brought just there.
+        # If the heading would pass the course in this tick, it is turned exactly to the course.
         reach = max(speed * self._dt / self._half_length, 1.0)
         slip = clamped(_turn(self._course - heading) / reach, MAX_SLIP)
         self._angle = math.atan(2.0 * math.tan(slip))
         return self._angle
 
     def _towards(self, missing: float, jerk: float) -> float:
-        """Return an acceleration that brings a speed that is missing under a limit of jerk, without overshoot."""
+        """Return the acceleration that makes up a missing speed under a limit of jerk, without overshoot."""
         size = abs(missing)
         if size * self._gain * self._gain <= jerk:
             return self._gain * missing
@@ -300,5 +304,5 @@ class LaneTracker:
 
 
 def _turn(angle: float) -> float:
-    """Return the same direction as an angle from -pi to pi [rad]."""
+    """Return an angle wrapped to [-pi, pi) [rad]."""
     return (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN

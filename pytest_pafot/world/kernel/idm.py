@@ -1,8 +1,8 @@
-"""highway-env's IDMVehicle on a straight road, operation by operation: the Intelligent Driver Model and MOBIL.
+"""The IDMVehicle of highway-env on a straight road, operation by operation: Intelligent Driver Model and MOBIL.
 
 Sources: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic simulations",
 Physical Review E 62, 2000; Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models",
-Transportation Research Record 1999, 2007. NPCs are no IDM vehicles: of them it assumes that they like their speed.
+Transportation Research Record 1999, 2007. NPCs are no IDM vehicles; it assumes that they desire their current speed.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from pytest_pafot.world.kernel.driver import clamped
 from pytest_pafot.world.kernel.lanes import Lanes
 
 ON_LANE = 1.0
-"""A vehicle counts for a lane up to this far beyond its lines [m]."""
+"""The distance beyond a lane's lines within which a vehicle still counts as in the lane [m]."""
 LANE_ENDS = 5.0
-"""A lane reaches this far beyond its ends [m]."""
+"""The distance beyond a lane's ends within which a vehicle still counts as in the lane [m]."""
 
 
 class IdmEgo(Body):
-    """A vehicle that drives itself.
+    """A vehicle that drives itself by IDM and MOBIL.
 
     Args:
-        constants: those of the vehicle class, by name.
-        lanes: of the road.
-        speed_limit: of every lane [m/s].
+        constants: the constants of the vehicle class, by name.
+        lanes: the road's lanes.
+        speed_limit: the speed limit of every lane [m/s].
     """
 
     def __init__(self, constants: Mapping[str, float], lanes: Lanes, speed_limit: float) -> None:
@@ -73,7 +73,7 @@ class IdmEgo(Body):
         self.acceleration = min(max(acceleration, -self._acc_max), self._acc_max)
 
     def step(self, dt: float) -> None:
-        """Let time pass [s]."""
+        """Move for one time step [s]."""
         self._timer += dt
         Body.step(self, dt)  # C methods have no super()
         self._closest = self._lanes.closest(self.x, self.y, self.heading)
@@ -93,7 +93,7 @@ class IdmEgo(Body):
         return lateral <= 2.0 * self._lanes.width and inside and abs(self.speed) >= 1.0
 
     def _gains(self, lane: int, others: list[Body]) -> bool:
-        """Whether MOBIL advises a lane."""
+        """Return whether MOBIL advises a lane."""
         ahead, behind = _ahead(others, self, lane, self._lanes), _behind(others, self, lane, self._lanes)
         behind_then = self._pulled(behind, self)
         if behind_then < -self._max_imposed:
@@ -109,7 +109,7 @@ class IdmEgo(Body):
         return own_gain + self._politeness * others_gain >= self._min_gain
 
     def _pulled(self, vehicle: Body | None, front: Body | None) -> float:
-        """The model's acceleration of a vehicle behind another [m/s^2]."""
+        """Return the model's acceleration of a vehicle behind another vehicle [m/s^2]."""
         if vehicle is None:
             return 0.0
         liked = min(max(self._liked(vehicle), 0.0), self._speed_limit)
@@ -121,7 +121,7 @@ class IdmEgo(Body):
         return acceleration
 
     def _liked(self, vehicle: Body) -> float:
-        """The speed that a vehicle wants to drive, as far as this one knows [m/s]."""
+        """Return the desired speed of a vehicle, as far as this vehicle knows [m/s]."""
         return self._target_speed if vehicle is self else vehicle.speed
 
     def _desired_gap(self, vehicle: Body, front: Body) -> float:
@@ -139,7 +139,7 @@ class IdmEgo(Body):
 
 
 def _ahead(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | None:
-    """The nearest of other vehicles ahead in a lane; of several at one place the last."""
+    """Return the nearest other vehicle ahead in a lane; of several at one place the last."""
     found = None
     for other in others:
         if (
@@ -153,7 +153,7 @@ def _ahead(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | No
 
 
 def _behind(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | None:
-    """The nearest of other vehicles behind in a lane; of several at one place the first."""
+    """Return the nearest other vehicle behind in a lane; of several at one place the first."""
     found = None
     for other in others:
         if other.x < mine.x and (found is None or other.x > found.x) and _is_on(other, lane, lanes):

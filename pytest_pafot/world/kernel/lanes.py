@@ -7,11 +7,11 @@ import math
 from pytest_pafot.world.kernel.bodies import Body
 
 ALMOST = 1e-6
-"""So near to the line between two lanes all of them are looked at [m]."""
+"""The distance to the line between two lanes within which all lanes are compared [m]."""
 
 
 class Lanes:
-    """So many lanes of one width, from the left, and their length [m]."""
+    """Parallel lanes, numbered from the left, with one width and length [m]."""
 
     def __init__(self, count: int, width: float, length: float) -> None:
         self.count = count
@@ -23,11 +23,11 @@ class Lanes:
         self._right = (count - 1) * width + width / 2.0
 
     def locate(self, body: Body) -> int:
-        """Set a body's nearest lane, the left one of two at equal distance; its index, or -1 off the paved surface."""
+        """Set a body's nearest lane, the left one of two at equal distance; return it, or -1 off the paved surface."""
         across = body.y
         offset = across - body.lane * self.width
         if -self._inside < offset < self._inside and 0.0 <= body.x <= self.length:
-            return body.lane  # where it was before
+            return body.lane  # its previous lane
         lanes = across / self.width - 0.5
         if lanes <= 0.0:
             body.lane = 0
@@ -39,10 +39,10 @@ class Lanes:
         return body.lane if self._left <= across <= self._right and 0.0 <= body.x <= self.length else -1
 
     def closest(self, along: float, across: float, heading: float) -> int:
-        """Index of the lane that highway-env finds: least lateral distance plus angle, the first of equals."""
+        """Return the lane that highway-env finds: the least lateral distance plus angle, the first of equals."""
         near = int(across / self.width + 0.5) if across > 0.0 else 0
         if near < self.count and abs(across - near * self.width) < self._inside:
-            return near  # what is the same for all lanes cannot change the order
+            return near  # the other terms are equal for all lanes
         beyond = max(along - self.length, 0.0) + max(-along, 0.0)
         angle = abs((heading + math.pi) % (2.0 * math.pi) - math.pi)
         best, lane = math.inf, 0

@@ -1,5 +1,5 @@
 # cython: auto_pickle=False
-"""The loop of a run: the ego's driver decides, the director commands, everybody moves one tick, all is recorded."""
+"""The loop of a run: the ego's pilot decides, the director commands, all vehicles move one tick and are recorded."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from pytest_pafot.world.kernel.observation import COLUMNS, Observer
 
 
 class Pilot:
-    """Drives the ego.
+    """The driver of the ego.
 
     Attributes:
-        every: physics ticks from one decision to the next.
+        every: the number of physics ticks between decisions.
     """
 
     def __init__(self, every: int) -> None:
         self.every = every
 
     def decide(self, tick: int) -> AdsError | None:
-        """Decide what to do until the next decision; or what went wrong."""
+        """Decide what to do until the next decision, and return the error of the ADS, or None."""
         return None
 
     def actuate(self) -> None:
@@ -46,7 +46,7 @@ class Pilot:
 
 
 class SelfPilot(Pilot):
-    """An ego that drives itself, at every tick."""
+    """The pilot of an ego that drives itself, at every tick."""
 
     def __init__(self, ego: IdmEgo, others: list[Any]) -> None:
         super().__init__(1)
@@ -54,21 +54,21 @@ class SelfPilot(Pilot):
         self.others = others
 
     def actuate(self) -> None:
-        """The vehicle's own model."""
+        """Apply the vehicle's own model."""
         self.ego.act(self.others)
 
 
 class GivenPilot(Pilot):
-    """Pairs of acceleration [m/s^2] and steering [rad], or lanes to drive to, given from outside for each decision.
+    """A pilot whose decisions come from outside: acceleration [m/s^2] and steering [rad], or a :class:`Drive`.
 
     Args:
-        ego: is driven.
-        lanes: of the road.
-        every: physics ticks from one decision to the next.
+        ego: the ego.
+        lanes: the road's lanes.
+        every: the number of physics ticks between decisions.
         dt: physics tick [s].
 
     Attributes:
-        actions: what was given.
+        actions: all decisions so far.
         slowest: the longest decision [s].
     """
 
@@ -78,25 +78,25 @@ class GivenPilot(Pilot):
         self._lanes = lanes
         self._dt = dt
         self._wanted = 0.0
-        self._lane = -1  # none, as for a pair
-        self._speed = -1.0  # none, as where the acceleration is given
+        self._lane = -1  # -1 for none, if the decision is a pair
+        self._speed = -1.0  # negative for none, if the decision has an acceleration
         self._tracker = LaneTracker(ego.length, dt)
-        self._most = self._jerk = 0.0  # lateral limits of the drive
+        self._most = self._jerk = 0.0  # lateral limits of a Drive
         self.actions: list[tuple[float, float] | Drive] = []
         self.slowest = 0.0
 
     def take(self, action: Any, seconds: float) -> None:
-        """Check a decision that took so long, and apply it.
+        """Check and apply a decision, which took some seconds.
 
         Raises:
-            BadAction: when it is none.
+            BadAction: if the action is not valid.
         """
         checked = checked_si_action(action, self._lanes.count)
         self.actions.append(checked)
         self.slowest = max(self.slowest, seconds)
         self._speed = -1.0
-        if type(checked) is tuple:  # quicker than isinstance
-            acceleration, steering = checked  # quicker than two indices
+        if type(checked) is tuple:  # faster than isinstance
+            acceleration, steering = checked  # faster than two indices
             self._lane = -1
             self._wanted = possible_acceleration(acceleration)
             self._ego.steering = possible_steering(steering)
@@ -112,7 +112,7 @@ class GivenPilot(Pilot):
             self._speed = drive.speed
 
     def actuate(self) -> None:
-        """Steer to a lane and drive a speed, where so decided; brake to a standstill, never into reverse."""
+        """Set the controls of a tick: steer towards the lane and speed of a Drive, and never drive in reverse."""
         ego = self._ego
         if self._lane >= 0:
             offset = ego.y - self._lane * self._lanes.width
@@ -123,17 +123,17 @@ class GivenPilot(Pilot):
 
 
 class PlannerPilot(GivenPilot):
-    """A callable from an observation to its action.
+    """A pilot that calls an ADS, a callable from an observation to its action.
 
     Args:
         ads: the callable.
-        ego: it drives.
-        lanes: of the road.
-        observer: it sees.
-        guard: of its decisions.
-        every: physics ticks from one decision to the next.
+        ego: the ego.
+        lanes: the road's lanes.
+        observer: the maker of the ADS's observations.
+        guard: the guard of the ADS's decisions.
+        every: the number of physics ticks between decisions.
         dt: physics tick [s].
-        decisions: the first ones, which the callable is not asked for.
+        decisions: the first decisions, which replace calls of the ADS.
     """
 
     def __init__(
@@ -157,10 +157,10 @@ class PlannerPilot(GivenPilot):
         self._clock = guard.clock
 
     def decide(self, tick: int) -> AdsError | None:
-        """Observe, ask under guard, check and apply; or apply what was decided before.
+        """Observe, call the ADS under guard, and check and apply its action; or apply a given decision.
 
         Raises:
-            BadAction: when what was decided before is none.
+            BadAction: if a given decision is not a valid action.
         """
         taken = len(self.actions)
         if taken < self._given:
@@ -173,7 +173,7 @@ class PlannerPilot(GivenPilot):
                 guard.started = started
                 action = self._ads(self._observer.observation(tick))
             finally:
-                guard.started = None  # before the clock is read, see HangGuard
+                guard.started = None  # before the clock is read; see HangGuard
                 seconds = self._clock() - started
                 if seconds > guard.limit:
                     guard.settle()
@@ -184,18 +184,18 @@ class PlannerPilot(GivenPilot):
 
 
 class Loop:
-    """One run.
+    """The loop of one run.
 
     Args:
-        ego: at its start.
-        director: of the NPCs, which are at their starts.
-        lanes: of the road.
-        record: room for ``ticks + 1`` rows of all vehicles.
+        ego: the ego, at its start.
+        director: the director of the NPCs, which are at their starts.
+        lanes: the road's lanes.
+        record: a buffer for ``ticks + 1`` rows of all vehicles.
         dt: physics tick [s].
 
     Attributes:
-        tick: how far the run has come.
-        ego_touched, npcs_touched: whether it ended by a contact of the ego, or else by one of two NPCs.
+        tick: the current tick of the run.
+        ego_touched, npcs_touched: true if the run ended by a contact of the ego, or else by a contact of two NPCs.
     """
 
     def __init__(self, ego: Body, director: Director, lanes: Lanes, record: array[float], dt: float) -> None:
@@ -210,11 +210,13 @@ class Loop:
         self._row = 0
         self._columns = COLUMNS
         self._bodies: list[Body] = [ego, *director.npcs]
-        self._reach = max([math.hypot(body.length, body.width) for body in self._bodies])  # beyond, none can touch
+        self._reach = max(
+            [math.hypot(body.length, body.width) for body in self._bodies]
+        )  # farther apart, none can touch
         self._note()
 
     def run(self, pilot: Pilot, ticks: int) -> AdsError | None:
-        """Drive until somebody touches somebody, the ego's driver fails, or the ticks are over."""
+        """Drive until two vehicles touch, the ticks are over, or the ADS fails, whose error is returned."""
         due = 0
         while self.tick < ticks:
             if due == 0:
@@ -248,7 +250,7 @@ class Loop:
         self._row = row
 
     def _contact(self) -> bool:
-        """Whether somebody touches somebody; the ego's contact goes first."""
+        """Return whether two vehicles touch, and set which; a contact of the ego is found before others."""
         record, columns, reach, count = self._record, self._columns, self._reach, len(self._bodies)
         start = self._row - count * columns
         for first in range(count - 1):

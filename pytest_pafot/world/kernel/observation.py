@@ -1,4 +1,4 @@
-"""What a planner sees in :class:`pytest_pafot.Highway`: the world in SI units, read-only and cheap."""
+"""The observation of a planner in :class:`pytest_pafot.Highway`: the world in SI units, read-only and made lazily."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.world.kernel.lanes import Lanes
 
 COLUMNS = 7
-"""Of a vehicle in the record of a run: x, y, heading, speed, acceleration, steering, lane."""
+"""The number of columns per vehicle in a record: x, y, heading, speed, acceleration, steering, lane."""
 
 
 class VehicleState(NamedTuple):
-    """A vehicle as any observer could measure it.
+    """The state of a vehicle that any observer could measure.
 
     Attributes:
         x, y: centre [m]; x along the road, y to the right, 0 on the centre of the leftmost lane.
         heading: 0 along the road, positive to the right [rad].
-        speed: [m/s].
+        speed: the speed [m/s].
         lane: index of the nearest lane, 0 at the left.
-        length, width: [m].
+        length, width: the size [m].
     """
 
     x: float
@@ -38,24 +38,24 @@ class VehicleState(NamedTuple):
 
 
 _Details = tuple[float, float, float, tuple[int, ...], float, tuple[CrossingVehicle, ...]]
-"""What few planners look at: decision period, acceleration, steering, ids, road length and crossing vehicles."""
+"""The fields that few planners use: decision period, acceleration, steering, ids, road length, crossing vehicles."""
 
 
 def lateral_velocity(heading: float, speed: float, steering: float) -> float:
-    """Of the centre of a vehicle [m/s], by its heading to the road [rad], speed [m/s] and steering angle [rad]."""
+    """Return the lateral velocity of a vehicle's centre [m/s], from heading [rad], speed [m/s] and steering [rad]."""
     return speed * math.sin(heading + math.atan(0.5 * math.tan(steering)))
 
 
 class Observer:
-    """Makes observations of a run as far as it has come.
+    """The maker of observations from the record of a run.
 
     Args:
         record: rows of :data:`COLUMNS` numbers for each vehicle at each tick.
         sizes: length and width of each vehicle [m].
-        lanes: of the road.
-        speed_limit: [m/s].
+        lanes: the road's lanes.
+        speed_limit: the speed limit [m/s].
         physics_hz: ticks per second.
-        every: ticks from one decision to the next.
+        every: the number of ticks between decisions.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Observer:
         self.columns = COLUMNS
 
     def vehicle(self, tick: int, index: int) -> VehicleState:
-        """A vehicle at a tick, the ego first."""
+        """Return the state of a vehicle at a tick; index 0 is the ego."""
         length, width = self.sizes[index]
         row = (tick * len(self.sizes) + index) * self.columns
         x, y, heading = self.record[row], self.record[row + 1], self.record[row + 2]
@@ -84,13 +84,13 @@ class Observer:
         return tuple.__new__(VehicleState, (x, y, heading, self.record[row + 3], lane, length, width))
 
     def details(self, tick: int) -> _Details:
-        """What few planners look at, of a tick."""
+        """Return the fields that few planners use, for a tick."""
         row, count = tick * len(self.sizes) * self.columns, len(self.sizes) - 1
         period, ids = self.every / self.physics_hz, tuple(range(count))
         return period, self.record[row + 4], self.record[row + 5], ids, self.lanes.length, ()
 
     def lateral_velocities(self, tick: int) -> tuple[float, ...]:
-        """Of all vehicles at a tick [m/s], the ego first."""
+        """Return the lateral velocities of all vehicles at a tick [m/s], the ego first."""
         first, columns, record, values = tick * len(self.sizes) * self.columns, self.columns, self.record, []
         for index in range(len(self.sizes)):
             row = first + index * columns
@@ -98,7 +98,7 @@ class Observer:
         return tuple(values)
 
     def fill(self, tick: int, values: FloatArray, run: int) -> None:
-        """Write all vehicles at a tick into the rows of a run of [runs, vehicles, 7]."""
+        """Write all vehicles at a tick into one run of an array of shape [runs, vehicles, 7]."""
         row = tick * len(self.sizes) * self.columns
         for index, (length, width) in enumerate(self.sizes):
             x, y, heading = self.record[row], self.record[row + 1], self.record[row + 2]
@@ -112,7 +112,7 @@ class Observer:
             row += self.columns
 
     def observation(self, tick: int) -> Observation:
-        """What there is to see at a tick, put together where it is looked at."""
+        """Return the observation at a tick, whose parts are made when they are read."""
         seen = Observation.__new__(Observation)
         seen._observer = self
         seen._tick = tick
@@ -125,23 +125,24 @@ class Observer:
 
 
 class Observation:
-    """One observation.
+    """The observation of a planner at one decision.
 
     Attributes:
-        time: since the start [s].
+        time: time since the start [s].
         ego: the vehicle that the ADS drives.
-        others: all other vehicles, the NPCs; where ways cross, those that are on the ego's.
+        others: all other vehicles, the NPCs; on crossing ways, only the vehicles on the ego's way.
         lanes: number of lanes.
-        lane_width: [m].
-        speed_limit: [m/s].
-        decision_period: from this decision to the next [s].
-        acceleration, steering: of the ego in the last tick [m/s^2, rad]; 0 at the start.
-        lateral_velocities: to the right [m/s], of the ego and then of the others; with the slip of turned wheels.
-        ids: of the others, the same all through the run: the NPC's place in ``run.npcs``.
+        lane_width: width of every lane [m].
+        speed_limit: speed limit of the fastest lane [m/s].
+        decision_period: time between decisions [s].
+        acceleration, steering: the ego's controls in the last tick [m/s^2, rad]; 0 at the start.
+        lateral_velocities: speeds to the right [m/s] of the ego and then of the others, including the slip of turned
+            wheels.
+        ids: the id of each of the others, constant during the run: the NPC's index in ``run.npcs``.
         lane_centres: y of the centre line of each lane, from the left [m].
-        road_length: the lanes go from x = 0 to here [m].
-        crossing: where ways cross, all vehicles that are on another way than the ego's; see
-            :class:`pytest_pafot.CrossingVehicle`. Neither ``ids`` nor ``array`` has them.
+        road_length: the lanes' end; they begin at x = 0 [m].
+        crossing: all vehicles on ways that cross the ego's way; see :class:`pytest_pafot.CrossingVehicle`. ``ids`` and
+            ``array`` do not include them.
     """
 
     __slots__ = (
@@ -174,12 +175,12 @@ class Observation:
         numbers = tuple(range(len(others))) if ids is None else tuple(ids)
         self._details: _Details | None = (decision_period, acceleration, steering, numbers, road_length, crossing)
         self._lateral = lateral_velocities
-        self._observer: Any = None  # everything is here
+        self._observer: Any = None  # not needed, as all fields are set
         self._tick = 0
 
     @property
     def time(self) -> float:
-        """Since the start [s]."""
+        """The time since the start [s]."""
         return self._time
 
     @property
@@ -191,7 +192,7 @@ class Observation:
 
     @property
     def others(self) -> tuple[VehicleState, ...]:
-        """All other vehicles, the NPCs; where ways cross, those that are on the ego's."""
+        """All other vehicles, the NPCs; on crossing ways, only the vehicles on the ego's way."""
         if self._others is None:
             count = len(self._observer.sizes)
             self._others = tuple([self._observer.vehicle(self._tick, index) for index in range(1, count)])
@@ -199,47 +200,47 @@ class Observation:
 
     @property
     def lanes(self) -> int:
-        """Number of lanes."""
+        """The number of lanes."""
         return self._lanes
 
     @property
     def lane_width(self) -> float:
-        """Of every lane [m]."""
+        """The width of every lane [m]."""
         return self._lane_width
 
     @property
     def speed_limit(self) -> float:
-        """Of the fastest lane [m/s]."""
+        """The speed limit of the fastest lane [m/s]."""
         return self._speed_limit
 
     @property
     def decision_period(self) -> float:
-        """From this decision to the next [s]."""
+        """The time between decisions [s]."""
         return self._detailed()[0]
 
     @property
     def acceleration(self) -> float:
-        """Of the ego in the last tick [m/s^2]."""
+        """The ego's acceleration in the last tick [m/s^2]."""
         return self._detailed()[1]
 
     @property
     def steering(self) -> float:
-        """Of the ego in the last tick [rad]."""
+        """The ego's steering angle in the last tick [rad]."""
         return self._detailed()[2]
 
     @property
     def lateral_velocities(self) -> tuple[float, ...]:
-        """To the right [m/s], of the ego and then of the others."""
+        """The speeds to the right [m/s] of the ego and then of the others."""
         if self._lateral is None and self._observer is not None:
             self._lateral = self._observer.lateral_velocities(self._tick)
-        elif self._lateral is None:  # nobody has said how the wheels are turned
+        elif self._lateral is None:  # the steering is not known
             vehicles = [self.ego, *self.others]
             self._lateral = tuple([lateral_velocity(each.heading, each.speed, 0.0) for each in vehicles])
         return self._lateral
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """Of the others, the same all through the run."""
+        """The ids of the others, which are constant during the run."""
         return self._detailed()[3]
 
     @property
@@ -249,12 +250,12 @@ class Observation:
 
     @property
     def road_length(self) -> float:
-        """The lanes go from x = 0 to here [m]."""
+        """The end of the lanes, which begin at x = 0 [m]."""
         return self._detailed()[4]
 
     @property
     def crossing(self) -> tuple[CrossingVehicle, ...]:
-        """All vehicles that are on another way than the ego's, where ways cross."""
+        """All vehicles on ways that cross the ego's way."""
         return self._detailed()[5]
 
     @property
@@ -269,11 +270,11 @@ class Observation:
         return self._details
 
     def _count(self) -> int:
-        """Of vehicles."""
+        """Return the number of vehicles."""
         return len(self.others) + 1 if self._observer is None else len(self._observer.sizes)
 
     def _fill(self, values: FloatArray, run: int) -> None:
-        """Write all vehicles into the rows of a run of [runs, vehicles, 7]."""
+        """Write all vehicles into one run of an array of shape [runs, vehicles, 7]."""
         if self._observer is None:
             for index, vehicle in enumerate((self.ego, *self.others)):
                 for column, value in enumerate(vehicle):
@@ -305,13 +306,13 @@ class Observation:
 
 
 def stacked(observations: Sequence[Observation]) -> FloatArray:
-    """All vehicles of all observations as float64, shape [observations, vehicles, 7], see :attr:`Observation.array`.
+    """Stack observations to a float64 array of shape [observations, vehicles, 7]; see :attr:`Observation.array`.
 
-    Where one has fewer vehicles than another, its last rows are NaN.
+    If an observation has fewer vehicles than another, its last rows are NaN.
     """
     most = max([seen._count() for seen in observations])
     made = np.full((len(observations), most, len(VehicleState._fields)), np.nan)
-    values = made  # for the compiler, which writes into memory
+    values = made  # typed as a memoryview in the .pxd, so compiled code writes directly
     for run, seen in enumerate(observations):
         seen._fill(values, run)
     return made

@@ -1,7 +1,7 @@
-"""highway-env's own traffic on a straight road: everybody drives by IDM and MOBIL, and highway-env's crash test.
+"""The ordinary traffic of highway-env on a straight road: vehicles that drive by IDM and MOBIL, and the crash test.
 
-The equations are highway-env's (``IDMVehicle``, ``ControlledVehicle``, ``RoadObject.handle_collisions``), whose
-positions they meet within rounding: numpy's power and inverse trigonometric functions differ from C's in the last bit.
+The equations are highway-env's (``IDMVehicle``, ``ControlledVehicle``, ``RoadObject.handle_collisions``). Positions are
+equal except for rounding, because numpy's power and inverse trigonometric functions differ from C's in the last bit.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ class TrafficVehicle(IdmEgo):
     """A vehicle of the traffic, or the ego in it.
 
     Args:
-        constants: those of the vehicle class, by name.
-        lanes: of the road.
-        speed_limit: of every lane [m/s].
-        has_goal: whether it steers for a lane and a speed; else its controls are set from outside and held.
-        drives_itself: whether it finds its goal and its acceleration by MOBIL and IDM; else the goal is set from
-            outside, as by meta-actions. One that is led somewhere does neither.
-        taken_for: the speed that others take it to want [m/s]; NaN for that of its goal, or without one its own.
+        constants: the constants of the vehicle class, by name.
+        lanes: the road's lanes.
+        speed_limit: the speed limit of every lane [m/s].
+        has_goal: true if it steers for a lane and a speed; else its controls are set from outside and held.
+        drives_itself: true if it finds its goal and its acceleration by MOBIL and IDM; else the goal is set from
+            outside, for instance by meta-actions. A vehicle that is led does neither.
+        taken_for: the desired speed that others assume [m/s]. NaN stands for the speed of its goal, or without a goal
+            for its current speed.
 
     Attributes:
-        checks: whether it looks for crashes; a pair is looked at where one of the two does.
-        crashed: whether highway-env has flagged it.
+        checks: true if it tests for crashes; a pair is tested if one of the two does.
+        crashed: true if highway-env would flag it as crashed.
     """
 
     def __init__(
@@ -57,17 +58,20 @@ class TrafficVehicle(IdmEgo):
         self._diagonal = math.hypot(self.length, self.width)
 
     def begin(self, goal: int, wanted: float, timer: float) -> None:
-        """After ``start``: on the way to a lane and a speed [m/s], so long after it thought of changing lanes [s]."""
+        """Set the lane and speed of its goal [m/s], and the time since its last decision on lanes [s]; after ``start``.
+
+        Without this, ``start`` derives the timer from the position.
+        """
         self.aim(goal, wanted)
         self._timer = timer
 
     def aim(self, goal: int, wanted: float) -> None:
-        """Go on to a lane, with a speed [m/s]."""
+        """Set the lane and speed of its goal [m/s]."""
         self._goal = goal
         self._target_speed = wanted
 
     def lead(self, x: float, y: float, heading: float, speed: float) -> None:
-        """Go there in the next tick [m, m, rad, m/s], in the place of what controls would do."""
+        """Take this state in the next tick, whatever the controls are [m, m, rad, m/s]."""
         self._is_led = True
         self._next_x = x
         self._next_y = y
@@ -75,11 +79,11 @@ class TrafficVehicle(IdmEgo):
         self._next_speed = speed
 
     def seen(self) -> tuple[float, float, float, float, int, int]:
-        """Its x [m], y [m], heading [rad] and speed [m/s], its lane, and the one that it is on its way to."""
+        """Return its x [m], y [m], heading [rad], speed [m/s], its lane, and the lane of its goal."""
         return self.x, self.y, self.heading, self.speed, self._closest, self._goal
 
     def act(self, others: list[Any]) -> None:
-        """Decide on acceleration and steering, unless they are given."""
+        """Decide on acceleration and steering, unless they are set from outside."""
         if self._drives_itself and not self.crashed:
             IdmEgo.act(self, others)
         elif self._has_goal and not self._drives_itself and not self._is_led:
@@ -87,7 +91,7 @@ class TrafficVehicle(IdmEgo):
             self.acceleration = self._kp_speed * (self._target_speed - self.speed)
 
     def step(self, dt: float) -> None:
-        """Let time pass [s]: after a crash out of control, and pushed off whom it would have run into."""
+        """Move for one time step [s]; a crashed vehicle stops, and a pushed one is moved apart from the other."""
         if self.crashed:
             self.steering = 0.0
             self.acceleration = -self.speed
@@ -112,7 +116,7 @@ class TrafficVehicle(IdmEgo):
         if self._closest == self._goal:
             IdmEgo._choose_lane(self, others)
             return
-        for each in others:  # a lane change is given up for another who is on its way into the same lane ahead
+        for each in others:  # as in highway-env, it gives way to a vehicle ahead that enters the same lane
             other: TrafficVehicle = each
             if other is self or not other._has_goal or other._goal != self._goal:
                 continue
@@ -128,15 +132,15 @@ class TrafficVehicle(IdmEgo):
 
 
 class OrdinaryTraffic:
-    """An episode as far as it has come.
+    """An episode of ordinary traffic up to its current tick.
 
     Args:
-        vehicles: at their starts, the ego first.
-        record: room for ``ticks + 1`` rows of all vehicles.
+        vehicles: the vehicles at their starts, the ego first.
+        record: a buffer for ``ticks + 1`` rows of all vehicles.
         dt: physics tick [s].
 
     Attributes:
-        tick: the last one that is recorded.
+        tick: the last recorded tick.
     """
 
     def __init__(self, vehicles: list[TrafficVehicle], record: array[float], dt: float) -> None:
@@ -149,7 +153,7 @@ class OrdinaryTraffic:
         self._note()
 
     def step(self) -> bool:
-        """Everybody acts, moves and meets the others, in the order of the road; whether the ego is flagged now."""
+        """Let all vehicles act, move, and test for crashes, in the road's order; return whether the ego has crashed."""
         vehicles, dt = self._vehicles, self._dt
         for vehicle in vehicles:
             vehicle.act(vehicles)
@@ -183,10 +187,10 @@ class OrdinaryTraffic:
 
 
 def _meet(a: TrafficVehicle, b: TrafficVehicle, dt: float) -> None:
-    """Flag two vehicles that overlap as crashed; push those apart that will within the next tick, by their velocities.
+    """Flag two vehicles that overlap as crashed, and push two apart that will overlap within the next tick.
 
-    Boxes are told apart by the normals of their sides, in highway-env's order. A box that contains the other one along
-    a normal is as deep in it as highway-env has it, which depends on the direction of the normal.
+    The boxes are compared along the normals of their sides, in highway-env's order. If one box contains the other along
+    a normal, the depth depends on the direction of the normal, as in highway-env.
     """
     dx, dy = a.x - b.x, a.y - b.y
     if math.sqrt(dx * dx + dy * dy) > (a._diagonal + b._diagonal) / 2.0 + a.speed * dt:
