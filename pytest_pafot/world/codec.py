@@ -79,7 +79,7 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
         _check_names("world.limits", values["limits"], NpcLimits)
         values["limits"] = NpcLimits(**values["limits"])
     if "wrappers" in values:
-        expected, fix = "none, since a file holds no code", "give pafot.World(..., wrappers=[...]) in their place"
+        expected, fix = "none, since a file holds no code", "give pafot.World(..., wrappers=[...]) in the test"
         raise WorldError(field="world.wrappers", expected=expected, received=f"{values['wrappers']!r:.200}", fix=fix)
     if kind == "gym":
         if "env_id" not in values:
@@ -116,7 +116,10 @@ def _from_registered(entry: metadata.EntryPoint, values: dict[str, Any]) -> Worl
     except WorldError:
         raise
     except Exception as error:
-        expected, fix = f"what {entry.value}.from_dict takes", f"it raised {type(error).__name__}: {error!s:.200}"
+        expected, fix = (
+            f"data that {entry.value}.from_dict accepts",
+            f"it raised {type(error).__name__}: {error!s:.200}",
+        )
         received = f"{values['data']!r:.200}"
         raise WorldError(field="world.data", expected=expected, received=received, fix=fix) from error
     if lacking := missing(world):

@@ -388,7 +388,7 @@ def _check_names(place: str, given: Any, known: Collection[str]) -> None:
     for name in given:
         if name not in known:
             fix = _hint(name, known, "there are")
-            raise WorldError(field=place, expected="options of highway-env's own", received=str(name), fix=fix)
+            raise WorldError(field=place, expected="options of highway-env", received=str(name), fix=fix)
         if name in NESTED:
             _check_names(f"{place}.{name}", given[name], known)
 
@@ -432,7 +432,7 @@ def _made(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool
 
 
 def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace plain data that stands for one of the environment's own values, such as a tuple or an array, by it."""
+    """Replace plain data by the environment's own value if it stands for that, such as for a tuple or an array."""
 
     def is_known(name: str, value: Any) -> bool:
         with suppress(WorldError):

@@ -13,10 +13,10 @@ neither the NPCs' plans nor the future. Their sources:
 The regulation's models define reactions to danger. Without danger the regulation only requires a following distance
 (5.2.3.3). For that, the two drivers keep a headway of two seconds, and brake gently as long as that suffices.
 
-None of the models covers junctions. There all three give way by the same rules. They approach at a speed at which they
-can stop. They wait before the zone for each vehicle that would follow them sooner than the critical headway of the
-Highway Capacity Manual (two-way stop, two-lane major road). They brake as in the regulation for a vehicle that is in
-the way without priority.
+At junctions, which none of the models covers, all three drivers give way by the same rules. They approach at a speed at
+which they can stop. They wait before the zone for each vehicle that would follow them sooner than the critical headway
+of the Highway Capacity Manual (two-way stop, two-lane major road). They brake as in the regulation for a vehicle that
+is in the way without priority.
 """
 
 from __future__ import annotations

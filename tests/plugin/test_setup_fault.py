@@ -255,7 +255,7 @@ MESSAGES = {
         "write `lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
     ],
     "world=five, ads=lambda: model.predict": [
-        "received (np.int64(1), None); (action, state) is what `model.predict` returns: take "
+        "received (np.int64(1), None); (action, state) is what `model.predict` returns: use "
         "`model.predict(observation, deterministic=True)[0]`"
     ],
     "world=ten, ads=lambda: lambda seen: model.predict(seen)[0]": [

@@ -265,17 +265,17 @@ def test_a_wrong_configuration_is_named_with_what_was_expected(config, message):
     ("config", "message"),
     [
         ({"observation": {"type": "Kinematics", "vehicle_count": 7}},
-         "config.observation: expected options of highway-env's own, received vehicle_count; did you mean 'v"),
+         "config.observation: expected options of highway-env, received vehicle_count; did you mean 'v"),
         ({"observation": {"type": "Kinematics", "normalise": False}}, "did you mean 'normalize'?"),
         ({"observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics", "oder": ""}}},
-         "config.observation.observation_config: expected options of highway-env's own, received oder; did you"),
+         "config.observation.observation_config: expected options of highway-env, received oder; did you"),
         ({"observation": {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics", "clips": True}]}},
-         "config.observation.observation_configs[0]: expected options of highway-env's own, received clips; did you"),
+         "config.observation.observation_configs[0]: expected options of highway-env, received clips; did you"),
         ({"observation": {"type": "Kinematics", "zebra": 7}}, "received zebra; there are absolute, align_to"),
         ({"action": {"type": "DiscreteMetaAction", "target_speed": [10, 20]}},
-         "config.action: expected options of highway-env's own, received target_speed; did you mean 'target_speeds'?"),
+         "config.action: expected options of highway-env, received target_speed; did you mean 'target_speeds'?"),
         ({"action": {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction", "laterl": True}}},
-         "config.action.action_config: expected options of highway-env's own, received laterl; did you mean 'l"),
+         "config.action.action_config: expected options of highway-env, received laterl; did you mean 'l"),
     ])  # fmt: skip
 def test_a_misspelt_option_of_an_observation_or_action_is_named_which_highway_env_passes_over(config, message):
     with raises(message):

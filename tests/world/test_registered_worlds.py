@@ -85,7 +85,11 @@ def test_an_unknown_kind_is_refused_with_those_that_are_known_and_the_likely_cau
     [
         ("no_such_package:Ring", {"lanes": 3}, r"that no_such_package:Ring, .*, can be imported, received ModuleNot"),
         (f"{__name__}:Ringg", {"lanes": 3}, r"can be imported, received AttributeError"),
-        (f"{__name__}:Ring", {"lane": 3}, r"world.data: expected what .*Ring.from_dict takes, .*; it raised KeyError"),
+        (
+            f"{__name__}:Ring",
+            {"lane": 3},
+            r"world.data: expected data that .*Ring.from_dict accepts, .*; it raised KeyError",
+        ),
         (f"{__name__}:Broken", {}, r"returns a world, received 'no world', which has no rollout, to_dict, speed_limit"),
     ],
 )

@@ -152,7 +152,7 @@ def rollout_vehicle(world: SiWorld, scenario: Scenario, ads: Any, decisions: Seq
     if world.engine == "kernel":
         raise WorldError(
             f"engine: expected an ADS that the kernel can drive, a callable or IDMVehicle with other constants, "
-            f'received {ads!r}, a vehicle class with code or options of its own; use engine="auto" or '
+            f'received {ads!r}, a vehicle class with its own code or options; use engine="auto" or '
             f'engine="highway-env"'
         )
     return _by_objects(world, world.rules, scenario, ads)

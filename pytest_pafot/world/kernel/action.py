@@ -194,7 +194,7 @@ def hint_at(action: Any) -> str:
         return "is a `return` missing?"
     if type(action) is tuple and len(action) == 2 and (action[1] is None or isinstance(action[1], tuple)):
         return (
-            "(action, state) is what `model.predict` returns: take `model.predict(observation, deterministic=True)[0]`"
+            "(action, state) is what `model.predict` returns: use `model.predict(observation, deterministic=True)[0]`"
         )
     if isinstance(action, Drive):
         return "pafot.Drive is for planners in SI units: leave world= out, or give pafot.World(..., planner_hz=5)"

@@ -367,7 +367,10 @@ class Director:
         return speed
 
     def _keep_lane_if_due(self, npc: Npc, target_lane: int, distance: float) -> None:
-        """Keep the lane from now on if the NPC has arrived, given the distance along the road [m], or has no target."""
+        """Keep the lane until the gene ends if the NPC has arrived, or if its target lane does not exist.
+
+        ``distance`` is the distance to the cell's centre along the road [m].
+        """
         if not 0 <= target_lane <= self._last_lane:
             npc.kept_lane = npc.lane
             npc.kept_speed = npc.target_speed
