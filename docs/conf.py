@@ -60,6 +60,8 @@ _PICTURE = re.compile(
 )
 _LIVE = re.compile(r"<!-- live -->.*?<!-- end of live -->", re.DOTALL)
 _FIRST_FIND = DOCS / "start" / "five-minutes.md"
+_SEARCHED = {"explanation/severity": "severity", "guide/junctions": "intersection", "explanation/traffic": "aggressive"}
+"""Words that readers search for, by the page that answers them."""
 _LISTED = re.compile(r"^- \[([^\]]*)\]\(([\w/.-]+)\.(?:md|rst)\)", re.MULTILINE)
 
 
@@ -77,6 +79,15 @@ def themed(app: Sphinx, docname: str, content: list[str]) -> None:
     """Let pictures follow the page's own switch between light and dark, and put the report page itself for its own."""
     content[0] = _LIVE.sub('<iframe class="report" src="finding.html" title="A report page"></iframe>', content[0])
     content[0] = _PICTURE.sub(r'<img class="only-light" src="\2" \3><img class="only-dark" src="\1" \3>', content[0])
+
+
+def indexed(app: Sphinx, docname: str, content: list[str]) -> None:
+    """Add the word that readers search for to the page's index.
+
+    The search finds it there as it is written. In texts it finds only the stem, which "severity" shares with "several".
+    """
+    if word := _SEARCHED.get(docname):
+        content[0] = content[0].replace("\n", f"\n\n```{{index}} ! {word}\n```\n", 1)
 
 
 def contributing(app: Sphinx, docname: str, content: list[str]) -> None:
@@ -172,7 +183,7 @@ def led(app: Sphinx, exception: Exception | None) -> None:
 
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
-    for change in (contributing, navigated, themed):
+    for change in (contributing, navigated, themed, indexed):
         app.connect("source-read", change)
     app.connect("autodoc-skip-member", skipped)
     app.connect("autodoc-process-docstring", linked, priority=400)  # before napoleon
