@@ -1,8 +1,8 @@
-"""The site: ``python -m sphinx -W --keep-going -n -b html docs build/site``.
+"""Configuration of the site: ``python -m sphinx -W --keep-going -n -b html docs build/site``.
 
-Pages are plain Markdown that also reads well on a code host, so what only a site needs is made here: the navigation
-from the lists of pages in each ``index.md``, copies of pictures and report pages that HTML inside of a page names, and
-links that lead out of this folder.
+Pages are plain Markdown that also reads well on a code host. This file adds what only a site needs: the navigation
+from the lists of pages in each ``index.md``, copies of pictures and report pages that HTML inside a page names, and
+words for the search.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ html_show_copyright = False
 html_theme_options = {"navigation_with_keys": False}
 
 myst_heading_anchors = 4
-smartquotes = False  # two hyphens begin an option
+smartquotes = False  # else the two hyphens of an option become a dash
 myst_links_external_new_tab = False
 
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
-napoleon_custom_sections = [("Attributes", "params_style")]  # as arguments: one list
+napoleon_custom_sections = [("Attributes", "params_style")]  # one list, like arguments
 default_role = "code"  # in a docstring `name` is code, as in Markdown
 nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries; what a docstring names, see closest()
 
@@ -66,7 +66,7 @@ _LISTED = re.compile(r"^- \[([^\]]*)\]\(([\w/.-]+)\.(?:md|rst)\)", re.MULTILINE)
 
 
 def navigated(app: Sphinx, docname: str, content: list[str]) -> None:
-    """Give a page that is called index the navigation that its lists of pages say, by heading and in their words."""
+    """Add a navigation to each page named index: its headings and its lists of pages, in their words."""
     if docname.rpartition("/")[2] == "index":
         _, *parts = re.split(r"^## (.*)$", f"## \n{content[0]}", flags=re.MULTILINE)
         for heading, body in zip(parts[::2], parts[1::2], strict=True):
@@ -76,7 +76,7 @@ def navigated(app: Sphinx, docname: str, content: list[str]) -> None:
 
 
 def themed(app: Sphinx, docname: str, content: list[str]) -> None:
-    """Let pictures follow the page's own switch between light and dark, and put the report page itself for its own."""
+    """Make pictures follow the page's switch between light and dark, and replace a live picture by its report page."""
     content[0] = _LIVE.sub('<iframe class="report" src="finding.html" title="A report page"></iframe>', content[0])
     content[0] = _PICTURE.sub(r'<img class="only-light" src="\2" \3><img class="only-dark" src="\1" \3>', content[0])
 
@@ -91,30 +91,30 @@ def indexed(app: Sphinx, docname: str, content: list[str]) -> None:
 
 
 def contributing(app: Sphinx, docname: str, content: list[str]) -> None:
-    """Put the file of the repository's root where its page is."""
+    """Fill the contributors' page with the file from the root of the repository."""
     if docname == "maintain/contributing":
         text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
         content[0] = text.replace("](docs/", "](../").replace("](README.md#try-it)", "](../start/five-minutes.md)")
 
 
 def skipped(app: Sphinx, what: str, name: str, thing: object, skip: bool, options: object) -> bool | None:
-    """Leave out what only a compiled class has as a member; its docstring lists it."""
+    """Skip members that only compiled classes have; the docstring of the class lists them."""
     return True if inspect.isgetsetdescriptor(thing) or inspect.ismemberdescriptor(thing) else None
 
 
 def linked(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
-    """Make links of the pages that a docstring names, and keep "word: text" from being read as type and text."""
+    """Turn the pages that a docstring names into links, and stop napoleon from reading "word: text" as type and text."""
     lines[:] = [re.sub(r"\bdocs/([\w/-]+)\.md\b", r":doc:`/\1`", line) for line in lines]
     if what == "property":
         lines.insert(0, "")
 
 
 def closest(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.TextElement) -> nodes.Node | None:
-    """What a docstring calls by a short name, where exactly one object on the pages has it."""
+    """Return a link for a short name in a docstring, if exactly one object on the pages has this name."""
     if node.get("refdomain") != "py":
         return None
     domain, last = env.domains.python_domain, f".{node['reftarget'].rpartition('.')[2]}"
-    # One object has several names where it is imported elsewhere, and one place.
+    # An object that is imported elsewhere has several names, but only one place.
     found = {(entry.docname, entry.node_id) for name, entry in domain.objects.items() if f".{name}".endswith(last)}
     if len(found) != 1:
         return None
@@ -124,13 +124,13 @@ def closest(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nod
 
 
 def pictures() -> Iterator[Path]:
-    """Files that HTML inside of pages names, and that Sphinx therefore does not see."""
+    """Yield the files that HTML inside pages may name. Sphinx does not see these names."""
     for suffix in ("png", "svg", "html"):
         yield from DOCS.rglob(f"*.{suffix}")
 
 
 def copied(app: Sphinx, exception: Exception | None) -> None:
-    """Put pictures and report pages where pages look for them."""
+    """Copy pictures and report pages to where the pages expect them."""
     for path in pictures():
         place = Path(app.outdir) / path.relative_to(DOCS)
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -138,10 +138,10 @@ def copied(app: Sphinx, exception: Exception | None) -> None:
 
 
 def found(app: Sphinx, exception: Exception | None) -> None:
-    """Make the report page that the page of the first find shows, by the files and the command on that page.
+    """Make the report page of the first finding, with the files and the command on that page.
 
     Raises:
-        ExtensionError: where the command makes none.
+        ExtensionError: if the command makes no report page.
     """
     if exception is not None:
         return
@@ -151,7 +151,7 @@ def found(app: Sphinx, exception: Exception | None) -> None:
     plugins = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "pytest_pafot.plugin", "PYTEST_ADDOPTS": ""}
     variables = {**os.environ, "PYTHONPATH": str(ROOT), **plugins}
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch, "my-planner")  # the page tells its name
+        folder = Path(scratch, "my-planner")  # the page names it
         folder.mkdir()
         for name, content in re.findall(r"^```python\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
             Path(folder, name).write_text(content, encoding="utf-8")
@@ -163,10 +163,10 @@ def found(app: Sphinx, exception: Exception | None) -> None:
 
 
 def led(app: Sphinx, exception: Exception | None) -> None:
-    """See that links to a place on a page lead to one that the page has.
+    """Check that each link to a place on a page leads to a place that exists.
 
     Raises:
-        ExtensionError: where one leads nowhere.
+        ExtensionError: if a link leads nowhere.
     """
     pages = [Path(app.outdir, f"{name}.html").resolve() for name in app.env.found_docs] if exception is None else []
     texts = {page: page.read_text(encoding="utf-8") for page in pages}
@@ -182,7 +182,7 @@ def led(app: Sphinx, exception: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> None:
-    """Called by Sphinx."""
+    """Connect the functions above to the events of Sphinx."""
     for change in (contributing, navigated, themed, indexed):
         app.connect("source-read", change)
     app.connect("autodoc-skip-member", skipped)

@@ -1,4 +1,4 @@
-// How results of the search are ordered: as Sphinx does, but what answers users comes before records and bare names.
+// The order of search results is Sphinx's, but pages for users come before records, maintainers' pages and bare names.
 const LATER = /^(comparisons|maintain|api|changelog|genindex)/;
 var Scorer = {
   score: ([docname, , , , score]) => (LATER.test(docname) ? score - 20 : score),
