@@ -103,7 +103,7 @@ def skipped(app: Sphinx, what: str, name: str, thing: object, skip: bool, option
 
 
 def linked(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
-    """Turn the pages that a docstring names into links, and stop napoleon from reading "word: text" as type and text."""
+    """Turn the pages that a docstring names into links, and stop napoleon from reading "word: text" as a type."""
     lines[:] = [re.sub(r"\bdocs/([\w/-]+)\.md\b", r":doc:`/\1`", line) for line in lines]
     if what == "property":
         lines.insert(0, "")
