@@ -141,13 +141,13 @@ def test_it_tells_what_the_driver_and_the_ego_do_from_there_to_the_next_tick():
     chance, _ = scanned(trace, chances={12}, survived=survived)
     assert chance == LastChance(time=0.8, driver="careful-human", action=(-4.0, 0.013), ego_action=(0.8, 0.0))
     assert chance.sentence == (
-        "last chance 0.8 s: careful-human brakes with 4.0 m/s^2, the ego accelerates with 0.8 m/s^2"
+        "Last chance at 0.8 s: careful-human brakes at 4.0 m/s^2, the ego accelerates at 0.8 m/s^2"
     )
 
 
 def test_who_neither_brakes_nor_accelerates_keeps_its_speed():
     chance = LastChance(time=3.0, driver="careful-human", action=(1.5, 0.0), ego_action=(-0.04, 0.0))
-    assert chance.sentence == ("last chance 3.0 s: careful-human accelerates with 1.5 m/s^2, the ego keeps its speed")
+    assert chance.sentence == ("Last chance at 3.0 s: careful-human accelerates at 1.5 m/s^2, the ego keeps its speed")
 
 
 @pytest.mark.parametrize("engine", ["kernel", "highway-env"])

@@ -13,9 +13,8 @@ from tests.helpers.pencil_and_paper import Crash, Crossing, gap, giving_way, is_
 
 NUMBER = r"(-?\d+\.\d)"
 WHO = r"(?:the ego|The ego|NPC #)"
-PACE = rf"(?:which was (?:{NUMBER} m/s (?:faster|slower)|as fast)|(?:and|which) braked with up to {NUMBER} m/s\^2)"
-PLACE = f"(?:beside {WHO}|{NUMBER} m (?:ahead of|behind) {WHO}, {PACE})"
-CLOSE = rf"{NUMBER} m (?:\(safe: {NUMBER} m\) )?behind {WHO}, {PACE}"
+PACE = rf"(?:{WHO} was {NUMBER} m/s (?:faster|slower)|Both were equally fast|NPC # braked at up to {NUMBER} m/s\^2)"
+PLACE = rf"(?:next to {WHO}|{NUMBER} m (?:ahead of|behind) {WHO}\. {PACE})"
 
 
 class Reading:
@@ -50,7 +49,7 @@ class Reading:
         time, apart, *pace = self.placed(said, self.tick)
         safe = safe_along(behind, ahead, self.tick)
         assert ("safe" in said) == (safe > 0)
-        return [time, apart, *([safe] if safe > 0 else []), *pace]
+        return [apart, time, *([safe] if safe > 0 else []), *pace]
 
     def crossed(self, said):
         """When, into which lane, and where that was."""
@@ -67,7 +66,7 @@ class Reading:
         """How far ahead or behind, and how much faster or slower the other was, as the words say."""
         mover, other = self.who(said)
         faster, apart = other.speed[tick] - mover.speed[tick], self.apart(tick)
-        if "beside" in said:
+        if "next to" in said:
             assert apart == 0.0
             return [self.time(tick)]
         assert ("ahead" in said) == (mover.along[tick] > other.along[tick])
@@ -77,7 +76,7 @@ class Reading:
         assert ("braked" in said) == is_told
         if is_told:
             return [self.time(tick), apart, braked]
-        if "as fast" in said:
+        if "equally fast" in said:
             assert f"{abs(faster):.1f}" == "0.0"
             return [self.time(tick), apart]
         return [self.time(tick), apart, faster if "faster" in said else -faster]
@@ -101,9 +100,9 @@ class Reading:
         assert one.enters == self.tick
         assert ("merge" in said) == (zone.kind == "merging")
         assert f"from {'the ' if zone.origin in ('left', 'right') else ''}{zone.origin}" in said
-        assert ("neither had priority" in said) == (zone.priority == "none")
+        assert ("Neither had priority" in said) == (zone.priority == "none")
         if zone.priority != "none":
-            assert said.split(", which had priority")[0].endswith("ego") == (zone.priority == "ego")
+            assert said.endswith("The ego had priority.") == (zone.priority == "ego")
         apart = (other.enters - one.enters) / self.crash.hz
         assert ("before" in said, "after" in said) == (apart > 0, apart < 0)
         return [self.time(one.enters), *([abs(apart)] if apart else [])]
@@ -131,10 +130,10 @@ class Reading:
         highest = max(speeds[lowest:])
         sped_up = speeds[-1] > speeds[lowest] + 0.3 and speeds[-1] >= highest - 0.3
         assert ("sped up" in said) == sped_up
-        assert ("braked" in said) == bool(braked and not sped_up)
+        assert ("up to" in said.replace("sped up to", "")) == bool(braked and not sped_up)
         due = [since + round(delay * crash.hz) for delay in (1.0, 1.4)]
-        if "was due" in said:
-            told = next((tick for tick in due if f"brake from {self.time(tick):.1f} s on" in said), math.inf)
+        if "should have" in said:
+            told = next((tick for tick in due if f"should have braked from {self.time(tick):.1f} s" in said), math.inf)
             assert told < crash.impact
             if sped_up:
                 return [self.time(told), highest, self.time(since + lowest)]
@@ -143,18 +142,18 @@ class Reading:
             return [self.time(told), *([hardest, self.time(braked[0])] if braked else [])]
         assert due[1] >= crash.impact
         if sped_up:
-            return [self.time(since + lowest), highest]
-        return [self.time(braked[0]), hardest] if braked else [self.time(since)]
+            return [highest, self.time(since + lowest)]
+        return [hardest, self.time(braked[0])] if braked else [self.time(since)]
 
     def hard_braking(self, said):
         braker, _ = self.who(said)
         first, last = self.crash.hard_braking(braker)
-        return [self.time(first - 1), max(braker.deceleration(tick) for tick in range(first, last + 1))]
+        return [max(braker.deceleration(tick) for tick in range(first, last + 1)), self.time(first - 1)]
 
     def sped_up_towards(self, said):
-        """Since when, and to which speed."""
-        first, mover = self.crash.sped_up, self.ego if said.split(" on ")[1].startswith("the ego") else self.npc
-        return [self.time(first), max(mover.speed[first : self.crash.impact + 1])]
+        """To which speed, and since when."""
+        first, mover = self.crash.sped_up, self.ego if said.startswith("The ego") else self.npc
+        return [max(mover.speed[first : self.crash.impact + 1]), self.time(first)]
 
     def stood(self, said):
         return [self.time(self.tick), (self.crash.impact - self.crash.ticks["stood"]) / self.crash.hz]
@@ -165,38 +164,44 @@ class Reading:
 
 
 SENTENCES = {
-    rf"At {NUMBER} s {WHO} was {CLOSE}\.": Reading.too_close,
-    rf"At {NUMBER} s {WHO} crossed (?:into lane \d|a lane line), {PLACE}\.": Reading.crossed,
-    rf"At {NUMBER} s the ego came in {PLACE}\.": Reading.came_in,
-    rf"At {NUMBER} s the ego and at {NUMBER} s NPC # crossed a lane line towards each other\.": Reading.both_crossed,
-    rf"From {NUMBER} s on {WHO} kept its lane, {PLACE}\.": lambda reading, said: reading.placed(said, reading.tick),
-    rf"At {NUMBER} s {WHO} came sideways into {WHO} beside it\.": lambda reading, said: [
+    rf"{WHO} was only {NUMBER} m behind {WHO} at {NUMBER} s(?: \(safe: {NUMBER} m\))?\. {PACE}\.": Reading.too_close,
+    rf"{WHO} crossed (?:into lane \d|a lane line) at {NUMBER} s, {PLACE}\.": Reading.crossed,
+    rf"The ego moved in at {NUMBER} s, {PLACE}\.": Reading.came_in,
+    rf"The ego \(at {NUMBER} s\) and NPC # \(at {NUMBER} s\) moved towards each other and crossed their lane lines\.": (
+        Reading.both_crossed
+    ),
+    rf"{WHO} kept its lane from {NUMBER} s on, {PLACE}\.": lambda reading, said: reading.placed(said, reading.tick),
+    rf"{WHO} moved sideways at {NUMBER} s into {WHO}, which was next to it\.": lambda reading, said: [
         reading.time(reading.crash.joined)
     ],
-    rf"At {NUMBER} s the ego was standing when NPC # touched it\.": Reading.ended,
-    rf"At {NUMBER} s {WHO} began to brake with up to {NUMBER} m/s\^2 with nothing in its way\.": Reading.hard_braking,
-    rf"At {NUMBER} s the ego began to stop with nothing in its way, and it stood for {NUMBER} s\.": Reading.stood,
-    rf"{WHO}(?:, which had priority,)? entered the (?:crossing|merge)(?: from [a-z ]+)? at {NUMBER} s, "
-    rf"(?:{NUMBER} s (?:before|after)|together with) {WHO}.*\.": Reading.entered,
+    rf"The ego was standing when NPC # touched it at {NUMBER} s\.": Reading.ended,
+    rf"{WHO} braked at up to {NUMBER} m/s\^2 from {NUMBER} s on, with nothing in its way\.": Reading.hard_braking,
+    rf"The ego began to stop at {NUMBER} s with nothing in its way\. It stood for {NUMBER} s before the impact\.": (
+        Reading.stood
+    ),
+    rf"{WHO} entered the (?:crossing|merge)(?: from [a-z ]+)? at {NUMBER} s, "
+    rf"(?:{NUMBER} s (?:before|after)|together with) {WHO}(?: from [a-z ]+)?\. (?:{WHO}|Neither) had priority\.": (
+        Reading.entered
+    ),
     r"Neither could have foreseen the other in time, by the rules\.": lambda reading, said: [],
-    rf"At {NUMBER} s the ego touched NPC # outside of the zone in which their ways meet\.": lambda reading, said: [
+    rf"The ego touched NPC # at {NUMBER} s, outside the zone where their ways meet\.": lambda reading, said: [
         reading.time(reading.crash.impact)
     ],
-    rf"The ego was due to leave NPC # a gap of {NUMBER} m\.": Reading.room,
-    rf"The ego left NPC # more than the {NUMBER} m that giving way takes\.": Reading.room,
-    rf"At {NUMBER} s NPC # moved in behind the ego\.": lambda reading, said: [
+    rf"The ego should have left NPC # a gap of {NUMBER} m\.": Reading.room,
+    rf"The ego gave way: it left NPC # more than the required {NUMBER} m\.": Reading.room,
+    rf"NPC # moved in behind the ego at {NUMBER} s\.": lambda reading, said: [
         reading.time(reading.crash.ticks["npc's moment"])
     ],
-    rf"{WHO} had too little time to answer, by the rules\.": lambda reading, said: [],
-    rf"From {NUMBER} s on {WHO} sped up to {NUMBER} m/s towards {WHO}\.": Reading.sped_up_towards,
-    rf"{WHO} was due to keep braking and let the brakes go at {NUMBER} s\.": lambda reading, said: [
+    rf"{WHO} had too little time to respond, by the rules\.": lambda reading, said: [],
+    rf"{WHO} sped up to {NUMBER} m/s from {NUMBER} s on, towards {WHO}\.": Reading.sped_up_towards,
+    rf"{WHO} should have kept braking but released the brakes at {NUMBER} s\.": lambda reading, said: [
         reading.time(reading.crash.ticks["brakes let go"])
     ],
-    rf"{WHO} was due to brake from {NUMBER} s on(?: and did not|, but braked too (?:little|briefly|late) "
-    rf"\(up to {NUMBER} m/s\^2 from {NUMBER} s on\)|, but sped up to {NUMBER} m/s from {NUMBER} s on)\.": (
+    rf"{WHO} should have braked from {NUMBER} s(?: but did not|\. It braked too (?:little|briefly|late): "
+    rf"up to {NUMBER} m/s\^2 from {NUMBER} s on|\. Instead it sped up to {NUMBER} m/s from {NUMBER} s on)\.": (
         Reading.answered
     ),
-    rf"From {NUMBER} s on {WHO} (?:did not brake|braked with up to {NUMBER} m/s\^2|sped up to {NUMBER} m/s)\.": (
+    rf"{WHO} (?:did not brake|braked at up to {NUMBER} m/s\^2|sped up to {NUMBER} m/s) from {NUMBER} s on\.": (
         Reading.answered
     ),
 }

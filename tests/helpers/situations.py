@@ -126,13 +126,13 @@ SITUATIONS = {
             "standing-vehicle-ignored",
             "A vehicle has stood in the ego's lane all the time, 150 m ahead. The ego does not brake.",
             lambda: hit(driven(0.0), driven(155.0, speed=0.0)),
-            "ego", "leader-unanswered", "4b", "At 4.9 s",
+            "ego", "leader-unanswered", "4b", "behind NPC 0 at 4.9 s",
         ),
         Situation(
             "hard-brake-ahead-ignored",
             "Two seconds ahead of the ego one brakes with 8 m/s^2 to a standstill. The ego does not brake.",
             lambda: hit(driven(0.0), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
-            "ego", "leader-unanswered", "4b", "on and did not",
+            "ego", "leader-unanswered", "4b", "s but did not",
         ),
         Situation(
             "braked-too-gently",
@@ -150,13 +150,13 @@ SITUATIONS = {
             "leader-stops-dead",
             "One that the ego follows 1.5 s behind stops within 7 m. The ego brakes with 6 m/s^2 from 1.0 s after on.",
             lambda: hit(driven(0.0, brakes=[(3.0, 6.0, 0.0)]), driven(35.0, brakes=[(2.0, 30.0, 0.0)])),
-            "npc", None, "4b", "too little time to answer",
+            "npc", None, "4b", "too little time to respond",
         ),
         Situation(
             "began-too-close",
             "The run begins 7 m behind one that brakes with 8 m/s^2 at once.",
             lambda: hit(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])),
-            "npc", None, "4b", "too little time to answer",
+            "npc", None, "4b", "too little time to respond",
         ),
         Situation(
             "ego-tailgates",
@@ -188,19 +188,19 @@ SITUATIONS = {
             "braked-for-nothing",
             "On a free road the ego brakes with 9 m/s^2. The one behind follows at 2 s and does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 0.0)]), driven(-45.0)),
-            "both", "braked-for-nothing", "7", "4.0 s the ego began to brake with up to 9.0 m/s^2",
+            "both", "braked-for-nothing", "7", "The ego braked at up to 9.0 m/s^2 from 4.0 s on",
         ),
         Situation(
             "braked-for-nothing-unavoidable",
             "So again with 9.8 m/s^2, and the one behind has just what RSS asks for, which counts with 8 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.8, 0.0)]), driven(-34.0, brakes=[(5.0, 6.0, 0.0)])),
-            "ego", "braked-for-nothing", "7", "NPC 0 had too little time to answer",
+            "ego", "braked-for-nothing", "7", "NPC 0 had too little time to respond",
         ),
         Situation(
             "braked-for-nothing-tailgated",
             "On a free road the ego brakes with 9 m/s^2 ahead of one that has come up to 2 m behind it.",
             lambda: hit(driven(0.0, brakes=[(13.0, 9.0, 0.0)]), driven(-44.5, speed=25.0, brakes=[(7.0, 5.0, 20.0)])),
-            "both", "braked-for-nothing", "7", "13.0 s the ego began to brake",
+            "both", "braked-for-nothing", "7", "The ego braked at up to 9.0 m/s^2 from 13.0 s on",
         ),
         Situation(
             "braked-beside-a-neighbour",
@@ -216,13 +216,13 @@ SITUATIONS = {
                 driven(-45.0),
                 driven(80.0, speed=14.0, shifts=[(2.0, RIGHT, 3.0)]),
             ),
-            "both", "braked-for-nothing", "7", "At 8.0 s",
+            "both", "braked-for-nothing", "7", "from 8.0 s on",
         ),
         Situation(
             "brake-check-after-a-lane-change",
             "The ego changes lanes 45 m ahead of another, and 6 s later brakes with 9 m/s^2 on a free road.",
             lambda: lane_change(45.0, faster=0.0, brakes=[(8.0, 9.0, 0.0)]),
-            "both", "braked-for-nothing", "7", "8.0 s the ego began to brake",
+            "both", "braked-for-nothing", "7", "The ego braked at up to 9.0 m/s^2 from 8.0 s on",
         ),
         Situation(
             "braked-for-a-leader-that-brakes",
@@ -236,7 +236,7 @@ SITUATIONS = {
             "braked-for-an-obstacle",
             "The ego brakes with 8 m/s^2 for a vehicle that stands 50 m ahead. The one 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 8.0, 0.0)]), driven(-45.0), driven(135.0, speed=0.0)),
-            "npc", None, "7", "the ego was standing",
+            "npc", None, "7", "The ego was standing",
         ),
         Situation(
             "braked-for-an-entering-vehicle",
@@ -252,7 +252,7 @@ SITUATIONS = {
             "braked-for-the-end-of-the-lane",
             "The ego brakes with 7 m/s^2, 40 m before its lane ends.",
             lambda: at_lane_end(driven(0.0, brakes=[(4.0, 7.0, 0.0)]), driven(-45.0), end=120.0),
-            "npc", None, "7", "the ego was standing",
+            "npc", None, "7", "The ego was standing",
         ),
         Situation(
             "braked-moderately",
@@ -264,7 +264,7 @@ SITUATIONS = {
             "braked-moderately-to-a-crawl",
             "On a free road the ego brakes with 4.5 m/s^2 to 2 m/s. The one 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 4.5, 2.0)]), driven(-45.0)),
-            "both", "stopped-for-nothing", "7", "At 4.0 s the ego began to brake",
+            "both", "stopped-for-nothing", "7", "The ego braked at up to 4.5 m/s^2 from 4.0 s on",
         ),
         Situation(
             "braked-for-a-moment",
@@ -277,7 +277,7 @@ SITUATIONS = {
             "One that the ego follows 0.5 s behind brakes with 8 m/s^2 on a free road; the ego brakes with 6 m/s^2 a "
             "second later.",
             lambda: hit(driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)])),
-            "both", "leader-unanswered", "5", "behind NPC 0, which braked with up to 8.0 m/s^2",
+            "both", "leader-unanswered", "5", "NPC 0 braked at up to 8.0 m/s^2",
         ),
         Situation(
             "leader-brakes-for-nothing-1.8-s-ahead",
@@ -300,13 +300,13 @@ SITUATIONS = {
             "npc-stands-askew",
             "One has stood askew all the time, half in the ego's lane. The ego does not brake.",
             lambda: hit(driven(0.0), turned(driven(150.0, 1.8, speed=0.0), 0.4)),
-            "ego", "leader-unanswered", "4b", "on and did not",
+            "ego", "leader-unanswered", "4b", "s but did not",
         ),
         Situation(
             "stopped-for-nothing",
             "On a free road the ego brakes gently to a standstill, and after 5 s one runs into it.",
             lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0)),
-            "both", "stopped-for-nothing", "7", "the ego began to stop with nothing in its way",
+            "both", "stopped-for-nothing", "7", "The ego began to stop at",
         ),
         Situation(
             "stopped-in-a-queue",
@@ -316,7 +316,7 @@ SITUATIONS = {
                 driven(-172.0, seconds=25.0),
                 driven(120.0, speed=0.0, seconds=25.0),
             ),
-            "npc", None, "7", "the ego was standing",
+            "npc", None, "7", "The ego was standing",
         ),
         Situation(
             "stopped-at-the-end-of-the-lane",
@@ -324,13 +324,13 @@ SITUATIONS = {
             lambda: at_lane_end(
                 driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0), end=112.0
             ),
-            "npc", None, "7", "the ego was standing",
+            "npc", None, "7", "The ego was standing",
         ),
         Situation(
             "stopped-for-a-moment",
             "On a free road the ego brakes gently to a standstill; one runs into it 2 s later.",
             lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-111.0, seconds=25.0)),
-            "npc", None, "7", "the ego was standing",
+            "npc", None, "7", "The ego was standing",
         ),
         Situation(
             "stopped-askew-for-nothing",
@@ -349,7 +349,7 @@ SITUATIONS = {
                 driven(-180.0, LEFT),
                 driven(50.0, speed=0.0),
             ),
-            "npc", None, "7", "the ego was standing",
+            "npc", None, "7", "The ego was standing",
         ),
         Situation(
             "stopped-in-a-lane-change",
@@ -358,7 +358,7 @@ SITUATIONS = {
                 driven(0.0, LEFT, speed=10.0, brakes=[(2.5, 8.0, 0.0)], shifts=[(2.0, OWN, 1.5)]),
                 driven(-11.0, speed=10.0, brakes=[(3.2, 3.0, 0.0)]),
             ),
-            "ego", "entered-lane", "3", "due to leave NPC 0 a gap of",
+            "ego", "entered-lane", "3", "should have left NPC 0 a gap of",
         ),
     ),
     "An NPC comes into the ego's lane": (
@@ -366,13 +366,13 @@ SITUATIONS = {
             "cut-in-3-m-and-brakes",
             "An NPC of equal speed moves in 3 m ahead and brakes with 8 m/s^2 at once.",
             lambda: cut_in(3.0, slower=0.0, brakes=[(3.0, 8.0, 0.0)]),
-            "npc", None, "5", "too little time to answer",
+            "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "cut-in-4-m-slower",
             "An NPC that is 4 m/s slower moves in 4 m ahead.",
             lambda: cut_in(4.0, slower=4.0),
-            "npc", None, "5", "too little time to answer",
+            "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "cut-in-10-m-slower",
@@ -384,19 +384,19 @@ SITUATIONS = {
             "cut-in-20-m-slower",
             "An NPC that is 10 m/s slower moves in 20 m ahead: nobody can answer that either.",
             lambda: cut_in(20.0, slower=10.0),
-            "npc", None, "5", "too little time to answer",
+            "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "cut-in-15-m-slower",
             "An NPC that is 4 m/s slower moves in 15 m ahead. The ego does not brake.",
             lambda: cut_in(15.0, slower=4.0),
-            "ego", "cut-in-unanswered", "5", "on and did not",
+            "ego", "cut-in-unanswered", "5", "s but did not",
         ),
         Situation(
             "cut-in-30-m-slower",
             "An NPC that is 10 m/s slower moves in 30 m ahead. The ego does not brake.",
             lambda: cut_in(30.0, slower=10.0),
-            "ego", "cut-in-unanswered", "5", "due to brake from 3.6 s on",
+            "ego", "cut-in-unanswered", "5", "should have braked from 3.6 s",
         ),
         Situation(
             "cut-in-answered-too-gently",
@@ -409,14 +409,14 @@ SITUATIONS = {
             "An NPC that is 10 m/s slower moves in 30 m ahead and brakes with 8 m/s^2; the ego brakes with 6 m/s^2 "
             "from 1.4 s after on.",
             lambda: cut_in(30.0, slower=10.0, brakes=[(2.6, 8.0, 0.0)], ego_brakes=[(3.6, 6.0, 0.0)]),
-            "npc", None, "5", "too little time to answer",
+            "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "braked-before-its-answer-was-due",
             "An NPC that is 4 m/s slower moves in 12 m ahead and brakes with 8 m/s^2; the ego brakes with 9 m/s^2 "
             "after 0.7 s.",
             lambda: cut_in(12.0, slower=4.0, brakes=[(2.4, 8.0, 0.0)], ego_brakes=[(2.9, 9.0, 0.0)]),
-            "npc", None, "1", "too little time to answer",
+            "npc", None, "1", "too little time to respond",
         ),
         Situation(
             "ego-speeds-up-after-a-cut-in",
@@ -441,19 +441,19 @@ SITUATIONS = {
             "An NPC that is 4 m/s slower moves in 5 m ahead, too close to be answered, but speeds up and draws away "
             "to 12 m; 5 s later it slows down with 3 m/s^2. The ego does not brake.",
             lambda: cut_in(5.0, slower=4.0, brakes=[(2.4, -4.0, 22.0), (9.0, 3.0, 8.0)]),
-            "ego", "leader-unanswered", "4a", "on and did not",
+            "ego", "leader-unanswered", "4a", "s but did not",
         ),
         Situation(
             "npc-brake-checks",
             "An NPC overtakes with 5 m/s more, moves in 2 m ahead and 1.5 s later brakes with 8 m/s^2, 10 m ahead.",
             lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)]),
-            "npc", None, "5", "too little time to answer",
+            "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "npc-enters-across-two-lanes",
             "An NPC that is 6 m/s slower comes across two lanes in one motion, 8 m ahead when it crosses the line.",
             lambda: hit(driven(0.0), driven(13.0 + 6 * 5.6, FAR, speed=14.0, shifts=[(2.0, OWN, 6.0)])),
-            "npc", None, "5", "too little time to answer",
+            "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "npc-enters-behind",
@@ -465,47 +465,47 @@ SITUATIONS = {
             "npc-swipes-the-ego",
             "An NPC beside the ego moves into it.",
             lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 3.0)])),
-            "npc", None, "3", "beside ",
+            "npc", None, "3", "next to ",
         ),
         Situation(
             "npc-drifts",
             "An NPC beside the ego drifts into it with 0.2 m/s.",
             lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 20.0)])),
-            "npc", None, "8", "NPC 0 came sideways into the ego",
+            "npc", None, "8", "NPC 0 moved sideways at",
         ),
         Situation(
             "npc-swerves-into-the-side",
             "An NPC beside the ego swerves into it with 4 m/s; the ego brakes with 8 m/s^2 at once.",
             lambda: hit(driven(0.0, brakes=[(2.2, 8.0, 0.0)]), driven(2.0, LEFT, shifts=[(2.0, OWN, 1.0)])),
-            "npc", None, "3", "beside ",
+            "npc", None, "3", "next to ",
         ),
         Situation(
             "sped-up-after-it-had-survived-a-cut-in",
             "An NPC that is 4 m/s slower comes over slowly, close ahead. The ego brakes to less than its speed, and a "
             "second later speeds up into it.",
             lambda: cut_in(4.0, slower=4.0, lasts=4.0, ego_brakes=[(2.6, 8.0, 15.0), (4.4, -3.0, 24.0)]),
-            "both", "leader-unanswered", "4c", "The ego was due to brake from",
+            "both", "leader-unanswered", "4c", "The ego should have braked from",
         ),
         Situation(
             "cut-in-answered-with-nothing-to-spare",
             "An NPC that is 8 m/s slower moves in 16 m ahead. The ego brakes with 6 m/s^2 when an answer is due, and "
             "hits it.",
             lambda: cut_in(16.0, slower=8.0, ego_brakes=[(3.7, 6.0, 0.0)]),
-            "npc", None, "5", "too little time to answer",
+            "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "speeds-up-behind-a-cut-in-that-nobody-can-answer",
             "An NPC that is 2 m/s slower moves in 2.5 m ahead and speeds up to the ego's speed, nearly. The ego speeds "
             "up into it.",
             lambda: cut_in(2.5, slower=2.0, brakes=[(2.3, -3.0, 19.6)], ego_brakes=[(3.9, -3.0, 26.0)]),
-            "both", "leader-unanswered", "4c", "the ego sped up to",
+            "both", "leader-unanswered", "4c", "The ego sped up to",
         ),
         Situation(
             "let-the-brakes-go-behind-a-cut-in",
             "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes with 8 m/s^2 until it is only 4 m/s "
             "faster, 9 m behind, and brakes no more.",
             lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 14.0)]),
-            "both", "leader-unanswered", "4c", "let the brakes go at",
+            "both", "leader-unanswered", "4c", "released the brakes at",
         ),
         Situation(
             "creeps-into-one-that-had-cut-in",
@@ -531,7 +531,7 @@ SITUATIONS = {
                 driven(0.0, brakes=[(2.9, 8.0, 10.0), (8.0, -2.0, 20.0)]),
                 driven(48.3, LEFT, speed=10.0, shifts=[(2.0, 2.2, 1.1)]),
             ),
-            "ego", "leader-unanswered", "4c", "The ego was due to brake from",
+            "ego", "leader-unanswered", "4c", "The ego should have braked from",
         ),
     ),
     "The ego changes lanes": (
@@ -539,39 +539,39 @@ SITUATIONS = {
             "lane-change-1-m-ahead",
             "The ego changes lanes 1 m ahead of one that is 4 m/s faster.",
             lambda: lane_change(1.0, faster=4.0),
-            "ego", "entered-lane", "3", "due to leave NPC 0 a gap of 24.3 m",
+            "ego", "entered-lane", "3", "should have left NPC 0 a gap of 24.3 m",
         ),
         Situation(
             "lane-change-2-m-ahead",
             "The ego changes lanes 2 m ahead of one that is 4 m/s faster.",
             lambda: lane_change(2.0, faster=4.0),
-            "ego", "entered-lane", "3", "due to leave NPC 0 a gap of 24.3 m",
+            "ego", "entered-lane", "3", "should have left NPC 0 a gap of 24.3 m",
         ),
         Situation(
             "lane-change-10-m-ahead",
             "The ego changes lanes 10 m ahead of one that is 8 m/s faster.",
             lambda: lane_change(10.0, faster=8.0),
-            "ego", "entered-lane", "3", "due to leave NPC 0 a gap of 33.9 m",
+            "ego", "entered-lane", "3", "should have left NPC 0 a gap of 33.9 m",
         ),
         Situation(
             "follower-lets-the-brakes-go",
             "The ego changes lanes 10 m ahead of one that is 8 m/s faster. That one brakes with 8 m/s^2 until it is "
             "2 m/s faster, 2 m behind, and brakes no more.",
             lambda: lane_change(10.0, faster=8.0, npc_brakes=[(2.9, 8.0, 22.0)]),
-            "both", "entered-lane", "4c", "NPC 0 was due to keep braking",
+            "both", "entered-lane", "4c", "NPC 0 should have kept braking",
         ),
         Situation(
             "lane-change-28-m-ahead",
             "The ego changes lanes 28 m ahead of one that is 8 m/s faster, which has no second left when the ego has "
             "come to keep its lane.",
             lambda: lane_change(28.0, faster=8.0),
-            "ego", "entered-lane", "4a", "due to leave NPC 0 a gap of 33.9 m",
+            "ego", "entered-lane", "4a", "should have left NPC 0 a gap of 33.9 m",
         ),
         Situation(
             "lane-change-40-m-ahead",
             "The ego changes lanes 40 m ahead of one that is 8 m/s faster and never brakes.",
             lambda: lane_change(40.0, faster=8.0),
-            "npc", None, "3", "more than the 33.9 m",
+            "npc", None, "3", "more than the required 33.9 m",
         ),
         Situation(
             "lane-change-80-m-ahead",
@@ -583,19 +583,19 @@ SITUATIONS = {
             "lane-change-15-m-ahead-settled",
             "The ego changes lanes 15 m ahead of one that is 2 m/s faster and does not brake in the 7 s after.",
             lambda: lane_change(15.0, faster=2.0),
-            "npc", None, "4a", "From 3.9 s on",
+            "npc", None, "4a", "kept its lane from 3.9 s on",
         ),
         Situation(
             "follower-speeds-up-after-room",
             "The ego changes lanes 25 m ahead of one of equal speed, which then speeds up to 30 m/s.",
             lambda: lane_change(25.0, faster=0.0, npc_brakes=[(4.0, -3.0, 30.0)]),
-            "npc", None, "3", "more than the 20.0 m",
+            "npc", None, "3", "more than the required 20.0 m",
         ),
         Situation(
             "follower-speeds-up-after-settling",
             "The ego changes lanes 10 m ahead of one of equal speed, and 3 s later that one speeds up.",
             lambda: lane_change(10.0, faster=0.0, npc_brakes=[(5.4, -3.0, 30.0)]),
-            "npc", None, "4a", "From 3.9 s on",
+            "npc", None, "4a", "kept its lane from 3.9 s on",
         ),
         Situation(
             "follower-speeds-up-behind-an-ego-that-weaves",
@@ -608,13 +608,13 @@ SITUATIONS = {
             "brake-check-after-cutting-in",
             "The ego changes lanes 5 m ahead of one of equal speed and brakes with 9 m/s^2 as soon as it is there.",
             lambda: lane_change(5.0, faster=0.0, brakes=[(4.0, 9.0, 0.0)]),
-            "ego", "entered-lane", "4a", "due to leave NPC 0 a gap of 20.0 m",
+            "ego", "entered-lane", "4a", "should have left NPC 0 a gap of 20.0 m",
         ),
         Situation(
             "brake-check-long-after-cutting-in",
             "The ego changes lanes 5 m ahead of one of equal speed, keeps the lane for 4 s and brakes with 9 m/s^2.",
             lambda: lane_change(5.0, faster=0.0, brakes=[(8.0, 9.0, 0.0)]),
-            "ego", "braked-for-nothing", "3", "At 8.0 s the ego began to brake",
+            "ego", "braked-for-nothing", "3", "The ego braked at up to 9.0 m/s^2 from 8.0 s on",
         ),
         Situation(
             "follower-floors-it",
@@ -649,13 +649,13 @@ SITUATIONS = {
             "ego-swipes",
             "The ego moves into one beside it.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 3.0)]), driven(1.0, LEFT)),
-            "ego", "entered-lane", "3", "beside ",
+            "ego", "entered-lane", "3", "next to ",
         ),
         Situation(
             "ego-drifts",
             "The ego drifts with 0.2 m/s into one beside it.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 20.0)]), driven(1.0, LEFT)),
-            "ego", "entered-lane", "8", "the ego came sideways into NPC 0",
+            "ego", "entered-lane", "8", "The ego moved sideways at",
         ),
         Situation(
             "ego-enters-behind-a-slower-one",
@@ -667,7 +667,7 @@ SITUATIONS = {
             "ego-enters-across-two-lanes",
             "The ego comes across two lanes in one motion into one that has kept its lane.",
             lambda: hit(driven(0.0, LEFT, shifts=[(2.0, RIGHT, 5.0)]), driven(2.0, RIGHT)),
-            "ego", "entered-lane", "2", "At 5.1 s the ego crossed",
+            "ego", "entered-lane", "2", "The ego crossed into lane 2 at 5.1 s",
         ),
         Situation(
             "ego-overtakes-into-oncoming-traffic",
@@ -701,7 +701,7 @@ SITUATIONS = {
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-65.0, RIGHT, speed=26.0, shifts=[(2.2, OWN, 2.0)])
             ),
-            "npc", None, "3", "more than the 28.4 m",
+            "npc", None, "3", "more than the required 28.4 m",
         ),
         Situation(
             "both-enter-and-follow-for-long",
@@ -733,7 +733,7 @@ SITUATIONS = {
             "ego-enters-where-one-has-just-entered",
             "An NPC has moved into the lane between for 2 s when the ego moves in beside it.",
             lambda: hit(driven(0.0, LEFT, shifts=[(4.5, OWN, 2.0)]), driven(1.0, RIGHT, shifts=[(2.0, OWN, 2.0)])),
-            "ego", "entered-lane", "3", "the ego crossed",
+            "ego", "entered-lane", "3", "The ego crossed",
         ),
         Situation(
             "ego-given-up-its-lane-change",
@@ -741,7 +741,7 @@ SITUATIONS = {
             lambda: hit(
                 driven(0.0, shifts=[(1.0, 3.2, 1.0), (2.0, OWN, 1.0)]), driven(1.0, LEFT, shifts=[(6.0, OWN, 2.0)])
             ),
-            "npc", None, "2", "At 6.4 s NPC 0 crossed",
+            "npc", None, "2", "NPC 0 crossed into lane 1 at 6.4 s",
         ),
         Situation(
             "ego-moved-two-lanes-away",
@@ -750,7 +750,7 @@ SITUATIONS = {
                 driven(0.0, LEFT, shifts=[(1.0, OWN, 2.0)]),
                 driven(1.0, FAR, shifts=[(3.0, RIGHT, 2.0), (8.0, OWN, 2.0)]),
             ),
-            "npc", None, "2", "At 8.4 s NPC 0 crossed",
+            "npc", None, "2", "NPC 0 crossed into lane 1 at 8.4 s",
         ),
     ),
     "Bends and ramps": (
@@ -758,37 +758,37 @@ SITUATIONS = {
             "bend-brake-ahead-ignored",
             "In a bend the one 2 s ahead brakes with 6 m/s^2. The ego does not brake.",
             lambda: in_bend(driven(0.0), driven(45.0, brakes=[(2.0, 6.0, 0.0)])),
-            "ego", "leader-unanswered", "4b", "on and did not",
+            "ego", "leader-unanswered", "4b", "s but did not",
         ),
         Situation(
             "bend-cut-in",
             "In a bend an NPC that is 6 m/s slower moves in 5 m ahead.",
             lambda: in_bend(driven(0.0), driven(10.0 + 6 * 2.4, LEFT, speed=14.0, shifts=[(2.0, OWN, 2.0)])),
-            "npc", None, "5", "too little time to answer",
+            "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "bend-npc-runs-wide",
             "In a bend the NPC on the inside runs wide, into the ego beside it.",
             lambda: in_bend(driven(0.0), driven(1.0, RIGHT, shifts=[(2.0, OWN, 4.0)])),
-            "npc", None, "3", "beside ",
+            "npc", None, "3", "next to ",
         ),
         Situation(
             "bend-ego-runs-wide",
             "In a bend the ego runs wide, into an NPC beside it.",
             lambda: in_bend(driven(0.0, shifts=[(2.0, LEFT, 4.0)]), driven(1.0, LEFT)),
-            "ego", "entered-lane", "3", "beside ",
+            "ego", "entered-lane", "3", "next to ",
         ),
         Situation(
             "ramp-npc-merges-close",
             "An NPC that is 6 m/s slower merges from a ramp 6 m ahead of the ego.",
             lambda: at_ramp(driven(-54.0), driven(0.0, speed=14.0), on_ramp=1),
-            "npc", None, "3", "At 7.2 s NPC 0 crossed",
+            "npc", None, "3", "NPC 0 crossed a lane line at 7.2 s",
         ),
         Situation(
             "ramp-npc-merges-35-m-ahead",
             "An NPC that is 6 m/s slower merges from a ramp 35 m ahead of the ego, which does not brake.",
             lambda: at_ramp(driven(-83.0), driven(0.0, speed=14.0), on_ramp=1),
-            "ego", "cut-in-unanswered", "5", "At 7.2 s NPC 0 crossed",
+            "ego", "cut-in-unanswered", "5", "NPC 0 crossed a lane line at 7.2 s",
         ),
     ),
     "Where ways cross": (
@@ -796,19 +796,19 @@ SITUATIONS = {
             "crossing-from-the-left-ignored",
             "The ego drives with 8 m/s into a crossing, half a second before one from the left that has priority.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 6.5, 8)),
-            "ego", "did-not-give-way", "9", "0.5 s before NPC 0, which had priority, from the left",
+            "ego", "did-not-give-way", "9", "0.5 s before NPC 0 from the left. NPC 0 had priority",
         ),
         Situation(
             "crossing-from-the-right-ignored",
             "So again 0.3 s after one from the right.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("south straight", 5.7, 8)),
-            "ego", "did-not-give-way", "9", "0.3 s after NPC 0, which had priority, from the right",
+            "ego", "did-not-give-way", "9", "0.3 s after NPC 0 from the right. NPC 0 had priority",
         ),
         Situation(
             "crossing-braked-too-little",
             "So again from the left; the ego brakes two seconds before it would enter, with 2 m/s^2.",
             lambda: junctions.hit(plan("west straight", 6, 8, (4.0, -2.0, 3.0)), plan("north straight", 7, 8)),
-            "ego", "did-not-give-way", "9", "but braked too little (up to 2.0 m/s^2 from",
+            "ego", "did-not-give-way", "9", "It braked too little: up to 2.0 m/s^2 from",
         ),
         Situation(
             "crossing-sets-off-in-front",
@@ -816,19 +816,19 @@ SITUATIONS = {
             lambda: junctions.hit(
                 plan("west straight", 4, 8, (2.0, -3.5, 0.0), (8.0, 2.5, 8.0)), plan("north straight", 10.5, 8)
             ),
-            "ego", "did-not-give-way", "9", "but sped up to",
+            "ego", "did-not-give-way", "9", "Instead it sped up to",
         ),
         Situation(
             "crossing-npc-has-no-priority",
             "One from the left that has no priority drives into the crossing half a second before the ego.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 5.5, 8), priority="ego"),
-            "npc", None, "9", "NPC 0 entered the crossing from the left at 5.5 s, 0.5 s before the ego, which had",
+            "npc", None, "9", "NPC 0 entered the crossing from the left at 5.5 s, 0.5 s before the ego. The ego had",
         ),
         Situation(
             "crossing-npc-has-no-priority-and-is-slow",
             "So again two seconds before the ego, with 3 m/s. The ego never brakes.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 4, 3), priority="ego"),
-            "both", "entered-taken-zone", "9", "The ego was due to brake from 5.3 s on and did not",
+            "both", "entered-taken-zone", "9", "The ego should have braked from 5.3 s but did not",
         ),
         Situation(
             "crossing-one-stands-in-it-ego-has-priority",
@@ -836,13 +836,13 @@ SITUATIONS = {
             lambda: junctions.hit(
                 plan("west straight", 9, 8), plan("north straight", 3, 5, (3.3, -5.0, 0.0)), priority="ego"
             ),
-            "ego", "entered-taken-zone", "9", "The ego, which had priority, entered the crossing at 9.0 s, 6.0 s after",
+            "ego", "entered-taken-zone", "9", "6.0 s after NPC 0 from the left. The ego had priority",
         ),
         Situation(
             "crossing-one-stands-in-it-npc-has-priority",
             "So again where the other has priority.",
             lambda: junctions.hit(plan("west straight", 9, 8), plan("north straight", 3, 5, (3.3, -5.0, 0.0))),
-            "ego", "did-not-give-way", "9", "6.0 s after NPC 0, which had priority",
+            "ego", "did-not-give-way", "9", "6.0 s after NPC 0 from the left. NPC 0 had priority",
         ),
         Situation(
             "crossing-stopped-in-it-far-ahead",
@@ -853,7 +853,7 @@ SITUATIONS = {
                 plan("north straight", 9, 8),
                 others=[plan("grid", 2.0, 5, (3.9, -5.0, 0.0))],
             ),
-            "npc", None, "9", "NPC 0, which had priority, entered the crossing from the left at 9.0 s, 5.0 s after",
+            "npc", None, "9", "from the left at 9.0 s, 5.0 s after the ego. NPC 0 had priority",
         ),
         Situation(
             "crossing-stopped-in-it-near-ahead",
@@ -863,7 +863,7 @@ SITUATIONS = {
                 plan("north straight", 9.5, 10),
                 others=[plan("grid", 5.0, 5, (6.9, -5.0, 0.0))],
             ),
-            "both", "did-not-give-way", "9", "NPC 0 was due to brake from",
+            "both", "did-not-give-way", "9", "NPC 0 should have braked from",
         ),
         Situation(
             "crossing-npc-waits-and-drives-in-late",
@@ -871,7 +871,7 @@ SITUATIONS = {
             lambda: junctions.hit(
                 plan("west straight", 8, 5), plan("north straight", 4.75, 8, (3.5, -4.0, 0.0), (7.9, 5.0, 8.0))
             ),
-            "npc", None, "9", "NPC 0, which had priority, entered",
+            "npc", None, "9", "after the ego. NPC 0 had priority. NPC 0 sped up",
         ),
         Situation(
             "crossing-npc-waits-and-sets-off-with-the-ego",
@@ -903,13 +903,13 @@ SITUATIONS = {
             "crossing-without-priorities",
             "Where neither has priority the ego and one from the right drive in together.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("south straight", 6, 8), priority="none"),
-            "both", "did-not-give-way", "9", "together with NPC 0 from the right; neither had priority",
+            "both", "did-not-give-way", "9", "together with NPC 0 from the right. Neither had priority",
         ),
         Situation(
             "crossing-without-priorities-npc-first",
             "So again where the other has been in the crossing for three seconds, with 1.5 m/s.",
             lambda: junctions.hit(plan("west straight", 8, 8), plan("south straight", 4.5, 1.5), priority="none"),
-            "ego", "did-not-give-way", "9", "NPC 0 from the right; neither had priority",
+            "ego", "did-not-give-way", "9", "NPC 0 from the right. Neither had priority",
         ),
         Situation(
             "crossing-waits-and-is-hit-from-behind",
@@ -920,7 +920,7 @@ SITUATIONS = {
                 plan("grid", 8.0, 8),
                 others=[plan("north straight", 6.5, 5)],
             ),
-            "npc", None, "7", "the ego was standing",
+            "npc", None, "7", "The ego was standing",
         ),
         Situation(
             "crossing-brakes-hard-for-one-and-is-hit",
@@ -931,7 +931,7 @@ SITUATIONS = {
                 plan("grid", 7.2, 12),
                 others=[plan("south straight", 6.0, 8)],
             ),
-            "npc", None, "7", "behind the ego, which was as fast",
+            "npc", None, "7", "Both were equally fast",
         ),
         Situation(
             "crossing-brakes-hard-for-none-and-is-hit",
@@ -949,7 +949,7 @@ SITUATIONS = {
             "turns-left-across-oncoming",
             "The ego turns left in front of one that comes towards it and has priority.",
             lambda: junctions.hit(plan("west left", 6, 6), plan("east straight", 6.5, 10)),
-            "ego", "did-not-give-way", "9", "which had priority, from ahead",
+            "ego", "did-not-give-way", "9", "from ahead. NPC 0 had priority",
         ),
         Situation(
             "oncoming-turns-left-across",
@@ -961,13 +961,13 @@ SITUATIONS = {
             "oncoming-turns-left-across-slowly",
             "So again, two seconds before the ego and with 4 m/s. The ego never brakes.",
             lambda: junctions.hit(plan("west straight", 6, 9), plan("east left", 3.9, 4), priority="ego"),
-            "both", "entered-taken-zone", "9", "The ego was due to brake",
+            "both", "entered-taken-zone", "9", "The ego should have braked",
         ),
         Situation(
             "turns-left-into-one-from-the-left",
             "The ego turns left and drives into one from the left, which has priority and is there first.",
             lambda: junctions.hit(plan("west left", 6, 6), plan("north straight", 5.4, 6)),
-            "ego", "did-not-give-way", "9", "0.6 s after NPC 0, which had priority, from the left",
+            "ego", "did-not-give-way", "9", "0.6 s after NPC 0 from the left. NPC 0 had priority",
         ),
     ),
     "Where ways merge": (
@@ -981,14 +981,14 @@ SITUATIONS = {
             "turns-right-four-seconds-in-front",
             "So again four seconds before one that comes with 6 m/s and speeds up behind it to 12 m/s.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 10.5, 6, (10.0, 3.0, 12.0))),
-            "npc", None, "4b", "NPC 0 was",
+            "npc", None, "4b", "NPC 0 should have",
         ),
         Situation(
             "turns-right-in-front-and-is-hit-later",
             "The ego turns right with 4 m/s in front of one that comes with 12 m/s and has priority. That one brakes "
             "hard to 5 m/s, keeps that speed, and runs into the ego behind the zone.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.3, 12, (6.5, -6.0, 5.0))),
-            "both", "did-not-give-way", "9", "NPC 0 was due to brake from",
+            "both", "did-not-give-way", "9", "NPC 0 should have braked from",
         ),
         Situation(
             "npc-turns-right-in-front",
@@ -1000,13 +1000,13 @@ SITUATIONS = {
             "npc-turns-right-three-seconds-in-front",
             "So again three seconds before the ego. The ego, with 8 m/s, runs into it and never brakes.",
             lambda: junctions.hit(plan("west straight", 8, 8), plan("south right", 3.5, 4), priority="ego"),
-            "ego", "leader-unanswered", "4b", "The ego was due to brake",
+            "ego", "leader-unanswered", "4b", "The ego should have braked",
         ),
         Situation(
             "joins-the-circle-in-front",
             "The ego joins a circle with 6 m/s, 0.7 s before one that circulates with 10 m/s.",
             lambda: junctions.hit(plan("join", 6, 6), plan("circle", 6.7, 10)),
-            "ego", "did-not-give-way", "9", "0.7 s before NPC 0, which had priority, from the left",
+            "ego", "did-not-give-way", "9", "0.7 s before NPC 0 from the left. NPC 0 had priority",
         ),
         Situation(
             "joins-the-circle-beside",
@@ -1018,7 +1018,7 @@ SITUATIONS = {
             "joins-the-circle-behind-one-that-stops",
             "The ego joins a circle two seconds behind one that then stops with 3 m/s^2. The ego never brakes.",
             lambda: junctions.hit(plan("join", 8, 8), plan("circle", 6.0, 8, (8.0, -3.0, 0.0))),
-            "ego", "leader-unanswered", "4b", "The ego was due to brake",
+            "ego", "leader-unanswered", "4b", "The ego should have braked",
         ),
         Situation(
             "npc-joins-the-circle-in-front",

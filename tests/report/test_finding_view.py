@@ -140,7 +140,7 @@ def test_what_avoids_it_stands_above_the_picture_and_what_was_due_in_the_explana
     assert finding_view(trace, other, node_id="n").sentences == (first, *others)  # of another run than this one
     assert finding_view(safe, avoided, node_id="n").sentences == ()
     view = finding_view(trace, avoided, node_id="n")
-    assert view.sentences == (first, "Braking with 6 m/s^2 from 1.2 s on avoids it.", "Responsible: NPC 0.")
+    assert view.sentences == (first, "Braking at 6 m/s^2 from 1.2 s on avoids the collision.", "NPC 0 is responsible.")
     assert first not in view.explanation
     assert all(each in view.explanation for each in others[:-1])
 
