@@ -1,1 +1,1 @@
-"""What a scenario is and what is recorded of a run: values that check themselves."""
+"""Scenarios and the records of their runs: values that check themselves."""

@@ -1,7 +1,8 @@
-"""Ways of other traffic and the zones in which they meet the ego's: what a world gives, a search draws and rules read.
+"""The ways of other traffic and the zones in which they meet the ego's way.
 
-Places are of a vehicle's centre, along its way [m]. A stretch ``(enters, leaves)`` of two ways is where a box of one
-and a box of the other can touch, so that nobody who waits before ``enters`` is in anybody's way there.
+A world provides them, a search samples from them, and the rules of attribution read them. Places are those of a
+vehicle's centre, along its way [m]. A stretch ``(enters, leaves)`` is where the boxes of two vehicles on the two ways
+can touch, so a vehicle that waits before ``enters`` blocks nobody.
 """
 
 from __future__ import annotations
@@ -22,35 +23,35 @@ FloatArray = npt.NDArray[np.float64]
 Stretch = tuple[float, float]
 
 Kind = Literal["crossing", "oncoming", "merging"]
-"""How two ways meet: one leads across the other; a vehicle that comes towards the ego turns across its way, or the ego
-turns across that vehicle's; both lead on in one lane."""
+"""The ways in which two ways meet: one leads across the other; an oncoming vehicle turns across the ego's way, or the
+ego across that vehicle's; both continue in one lane."""
 Origin = Literal["left", "right", "ahead", "behind"]
-"""From where a vehicle comes, as an ego sees it that drives up to the zone."""
+"""The direction that a vehicle comes from, as seen by the ego when it drives up to the zone."""
 Holder = Literal["ego", "npc", "none"]
-"""Who has priority."""
+"""The vehicle that has priority."""
 
 STEP = 0.5
-"""Distance of the points of a way [m]."""
+"""Distance between the points of a way [m]."""
 APART = 0.7
-"""What is left at least between two NPCs that drive through one place [s]."""
+"""The least time between two NPCs that drive through the same place [s]."""
 LENGTH = 5.0
-"""Of a vehicle [m]."""
+"""Length of a vehicle [m]."""
 BEFORE_LINE, STOPPING = 2.0, 6.0
-"""How far before its zone an NPC waits [m], and with what it can brake for that [m/s^2]."""
+"""The distance before its zone at which an NPC waits [m], and how hard it can brake for that [m/s^2]."""
 WAITING = ("hold", "late")
-"""What NPCs do that come to a stop at the line."""
+"""The acts of NPCs that stop at the line."""
 EASY_BRAKING, CREEPING = 2.5, 2.0
-"""With what an NPC brakes for the line [m/s^2], and how much longer than braking evenly its last metres take [s]."""
+"""How hard an NPC brakes for the line [m/s^2], and how much longer its last metres take than even braking would [s]."""
 EARLIER = 1.0
-"""How long before it has to set off an NPC stands at the line that starts late [s]."""
+"""The time for which an NPC that starts late stands at the line before it sets off [s]."""
 SETTING_OFF = 2.0
-"""Acceleration with which a vehicle that has waited is expected to set off [m/s^2]."""
+"""The acceleration with which a waiting vehicle is expected to set off [m/s^2]."""
 SLOTS = {"well before": -1.0, "just before": 0.0, "together": 0.0, "just after": 1.0, "well after": math.inf}
-"""The five slots of a zone, each with where it ends [s]: what the nine cells are to the grid."""
+"""The five slots of a zone, each with its end [s]. They are to a zone what the nine cells are to the grid."""
 
 
 def slot_name(slot: float) -> str:
-    """Return which of the five slots a slot is [s]."""
+    """Return the name of the slot that a time belongs to [s]."""
     if slot == 0:
         return "together"
     if slot < 0:
@@ -60,17 +61,16 @@ def slot_name(slot: float) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Zone:
-    """Where an NPC's way first meets the ego's.
+    """The zone where an NPC's way first meets the ego's.
 
     Attributes:
         way: entry and exit of the NPC's way, such as ``"o1>o3"``.
-        kind: how the two meet.
-        origin: from where the NPC comes.
-        ego, npc: the stretches of the ego's way and of the NPC's [m]; those of a merging zone end where both drive in
-            one lane.
-        priority: who has it.
-        line: points of the NPC's way from its entry to its exit, x and y [m]; for pictures, and empty where nobody
-            says.
+        kind: how the two ways meet.
+        origin: the direction that the NPC comes from.
+        ego, npc: the stretches of the ego's way and of the NPC's way [m]. In a merging zone they end where both
+            vehicles drive in one lane.
+        priority: the vehicle that has priority.
+        line: points of the NPC's way from its entry to its exit, x and y [m]. Only pictures use them; empty if unknown.
     """
 
     way: str
@@ -83,24 +83,24 @@ class Zone:
 
     @property
     def whence(self) -> str:
-        """From where the NPC comes, in words: ``from the left``."""
+        """The direction that the NPC comes from, in words: ``from the left``."""
         return f"from {'the ' if self.origin in ('left', 'right') else ''}{self.origin}"
 
 
 class CrossingVehicle(NamedTuple):
-    """A vehicle that is not on the ego's way but on one that meets it, as an observer with a map could measure it.
+    """A vehicle on a way that meets the ego's, as an observer with a map could measure it.
 
-    Distances are from centres, along the way that each of the two drives. They fall below 0 in the zone.
+    Distances are measured from the centre of a vehicle along its own way. They are negative inside the zone.
 
     Attributes:
-        id: the NPC's place in ``run.npcs``, the same all through the run.
-        zone: where the two ways first meet, and who has priority there.
+        id: the NPC's index in ``run.npcs``, the same throughout the run.
+        zone: where the two ways first meet, and which vehicle has priority there.
         distance: from the vehicle to the beginning of the zone [m].
         ego_distance: from the ego to the beginning of the zone [m].
-        ahead, right: from the ego's centre to the vehicle's, as the ego points [m].
-        heading: relative to the ego's, positive to the right [rad].
-        speed: [m/s].
-        length, width: [m].
+        ahead, right: from the ego's centre to the vehicle's, in the ego's frame [m].
+        heading: relative to the ego's heading, positive to the right [rad].
+        speed: speed of the vehicle [m/s].
+        length, width: size of the vehicle [m].
     """
 
     id: int
@@ -116,17 +116,17 @@ class CrossingVehicle(NamedTuple):
 
     @property
     def to_leave(self) -> float:
-        """How far it has to drive until it is out of the zone [m]; below 0 where it has left it."""
+        """The distance that the vehicle has to drive to leave the zone [m]; negative after it has left."""
         return self.distance + self.zone.npc[1] - self.zone.npc[0]
 
     @property
     def ego_to_leave(self) -> float:
-        """How far the ego has to drive until it is out of the zone [m]; below 0 where it has left it."""
+        """The distance that the ego has to drive to leave the zone [m]; negative after it has left."""
         return self.ego_distance + self.zone.ego[1] - self.zone.ego[0]
 
     @property
     def is_inside(self) -> bool:
-        """Whether it is in the zone."""
+        """True if the vehicle is in the zone."""
         return self.distance <= 0 <= self.to_leave
 
 
@@ -135,8 +135,8 @@ class Way:
     """A way of other traffic.
 
     Attributes:
-        zone: where it first meets the ego's.
-        speeds: the highest speed that limits and bends allow, every half metre from the entry on [m/s].
+        zone: the zone where it first meets the ego's way.
+        speeds: the highest speed that limits and bends allow, at every half metre from the entry on [m/s].
     """
 
     zone: Zone
@@ -144,12 +144,12 @@ class Way:
 
     @property
     def length(self) -> float:
-        """From the entry to the exit [m]."""
+        """The distance from the entry to the exit [m]."""
         return (len(self.speeds) - 1) * STEP
 
-    @lru_cache(maxsize=2048)  # noqa: B019  (a search asks hundreds of times a scenario; a world keeps its ways anyway)
+    @lru_cache(maxsize=2048)  # noqa: B019  (called hundreds of times a scenario; a world retains its ways anyway)
     def times(self, speed: float) -> FloatArray:
-        """Return when a vehicle of a speed [m/s], or slower in bends, that starts at the entry is at each point [s]."""
+        """Return when a vehicle that starts at the entry reaches each point [s] at a speed [m/s], slower in bends."""
         driven = np.minimum(self.speeds, speed)
         steps = 2 * STEP / np.maximum(driven[1:] + driven[:-1], 1e-3)
         times: FloatArray = np.concatenate(([0.0], np.cumsum(steps)))
@@ -157,7 +157,7 @@ class Way:
         return times
 
     def time_at(self, along: float, speed: float) -> float:
-        """Return when a vehicle of a speed [m/s] that starts at the entry is at a place [s]."""
+        """Return when a vehicle that starts at the entry at a speed [m/s] reaches a place [s]."""
         times, point = self.times(speed), min(max(along / STEP, 0.0), len(self.speeds) - 1.0)
         before = min(int(point), len(times) - 2)
         return float(times[before] + (times[before + 1] - times[before]) * (point - before))
@@ -167,7 +167,7 @@ class Way:
         return float(np.interp(along, np.arange(len(self.speeds)) * STEP, self.speeds))
 
     def place_at(self, time: float, speed: float) -> float:
-        """Return where a vehicle of a speed [m/s] is so long after it started at the entry [m]; below 0 before that."""
+        """Return where a vehicle is [m] at a time [s] after its start at the entry, at a speed [m/s]."""
         times = self.times(speed)
         return time * speed if time < 0 else float(np.interp(time, times, np.arange(len(times)) * STEP))
 
@@ -177,11 +177,11 @@ class Crossings:
     """All ways of a world on which other traffic meets the ego's way.
 
     Attributes:
-        ways: by their names.
-        meetings: for two names in the order of the alphabet, the stretches of both in which those ways meet each other:
-            once, or in a circle more often; in the order of the second way.
-        ego_start: where along its way the ego starts [m].
-        ego_speed: with which [m/s].
+        ways: the ways by name.
+        meetings: for each pair of names in alphabetical order, the stretches of both ways in which they meet each
+            other, in the order of the second way. Two ways meet once, or more often in a circle.
+        ego_start: where the ego starts along its way [m].
+        ego_speed: the ego's speed at the start [m/s].
     """
 
     ways: Mapping[str, Way]
@@ -191,11 +191,11 @@ class Crossings:
 
     @cached_property
     def zones(self) -> tuple[Zone, ...]:
-        """The zones in the order in which the ego comes to them."""
+        """The zones in the order in which the ego reaches them."""
         return tuple(sorted((way.zone for way in self.ways.values()), key=lambda zone: (zone.ego, zone.way)))
 
     def entry(self, instruction: CrossingInstruction, ego: Stretch) -> float:
-        """Return when an NPC is to enter its zone, for when the ego enters and leaves it [s]."""
+        """Return when an NPC should enter its zone, given when the ego enters and leaves it [s]."""
         way = self.ways[instruction.zone]
         enters, leaves = way.zone.npc
         crossing = way.time_at(leaves, instruction.speed) - way.time_at(enters, instruction.speed)
@@ -204,16 +204,17 @@ class Crossings:
         return ego[0] + instruction.slot - crossing if instruction.slot < 0 else (sum(ego) - crossing) / 2
 
     def planned_entry(self, instruction: CrossingInstruction) -> float:
-        """Return when an NPC is to enter its zone where the ego keeps its first speed [s]; below 0 it cannot."""
+        """Return when an NPC should enter its zone if the ego keeps its first speed [s]; if negative, it cannot."""
         first, last = self.ways[instruction.zone].zone.ego
         speed = max(self.ego_speed, 0.1)
         return self.entry(instruction, ((first - self.ego_start) / speed, (last - self.ego_start) / speed))
 
     def start(self, instruction: CrossingInstruction) -> float:
-        """Return where along its way an NPC starts that is to keep its slot without a change of speed [m].
+        """Return where along its way an NPC has to start to keep its slot without a change of speed [m].
 
-        Below 0 the way is too short, and beyond the beginning of its zone the slot is too early. One that holds comes
-        to the line when it would enter, and one that starts late some time before, if it can brake for the line.
+        The way is too short if the result is negative. The slot is too early if the result is beyond the beginning of
+        the zone. An NPC that holds reaches the line when it would enter. One that starts late reaches it some time
+        before, if it can brake for the line.
         """
         way = self.ways[instruction.zone]
         if instruction.act not in WAITING:
@@ -233,9 +234,9 @@ class Crossings:
         return way.place_at(arrives - self.planned_entry(instruction), instruction.speed)
 
     def fits(self, instruction: CrossingInstruction) -> bool:
-        """Return whether an NPC can keep its slot: its way exists, and it starts on it and before its zone.
+        """Return whether an NPC can keep its slot: its way exists, and its start is on the way and before the zone.
 
-        One that is to wait has to have the room to stop before the line.
+        An NPC that should wait also needs room to stop before the line.
         """
         way = self.ways.get(instruction.zone)
         if way is None:
@@ -244,7 +245,7 @@ class Crossings:
         return self.start(instruction) >= 0 and self._start_of_passing(instruction) < way.zone.npc[0] - room
 
     def windows(self, instruction: CrossingInstruction, stretch: Stretch) -> Stretch:
-        """Return from when to when an NPC is planned to be in a stretch of its way [s]."""
+        """Return the times between which an NPC is planned to be in a stretch of its way [s]."""
         way = self.ways[instruction.zone]
         waits = instruction.act in WAITING
         line = way.zone.npc[0] - (BEFORE_LINE if waits else 0.0)
@@ -257,10 +258,10 @@ class Crossings:
         )
         if instruction.act == "pass" or stretch[1] <= line:
             return first, last
-        return first, math.inf  # it stands at the line, or in the zone, for nobody knows how long
+        return first, math.inf  # it stands at the line, or in the zone, for an unknown time
 
     def clash(self, first: CrossingInstruction, second: CrossingInstruction) -> bool:
-        """Return whether two NPCs are planned to be in one place nearly at once, or to overtake in one lane."""
+        """Return whether two NPCs are planned to be in one place at almost the same time, or to overtake in a lane."""
         if first.zone == second.zone:
             zone = self.ways[first.zone].zone.npc
             meetings: tuple[tuple[Stretch, Stretch], ...] = ((zone, zone),)
@@ -276,9 +277,10 @@ class Crossings:
         return any(a[0] < b[1] + APART and b[0] < a[1] + APART for a, b in windows)
 
     def _crowd(self, first: CrossingInstruction, second: CrossingInstruction, until: float) -> bool:
-        """Return whether two NPCs that share their lane up to a place [m] start too close, or one overtakes the other.
+        """Return whether two NPCs in one lane up to a place [m] start too close together or overtake each other.
 
-        The slower one needs longer for any stretch, so that the times between them are extreme at its two ends.
+        Their order and their gap in time need a check only at the two ends: the slower one needs longer for any
+        stretch, so the gap is extreme there.
         """
         since = max(0.0, self.start(first), self.start(second))
         order = set()

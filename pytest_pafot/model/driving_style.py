@@ -1,6 +1,6 @@
-"""How the NPCs of a scenario drive beside what their instructions ask for: whom they keep their distance to.
+"""Driving styles: how the NPCs of a scenario drive among others while they follow their instructions.
 
-An instruction says where an NPC goes and how fast; its traffic says what it does not do on the way there.
+An instruction says where an NPC goes and how fast; its traffic says what it will not do on the way there.
 """
 
 from __future__ import annotations
@@ -17,32 +17,33 @@ Style = Literal["paper", "hostile", "assertive", "everyday"]
 STYLES: tuple[Style, ...] = get_args(Style)
 
 OF_STYLE: Any = None
-"""Stands for the value of the style where a part is not given; no number does, so that none is taken for it."""
+"""The default of a part, which stands for the value of the style. It is no number, so no given number is mistaken for
+it."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Traffic:
-    """How the NPCs of a scenario drive among others, whatever their instructions ask for.
+    """How the NPCs of a scenario drive among others, whatever their instructions say.
 
-    In every style but the paper's, NPCs are *attentive*: behind the ego in its lane, an NPC keeps the distance that it
-    keeps behind other NPCs. It answers at once where it moved in itself or where the ego has somebody ahead of it. It
-    answers a second late where the ego moved in before it, or where the ego brakes with nobody ahead, and that with at
-    most 6 m/s^2. It enters the ego's lane only where the ego, or it itself, has the room to adapt its speed.
+    In every style except the paper's, NPCs are *attentive*: behind the ego in its lane, an NPC keeps the same distance
+    as behind other NPCs. It responds at once if it moved in itself or if there is a vehicle ahead of the ego. If the
+    ego moved in ahead of it, or brakes with nothing ahead, it responds a second later and with at most 6 m/s^2. It
+    enters the ego's lane only if the ego, or the NPC itself, has room to adapt its speed.
 
     Attributes:
-        style: ``"paper"``, where NPCs run into the rear of an ego that is slower than their instruction;
-            ``"hostile"``, which does all that the ego can still answer; ``"assertive"`` or ``"everyday"``.
-        least_speed_share: of the speed limit, or of the ego's speed where that is lower: NPCs drive at least so fast
-            where nobody slower is ahead of them. Target speeds are at least that share of the limit.
-        least_gap: to the ego, bumper to bumper, at which an NPC moves in ahead of it [m].
-        time_gap: the same, as a share of the ego's speed [s].
-        braking: hardest braking of an NPC that nobody ahead asks for [m/s^2].
+        style: ``"paper"``: NPCs run into the rear of an ego that is slower than their instruction; ``"hostile"``: they
+            do everything that the ego can still respond to; or ``"assertive"`` or ``"everyday"``.
+        least_speed_share: lowest speed of an NPC with no slower vehicle ahead, as a share of the speed limit or of the
+            ego's speed, whichever is lower. Target speeds are at least this share of the limit.
+        least_gap: smallest gap to the ego, bumper to bumper, at which an NPC moves in ahead of it [m].
+        time_gap: the same gap as a time at the ego's speed [s].
+        braking: hardest braking of an NPC if no vehicle ahead requires more [m/s^2].
         lateral_speed: highest speed across the road [m/s].
 
-    Parts that are not given are those of the style.
+    A part that is not given has the value of the style.
 
     Raises:
-        FieldError: where there is no such style, a part is out of its bounds, or the paper's traffic is given parts.
+        FieldError: if the style is unknown, a part is out of its bounds, or the paper's traffic is given parts.
     """
 
     style: Style = "hostile"
@@ -66,31 +67,31 @@ class Traffic:
             object.__setattr__(self, name, number + 0.0)
         if self.own and not self.is_attentive:
             name, part = next(iter(self.own.items()))
-            expected, fix = "no parts beside the style 'paper'", "remove it, or take the style 'hostile'"
+            expected, fix = "no parts with the style 'paper'", "remove it, or use the style 'hostile'"
             raise FieldError(field=f"traffic.{name}", expected=expected, received=f"{part:g}", fix=fix)
 
     @property
     def is_attentive(self) -> bool:
-        """Whether NPCs answer what the ego does."""
+        """True if NPCs respond to what the ego does."""
         return self.style != "paper"
 
     def least_speed(self, speed_limit: float) -> float:
-        """Return the lowest target speed on a road with a limit, in the steps of target speeds [m/s]."""
+        """Return the lowest target speed on a road with a speed limit, rounded up to a valid step [m/s]."""
         return math.ceil(10 * self.least_speed_share * speed_limit - 1e-6) / 10
 
     @property
     def own(self) -> dict[str, float]:
-        """The parts that are not those of the style."""
+        """The parts that differ from those of the style."""
         parts = {name: getattr(self, name) for name in BOUNDS}
         return {name: part for name, part in parts.items() if part != PARTS[self.style][name]}
 
     def plain(self) -> str | dict[str, Any]:
-        """Return the name of the style; where there are parts of its own, a mapping with these."""
+        """Return the name of the style, or a mapping if some parts differ from the style's."""
         return {"style": self.style, **self.own} if self.own else self.style
 
     @property
     def described(self) -> str:
-        """What a reader is told of it: ``everyday traffic (least_gap 4)``; nothing of the paper's."""
+        """A description for a reader: ``everyday traffic (least_gap 4)``; empty for the paper's."""
         own = ", ".join(f"{name} {part:g}" for name, part in self.own.items())
         return f"{self.style} traffic{f' ({own})' if own else ''}" if self.is_attentive else ""
 
@@ -99,7 +100,7 @@ class Traffic:
 
     @classmethod
     def of(cls, given: Any) -> Traffic:
-        """The inverse of :meth:`plain`; a traffic is taken as it is.
+        """Return the traffic of a style's name or a mapping, the inverse of :meth:`plain`; a ``Traffic`` is unchanged.
 
         Raises:
             FieldError: for anything else.
@@ -115,7 +116,7 @@ class Traffic:
 
 
 AMPLE = 1.0
-"""How much more than its style asks for an NPC leaves that goes to its place ahead of the ego [m]."""
+"""The extra gap, beyond that of its style, that an NPC leaves on its way to a place ahead of the ego [m]."""
 
 BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
@@ -150,7 +151,7 @@ PARTS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         },
     }
 )
-"""The parts of each style; docs/explanation/traffic.md has the sources of those of everyday driving."""
+"""The parts of each style; docs/explanation/traffic.md has the sources of the values for everyday driving."""
 
 PAPERS = Traffic("paper")
-"""Of a scenario that does not say otherwise."""
+"""The traffic of a scenario that does not specify any."""

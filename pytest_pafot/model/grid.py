@@ -1,7 +1,7 @@
 """The nine-cell grid around the ego vehicle and the ring of its eight target cells.
 
 Geometry is in road coordinates: *longitudinal* runs along the ego's lane (positive ahead), *columns* count
-lanes (negative to the left). The ego holds the middle, which is no target cell.
+lanes (negative to the left). The ego holds the middle cell, which is no target.
 
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Modelling Target Positions).
 """
@@ -24,16 +24,16 @@ class Cell(IntEnum):
     REAR_LEFT = 7
     LEFT = 8
 
-    __hash__ = int.__hash__  # that of an equal number, and several times as fast as an enumeration's
+    __hash__ = int.__hash__  # the hash of the equal number; an enumeration's is several times as slow
 
     @property
     def row(self) -> int:
-        """+1 ahead of the ego, 0 beside it, -1 behind it."""
+        """The row: +1 ahead of the ego, 0 next to it, -1 behind it."""
         return _ROWS[self - 1]
 
     @property
     def column(self) -> int:
-        """Lanes to the right of the ego's lane: -1, 0 or +1."""
+        """The column, in lanes to the right of the ego's lane: -1, 0 or +1."""
         return _COLUMNS[self - 1]
 
     @property
@@ -56,27 +56,27 @@ ALL_CELLS = frozenset(Cell)
 
 
 def is_adjacent(a: Cell, b: Cell) -> bool:
-    """Whether a chain may hold ``b`` directly after ``a``: the same cell or a ring neighbour of it."""
+    """Return whether ``b`` may follow ``a`` directly in a chain: it is the same cell or a ring neighbour."""
     return (b - a + 1) % 8 <= 2
 
 
 def longitudinal_target(cell: Cell, ego_length: float, clearance: float) -> float:
-    """Where the centre of a cell lies along the ego's lane, relative to the ego's centre [m].
+    """Return where the centre of a cell is along the ego's lane, relative to the ego's centre [m].
 
-    The paper's cell is one ego length long (section 2.1). Taken literally, cells 2 and 6 are then bumper to
-    bumper, so that reaching them is a collision by construction; ``clearance`` [m] is the gap added between
-    the ego and the cells ahead and behind. ``clearance=0`` is the paper's literal grid.
+    The paper's cell is one ego length long (section 2.1). Taken literally, a vehicle in cell 2 or 6
+    is then bumper to bumper with the ego, so reaching it is a collision by construction. ``clearance`` [m] is the gap
+    added between the ego and the cells ahead and behind. ``clearance=0`` is the paper's literal grid.
     """
     return cell.row * (ego_length + clearance)
 
 
 def cell_at(longitudinal: float, lateral: float, ego_length: float, lane_width: float) -> Cell | None:
-    """The cell that contains a point given relative to the ego's centre, or None for the ego's own.
+    """Return the cell that contains a point relative to the ego's centre, or None for the ego's own cell.
 
     Args:
         longitudinal: distance ahead along the ego's lane [m].
         lateral: distance to the right of the ego [m].
-        ego_length: length of the ego and so of a row [m].
+        ego_length: length of the ego, which is the length of a row [m].
         lane_width: width of a column [m].
 
     The outer rows and columns are unbounded: a vehicle 80 m ahead in the ego's lane is in cell 2.
@@ -89,7 +89,7 @@ def _third(value: float, half: float) -> int:
 
 
 def toss(seed: int, npc: int, gene: int) -> bool:
-    """A fair coin that depends on nothing but its three arguments (splitmix64's finaliser)."""
+    """Toss a fair coin that depends only on its three arguments (splitmix64's finaliser)."""
     mask = 0xFFFFFFFFFFFFFFFF
     z = (seed * 0x9E3779B97F4A7C15 + npc * 0xBF58476D1CE4E5B9 + (gene + 1) * 0x94D049BB133111EB) & mask
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
@@ -105,28 +105,27 @@ def repair_gene(
     *,
     skipping: bool = False,
 ) -> tuple[Cell, ...]:
-    """The cells that all NPCs execute in one gene, given what they executed before and what they request.
+    """Return the cells that all NPCs execute in one gene, given the cells executed before and those requested.
 
-    A request is executed as it is when it is the previous cell or its ring neighbour, when its lane exists and
-    when no NPC with a smaller index holds it. Otherwise it becomes one of the two neighbours of the previous
-    cell, 50 % each by ``coin(npc)``; the one that is there if only one is; else the NPC holds its cell
-    (section 2.1). In the first gene, which has no previous cells, a request that cannot be met becomes the
-    nearest cell on the ring that can.
+    A request is executed unchanged if it is the previous cell or its ring neighbour, its lane exists and no NPC with a
+    smaller index holds it. Otherwise it becomes one of the two neighbours of the previous cell, with 50 % each by
+    ``coin(npc)``. If only one of them is available, it becomes that one; if none is, the NPC holds its cell (section
+    2.1). In the first gene, which has no previous cells, a request that cannot be met becomes the nearest cell on the
+    ring that can be.
 
-    The result is distinct, and a fixed point: requesting it again yields it again. Both follow from taking the
-    first complete assignment in order of preference, in which everybody holding is always possible.
+    The cells of the result are distinct, and the result is a fixed point: requesting it again returns it again. Both
+    follow from using the first complete assignment in order of preference; that all NPCs hold is always one of them.
 
     Args:
         previous: the executed cells of the gene before, distinct, one per NPC; None in the first gene.
         requested: the requested cells, one per NPC.
         existing: the cells whose lane exists now.
-        coin: NPC index to a fair coin: False for the anticlockwise neighbour first, True for the clockwise.
-        skipping: whether the neighbours of a cell are the next ones on the ring that exist, and a step to one that
-            does not exist goes on to the next that does. For roads on which few cells exist, such as a single lane
-            with 2 and 6.
+        coin: function from the NPC's index to False (try the anticlockwise neighbour first) or True (clockwise first).
+        skipping: whether to skip cells that do not exist: a step to one goes on to the next on the ring that exists.
+            For roads on which few cells exist, such as a single lane with cells 2 and 6.
 
     Raises:
-        ValueError: in the first gene, when there are more NPCs than existing cells.
+        ValueError: if there are more NPCs than existing cells in the first gene.
     """
     are_free = len(set(requested)) == len(requested) and all(cell in existing for cell in requested)
     if are_free and (previous is None or all(map(is_adjacent, previous, requested))):
@@ -151,8 +150,9 @@ def repair_gene(
 def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Cell, ...], ...]:
     """Make chains valid, gene by gene and on a road where every cell exists; one chain per NPC, of any length.
 
-    In the chains that come back, of the same lengths, each cell equals the one before or is its ring neighbour, and no
-    two NPCs hold the same cell in the same gene. Valid chains are unchanged. Draws depend on (seed, NPC, gene) alone.
+    In the returned chains, which have the same lengths, each cell equals the one before or is its ring neighbour, and
+    no two NPCs hold the same cell in the same gene. Valid chains are unchanged. Random choices depend only on (seed,
+    NPC, gene).
     """
     repaired: list[list[Cell]] = [[] for _ in chains]
     for gene in range(max(map(len, chains), default=0)):
@@ -175,7 +175,7 @@ def _first_cells(requested: Cell, existing: Collection[Cell], clockwise_first: b
 
 
 def _next_cells(previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool) -> list[Cell]:
-    """The cells that may follow one, the best first."""
+    """Return the cells that may follow one, the best first."""
     anticlockwise, clockwise = previous.neighbours
     neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
     wanted = (requested,) if is_adjacent(previous, requested) else ()
@@ -186,8 +186,8 @@ def _next_cells(previous: Cell, requested: Cell, existing: Collection[Cell], clo
 def _next_existing_cells(
     previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
 ) -> list[Cell]:
-    """The cells that may follow one where some do not exist: a step goes on to the next that does."""
-    # Apart from the other one, which every search on a straight road calls for each gene that it repairs.
+    """Return the cells that may follow one if some do not exist: a step goes on to the next that exists."""
+    # Separate from _next_cells for speed: every search on a straight road calls that for each gene that it repairs.
     ways = {}
     for step in (-1, 1):
         beyond = (Cell((previous - 1 + step * k) % 8 + 1) for k in range(1, 8))
@@ -201,7 +201,7 @@ def _next_existing_cells(
 
 
 def _assignments(preferences: Sequence[Sequence[Cell]], taken: tuple[Cell, ...]) -> Iterator[tuple[Cell, ...]]:
-    """All assignments of distinct cells, in lexicographic order of preference."""
+    """Yield all assignments of distinct cells, in lexicographic order of preference."""
     if len(taken) == len(preferences):
         yield taken
         return

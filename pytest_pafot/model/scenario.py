@@ -1,7 +1,8 @@
-"""Position-Instructions, chromosomes and scenarios: what the search evolves and a corpus file stores.
+"""Position-Instructions, chromosomes and scenarios, which a search evolves and a corpus file stores.
 
-Lane-Instructions are the genes of baselines that know no grid. A Crossing-Instruction sends an NPC across, or into, the
-ego's way. A chain has genes of one kind; NPCs with Position-Instructions and with a Crossing-Instruction may be mixed.
+Lane-Instructions are the genes of baselines without a grid. A Crossing-Instruction sends an NPC across or into the
+ego's way. All genes of a chain are of one kind; a scenario may mix NPCs with Position-Instructions and NPCs with a
+Crossing-Instruction.
 
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
 """
@@ -29,27 +30,27 @@ SLOT_STEPS_PER_SECOND = 10
 """Slots are multiples of 0.1 s."""
 
 PAPER_SPEED_LIMIT = 26.8
-"""60 mph, on the paper's motorway [m/s]."""
+"""The speed limit on the paper's motorway, 60 mph [m/s]."""
 EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
-"""Of a scenario that does not say: its ego's first lane, from 0 at the left; everybody's first speed [m/s]; how long an
-instruction lasts [s], as in the paper."""
+"""The defaults of a scenario: the ego's first lane, counted from 0 at the left; the first speed of all vehicles [m/s];
+the duration of an instruction, as in the paper [s]."""
 
 MAX_SPEED = 1000.0
-"""No vehicle is faster [m/s]; worlds have limits of their own, far below."""
+"""The largest speed of a vehicle [m/s]; worlds have their own limits, far below."""
 
 MAX_SEED = 2**63 - 1
 
 REPAIR = "Scenario.repaired(...) makes such chains valid"
-"""The way out of chains that break the ring."""
+"""The fix in the messages about chains that break the ring."""
 
 
 class ScenarioError(FieldError):
-    """A scenario that breaks a rule; the message says where, what was expected and what to do."""
+    """Error for a scenario that breaks a rule; the message says where, what was expected and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class PositionInstruction:
-    """One gene: drive into a cell of the grid, then at a speed.
+    """A gene that makes an NPC drive into a cell of the grid, then at a speed.
 
     Attributes:
         cell: target cell, 1 to 8.
@@ -69,17 +70,17 @@ class PositionInstruction:
         object.__setattr__(self, "speed", _checked_speed(self.speed))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Runs travel between processes, with dozens of genes: one that is known there need not be made again."""
+        """Pickle as a cached constructor call: runs travel between processes with dozens of equal genes."""
         return _known_position, (int(self.cell), self.speed)
 
     @property
     def target(self) -> int:
-        """The cell, as files and canonical texts have it."""
+        """The cell as it is written in files and canonical texts."""
         return int(self.cell)
 
     @property
     def goal(self) -> str:
-        """Where to, in words: ``2 front``."""
+        """The target in words: ``2 front``."""
         return f"{int(self.cell)} {self.cell.label}"
 
 
@@ -89,20 +90,21 @@ def _known_position(cell: int, speed: float) -> PositionInstruction:
 
 
 Shift = Literal["keep", "left", "right"]
-"""Which lane to drive in, relative to the NPC's own lane when the gene begins."""
+"""A lane to drive in, relative to the NPC's own lane when the gene begins."""
 
 SHIFTS: tuple[Shift, ...] = get_args(Shift)
 
 LANE_STARTS = (1, 2, 3, 8, 4, 6, 7, 5)
-"""The cells in which NPCs with Lane-Instructions start, by their index; the nearest ones whose lane exists. The first
-two are where AV-Fuzzer's NPCs start in its release: ahead to the left of the ego, and ahead in its lane."""
+"""The cells in which NPCs with Lane-Instructions start, by the NPC's index; if its lane does not exist, the nearest
+cell whose lane does. The first two are the starts of AV-Fuzzer's NPCs in its release: ahead to the left of the ego, and
+ahead in its lane."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaneInstruction:
-    """A gene without a cell: keep the own lane or change it by one, at a speed, wherever the ego is.
+    """A gene without a cell: keep the lane or change it by one, at a speed, wherever the ego is.
 
-    It is the manoeuvre of AV-Fuzzer (Li et al., ISSRE 2020). Towards a lane that does not exist, the NPC keeps its own.
+    It is the manoeuvre of AV-Fuzzer (Li et al., ISSRE 2020). If the target lane does not exist, the NPC keeps its lane.
 
     Attributes:
         lane: ``"keep"``, ``"left"`` or ``"right"``, as seen from the NPC's lane when the gene begins.
@@ -120,46 +122,46 @@ class LaneInstruction:
 
     @property
     def target(self) -> Shift:
-        """The lane, as files and canonical texts have it."""
+        """The lane as it is written in files and canonical texts."""
         return self.lane
 
     @property
     def column(self) -> int:
-        """Lanes to the right of the NPC's own: -1, 0 or +1."""
+        """The number of lanes to the right of the NPC's own: -1, 0 or +1."""
         return (0, -1, 1)[SHIFTS.index(self.lane)]
 
     @property
     def goal(self) -> str:
-        """Where to, in words: ``lane left``."""
+        """The target in words: ``lane left``."""
         return "keep lane" if self.lane == "keep" else f"lane {self.lane}"
 
 
 Act = Literal["pass", "hold", "stop", "late"]
-"""What an NPC does at a zone: drives through it; waits at the line before it until the ego has passed; stops in it;
-waits at the line and drives in as late as its slot says."""
+"""The acts of an NPC at a zone: drive through it; wait at the line before it until the ego has passed; stop in it; wait
+at the line and drive in as late as its slot says."""
 
 ACTS: tuple[Act, ...] = get_args(Act)
 
 LARGEST_SLOT = 5.0
-"""Nobody who leaves so much more time to the ego has to do with it [s]."""
+"""The largest slot [s]: an NPC that leaves the ego more time than this does not affect it."""
 
 ZONE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,30}>[A-Za-z0-9_.-]{1,30}")
-"""An entry and an exit of the road network, as its nodes are called."""
+"""The pattern of a zone's name: the names of an entry node and an exit node of the road network."""
 
 
 @dataclass(frozen=True, slots=True)
 class CrossingInstruction:
-    """The one gene of an NPC whose way meets the ego's: where they meet, when relative to the ego, and how.
+    """The only gene of an NPC whose way meets the ego's: where they meet, when relative to the ego, and how.
 
-    It carries the grid over to a zone, in which *when* stands beside *where*. The NPC starts where it has to, so that
-    it meets an ego that keeps its speed as the slot says; while there is time it follows the ego's arrival.
+    It transfers the grid to a zone, where *when* matters as well as *where*. The start of the NPC is chosen so that it
+    meets an ego with constant speed as the slot says. As long as there is time, it adapts to the ego's arrival.
 
     Attributes:
         zone: entry and exit of the NPC's way, such as ``"o1>o3"``; the zone is where it first meets the ego's way.
-        slot: how long after the ego has left the zone the NPC enters it; below 0, how long before the ego enters it the
-            NPC has left it; 0 for both in it at the same time [s]. In steps of 0.1, at most 5 either way.
-        speed: of the NPC up to and in the zone, as far as bends allow it [m/s], more than 0, in steps of 0.1.
-        act: what it does there.
+        slot: time from when the ego leaves the zone until the NPC enters it; if negative, time from when the NPC leaves
+            it until the ego enters it; 0 for both in it at the same time [s]. In steps of 0.1, from -5 to 5.
+        speed: speed of the NPC up to and in the zone, as far as bends allow it [m/s], more than 0, in steps of 0.1.
+        act: what the NPC does at the zone.
     """
 
     zone: str
@@ -183,12 +185,12 @@ class CrossingInstruction:
 
     @property
     def target(self) -> str:
-        """The zone, as files and canonical texts have it."""
+        """The zone as it is written in files and canonical texts."""
         return self.zone
 
     @property
     def goal(self) -> str:
-        """Where to and when, in words: ``o1>o3 0.5 s after the ego leaves``."""
+        """The target and the time in words: ``o1>o3 0.5 s after the ego leaves``."""
         return ", ".join(filter(None, (f"{self.zone} {self.when}", self.deed)))
 
     @property
@@ -200,7 +202,7 @@ class CrossingInstruction:
 
     @property
     def deed(self) -> str:
-        """What it does there, in words; empty where it passes."""
+        """The act in words; empty if the NPC passes."""
         return {"pass": "", "hold": "holds at the line", "stop": "stops there", "late": "starts late"}[self.act]
 
 
@@ -208,12 +210,12 @@ Gene = PositionInstruction | LaneInstruction | CrossingInstruction
 
 
 def gene_of(target: Any, speed: Any, *crossing: Any) -> Gene:
-    """The gene of a target as canonical texts have it: a word names a lane, anything else a cell.
+    """Return the gene of a target as canonical texts write it: a word names a lane, anything else a cell.
 
-    With a slot and an act besides, the target is a zone.
+    If a slot and an act are given, too, the target is a zone.
 
     Raises:
-        ScenarioError: where there is no such gene.
+        ScenarioError: if there is no such gene.
     """
     if crossing:
         slot, act = crossing
@@ -239,15 +241,15 @@ class Scenario:
         npcs: one non-empty chain per NPC, one to eight; lengths may differ. After its last gene an NPC keeps
             its lane and speed (paper, section 2). All genes are Lane-Instructions, or each NPC has either
             Position-Instructions or one Crossing-Instruction.
-        seed: of the draws by which chains are repaired inside the run, 0 to 2**63 - 1.
+        seed: seed of the random choices that repair chains inside the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: everybody's first speed [m/s].
+        ego_speed: first speed of all vehicles [m/s].
         gene_seconds: duration of one gene [s].
-        traffic: how the NPCs drive beside what their instructions ask for; the paper's unless it is said.
+        traffic: how the NPCs drive among others; the paper's by default.
 
     Raises:
-        ScenarioError: on any broken rule, among them a cell that is no ring neighbour of the one before and
-            two NPCs that hold the same cell in the same gene. :meth:`repaired` makes such chains valid.
+        ScenarioError: if a rule is broken, such as a cell that is no ring neighbour of the one before, or two NPCs
+            that hold the same cell in the same gene. :meth:`repaired` makes such chains valid.
     """
 
     npcs: tuple[Chromosome, ...]
@@ -284,7 +286,7 @@ class Scenario:
         gene_seconds: float = GENE_SECONDS,
         traffic: Traffic = PAPERS,
     ) -> Scenario:
-        """A scenario from chains that may break the ring; the speeds stay, the cells are repaired.
+        """Make a scenario from chains that may break the ring; the speeds stay, the cells are repaired.
 
         Lane-Instructions need no repair.
         """
@@ -313,7 +315,7 @@ class Scenario:
         gene_seconds: float,
         traffic: Traffic,
     ) -> Scenario:
-        """A scenario without the constructor's checks, for a search, whose children have genes that were checked."""
+        """Make a scenario without the constructor's checks, for a search whose children consist of checked genes."""
         scenario = object.__new__(cls)
         object.__setattr__(scenario, "npcs", npcs)
         object.__setattr__(scenario, "seed", seed)
@@ -324,28 +326,28 @@ class Scenario:
         return scenario
 
     def __hash__(self) -> int:
-        # A search asks for it a dozen times a run, and to hash all genes takes as long as to breed a child.
+        # A search hashes a scenario a dozen times a run, and hashing all genes takes as long as breeding a child.
         return hash((self.seed, *[gene.speed for chain in self.npcs for gene in chain]))
 
     @property
     def positions(self) -> tuple[tuple[PositionInstruction, ...], ...]:
-        """The chains of Position-Instructions, in the order of their NPCs; empty where no NPC drives on the grid."""
+        """The chains of Position-Instructions, in the order of their NPCs; empty if no NPC drives on the grid."""
         return positions_of(self.npcs)
 
     @property
     def crossings(self) -> tuple[CrossingInstruction | None, ...]:
-        """Per NPC its Crossing-Instruction, or None; empty where no NPC has one."""
+        """The Crossing-Instruction of each NPC, or None; empty if no NPC has one."""
         found = [chain[0] if type(chain[0]) is CrossingInstruction else None for chain in self.npcs]
         return tuple(found) if any(found) else ()
 
     @property
     def genes(self) -> int:
-        """Length of the longest chain."""
+        """The length of the longest chain."""
         return max(map(len, self.npcs))
 
     @property
     def seconds(self) -> float:
-        """How long the longest chain lasts [s]; without end where an NPC crosses, which knows no duration."""
+        """The duration of the longest chain [s]; infinite if an NPC crosses, because that gene has no duration."""
         return math.inf if self.crossings else self.genes * self.gene_seconds
 
     @property
@@ -354,18 +356,18 @@ class Scenario:
         return hashlib.sha256(self.canonical().encode()).hexdigest()[:6]
 
     def canonical(self) -> str:
-        """A text that is equal for equal scenarios, on any machine."""
+        """Return a text that is the same for equal scenarios on any machine."""
         return json.dumps(self.plain(), separators=(",", ":"))
 
     def plain(self) -> list[Any]:
-        """All fields as lists and numbers, of which :meth:`canonical` is the text."""
+        """Return all fields as lists and numbers; :meth:`canonical` is their text."""
         npcs = [[_plain(gene) for gene in chain] for chain in self.npcs]
         traffic = [] if self.traffic == PAPERS else [self.traffic.plain()]
         return [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic]
 
     @classmethod
     def from_canonical(cls, fields: Any) -> Scenario:
-        """The inverse of :meth:`plain`, or of what ``json.loads`` makes of :meth:`canonical`.
+        """Make a scenario from the result of :meth:`plain`, or from what ``json.loads`` makes of :meth:`canonical`.
 
         Raises:
             ScenarioError, TypeError, ValueError: for anything else.
@@ -382,7 +384,7 @@ class Scenario:
         )
 
     def rechained(self, npcs: Sequence[Sequence[Gene]], gene_seconds: float | None = None) -> Scenario:
-        """Return the same scenario with other chains, repaired, and where it is given another duration of genes [s]."""
+        """Return the same scenario with other chains, repaired, and if given with another duration of genes [s]."""
         return Scenario.repaired(
             npcs,
             seed=self.seed,
@@ -393,7 +395,7 @@ class Scenario:
         )
 
     def truncated(self, genes: int) -> Scenario:
-        """The same scenario with at most so many genes per NPC."""
+        """Return the same scenario with at most this many genes per NPC."""
         return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
 
     def __repr__(self) -> str:
@@ -429,7 +431,7 @@ def _checked_speed(value: object) -> float:
     speed = _number("speed", value)
     if speed > MAX_SPEED:
         raise ScenarioError(field="speed", expected=f"m/s, at most {MAX_SPEED:g}", received=repr(value))
-    steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)  # what is far below 0 would be no number times 10
+    steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)  # a value far below 0 would overflow when multiplied by 10
     if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
         expected = "m/s, at least 0 and in steps of 0.1"
         fix = f"the nearest valid speed is {steps / SPEED_STEPS_PER_MPS:g}"
@@ -453,7 +455,7 @@ def _checked_whole(name: str, value: object, top: int) -> int:
 
 
 def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
-    """Refuse NPCs without genes, and what are no genes of one kind."""
+    """Return the chains as tuples; refuse NPCs without genes, and genes that are not of one kind."""
     try:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
@@ -484,7 +486,7 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
 
 
 def positions_of(npcs: Sequence[Sequence[Gene]]) -> tuple[tuple[PositionInstruction, ...], ...]:
-    """Return those of some chains that are of Position-Instructions."""
+    """Return the chains that consist of Position-Instructions."""
     if npcs and not isinstance(npcs[0][0], LaneInstruction):
         positions = tuple(tuple(chain) for chain in npcs if isinstance(chain[0], PositionInstruction))
         return cast("tuple[tuple[PositionInstruction, ...], ...]", positions)
@@ -492,13 +494,13 @@ def positions_of(npcs: Sequence[Sequence[Gene]]) -> tuple[tuple[PositionInstruct
 
 
 def on_grid(npcs: Sequence[Sequence[Gene]], rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
-    """Return rows, of which there is one for each NPC on the grid, with an empty one for each other NPC."""
+    """Return the rows of the NPCs on the grid, with an empty row inserted for each other NPC."""
     each = iter(rows)
     return [next(each) if isinstance(chain[0], PositionInstruction) else () for chain in npcs]
 
 
 def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> tuple[Chromosome, ...]:
-    """Chains with other cells in the first genes of each; without cells, the chains as they are."""
+    """Return the chains with other cells in their first genes; without cells, the chains unchanged."""
     return tuple(
         (*(PositionInstruction(c, g.speed) for c, g in zip(row, chain, strict=False)), *chain[len(row) :])
         for chain, row in zip_longest(npcs, cells, fillvalue=())
@@ -506,10 +508,10 @@ def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> t
 
 
 def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
-    """Return genes of another duration that ask for the same at the same times, as nearly as they can [s, s].
+    """Return genes of another duration that request the same at the same times, as nearly as possible [s, s].
 
-    Each is the one that was due in its middle. Longer ones may skip a cell, so that the chain needs repair. An
-    instruction at a zone has no duration.
+    Each new gene is the old one that was active at its middle. Longer genes may skip a cell, so the chain then needs
+    repair. A Crossing-Instruction has no duration.
     """
     if isinstance(chain[0], CrossingInstruction):
         return chain

@@ -1,4 +1,4 @@
-"""What an ADS is let see of the others: how far, how late, how well, how often, and past whom."""
+"""The sight of an ADS: how far, how late, how exactly and how often it sees the others, and what hides them."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from pytest_pafot.support.errors import FieldError, plain_number
 BoolArray = npt.NDArray[np.bool_]
 
 NOISES = {"position": "m", "speed": "m/s"}
-"""What noise there is, with its unit."""
+"""The kinds of noise and their units."""
 
 POINTS = np.array([(0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)])
-"""Of a box that are looked at: centre and corners, in lengths and widths."""
+"""The points of a box that the ego looks at: centre and corners, in lengths and widths."""
 
 
 class Glimpse(NamedTuple):
-    """One of the others as it is seen.
+    """Another vehicle as the ego sees it.
 
     Attributes:
-        other: which of all others it is, from 0.
-        x, y: what is added to its position [m].
-        speed: what is added to its speed [m/s].
+        other: index of the vehicle among all others, from 0.
+        x, y: error that is added to its position [m].
+        speed: error that is added to its speed [m/s].
     """
 
     other: int
@@ -42,15 +42,15 @@ class Sight:
     """How an ADS sees the others; perfectly by default.
 
     Attributes:
-        range: beyond which others are not seen, from centre to centre [m]; None without.
-        latency: by which what is seen of them is old [s].
-        noise: standard deviations of what is added to their ``position``, along x and along y [m], and to their
-            ``speed`` [m/s], of normal distributions, drawn anew for each vehicle and decision.
-        dropout: probability with which a vehicle is not seen in a decision.
+        range: largest distance at which others are seen, from centre to centre [m]; None for no limit.
+        latency: age of what is seen [s].
+        noise: standard deviations of the normally distributed errors of their ``position``, along x and along y [m],
+            and of their ``speed`` [m/s]. Errors are sampled again for each vehicle and decision.
+        dropout: probability that a vehicle is not seen in a decision.
         occlusion: whether vehicles hide others behind them, see :func:`hidden`.
 
     Raises:
-        FieldError: for a value that none of them can have.
+        FieldError: if a value is not valid.
     """
 
     range: float | None = None
@@ -74,29 +74,29 @@ class Sight:
 
     @property
     def imperfections(self) -> tuple[str, ...]:
-        """Names of what is not perfect, in the order of the attributes."""
+        """The names of what is not perfect, in the order of the attributes."""
         return tuple(each.name for each in fields(self) if getattr(self, each.name) != getattr(_PERFECT, each.name))
 
     @property
     def is_drawn(self) -> bool:
-        """Whether chance has a part in what is seen, so that the seed of a scenario makes a difference."""
+        """True if chance affects what is seen, so that the seed of a scenario makes a difference."""
         return bool(self.noise or self.dropout)
 
     @property
     def is_memoryless(self) -> bool:
-        """Whether what is seen depends on where everybody is alone: not on what was, nor on chance."""
+        """True if what is seen depends only on where all vehicles are now, neither on the past nor on chance."""
         return not (self.latency or self.is_drawn)
 
     def only(self, names: Collection[str]) -> Self:
-        """With these imperfections, and no other one."""
+        """Return a sight with only these imperfections."""
         return replace(self, **{name: getattr(_PERFECT, name) for name in self.imperfections if name not in names})
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: what is not perfect."""
+        """Return what is not perfect as plain data."""
         return {name: getattr(self, name) for name in self.imperfections}
 
     def described(self, names: Collection[str] | None = None) -> str:
-        """Its imperfections, or some of them by their names, such as ``0.3 s of latency and occlusion``."""
+        """Describe all imperfections, or those with some names, such as ``0.3 s of latency and occlusion``."""
         texts = {
             "range": f"a range of {self.range or 0.0:g} m",
             "latency": f"{self.latency:g} s of latency",
@@ -108,17 +108,17 @@ class Sight:
         return " and ".join(filter(None, [", ".join(told[:-1]), told[-1]]))
 
     def delay(self, hz: int) -> int:
-        """The latency in ticks, of which there are so many a second: the first whole number that is not less."""
+        """Return the latency in ticks, rounded up, given the ticks a second."""
         return math.ceil(self.latency * hz - 1e-9)
 
     def glimpses(self, states: FloatArray, seed: int, tick: int) -> Iterator[Glimpse]:
-        """What is seen of the others in the decision of a tick.
+        """Yield what the ego sees of the others in the decision at a tick.
 
         Args:
-            states: where everybody was when it was measured, [vehicles, 7], the ego first; columns as in
+            states: states of all vehicles when they were measured, shape [vehicles, 7], the ego first; columns as in
                 :class:`pytest_pafot.VehicleState`.
-            seed: of all that is drawn in the run. Each decision has numbers of its own, whatever was drawn before.
-            tick: of the decision.
+            seed: seed of all random numbers in the run. Those of a decision depend only on the seed and the tick.
+            tick: tick of the decision.
         """
         others = len(states) - 1
         seen = np.ones(others, dtype=bool)
@@ -137,13 +137,13 @@ class Sight:
 
 
 def hidden(states: FloatArray) -> BoolArray:
-    """Which of the others the ego cannot see, shape [vehicles - 1].
+    """Return which of the others the ego cannot see, shape [vehicles - 1].
 
-    A vehicle is hidden where each of the five straight lines from the ego's centre to its centre and to its four
-    corners runs through the box of another one, be it always the same or not. All are of one height.
+    A vehicle is hidden if each of the five straight lines from the ego's centre to its centre and its four corners runs
+    through the box of another vehicle, not necessarily the same one. All vehicles have the same height.
 
     Args:
-        states: as for :meth:`Sight.glimpses`.
+        states: see :meth:`Sight.glimpses`.
     """
     eye, others = states[0, :2], states[1:]
     centres, half = others[:, :2], others[:, 5:7] / 2
@@ -154,12 +154,12 @@ def hidden(states: FloatArray) -> BoolArray:
     start = np.einsum("bij,bj->bi", turns, eye - centres)[:, None, None]
     way = np.einsum("bij,tpj->btpi", turns, lines)
     half = half[:, None, None]
-    # Along a side of a box, or as good as along it: beside it, or between its ends.
+    # A line along a side of a box divides by 0 or nearly 0: the infinities say whether it is next to the box or in it.
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         ends = np.stack([(-half - start) / way, (half - start) / way])
     enter, leave = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
     blocked = (enter < leave) & (enter < 1.0) & (leave > 0.0)
-    blocked[np.arange(len(others)), np.arange(len(others))] = False  # nobody hides itself
+    blocked[np.arange(len(others)), np.arange(len(others))] = False  # no vehicle hides itself
     hides: BoolArray = blocked.any(axis=0).all(axis=1)
     return hides
 

@@ -29,35 +29,35 @@ ALONG, ACROSS, ANGLE, OFFSET, STRETCH = range(5)
 
 
 class Outcome(StrEnum):
-    """How a run ended."""
+    """The ways in which a run can end."""
 
     SAFE = "safe"
-    """The duration passed without any of what follows."""
+    """The run lasted for its full duration, and nothing of what follows occurred."""
     OFF_ROAD = "off_road"
-    """The ego's centre was off the road at some tick; only on a straight road did the run go on."""
+    """The ego's centre was off the road at some tick; the run continued only if the road was straight."""
     LEFT_ROUTE = "left_route"
-    """The ego drove on to a lane that does not belong to its route, which the grid follows; the run ended there."""
+    """The ego entered a lane that does not belong to its route, which the grid follows; the run ended there."""
     END_OF_ROAD = "end_of_road"
-    """A vehicle came to the end of the road; the run ended there."""
+    """A vehicle reached the end of the road; the run ended there."""
     COLLISION = "collision"
     """The ego's box touched an NPC's; the run ended there."""
     INVALID = "invalid"
     """Two NPCs touched; the run says nothing about the ego and ended there."""
     ADS_ERROR = "ads_error"
-    """The ADS raised, or returned something that is no action; the run ended there."""
+    """The ADS raised an exception, or returned something that is no action; the run ended there."""
     HANG = "hang"
-    """One decision of the ADS took longer than the hang limit; depends on wall-clock time."""
+    """One decision of the ADS took longer than the hang limit. This depends on wall-clock time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lane:
-    """A lane: its start, direction and size, and its shape where it is not straight.
+    """A lane: its start, direction and size, and its shape if it is not straight.
 
     Attributes:
-        x, y: where its centre line starts [m].
-        heading: of its centre line there [rad].
-        length, width: [m].
-        speed_limit: [m/s].
+        x, y: start of its centre line [m].
+        heading: heading of its centre line at the start [rad].
+        length, width: size of the lane [m].
+        speed_limit: speed limit on the lane [m/s].
         points: x and y of its centre line from the start to the end [m]; empty for a straight lane.
     """
 
@@ -72,17 +72,17 @@ class Lane:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Collision:
-    """The first contact of the ego's box with another.
+    """The first contact of the ego's box with an NPC's.
 
     Attributes:
         tick: physics tick of the first overlap.
-        time: of that tick [s].
+        time: time of that tick [s].
         npc: index of the NPC in the scenario.
-        side: of the ego that was hit.
-        cell: in which the NPC's centre was at the impact, or, when that is the ego's own, the last one before; None
-            where an NPC that crosses was not on the ego's way.
-        ego_speed, npc_speed: at the impact [m/s].
-        closing_speed: magnitude of the difference of the two velocities, with the slip of turned wheels [m/s].
+        side: side of the ego that was hit.
+        cell: cell of the NPC's centre at the impact; if that is the ego's own cell, the last other cell before. None if
+            an NPC that crosses was not on the ego's way.
+        ego_speed, npc_speed: speeds at the impact [m/s].
+        closing_speed: magnitude of the difference of the two velocities, including the slip of turned wheels [m/s].
     """
 
     tick: int
@@ -101,14 +101,14 @@ class Collision:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AdsError:
-    """What the ADS did instead of returning an action.
+    """An error of the ADS, which did not return an action.
 
     Attributes:
-        kind: name of the exception class, or of the fault in the action (``BadAction``).
-        message: one line.
-        traceback: of the user's code; empty for a bad action.
+        kind: name of the exception class, or ``BadAction`` if the action was not valid.
+        message: message of the error, one line.
+        traceback: traceback through the user's code; empty for a bad action.
         tick: physics tick of the decision.
-        interrupted: whether it hung and was interrupted, rather than raised.
+        interrupted: whether the ADS hung and was interrupted instead of raising by itself.
     """
 
     kind: str
@@ -123,35 +123,36 @@ class Trace(Drawn):
     """One run, tick by tick. Vehicle 0 is the ego, vehicle ``i + 1`` the NPC ``i`` of the scenario.
 
     Attributes:
-        scenario: as requested.
-        executed: the same with the chains as driven, after the repair inside the run; genes that the run did
-            not reach are as requested. Running it again gives this trace again.
+        scenario: the scenario as requested.
+        executed: the scenario with the chains as driven, after the repair inside the run. Genes that the run did not
+            reach are as requested. Running it again gives the same trace.
         outcome: how the run ended.
-        collision: present exactly when the outcome is ``collision``.
-        error: present exactly when the outcome is ``ads_error`` or ``hang``.
+        collision: the collision; None unless the outcome is ``collision``.
+        error: the error of the ADS; None unless the outcome is ``ads_error`` or ``hang``.
         states: float64, read-only, shape [ticks + 1, vehicles, 7] with columns x [m], y [m], heading [rad],
             speed [m/s], acceleration [m/s^2], steering [rad], lane (index into ``lanes``, -1 off the road).
             y grows to the right of the driving direction, as in highway-env. Row ``t`` holds the state at tick
             ``t`` and the acceleration and steering that led to it; those of row 0 are 0.
         sizes: float64, read-only, shape [vehicles, 2]: length and width [m].
-        lanes: of the road, from the left; where it is not straight, those along the ego's way, then all others.
+        lanes: lanes of the road, from the left; if the road is not straight, those along the ego's way, then the
+            others.
         physics_hz: ticks per second.
         ads_hz: decisions of the ADS per second; divides ``physics_hz``.
         actions: what the ADS returned, one per decision.
-        arrivals: per NPC and gene that was started, the tick at which the cell was reached, or None.
+        arrivals: for each NPC and each gene that was started, the tick at which the cell was reached, or None.
         off_road_tick: first tick with the ego's centre off the road, or None.
-        max_decision_seconds: longest decision of the ADS in wall-clock time [s], of those that it was asked for; not
-            reproducible.
-        track: on roads that are not straight, where the vehicles are on the road; float64, read-only, shape
+        max_decision_seconds: longest decision of the ADS in wall-clock time [s]; not reproducible.
+        track: positions of the vehicles on a road that is not straight; float64, read-only, shape
             [ticks + 1, vehicles, 5] with columns: along the ego's way [m], across it to the right [m], angle to it
-            [rad], offset to the centre of the own lane [m], metres driven there per metre of the way (more outside of a
-            bend). None on straight roads, where ``lanes`` says it all.
-            NaN for an NPC that crosses, while it is not on the ego's way.
-        zones: per NPC the zone in which its way meets the ego's, None for one on the grid; empty where nobody crosses.
-        on_way: where each NPC that crosses is along its own way [m]; float64, read-only, shape [ticks + 1, NPCs], NaN
-            for those on the grid. None where nobody crosses.
-        driven: per NPC and started gene, the cell that it drove to; as in ``executed`` but where cells that the road
-            does not have were skipped, which no chain can say. Empty where it is as in ``executed``.
+            [rad], offset from the centre of the vehicle's lane [m], metres driven there per metre of the way (more on
+            the outside of a bend). NaN for an NPC that crosses, while it is not on the ego's way. None on straight
+            roads, where ``lanes`` is enough.
+        zones: for each NPC the zone in which its way meets the ego's, None for one on the grid; empty if no NPC
+            crosses.
+        on_way: position along its own way of each NPC that crosses [m]; float64, read-only, shape [ticks + 1, NPCs],
+            NaN for those on the grid. None if no NPC crosses.
+        driven: for each NPC and started gene, the cell that it drove to. It differs from ``executed`` where cells that
+            the road does not have were skipped, which no chain can express. Empty if it equals ``executed``.
     """
 
     scenario: Scenario
@@ -194,14 +195,14 @@ class Trace(Drawn):
             raise ValueError(f"on_way: expected shape {(len(self.states), npcs)}, received {self.on_way.shape}")
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Pickling makes arrays writeable; a trace that comes back from another process is read-only again."""
+        """Restore a pickled trace and make its arrays read-only again: pickling makes them writeable."""
         self.__dict__.update(state)
         for array in (self.states, self.sizes, self.track, self.on_way):
             if array is not None:
                 array.flags.writeable = False
 
     def reading(self, name: Hashable, read: Callable[[Trace], ReadT]) -> ReadT:
-        """What a pure function reads from the trace, once: the value travels with it to other processes."""
+        """Return the result of a pure function of the trace; it is computed once and travels to other processes."""
         if name not in self._readings:
             self._readings[name] = read(self)
         value: ReadT = self._readings[name]
@@ -209,22 +210,22 @@ class Trace(Drawn):
 
     @property
     def ticks(self) -> int:
-        """Physics steps that were run."""
+        """The number of physics steps that were run."""
         return len(self.states) - 1
 
     @property
     def dt(self) -> float:
-        """Duration of a physics tick [s]."""
+        """The duration of a physics tick [s]."""
         return 1 / self.physics_hz
 
     @property
     def duration(self) -> float:
-        """Simulated time [s]."""
+        """The simulated time [s]."""
         return self.ticks / self.physics_hz
 
     @property
     def times(self) -> FloatArray:
-        """Time of every row [s], shape [ticks + 1]."""
+        """The time of every row [s], shape [ticks + 1]."""
         return np.arange(self.ticks + 1) / self.physics_hz
 
     @property
@@ -238,20 +239,20 @@ class Trace(Drawn):
         return self.states[:, 1:]
 
     def track_of(self, vehicle: int) -> FloatArray:
-        """The track of a vehicle, shape [ticks + 1, 5].
+        """Return the track of a vehicle, shape [ticks + 1, 5].
 
         Raises:
-            ValueError: on a straight road, where none is recorded.
+            ValueError: if the road is straight, because no track is recorded then.
         """
         if self.track is None:
             raise ValueError("track: expected a run on a road that is not straight, received one on a straight road")
         return self.track[:, vehicle]
 
     def way_of(self, npc: int) -> FloatArray:
-        """Where an NPC that crosses is along its own way [m], shape [ticks + 1].
+        """Return the positions of an NPC that crosses along its own way [m], shape [ticks + 1].
 
         Raises:
-            ValueError: in a run in which nobody crosses.
+            ValueError: if no NPC crosses in the run.
         """
         if self.on_way is None:
             raise ValueError("on_way: expected a run in which an NPC crosses the ego's way, received one without")
@@ -259,12 +260,12 @@ class Trace(Drawn):
 
     @property
     def chains(self) -> tuple[Chromosome, ...]:
-        """What each NPC drove: as in ``executed``, and where cells were skipped with those that it drove to."""
+        """The chains that the NPCs drove: those of ``executed``, with the cells driven to where cells were skipped."""
         return with_cells(self.executed.npcs, self.driven)
 
     @property
     def speed_limit(self) -> float:
-        """Of the fastest lane [m/s]."""
+        """The speed limit of the fastest lane [m/s]."""
         return max(lane.speed_limit for lane in self.lanes)
 
     def __repr__(self) -> str:
