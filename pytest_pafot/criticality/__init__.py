@@ -1,14 +1,13 @@
-"""How dangerous a run was for the ego: every measure is a function of a Trace.
+"""Measures of how dangerous a run was for the ego. Every measure is a function of a Trace.
 
-Arrays have the shape [ticks + 1, NPCs], one value per physics tick and NPC; scalars take the worst over both.
-Minima are over every physics tick (15 a second by default), finer than the paper's six a second. Each
-measure keeps its own unit and direction, which its docstring states. NaN in a trace comes out as NaN and is
-never turned into a harmless number.
+Arrays have the shape [ticks + 1, NPCs], one value per physics tick and NPC; scalars are the worst of them. Minima are
+over every physics tick (15 a second by default), which is finer than the paper's six a second. The docstring of each
+measure states its unit and direction. NaN in a trace results in NaN; it never becomes a harmless number.
 
-An NPC that crosses is not on the ego's way, but for what follows a merge. What is measured along and across that way
-says so meanwhile, as NaN, and extremes leave it out; what is measured in the plane counts it as any other.
+An NPC that crosses is not on the ego's way until it has merged. Until then, measures along and across that way are NaN,
+and extremes ignore them. Measures in the plane treat it like any other NPC.
 
-Whoever needs several measures of one run asks an :class:`Encounters`, which computes what they share once.
+For several measures of one run use :class:`Encounters`, which computes shared values only once.
 """
 
 from pytest_pafot.criticality.measures import (

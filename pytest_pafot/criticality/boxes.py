@@ -2,8 +2,8 @@
 
 Two convex shapes are apart exactly when some axis separates their projections; for rectangles it is enough to
 look along the four edge directions (separating axis theorem; Gottschalk, Lin, Manocha, "OBBTree", SIGGRAPH
-1996). Along each axis moving boxes overlap during one interval of time, so that they touch during the
-intersection of the four (the swept form of the theorem).
+1996). Along each axis, moving boxes overlap during one interval of time, so they touch during the intersection of the
+four intervals (the swept form of the theorem).
 
 All arrays broadcast against each other; results have their common shape. Boxes that merely touch overlap.
 """
@@ -19,11 +19,12 @@ import numpy.typing as npt
 from pytest_pafot.model.trace import FloatArray
 
 _TINY = 1e-290
-"""Stands in for a relative velocity of zero [m/s]: it vanishes in any other, and dividing by it does not overflow."""
+"""A replacement for a relative velocity of zero [m/s]: added to any other it vanishes, and dividing by it does not
+overflow."""
 
 FourAxes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""One array per axis. Not one stacked array: those are large enough for the allocator to hand back to the system
-each time, and faulting their pages in again costs several times the arithmetic."""
+"""One array per axis. A single stacked array would be so large that the allocator returns it to the system each time,
+and faulting its pages in again takes several times as long as the arithmetic."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,9 +33,9 @@ class Boxes:
 
     Attributes:
         x, y: centres [m].
-        cos, sin: of the headings; a heading points along the length.
+        cos, sin: cosines and sines of the headings; a heading points along the length.
         vx, vy: velocities [m/s].
-        half_length, half_width: [m].
+        half_length, half_width: half of the sizes [m].
     """
 
     x: FloatArray
@@ -50,14 +51,14 @@ class Boxes:
     def driving(
         cls, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray, length: FloatArray, width: FloatArray
     ) -> Boxes:
-        """Boxes that move along their heading [m, rad, m/s]; a negative speed is driving backwards."""
+        """Make boxes that move along their heading [m, rad, m/s]; a negative speed means backwards."""
         cos, sin = np.cos(heading), np.sin(heading)
         return cls(
             x=x, y=y, cos=cos, sin=sin, vx=speed * cos, vy=speed * sin, half_length=length / 2, half_width=width / 2
         )
 
     def part(self, vehicles: slice, ticks: slice) -> Boxes:
-        """Some vehicles at some ticks, of boxes with shape [vehicles, ticks] and sizes [vehicles, 1]."""
+        """Return some vehicles at some ticks, from boxes with shape [vehicles, ticks] and sizes [vehicles, 1]."""
         moving = {name: getattr(self, name)[vehicles, ticks] for name in ("x", "y", "cos", "sin", "vx", "vy")}
         return Boxes(**moving, half_length=self.half_length[vehicles], half_width=self.half_width[vehicles])
 
@@ -68,9 +69,9 @@ class Pairs:
 
     Attributes:
         a, b: the boxes.
-        offsets: of b's centre from a's, along each axis [m].
+        offsets: offset of b's centre from a's, along each axis [m].
         reaches: sum of the two half extents along each axis [m].
-        cos, sin: of b's heading relative to a's.
+        cos, sin: cosine and sine of b's heading relative to a's.
     """
 
     a: Boxes
@@ -82,7 +83,7 @@ class Pairs:
 
 
 def relate(a: Boxes, b: Boxes) -> Pairs:
-    """The pairs (a, b), everything that the measures of this module share."""
+    """Compute what all measures of this module share for the pairs (a, b)."""
     cos = a.cos * b.cos + a.sin * b.sin
     sin = a.cos * b.sin - a.sin * b.cos
     c, s = np.abs(cos), np.abs(sin)
@@ -96,7 +97,7 @@ def relate(a: Boxes, b: Boxes) -> Pairs:
 
 
 def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
-    """Whether the boxes have a point in common: no axis separates them."""
+    """Return whether the boxes have a point in common, which means that no axis separates them."""
     result: npt.NDArray[np.bool_] = np.ones(pairs.cos.shape, dtype=np.bool_)
     for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True):
         result &= np.abs(offset) <= reach
@@ -104,24 +105,24 @@ def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
 
 
 def box_gap(pairs: Pairs) -> FloatArray:
-    """Smallest distance between the boxes [m], 0 at overlap; lower is worse.
+    """Return the smallest distance between the boxes [m], 0 at overlap; lower is worse.
 
-    The smallest distance of two rectangles that are apart is always taken at a corner of one of them.
+    The smallest distance between two separate rectangles is always at a corner of one of them.
     """
     a, b = pairs.a, pairs.b
     along, across, back_along, back_across = pairs.offsets
     from_b = _corners_to_box(along, across, pairs.cos, pairs.sin, a, b)
-    # Seen from b the offset is the negative one. That mirrors the set of a's corners in b's centre and leaves
-    # their distances from b's box alone, so that the sign need not be changed.
+    # As seen from b, the offset has the opposite sign. That mirrors the set of a's corners in b's centre, which does
+    # not change their distances from b's box, so the sign can stay.
     from_a = _corners_to_box(back_along, back_across, pairs.cos, -pairs.sin, b, a)
     return np.where(overlaps(pairs), 0.0, np.sqrt(np.minimum(from_a, from_b)))
 
 
 def contact_time(pairs: Pairs) -> FloatArray:
-    """Time until the boxes first touch if both keep their velocity and heading [s]; lower is worse.
+    """Return the time until the boxes first touch if both keep their velocity and heading [s]; lower is worse.
 
-    0 at overlap, infinite if they never touch. Swept separating axes: along each axis the projections overlap
-    from one time to another; contact begins when the last of them has begun, if none has ended by then.
+    0 at overlap, infinite if they never touch. Along each axis the projections overlap from one
+    time to another. Contact begins when the last of these overlaps begins, if none has ended by then.
     """
     velocities = _along_axes(pairs.a, pairs.b, pairs.b.vx - pairs.a.vx, pairs.b.vy - pairs.a.vy)
     begins: FloatArray = np.full(pairs.cos.shape, -np.inf)
@@ -132,21 +133,21 @@ def contact_time(pairs: Pairs) -> FloatArray:
         near, far = (reach - distance) / parting, -(reach + distance) / parting
         begins = np.maximum(begins, np.minimum(near, far))
         ends = np.minimum(ends, np.maximum(near, far))
-    # Written so that NaN fails the comparisons and comes out as NaN.
+    # This order makes NaN fail the comparisons, so the result is NaN.
     return np.where((begins > ends) | (ends < 0), np.inf, np.maximum(begins, 0.0))
 
 
 def _along_axes(a: Boxes, b: Boxes, x: FloatArray, y: FloatArray) -> FourAxes:
-    """Components of a vector along the four axes."""
+    """Return the components of a vector along the four axes."""
     return x * a.cos + y * a.sin, y * a.cos - x * a.sin, x * b.cos + y * b.sin, y * b.cos - x * b.sin
 
 
 def _corners_to_box(
     u: FloatArray, v: FloatArray, cos: FloatArray, sin: FloatArray, box: Boxes, other: Boxes
 ) -> FloatArray:
-    """Squared distance from the nearest corner of ``other`` to ``box`` [m^2].
+    """Return the squared distance from the nearest corner of ``other`` to ``box`` [m^2].
 
-    ``(u, v)`` is the centre of ``other`` in the frame of ``box``; ``cos`` and ``sin`` are of its heading there.
+    ``(u, v)`` is the centre of ``other`` in the frame of ``box``; ``cos`` and ``sin`` belong to its heading there.
     """
     length_u, length_v = other.half_length * cos, other.half_length * sin
     width_u, width_v = -other.half_width * sin, other.half_width * cos

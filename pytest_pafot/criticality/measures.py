@@ -1,4 +1,4 @@
-"""The paper's measures, time to collision of boxes, and what derives from them.
+"""The paper's measures, the time to collision of boxes, and derived measures.
 
 Source, unless another is named: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3.3 (Fitness
 Function), equations 1 to 5. Vehicle 1 of the equations is the ego, vehicle 2 an NPC.
@@ -21,34 +21,34 @@ MANOEUVRE_SECONDS = 3.0
 """The time to manoeuvre t of equation 5 [s] (section 3.3: between 2 and 6 s by the literature, 3 s adopted)."""
 
 _SWEEPS = sweep.is_in_use()
-"""Whether extremes come from one compiled pass; from the arrays they are the same, and sooner than interpreted."""
+"""True if one compiled pass computes the extremes. The arrays give the same values, faster than an interpreted pass."""
 
 _PARALLEL = 1e-9
-"""Headings whose sine differs by less are parallel [1]: their lines cross beyond any road, or only by rounding."""
+"""Two headings are parallel if the sine of their difference is smaller [1]: their lines cross beyond any road, or only
+due to rounding."""
 
 
 def ettc(trace: Trace) -> FloatArray:
-    """Estimated time to collision of the paper (equations 1 to 3) [s]; lower is worse.
+    """Return the paper's estimated time to collision (equations 1 to 3) [s]; lower is worse.
 
-    The ego's distance to the point where the two lines of travel cross, divided by its speed. With p the
-    positions, d the unit vectors of travel and x the cross product, that distance is
-    (p2 - p1) x d2 / d1 x d2, which equals the paper's expression wherever its tangents and cotangents exist and
-    is defined for headings along the axes as well.
+    It is the ego's distance to the point where the two lines of travel cross, divided by its speed. With p the
+    positions, d the unit vectors of travel and x the cross product, that distance is (p2 - p1) x d2 / d1 x d2. This
+    equals the paper's expression if its tangents and cotangents exist, and is also defined for headings along the axes.
 
-    Infinite where there is no single crossing point ahead of both: for parallel lines (also the same line: for
-    following, use :func:`ttc`), for a point behind either vehicle, and for an ego that stands. A vehicle that
-    drives backwards travels against its heading. When the NPC gets to the point plays no part, as in the paper.
+    It is infinite if there is no single crossing point ahead of both: for parallel lines (including the same line: use
+    :func:`ttc` for following), for a point behind either vehicle, and for an ego that stands. A vehicle that drives
+    backwards travels against its heading. As in the paper, it does not matter when the NPC reaches the point.
     """
     return Encounters(trace).ettc.T
 
 
 def mettc(trace: Trace) -> float:
-    """The paper's METTC: the smallest :func:`ettc` of the run [s]; lower is worse, infinite if none is finite."""
+    """Return the paper's METTC, the smallest :func:`ettc` of the run [s]; lower is worse, inf if none is finite."""
     return Encounters(trace).mettc
 
 
 def ttc(trace: Trace) -> FloatArray:
-    """Time until the boxes touch if both keep velocity and heading [s]; lower is worse, 0 at overlap, inf if never.
+    """Return the time until the boxes touch if both keep velocity and heading [s]; lower is worse, inf if never.
 
     Source: time to collision of Hayward, "Near-miss determination through use of a scale of danger", 1972, for
     oriented boxes; exact for straight motion (see :func:`pytest_pafot.criticality.boxes.contact_time`).
@@ -57,174 +57,174 @@ def ttc(trace: Trace) -> FloatArray:
 
 
 def min_ttc(trace: Trace) -> float:
-    """The smallest :func:`ttc` of the run [s]; lower is worse, infinite if none is finite."""
+    """Return the smallest :func:`ttc` of the run [s]; lower is worse, infinite if none is finite."""
     return Encounters(trace).min_ttc
 
 
 def centre_distance(trace: Trace) -> FloatArray:
-    """Distance between the centres of ego and NPC (equation 4) [m]; lower is worse."""
+    """Return the distance between the centres of ego and NPC (equation 4) [m]; lower is worse."""
     return Encounters(trace).centre_distance.T
 
 
 def min_centre_distance(trace: Trace) -> float:
-    """The paper's MD: the smallest :func:`centre_distance` of the run [m]; lower is worse."""
+    """Return the paper's MD, the smallest :func:`centre_distance` of the run [m]; lower is worse."""
     return Encounters(trace).min_centre_distance
 
 
 def gap(trace: Trace) -> FloatArray:
-    """Distance between the boxes of ego and NPC [m]; lower is worse, 0 at overlap."""
+    """Return the distance between the boxes of ego and NPC [m]; lower is worse, 0 at overlap."""
     return Encounters(trace).gap.T
 
 
 def min_gap(trace: Trace) -> float:
-    """The smallest :func:`gap` of the run [m]; lower is worse, 0 at a collision."""
+    """Return the smallest :func:`gap` of the run [m]; lower is worse, 0 at a collision."""
     return Encounters(trace).min_gap
 
 
 def ego_follows(trace: Trace) -> npt.NDArray[np.bool_]:
-    """Whether the ego is the follower of the pair: the NPC's centre is level with its own or ahead, along the road.
+    """Return whether the ego follows the NPC: the NPC's centre is level with its own or ahead, along the road.
 
-    The road's direction is that of the ego's lane (of the last lane where the ego is off the road). On roads that are
-    not straight, ahead is what comes later on the ego's way (:attr:`pytest_pafot.Trace.track`). False for an NPC that
-    is not on the ego's way: neither follows the other.
+    The road's direction is the direction of the ego's lane (of the last lane if the ego is off the road). On roads that
+    are not straight, *ahead* means later on the ego's way (:attr:`pytest_pafot.Trace.track`). False for an NPC that is
+    not on the ego's way, because then neither follows the other.
     """
     return Encounters(trace).ego_follows.T
 
 
 def safety_distance(trace: Trace) -> FloatArray:
-    """SD of the paper (equation 5 with t = 3 s) [m]: by how much the follower gains on the leader within t.
+    """Return the paper's SD (equation 5 with t = 3 s), the distance that the follower gains on the leader within t [m].
 
-    (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:func:`ego_follows`) and 2 the leader. The
-    distance that the follower has to keep, so higher asks for more; negative where the leader pulls away. NaN where the
-    NPC is not on the ego's way.
+    (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:func:`ego_follows`) and 2 the leader. The follower has
+    to keep this distance, so a higher value requires more. It is negative if the leader pulls away, and NaN if the NPC
+    is not on the ego's way.
     """
     return Encounters(trace).safety_distance.T
 
 
 def min_safety_distance(trace: Trace) -> float:
-    """The smallest :func:`safety_distance` of the run [m], which is what the paper's fitness minimises.
+    """Return the smallest :func:`safety_distance` of the run [m], which the paper's fitness minimises.
 
-    Taken as it is, it rewards leaders that pull away; :func:`safety_shortfall` is the reading that does not. Only of
-    NPCs while they are on the ego's way; infinite where none ever is.
+    This rewards leaders that pull away; :func:`safety_shortfall` does not. Only NPCs on the ego's way count; infinite
+    if there never is one.
     """
     return Encounters(trace).min_safety_distance
 
 
 def safety_shortfall(trace: Trace) -> FloatArray:
-    """Share of the safety distance that is missing, clip((SD - gap) / SD, 0, 1); higher is worse.
+    """Return the missing share of the safety distance, clip((SD - gap) / SD, 0, 1); higher is worse.
 
-    0 where ego and NPC are not in the same lane (by their centres), as an NPC that crosses, and where SD <= 0; 1 at
+    0 if ego and NPC are not in the same lane (by their centres), for example an NPC that crosses, or if SD <= 0; 1 at
     contact.
     """
     return Encounters(trace).safety_shortfall.T
 
 
 def max_safety_shortfall(trace: Trace) -> float:
-    """The largest :func:`safety_shortfall` of the run, 0 to 1; higher is worse."""
+    """Return the largest :func:`safety_shortfall` of the run, 0 to 1; higher is worse."""
     return Encounters(trace).max_safety_shortfall
 
 
 def required_deceleration(trace: Trace) -> FloatArray:
-    """Constant deceleration with which the follower just avoids the leader, who keeps its speed [m/s^2].
+    """Return the constant deceleration that just avoids a leader with constant speed [m/s^2]; higher is worse.
 
-    Higher is worse; (v1 - v2)^2 / (2 gap) while closing in the same lane, else 0, also for an NPC that crosses;
-    infinite at contact while closing. Source: deceleration rate to avoid a crash, DRAC (Cooper and Ferguson 1976; in
+    (v1 - v2)^2 / (2 gap) while the follower closes in on the leader in the same lane, infinite at contact; else 0, also
+    for an NPC that crosses. Source: deceleration rate to avoid a crash, DRAC (Cooper and Ferguson 1976; in
     the review of Westhofen et al. 2022).
     """
     return Encounters(trace).required_deceleration.T
 
 
 def hardest_brake(trace: Trace) -> float:
-    """The ego's largest deceleration in the run [m/s^2], positive; higher is worse, 0 if it never slowed down."""
+    """Return the ego's largest deceleration in the run [m/s^2], 0 if it never slowed down; higher is worse."""
     return max(0.0, -_lowest(trace.ego[:, ACCELERATION]))
 
 
 def execution_time(trace: Trace) -> float:
-    """ET of the paper, t_f - t_0: simulated time until the run ended [s]; lower is worse where it ended badly."""
+    """Return the paper's ET, t_f - t_0, the simulated time of the run [s]; lower is worse if it ended badly."""
     return trace.duration
 
 
 def planned_duration(trace: Trace) -> float:
-    """Time that the scenario's genes take [s]; a run ends earlier for a reason, or at the world's own limit.
+    """Return the duration of the scenario's genes [s]. A run ends earlier only for a reason or at the world's limit.
 
-    That of the run where an NPC crosses, which has no duration.
+    If an NPC crosses, the genes have no duration, so this is the duration of the run.
     """
     return trace.duration if trace.scenario.crossings else trace.scenario.seconds
 
 
 class Encounters(RelativePositions):
-    """The measures of one run; whoever needs several asks one of these, and the shared geometry is computed once.
+    """The measures of one run, which compute their shared geometry only once.
 
-    Arrays are as in the functions of the same names but transposed, [NPCs, ticks + 1].
+    Arrays are those of the functions of the same names, but transposed: [NPCs, ticks + 1].
     """
 
     def __init__(self, trace: Trace, *, sweeps: bool = _SWEEPS) -> None:
-        """``sweeps=False`` takes the extremes from the arrays, which gives the same numbers; so do roads that bend."""
+        """Read a trace. ``sweeps=False``, or a road that bends, computes the same extremes from the arrays."""
         super().__init__(trace.states, trace.sizes, trace.lanes, trace.track)
         self._sweeps = sweeps and trace.track is None
 
     @cached_property
     def speed(self) -> FloatArray:
-        """Of all vehicles [m/s], shape [vehicles, ticks + 1]."""
+        """The speeds of all vehicles [m/s], shape [vehicles, ticks + 1]."""
         return self.column(SPEED)
 
     @cached_property
     def boxes(self) -> Boxes:
-        """Of all vehicles, shape [vehicles, ticks + 1]."""
+        """The boxes of all vehicles, shape [vehicles, ticks + 1]."""
         return Boxes.driving(self.x, self.y, self.column(HEADING), self.speed, self._sizes[:, :1], self._sizes[:, 1:])
 
     @cached_property
     def pairs(self) -> Pairs:
-        """(ego, NPC)."""
+        """The pairs (ego, NPC)."""
         every = slice(None)
         return relate(self.boxes.part(slice(0, 1), every), self.boxes.part(slice(1, None), every))
 
     @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:
-        """Whether the NPC's centre is level with the ego's or ahead of it, along the road; False off the ego's way."""
+        """True if the NPC's centre is level with the ego's or ahead of it, along the road; False off the ego's way."""
         return self.ahead >= 0
 
     @cached_property
     def gain(self) -> FloatArray:
-        """Speed of the follower minus that of the leader [m/s]; NaN off the ego's way."""
+        """The follower's speed minus the leader's [m/s]; NaN off the ego's way."""
         return self._follower_minus_leader(self.speed)
 
     @cached_property
     def ettc(self) -> FloatArray:
-        """Time of the ego to where the two lines of travel cross, as in the paper [s]; lower is worse, inf if none."""
+        """The ego's time to the point where the two lines of travel cross [s]; inf if none, see :func:`ettc`."""
         pairs, speed = self.pairs, self.speed
         way = np.where(speed < 0, -1.0, 1.0)
         # In the ego's frame (p2 - p1) x d2 is minus the offset across the NPC's heading, and d1 x d2 the sine of
-        # the headings' difference; likewise with the roles swapped. Parallel lines divide by 1 and are dropped.
+        # the headings' difference; likewise with the roles swapped. Parallel lines divide by 1 and are ignored.
         parallel = np.abs(pairs.sin) < _PARALLEL
         sine = np.where(parallel, 1.0, pairs.sin)
         ego_way = -way[:1] * pairs.offsets[3] / sine
         npc_way = -way[1:] * pairs.offsets[1] / sine
         standing = speed[:1] == 0
         none = parallel | (ego_way < 0) | (npc_way < 0) | standing
-        with np.errstate(over="ignore"):  # by the smallest of speeds, the time is infinite
+        with np.errstate(over="ignore"):  # at the smallest speeds the time is infinite
             return np.where(none, np.inf, ego_way / np.where(standing, 1.0, np.abs(speed[:1])))
 
     @cached_property
     def ttc(self) -> FloatArray:
-        """Time until the boxes touch at constant velocity [s]; lower is worse, 0 at overlap, inf if never."""
+        """The time until the boxes touch at constant velocity [s]; lower is worse, 0 at overlap, inf if never."""
         return contact_time(self.pairs)
 
     @cached_property
     def centre_distance(self) -> FloatArray:
-        """Between the centres of ego and NPC [m]; lower is worse."""
-        # Along and across the ego's heading: the same distance, already at hand.
+        """The distance between the centres of ego and NPC [m]; lower is worse."""
+        # The offsets along and across the ego's heading give the same distance and are already computed.
         along, across = self.pairs.offsets[0], self.pairs.offsets[1]
         return np.sqrt(along * along + across * across)
 
     @cached_property
     def gap(self) -> FloatArray:
-        """Between the boxes of ego and NPC [m]; lower is worse, 0 at overlap."""
+        """The distance between the boxes of ego and NPC [m]; lower is worse, 0 at overlap."""
         return box_gap(self.pairs)
 
     @cached_property
     def safety_distance(self) -> FloatArray:
-        """By how much the follower gains on the leader within 3 s, as in the paper [m]; higher asks for more.
+        """The distance that the follower gains on the leader within 3 s, as in the paper [m]; higher requires more.
 
         NaN off the ego's way.
         """
@@ -233,16 +233,16 @@ class Encounters(RelativePositions):
 
     @cached_property
     def safety_shortfall(self) -> FloatArray:
-        """Share of the safety distance that is missing in one lane, 0 to 1; higher is worse."""
+        """The missing share of the safety distance in one lane, 0 to 1; higher is worse."""
         keep = self.safety_distance
         demanded = self.same_lane & ~(keep <= 0)
-        with np.errstate(over="ignore"):  # by the smallest of distances, nothing is missing
+        with np.errstate(over="ignore"):  # at the smallest distances nothing is missing
             ratio = np.divide(self.gap, keep, out=np.ones_like(keep), where=demanded)
         return np.maximum(1.0 - ratio, 0.0)
 
     @cached_property
     def required_deceleration(self) -> FloatArray:
-        """With which the follower just avoids the leader in one lane [m/s^2]; higher is worse."""
+        """The deceleration with which the follower just avoids the leader in one lane [m/s^2]; higher is worse."""
         closing = np.maximum(self.gain, 0.0)
         threatened = self.same_lane & ~(closing <= 0)
         with np.errstate(divide="ignore"):
@@ -251,39 +251,39 @@ class Encounters(RelativePositions):
 
     @property
     def mettc(self) -> float:
-        """Least :attr:`ettc` of the run [s]; lower is worse, inf if none is finite."""
+        """The smallest :attr:`ettc` of the run [s]; lower is worse, inf if none is finite."""
         return _lowest(self.ettc)
 
     @property
     def min_ttc(self) -> float:
-        """Least :attr:`ttc` of the run [s]; lower is worse, inf if none is finite."""
+        """The smallest :attr:`ttc` of the run [s]; lower is worse, inf if none is finite."""
         return _lowest(self.ttc) if self._extremes is None else self._extremes.min_ttc
 
     @property
     def min_centre_distance(self) -> float:
-        """Least :attr:`centre_distance` of the run [m]; lower is worse."""
+        """The smallest :attr:`centre_distance` of the run [m]; lower is worse."""
         return _lowest(self.centre_distance)
 
     @property
     def min_gap(self) -> float:
-        """Least :attr:`gap` of the run [m]; lower is worse, 0 at a collision."""
+        """The smallest :attr:`gap` of the run [m]; lower is worse, 0 at a collision."""
         return _lowest(self.gap) if self._extremes is None else self._extremes.min_gap
 
     @property
     def min_safety_distance(self) -> float:
-        """Least :attr:`safety_distance` of the run, on the ego's way [m]; inf if nobody ever is."""
+        """The smallest :attr:`safety_distance` of an NPC on the ego's way [m]; inf if there never is one."""
         return _lowest(np.where(self.is_on_way, self.safety_distance, np.inf))
 
     @property
     def max_safety_shortfall(self) -> float:
-        """Largest :attr:`safety_shortfall` of the run, 0 to 1; higher is worse."""
+        """The largest :attr:`safety_shortfall` of the run, 0 to 1; higher is worse."""
         if self._extremes is not None:
             return self._extremes.max_safety_shortfall
         return float(self.safety_shortfall.max(initial=0.0))
 
     @cached_property
     def _extremes(self) -> sweep.Sweep | None:
-        """Of one compiled pass over the run; None where there is none, or where it leaves the run to the arrays."""
+        """The extremes from one compiled pass over the run; None without such a pass or if its results are invalid."""
         heading = self._lanes[0].heading
         if not self._sweeps or any(lane.heading != heading for lane in self._lanes):
             return None
@@ -308,16 +308,16 @@ def _lowest(values: FloatArray) -> float:
 
 
 def post_encroachment_time(trace: Trace, *, horizon: float = 10.0) -> FloatArray:
-    """Shortest time between one of ego and NPC leaving a place and the other arriving at it [s], shape [NPCs].
+    """Return the shortest time from when one of ego and NPC leaves a place until the other arrives [s], shape [NPCs].
 
-    Lower is worse; 0 at overlap, infinite where nobody arrives within ``horizon`` seconds. The place is any: the
-    result is the smallest lag at which the box of one, where it is now, overlaps the box of the other, where it
-    was before. For a crossing that is the usual measure at its conflict area, for following the net time gap.
-    Lags are whole physics ticks, so that it exceeds the exact time by up to one tick.
+    Lower is worse; 0 at overlap, infinite if no vehicle arrives within ``horizon`` seconds. Every place counts: the
+    result is the smallest lag at which the box of one now overlaps the box of the other as it was then. At a crossing
+    this is the usual measure at the conflict area; for following it is the net time gap. Lags are whole physics ticks,
+    so the result exceeds the exact time by up to one tick.
 
     Args:
         trace: the run.
-        horizon: longest time looked for [s]; the work grows with it.
+        horizon: longest lag to try [s]; the work grows with it.
     """
     boxes = Encounters(trace).boxes
     lags = range(min(int(horizon * trace.physics_hz), trace.ticks) + 1)
@@ -329,11 +329,11 @@ def post_encroachment_time(trace: Trace, *, horizon: float = 10.0) -> FloatArray
 
 
 def _meets(boxes: Boxes, first: int, second: int, lag: int) -> bool:
-    """Whether ``second`` ever is, ``lag`` ticks later, where ``first`` was."""
+    """Return whether ``second`` is ever, ``lag`` ticks later, where ``first`` was."""
     ticks = boxes.x.shape[1]
     before = boxes.part(slice(first, first + 1), slice(0, ticks - lag))
     after = boxes.part(slice(second, second + 1), slice(lag, ticks))
-    # Most lags are settled by the circles around the boxes, at a fraction of the cost.
+    # The circles around the boxes decide most lags in a fraction of the time.
     reach = np.hypot(before.half_length, before.half_width) + np.hypot(after.half_length, after.half_width)
     if not ((after.x - before.x) ** 2 + (after.y - before.y) ** 2 <= reach**2).any():
         return False

@@ -1,13 +1,13 @@
-"""Where the NPCs are relative to the ego: how far ahead, how far to the right, and in which cell of the grid.
+"""Positions of the NPCs relative to the ego: how far ahead, how far to the right, and in which cell of the grid.
 
-The one definition for straight roads and for those that bend, which the measures, the safe distances of RSS, the record
-of a collision, the explanation of a run and the report page share. *Ahead* is as far as one drives along the road,
-*right* is across it, both from the ego's centre to the NPC's [m]; neither depends on where the ego points. The cell
-follows from the two, see :func:`pytest_pafot.model.grid.cell_at`: rows are as long as the ego, columns as wide as its
-lane.
+This is the only definition, for straight roads and for those that bend. The measures, the safe distances of RSS, the
+record of a collision, the explanation of a run and the report page share it. *Ahead* is the distance driven along the
+road, *right* is the distance across it, both from the ego's centre to the NPC's [m]. Neither depends on the ego's
+heading. The cell follows from the two, see :func:`pytest_pafot.model.grid.cell_at`: rows are as long as the ego,
+columns as wide as its lane.
 
-An NPC that crosses is on the ego's way only for a while, if ever. While it is not, nothing here says where it is:
-distances are NaN, it is in no cell and in nobody's lane.
+An NPC that crosses is on the ego's way only for a while, or never. While it is not, its distances are NaN, and it is in
+no cell and in no vehicle's lane.
 
 Source of the grid: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Modelling Target Positions).
 """
@@ -30,12 +30,12 @@ Number = TypeVar("Number", float, FloatArray)
 
 
 class RelativePositions:
-    """Where the NPCs of a run are relative to the ego, at every tick; each array is computed when first asked for.
+    """The positions of the NPCs of a run relative to the ego, at every tick. Each array is computed at its first use.
 
-    Arrays have the shape [NPCs, ticks + 1]: with the long dimension innermost numpy is about three times as fast.
+    Arrays have the shape [NPCs, ticks + 1]: with the long dimension innermost, numpy is about three times as fast.
 
     Args:
-        states, sizes, lanes, track: of a run, see :class:`~pytest_pafot.Trace`.
+        states, sizes, lanes, track: data of a run, see :class:`~pytest_pafot.Trace`.
     """
 
     def __init__(
@@ -47,24 +47,24 @@ class RelativePositions:
         self._track = track
 
     def column(self, index: int) -> FloatArray:
-        """One column of the trace's states, shape [vehicles, ticks + 1]."""
+        """Return one column of the trace's states, shape [vehicles, ticks + 1]."""
         return np.ascontiguousarray(self._states[:, :, index].T)
 
     @cached_property
     def x(self) -> FloatArray:
-        """Of all vehicles, in the world [m], shape [vehicles, ticks + 1]."""
+        """The x of all vehicles in the world [m], shape [vehicles, ticks + 1]."""
         return self.column(X)
 
     @cached_property
     def y(self) -> FloatArray:
-        """Of all vehicles, in the world [m], shape [vehicles, ticks + 1]."""
+        """The y of all vehicles in the world [m], shape [vehicles, ticks + 1]."""
         return self.column(Y)
 
     @cached_property
     def road(self) -> tuple[FloatArray, FloatArray]:
-        """Cosine and sine of the direction of the ego's lane, shape [1, ticks + 1], or [1, 1] where all lanes agree.
+        """Cosine and sine of the direction of the ego's lane, shape [1, ticks + 1], or [1, 1] if all lanes agree.
 
-        Where the ego is off the road, it is the last lane's; on a straight road all lanes agree.
+        If the ego is off the road, the last lane's direction counts. On a straight road all lanes agree.
         """
         headings = [lane.heading for lane in self._lanes]
         if headings.count(headings[0]) == len(headings):
@@ -75,41 +75,42 @@ class RelativePositions:
 
     @cached_property
     def is_on_way(self) -> npt.NDArray[np.bool_]:
-        """Whether each NPC is on the ego's way; False for one that crosses, but after a merge, and True for others."""
+        """True for each NPC on the ego's way. An NPC that crosses is on it only after it has merged."""
         is_there = np.ones((self._states.shape[1] - 1, len(self._states)), dtype=np.bool_)
-        # A world of the user's own may record NaN for a vehicle, too. Then nobody knows, which must show as NaN.
+        # A user's world may record NaN for a vehicle, too. Its distances must then stay NaN, so it counts as on the
+        # way.
         return is_there if self._track is None else ~np.isnan(self._track[:, 1:, ALONG].T) | np.isnan(self.x[1:])
 
     @property
     def ahead(self) -> FloatArray:
-        """How far each NPC's centre is ahead of the ego's [m], negative behind it; NaN off the ego's way.
+        """The distance of each NPC's centre ahead of the ego's [m], negative behind it; NaN off the ego's way.
 
-        Along the straight road; on one that bends, the difference of the places on the ego's way times the mean of the
-        metres that the two drive per metre of it. In a circle that is the arc halfway between theirs.
+        It is measured along a straight road. On one that bends, it is the difference of the places on the ego's way
+        times the mean of the metres that the two drive per metre of it. In a circle that is the arc halfway between
+        theirs.
         """
         return self._offset[0]
 
     @property
     def right(self) -> FloatArray:
-        """How far each NPC's centre is to the right of the ego's, across the road [m], negative to the left.
+        """The distance of each NPC's centre to the right of the ego's, across the road [m], negative to the left.
 
-        NaN off the ego's way.
-
-        On a road that bends, the difference of the distances to the ego's way, each taken where the vehicle is itself.
+        NaN off the ego's way. On a road that bends, it is the difference of the distances to the ego's way, each
+        measured at the vehicle itself.
         """
         return self._offset[1]
 
     @cached_property
     def same_lane(self) -> npt.NDArray[np.bool_]:
-        """Whether the centres of ego and NPC are in one lane of the road, and the NPC is on the ego's way."""
+        """True if the centres of ego and NPC are in one lane of the road and the NPC is on the ego's way."""
         lane = self.column(LANE)
         same: npt.NDArray[np.bool_] = (lane[1:] == lane[:1]) & (lane[:1] >= 0)
         return same if self._track is None else same & self.is_on_way
 
     def cell(self, npc: int, tick: int) -> Cell | None:
-        """The cell that an NPC's centre is in, None for the ego's own and off the ego's way.
+        """Return the cell that an NPC's centre is in, None for the ego's own cell and off the ego's way.
 
-        A column is as wide as the ego's lane then, or as the first lane where the ego is on none.
+        A column is as wide as the ego's lane at that tick, or as the first lane if the ego is on none.
         """
         ego, npc_now = self._states[tick, 0].tolist(), self._states[tick, npc + 1].tolist()
         lane = int(ego[LANE])
@@ -121,9 +122,9 @@ class RelativePositions:
         return cell_at(ahead, right, float(self._sizes[0, 0]), self._lanes[max(lane, 0)].width)
 
     def last_cell(self, npc: int, tick: int) -> Cell | None:
-        """The last cell up to a tick that an NPC's centre was in beside the ego's own; None if there was none.
+        """Return the last cell up to a tick, other than the ego's own, that an NPC's centre was in; None if none.
 
-        None as well off the ego's way, and where the NPC came on that way in the ego's own cell.
+        Also None off the ego's way, and if the NPC entered that way in the ego's own cell.
         """
         ticks = takewhile(lambda each: self.is_on_way[npc, each], range(tick, -1, -1))
         cells = (self.cell(npc, each) for each in ticks)
@@ -139,17 +140,17 @@ class RelativePositions:
 
 
 def _on_road(ego: Any, npc: Any, cos: Number, sin: Number) -> tuple[Number, Number]:
-    """Ahead and right [m] of states, floats or arrays, on a straight road."""
+    """Return ahead and right [m] from states, floats or arrays, on a straight road."""
     x, y = npc[X] - ego[X], npc[Y] - ego[Y]
     return x * cos + y * sin, y * cos - x * sin
 
 
 def _on_way(ego: Any, npc: Any) -> tuple[Any, Any]:
-    """Ahead and right [m] of rows of a track, floats or arrays."""
+    """Return ahead and right [m] from rows of a track, floats or arrays."""
     ahead = driven_between(ego[ALONG], npc[ALONG], ego[STRETCH], npc[STRETCH])
     return ahead, npc[ACROSS] - ego[ACROSS]
 
 
 def driven_between(first: Number, second: Number, first_stretch: Number, second_stretch: Number) -> Number:
-    """How far one drives between two places on the ego's way [m], with the metres driven per metre of it at each."""
+    """Return the metres driven between two places on the ego's way, given the metres driven per metre of it at each."""
     return (second - first) * (first_stretch + second_stretch) / 2

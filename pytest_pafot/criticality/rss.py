@@ -1,10 +1,10 @@
-"""Safe distances of Responsibility-Sensitive Safety (RSS), and the gaps to hold against them.
+"""Safe distances of Responsibility-Sensitive Safety (RSS), and the gaps to compare with them.
 
 Source: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
 arXiv:1708.06374, 2017: safe longitudinal distance for the same direction, safe lateral distance. A pair is in
-danger where both gaps are below their safe distance. All is measured along and across the road's direction
-at the ego, that of its lane; on roads that are not straight along and across the ego's way, as far as the vehicles
-drive there. An NPC that crosses has neither gaps nor safe distances while it is not on that way: all are NaN.
+danger if both gaps are below their safe distances. Everything is measured along and across the direction of the ego's
+lane; on roads that are not straight, along and across the ego's way, in metres that the vehicles drive there. While an
+NPC that crosses is not on that way, its gaps and safe distances are NaN.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ from pytest_pafot.model.trace import ANGLE, FloatArray, Trace
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RssRules:
-    """Parameters of RSS. The paper leaves their values open.
+    """The parameters of RSS. The paper does not specify their values.
 
     The defaults are the initial values that Intel published with its open implementation (ad-rss-lib, appendix
-    "Parameter Discussion"), where a response time of 1 s is the automated vehicle's and 2 s everybody else's.
+    "Parameter Discussion"), with a response time of 1 s for the automated vehicle and 2 s for all others.
 
     Attributes:
-        ego_response, npc_response: rho, before which a vehicle may still do its worst [s].
+        ego_response, npc_response: rho, the time during which a vehicle may still do its worst [s].
         acceleration: a_max,accel, the hardest acceleration during the response time [m/s^2].
-        least_braking: a_min,brake, with which a follower brakes at least afterwards [m/s^2].
-        hardest_braking: a_max,brake, with which a leader brakes at most [m/s^2].
-        lateral_acceleration: a_lat,max,accel, towards the other during the response time [m/s^2].
-        lateral_braking: a_lat,min,brake, at least afterwards [m/s^2].
-        fluctuation: mu, lateral margin [m].
+        least_braking: a_min,brake, the least braking of a follower afterwards [m/s^2].
+        hardest_braking: a_max,brake, the hardest braking of a leader [m/s^2].
+        lateral_acceleration: a_lat,max,accel, the hardest acceleration towards the other during the response time
+            [m/s^2].
+        lateral_braking: a_lat,min,brake, the least lateral braking afterwards [m/s^2].
+        fluctuation: mu, the lateral margin [m].
     """
 
     ego_response: float = 1.0
@@ -53,45 +54,45 @@ class RssRules:
                 raise ValueError(f"{field.name}: expected a finite number, {bound}, received {value!r}")
 
     def safe_along(self, follower: FloatArray, leader: FloatArray, response: float | FloatArray) -> FloatArray:
-        """What a follower, with its response time [s], has to keep along the road [m]; see :func:`rss_longitudinal`."""
+        """Return the gap that a follower with a response time [s] has to keep [m]; see :func:`rss_longitudinal`."""
         fastest = follower + response * self.acceleration
         travelled = (follower + fastest) / 2 * response + _stopping(fastest, self.least_braking)
         return np.asarray(np.maximum(travelled - _stopping(leader, self.hardest_braking), 0.0))
 
 
 def rss_longitudinal(trace: Trace, rules: RssRules | None = None) -> FloatArray:
-    """Longitudinal distance that the follower has to keep by RSS [m], shape [ticks + 1, NPCs]; at least 0.
+    """Return the longitudinal distance that RSS requires of the follower [m], shape [ticks + 1, NPCs]; at least 0.
 
-    Being closer than that (:func:`longitudinal_gap`) is worse. The leader may brake as hard as possible at
-    once; the follower may speed up for its response time rho and then brakes at least with a_min,brake:
+    A smaller :func:`longitudinal_gap` is worse. The leader may brake as hard as possible at once. The follower may
+    speed up for its response time rho and then brakes with at least a_min,brake:
 
         v rho + a rho^2 / 2 + (v + rho a)^2 / (2 a_min,brake) - v_leader^2 / (2 a_max,brake)
 
-    Speeds are along the road. A leader that drives against it comes closer while it brakes, which is why its
-    square takes the sign of the speed; the paper's second formula for oncoming traffic is not part of this.
+    Speeds are along the road. A leader that drives against its direction comes closer while it brakes, so its square
+    takes the sign of the speed. The paper's second formula, for oncoming traffic, is not part of this.
     """
     return RoadFrame(trace).safe_along(rules or RssRules())
 
 
 def rss_lateral(trace: Trace, rules: RssRules | None = None) -> FloatArray:
-    """Lateral distance that ego and NPC have to keep by RSS [m], shape [ticks + 1, NPCs]; at least mu.
+    """Return the lateral distance that RSS requires of ego and NPC [m], shape [ticks + 1, NPCs]; at least mu.
 
-    Being closer than that (:func:`lateral_gap`) is worse. Both may accelerate towards each other for their
-    response time and then brake at least with a_lat,min,brake until they no longer move sideways: mu plus the
-    distance that they come closer in doing so, if any. Each vehicle has a response time of its own. Where a
-    vehicle moves away even after its response time, its stopping distance counts as moving away; the published
-    formula has the square of that speed without its sign, having in mind vehicles that come closer.
+    A smaller :func:`lateral_gap` is worse. Both vehicles may accelerate towards each other for their response times and
+    then brake with at least a_lat,min,brake until they no longer move sideways. The distance is mu plus what they come
+    closer meanwhile, if anything. If a vehicle still moves away after its response time, its stopping distance counts
+    as moving away. The published formula squares that speed without its sign, because it assumes vehicles that come
+    closer.
     """
     return RoadFrame(trace).safe_across(rules or RssRules())
 
 
 def longitudinal_gap(trace: Trace) -> FloatArray:
-    """Distance between the boxes along the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 while abreast."""
+    """Return the gap between the boxes along the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 side by side."""
     return RoadFrame(trace).gap_along
 
 
 def lateral_gap(trace: Trace) -> FloatArray:
-    """Distance between the boxes across the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 in one track."""
+    """Return the gap between the boxes across the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 in one track."""
     return RoadFrame(trace).gap_across
 
 
@@ -100,14 +101,14 @@ class RoadFrame:
 
     Attributes:
         is_on_way: whether each NPC is on the ego's way, see :class:`~pytest_pafot.criticality.RelativePositions`.
-        ahead, right: of the NPC's centre from the ego's [m].
-        cos, sin: of each vehicle's angle to the road, where it is itself.
-        speed: of each vehicle, along the road [m/s].
-        drift: of each vehicle, to the right of the road, as it has moved since the tick before, slip included; at the
-            first tick, also on the ego's way, by where it points [m/s].
+        ahead, right: offset of the NPC's centre from the ego's [m].
+        cos, sin: cosine and sine of each vehicle's angle to the road at its place.
+        speed: speed of each vehicle along the road [m/s].
+        drift: speed of each vehicle to the right across the road, as it has moved since the tick before, slip included.
+            At the first tick, or its first on the ego's way, it follows from its heading [m/s].
         half_along, half_across: half extents of each box [m].
 
-    Gaps and safe distances have the shape [ticks + 1, NPCs]. All that is of an NPC is NaN while it is not on the ego's
+    Gaps and safe distances have the shape [ticks + 1, NPCs]. All values of an NPC are NaN while it is not on the ego's
     way.
     """
 
@@ -141,16 +142,16 @@ class RoadFrame:
 
     @property
     def gap_along(self) -> FloatArray:
-        """Between the boxes along the road [m]; lower is worse, 0 while abreast."""
+        """The gap between the boxes along the road [m]; lower is worse, 0 side by side."""
         return np.maximum(np.abs(self.ahead) - self.half_along[:1] - self.half_along[1:], 0.0).T
 
     @property
     def gap_across(self) -> FloatArray:
-        """Between the boxes across the road [m]; lower is worse, 0 in one track."""
+        """The gap between the boxes across the road [m]; lower is worse, 0 in one track."""
         return np.maximum(np.abs(self.right) - self.half_across[:1] - self.half_across[1:], 0.0).T
 
     def safe_along(self, rules: RssRules) -> FloatArray:
-        """Longitudinal distance that the follower has to keep [m], at least 0; equation in :func:`rss_longitudinal`."""
+        """Return the longitudinal distance that the follower has to keep [m]; equation in :func:`rss_longitudinal`."""
         ego_follows = self.ahead >= 0
         follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
         leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
@@ -158,7 +159,7 @@ class RoadFrame:
         return rules.safe_along(follower, leader, response).T
 
     def safe_across(self, rules: RssRules) -> FloatArray:
-        """Lateral distance that ego and NPC have to keep [m], at least mu; told in :func:`rss_lateral`."""
+        """Return the lateral distance that ego and NPC have to keep [m]; explained in :func:`rss_lateral`."""
         towards_npc = np.where(self.right >= 0, 1.0, -1.0)
         ego_way = _sideways(towards_npc * self.drift[:1], rules.ego_response, rules)
         npc_way = _sideways(-towards_npc * self.drift[1:], rules.npc_response, rules)
@@ -166,11 +167,11 @@ class RoadFrame:
 
 
 def _stopping(speed: FloatArray, deceleration: float) -> FloatArray:
-    """Way until standstill, in the direction of travel [m]."""
+    """Return the distance to a standstill, in the direction of travel [m]."""
     return speed * np.abs(speed) / (2 * deceleration)
 
 
 def _sideways(drift: FloatArray, response: float, rules: RssRules) -> FloatArray:
-    """Way towards the other until the sideways motion ends, at worst [m]."""
+    """Return how far a vehicle comes towards the other, at worst, until its sideways motion ends [m]."""
     fastest = drift + response * rules.lateral_acceleration
     return (drift + fastest) / 2 * response + _stopping(fastest, rules.lateral_braking)

@@ -1,4 +1,4 @@
-"""Signals: what happened in a run, one value a tick, with name and unit; and the one table of what they measure."""
+"""Signals of a run, with one value a tick, a name and a unit, and the table of all measures."""
 
 from __future__ import annotations
 
@@ -23,32 +23,33 @@ if TYPE_CHECKING:
 _Array: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 Worse = Literal["low", "high", "both", "neither"]
-"""Which values are worse for the ego: the lowest, the highest, those farthest from 0, or none."""
+"""The values that are worse for the ego: the lowest, the highest, those farthest from 0, or none."""
 
 
 _REORDER = frozenset({np.flip, np.sort, np.roll, np.partition})
-"""Functions of numpy that leave no value at its tick."""
+"""Functions of numpy that move values to other ticks."""
 
 _KEEP_UNIT = frozenset({np.absolute, np.fabs, np.negative, np.positive})
 
 
 class Signal(_Array):
-    """A value at each tick: a numpy array that knows its ticks.
+    """A numpy array with one value at each tick, which knows its ticks.
 
-    What numpy makes of it value by value, such as ``abs(signal)``, ``signal / 2`` or ``np.where(..., signal, 0)``, is a
-    signal over the same ticks, without a name, and, but for ``abs`` and a sign, without a unit; of two signals the
-    first says which ticks those are. What is cut out by ``signal[30:150]`` knows that it begins 30 ticks later, and so
-    does ``np.diff``. Any other selection is over no known ticks. Comparisons and sums are plain arrays and numbers.
+    The result of a numpy operation value by value, such as ``abs(signal)``, ``signal / 2`` or
+    ``np.where(..., signal, 0)``, is a signal over the same ticks. It has no name, and a unit only after ``abs`` or a
+    change of sign. Of two signals, the first determines the ticks. A slice such as ``signal[30:150]`` knows that it
+    begins 30 ticks later, and so does ``np.diff``. The ticks of any other selection are unknown. Comparisons and sums
+    are plain arrays and numbers.
 
     Args:
-        values: shape [ticks]; copied, and read-only then.
-        hz: ticks per second; None where unknown.
-        start: the tick that the first value belongs to.
-        name: such as ``ego.speed``.
-        unit: such as ``m/s``.
+        values: values of shape [ticks]; the signal holds a read-only copy.
+        hz: ticks per second; None if unknown.
+        start: tick of the first value.
+        name: name, such as ``ego.speed``.
+        unit: unit, such as ``m/s``.
 
     Raises:
-        ValueError: for values of another shape.
+        ValueError: if the values have a different shape.
     """
 
     hz: float | None = None
@@ -59,7 +60,7 @@ class Signal(_Array):
     def __new__(
         cls, values: npt.ArrayLike, *, hz: float | None = None, start: int = 0, name: str = "", unit: str = ""
     ) -> Self:
-        """A signal of any values."""
+        """Make a signal from any values."""
         signal = np.array(values, dtype=np.float64).view(cls)
         if signal.ndim != 1:
             raise ValueError(f"signal {name!r}: expected one value a tick, received an array of shape {signal.shape}")
@@ -68,12 +69,12 @@ class Signal(_Array):
         return signal
 
     def __array_finalize__(self, source: object) -> None:
-        """Copies are of the same ticks; what numpy makes of other arrays is of none that are known."""
+        """Copy the ticks of a signal of the same shape; the ticks of other results are unknown."""
         if isinstance(source, Signal) and source.shape == self.shape:
             self.__dict__.update(source.__dict__)
 
     def __array_wrap__(self, array: _Array, context: Any = None, return_scalar: bool = False) -> Any:
-        """What numpy computed of signals, of which this is the first."""
+        """Make a signal of what numpy computed from signals, of which this is the first."""
         if array.shape != self.shape or array.dtype != np.float64:
             return array[()] if return_scalar else array
         signal = array.view(type(self))
@@ -82,14 +83,14 @@ class Signal(_Array):
         return signal
 
     def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
-        """Numpy's functions that are no arithmetic, some of which return plain arrays."""
+        """Call a function of numpy that is not arithmetic; some return plain arrays, which become signals."""
         result = super().__array_function__(func, types, args, kwargs)
         if func in _REORDER:
             return np.asarray(result)
         return self.__array_wrap__(result) if isinstance(result, np.ndarray) else result
 
     def __getitem__(self, key: Any) -> Any:
-        """A value, or some of them."""
+        """Return one value or a selection."""
         part = super().__getitem__(key)
         if isinstance(part, Signal):
             cut = key[0] if isinstance(key, tuple) and len(key) == 1 else key
@@ -103,7 +104,7 @@ class Signal(_Array):
         return *made[:2], (made[2], self.__dict__)
 
     def __setstate__(self, state: Any) -> None:
-        """Pickling makes arrays writeable; a signal that comes back is read-only again."""
+        """Restore a pickled signal and make it read-only again: pickling makes arrays writeable."""
         super().__setstate__(state[0])
         self.__dict__.update(state[1])
         self.flags.writeable = False
@@ -111,14 +112,15 @@ class Signal(_Array):
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """Something to measure at each tick of a run, of the ego or of each NPC; called with a trace it is a fitness.
+    """A measure at each tick of a run, of the ego or of each NPC. Called with a trace, it is a fitness.
 
     Attributes:
-        name: such as ``headway``, ``ego.jerk``, or ``npcs.ttc`` for one of each NPC.
-        unit: such as ``m/s^3``; empty for a number.
-        worse: for the ego: ``low``, ``high``, ``both`` (far from 0) or ``neither``.
-        source: what it is, and whose.
-        function: of a trace; gives an array of shape [ticks + 1], or [NPCs, ticks + 1] for a value of each NPC.
+        name: name, such as ``headway``, ``ego.jerk``, or ``npcs.ttc`` for one of each NPC.
+        unit: unit, such as ``m/s^3``; empty for a number.
+        worse: values that are worse for the ego: ``low``, ``high``, ``both`` (far from 0) or ``neither``.
+        source: definition, and the publication that it is from.
+        function: function of a trace that returns an array of shape [ticks + 1], or [NPCs, ticks + 1] for a value of
+            each NPC.
     """
 
     name: str
@@ -133,10 +135,10 @@ class Measure:
             raise ValueError(f"measure {self.name!r}: expected worse= as one of {expected}, received {self.worse!r}")
 
     def values(self, trace: Trace) -> FloatArray:
-        """All values of a run, shape [ticks + 1] or [NPCs, ticks + 1].
+        """Return all values of a run, shape [ticks + 1] or [NPCs, ticks + 1].
 
         Raises:
-            ValueError: where the function gives an array of another shape.
+            ValueError: if the function returns an array of a different shape.
         """
         values = np.asarray(self.function(trace), dtype=np.float64)
         rows, npcs = trace.ticks + 1, trace.states.shape[1] - 1
@@ -148,10 +150,10 @@ class Measure:
         return values
 
     def __call__(self, trace: Trace) -> float:
-        """As a fitness: the worst value v of all ticks and NPCs, higher = worse, as v / (1 + |v|); 1 and -1 for inf.
+        """Return the measure as a fitness: v / (1 + |v|) of the worst value v, higher = worse; 1 or -1 for infinity.
 
         Raises:
-            ValueError: for a measure of which no value is worse.
+            ValueError: if no value of the measure is worse.
         """
         if self.worse == "neither":
             raise ValueError(f"measure {self.name!r}: expected worse='low', 'high' or 'both', received 'neither'")
@@ -161,9 +163,9 @@ class Measure:
 
 
 def leader(trace: Trace) -> npt.NDArray[np.intp]:
-    """Index of the NPC ahead of the ego in its lane at each tick, by their centres; -1 without one.
+    """Return the index of the nearest NPC ahead of the ego in its lane, by their centres; -1 if there is none.
 
-    The nearest one, shape [ticks + 1]. An NPC that crosses is none before it has merged into the ego's way.
+    Shape [ticks + 1]. An NPC that crosses counts only after it has merged into the ego's way.
     """
     encounters = Encounters(trace)
     is_ahead = encounters.same_lane & ~(encounters.ahead < 0)
@@ -173,9 +175,10 @@ def leader(trace: Trace) -> npt.NDArray[np.intp]:
 
 
 def headway(trace: Trace) -> FloatArray:
-    """Time that the ego takes from where it is to the rear of its :func:`leader` [s], shape [ticks + 1].
+    """Return the time that the ego needs to reach the rear of its :func:`leader` [s], shape [ticks + 1].
 
-    The gap between the boxes along the lane over the ego's speed; inf without a leader, and where the ego stands.
+    It is the gap between the boxes along the lane, divided by the ego's speed; inf without a leader or if the ego
+    stands.
     """
     ahead, speed = leader(trace), trace.ego[:, SPEED]
     moves = (ahead >= 0) & ~(speed <= 0)
@@ -186,20 +189,20 @@ def headway(trace: Trace) -> FloatArray:
 
 
 def jerk(trace: Trace) -> FloatArray:
-    """Change of a vehicle's acceleration since the tick before, per second [m/s^3], shape [vehicles, ticks + 1].
+    """Return the change of a vehicle's acceleration since the tick before, per second [m/s^3].
 
-    0 at the first tick. At the second it counts from the 0 that the first one has, as if nobody had sped up or braked
-    before the run.
+    Shape [vehicles, ticks + 1]; 0 at the first tick. The first tick has the acceleration 0, so the second tick has the
+    jerk of a vehicle that neither sped up nor braked before the run.
     """
     acceleration = trace.states[:, :, ACCELERATION].T
     return np.diff(acceleration, prepend=acceleration[:, :1]) * trace.physics_hz
 
 
 def lateral_acceleration(trace: Trace) -> FloatArray:
-    """Speed times the turning rate of the heading since the tick before [m/s^2], shape [vehicles, ticks + 1].
+    """Return speed times the turning rate of the heading since the tick before [m/s^2], shape [vehicles, ticks + 1].
 
-    Positive to the right; 0 at the first tick. It is what pulls a passenger sideways in a steady turn, and leaves out
-    the slip of the vehicle, which jumps with the steering angle in a kinematic model.
+    Positive to the right; 0 at the first tick. This is what pulls a passenger sideways in a steady turn. It ignores the
+    slip of the vehicle, which jumps with the steering angle in a kinematic model.
     """
     heading = np.unwrap(trace.states[:, :, HEADING].T)
     turning: FloatArray = np.diff(heading, prepend=heading[:, :1]) * trace.physics_hz
@@ -208,15 +211,15 @@ def lateral_acceleration(trace: Trace) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EgoLaneChange:
-    """The ego's centre came into another lane than it was in before.
+    """A lane change of the ego: its centre entered a different lane.
 
     Attributes:
-        tick: the first one in the other lane.
-        time: of that tick [s].
-        from_lane, to_lane: indices, 0 at the left.
-        gap_ahead: along the road to the box of the NPC ahead whose centre is in that lane, too [m]; 0 abreast, inf
-            where there is none.
-        gap_behind: likewise to the one behind [m].
+        tick: first tick in the new lane.
+        time: time of that tick [s].
+        from_lane, to_lane: indices of the lanes, 0 at the left.
+        gap_ahead: gap along the road to the nearest NPC ahead whose centre is in the new lane, too [m]; 0 side by side,
+            inf if there is none.
+        gap_behind: gap to the nearest such NPC behind [m].
     """
 
     tick: int
@@ -228,7 +231,7 @@ class EgoLaneChange:
 
 
 def ego_lane_changes(trace: Trace) -> tuple[EgoLaneChange, ...]:
-    """The ego's lane changes, first one first; what is off the road in between plays no part."""
+    """Return the ego's lane changes in order; ticks off the road in between do not matter."""
     lane = trace.ego[:, LANE]
     on_road = np.flatnonzero(lane >= 0)
     changed = np.flatnonzero(np.diff(lane[on_road])) + 1
@@ -275,7 +278,7 @@ _TURNING = "speed times the turning rate of the heading since the tick before, p
 _JERK = "change of the acceleration since the tick before, per second; 0 at the first tick"
 _ROAD = "along the road, between the centres"
 
-# Partial functions of functions with names, which travel to other processes.
+# Partial functions of named functions, because lambdas cannot be sent to other processes.
 MEASURES = (
     Measure("ego.speed", "m/s", "high", "as recorded", partial(_of_ego, _speed)),
     Measure("ego.acceleration", "m/s^2", "low", "as recorded; negative in braking", partial(_of_ego, _acceleration)),
@@ -283,25 +286,25 @@ MEASURES = (
     Measure("ego.lateral_acceleration", "m/s^2", "both", _TURNING, partial(_of_ego, lateral_acceleration)),
     Measure("ego.lane", "", "neither", "the lane of its centre, from 0 at the left; -1 off the road",
             partial(_of_ego, _lane)),
-    Measure("headway", "s", "low", "gap along the lane to the leader over the ego's speed; inf without a leader, and "
-            "where the ego stands", headway),
+    Measure("headway", "s", "low", "gap along the lane to the leader, divided by the ego's speed; inf without a "
+            "leader, or if the ego stands", headway),
     Measure("npcs.speed", "m/s", "neither", "as recorded", partial(_of_npcs, _speed)),
     Measure("npcs.acceleration", "m/s^2", "neither", "as recorded", partial(_of_npcs, _acceleration)),
     Measure("npcs.lane", "", "neither", "as the ego's", partial(_of_npcs, _lane)),
-    Measure("npcs.ahead", "m", "neither", f"how far it is ahead of the ego {_ROAD}; negative behind, NaN while it "
+    Measure("npcs.ahead", "m", "neither", f"distance ahead of the ego {_ROAD}; negative behind, NaN while it "
             "crosses", partial(_encounter, "ahead")),
-    Measure("npcs.right", "m", "neither", "how far it is to the right of the ego across the road, between the centres; "
+    Measure("npcs.right", "m", "neither", "distance to the right of the ego across the road, between the centres; "
             "NaN while it crosses", partial(_encounter, "right")),
-    Measure("npcs.gap", "m", "low", "between its box and the ego's; 0 at contact", partial(_encounter, "gap")),
+    Measure("npcs.gap", "m", "low", "distance between its box and the ego's; 0 at contact", partial(_encounter, "gap")),
     Measure("npcs.ttc", "s", "low", "time to contact with the ego at constant velocity, of the boxes; inf if there is "
             "none (Hayward 1972)", partial(_encounter, "ttc")),
-    Measure("npcs.time_advantage", "s", "low", "from when one of it and the ego will leave the zone where their ways "
-            "meet until the other comes, if both keep their speed; 0 if both are to be there at once, inf if one never "
-            "comes, and without a zone (Laureshyn and others 2010)", _time_advantage),
+    Measure("npcs.time_advantage", "s", "low", "time from when one of it and the ego will leave the zone where their "
+            "ways meet until the other arrives, if both keep their speed; 0 if both will be there at once, inf if one "
+            "never arrives, and without a zone (Laureshyn and others 2010)", _time_advantage),
 )  # fmt: skip
-"""What a run measures by itself, by the names that lead there: ``run.headway``, ``run.ego.jerk``, ``run.npcs[0].ttc``.
+"""The measures of every run, named like its attributes: ``run.headway``, ``run.ego.jerk``, ``run.npcs[0].ttc``.
 
-One table for the attributes of a run, the fitness of a name, the columns of a frame, and the reference.
+This is the only table for the attributes of a run, the fitness of a name, the columns of a frame, and the reference.
 """
 
 BY_NAME = {measure.name: measure for measure in MEASURES}
@@ -315,23 +318,23 @@ class Signals:
         self._values: dict[Measure, FloatArray] = {}
 
     def of(self, measure: Measure, npc: int | None = None) -> Signal:
-        """A measure as a signal, of one NPC where it is of each.
+        """Return a measure as a signal; a measure of each NPC needs the index of one.
 
         Raises:
-            ValueError: for a measure of each NPC without one, or the other way round.
+            ValueError: if the index of an NPC is missing, or given for a measure that needs none.
         """
         values = self._values.get(measure)
         if values is None:
             values = self._values[measure] = measure.values(self.trace)
         if (values.ndim == 2) is (npc is None):
-            wanted = "npc=0 and so on, as it is of each NPC" if npc is None else "no npc=, as it is not of each NPC"
+            wanted = "npc=0 and so on, because it has a row for each NPC" if npc is None else "no npc="
             raise ValueError(f"measure {measure.name!r}: expected {wanted}, received npc={npc}")
         name = measure.name if npc is None else f"npcs[{npc}].{measure.name.removeprefix('npcs.')}"
         row = values if npc is None else values[npc]
         return Signal(row, hz=self.trace.physics_hz, name=name, unit=measure.unit)
 
     def all(self) -> Iterator[Signal]:
-        """Each measure of :data:`MEASURES`, of each NPC; those at a zone only of NPCs that have one."""
+        """Yield each measure of :data:`MEASURES` for each NPC; those at a zone only for NPCs that have one."""
         npcs = range(self.trace.states.shape[1] - 1)
         crossing = [npc for npc, zone in enumerate(self.trace.zones) if zone is not None]
         for measure in MEASURES:
@@ -341,17 +344,17 @@ class Signals:
 
     @property
     def ego(self) -> EgoSignals:
-        """Those of the ego."""
+        """The signals of the ego."""
         return EgoSignals(self)
 
     @property
     def npcs(self) -> tuple[NpcSignals, ...]:
-        """Those of each NPC."""
+        """The signals of each NPC."""
         return tuple(NpcSignals(self, npc) for npc in range(self.trace.states.shape[1] - 1))
 
 
 class _Vehicle:
-    """The measures of one vehicle as attributes."""
+    """A vehicle whose attributes are its measures."""
 
     _of: str
 
@@ -365,7 +368,7 @@ class _Vehicle:
     if not TYPE_CHECKING:  # type checkers know every name
 
         def __getattr__(self, name: str) -> Any:
-            __tracebackhide__ = True  # by pytest: the line of the test function is the last one then
+            __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
             measure = BY_NAME.get(self._of + name)
             if measure is None or name.startswith("_"):
                 raise AttributeError(f"{self._of}{name}: expected one of {', '.join(dir(self))}")
@@ -373,7 +376,7 @@ class _Vehicle:
 
 
 class EgoSignals(_Vehicle):
-    """Signals of the ego, as in :data:`MEASURES`."""
+    """The signals of the ego, see :data:`MEASURES`."""
 
     _of = "ego."
     speed: Signal
@@ -384,7 +387,7 @@ class EgoSignals(_Vehicle):
 
 
 class NpcSignals(_Vehicle):
-    """Signals of one NPC, as in :data:`MEASURES`."""
+    """The signals of one NPC, see :data:`MEASURES`."""
 
     _of = "npcs."
     speed: Signal
@@ -398,11 +401,11 @@ class NpcSignals(_Vehicle):
 
     @property
     def zone(self) -> Zone | None:
-        """The zone in which its way meets the ego's; None for one on the grid."""
+        """The zone where its way meets the ego's; None for an NPC on the grid."""
         zones = self._signals.trace.zones
         return zones[self._npc or 0] if zones else None
 
     @property
     def passage(self) -> Passage | None:
-        """When it and the ego were in that zone, and how much time was between them; None for one on the grid."""
+        """The times at which it and the ego were in that zone; None for an NPC on the grid."""
         return passages(self._signals.trace)[self._npc or 0]

@@ -1,14 +1,13 @@
 # cython: boundscheck=False, initializedcheck=False, wraparound=False, cdivision=True, auto_pickle=False
-# No index is beyond the shapes that the constructor checks, and nothing is divided by zero.
-"""What a search asks for of every run, each in one pass over its ticks: typed, plain Python.
+# The checks are off because no index exceeds the shapes that the constructor checks and no divisor is zero.
+"""One pass over the ticks of a run for the three extremes that a search reads of every run, in typed, plain Python.
 
-Three extremes, and the stretches of danger. The values are those of
-:class:`~pytest_pafot.criticality.measures.Encounters` and :class:`~pytest_pafot.criticality.rss.RoadFrame`, to the last
-bit: the same operations in the same order, at those ticks where bounds do not rule out that they matter. Compiled that
-takes a tenth of the time of numpy's whole arrays. Interpreted it would take longer, so that the arrays are used there.
+The values equal those of :class:`~pytest_pafot.criticality.measures.Encounters` to the last bit: the same operations in
+the same order, at every tick that the bounds do not rule out. Compiled, this takes a tenth of the time of numpy's whole
+arrays. Interpreted, it would take longer, so the arrays are used then.
 
-The bounds need no trigonometry: a sine is at most its angle h and no further from it than h^3 / 6, and a cosine lies
-between 1 - h^2 / 2 and 1. ``SLACK`` is far more than all rounding, up to the sizes and times that are let through.
+The bounds need no trigonometry: a sine is at most its angle h and differs from it by at most h^3 / 6, and a cosine is
+between 1 - h^2 / 2 and 1. ``SLACK`` is far more than all rounding, up to the sizes and times that are accepted.
 """
 
 from __future__ import annotations
@@ -22,22 +21,22 @@ import numpy as np
 from pytest_pafot.model.trace import FloatArray
 
 SLACK = 1e-6
-"""By which bounds must rule a tick out [m]."""
+"""The margin by which bounds must rule out a tick [m]."""
 LARGE = 1e6
-"""Of the absolute values of a vehicle's state. A sum from here on, and NaN, are left to the arrays."""
+"""The limit for the sum of the absolute values of a vehicle's state. From here on, and for NaN, the arrays are used."""
 LONGEST = 1e5
-"""A least time to contact from here on, or none at all, is left to the arrays [s]."""
+"""The limit for the least time to contact [s]. From here on, or if there is none, the arrays are used."""
 TINY = 1e-290
-"""Stands in for a relative velocity of zero [m/s], as in the arrays of :mod:`~pytest_pafot.criticality.boxes`."""
+"""A replacement for a relative velocity of zero [m/s], as in :mod:`~pytest_pafot.criticality.boxes`."""
 
 
 def is_compiled() -> bool:
-    """Whether this module is."""
+    """Return whether this module is compiled."""
     return not __file__.endswith(".py")
 
 
 def is_in_use() -> bool:
-    """Whether compiled passes stand in for numpy's arrays: with the same results, or not at all."""
+    """Return whether compiled passes replace numpy's arrays, which they do only if the results are the same."""
     if not is_compiled() or os.environ.get("PAFOT_KERNEL") == "interpreted":
         return False
     angles = np.linspace(-2.0, 2.0, 256)  # numpy's sine and cosine must be the C library's
@@ -48,16 +47,16 @@ def is_in_use() -> bool:
 
 
 class Sweep:
-    """Passes over a run.
+    """A pass over a run.
 
     Args:
-        states: of a trace, shape [ticks + 1, vehicles, 7].
-        sizes: of a trace, shape [vehicles, 2].
+        states: states of a trace, shape [ticks + 1, vehicles, 7].
+        sizes: sizes of a trace, shape [vehicles, 2].
         road: cosine and sine of the road's heading.
         manoeuvre_seconds: t of the safety distance [s].
 
     Attributes:
-        min_ttc, min_gap, max_safety_shortfall: see the functions of these names; they hold if :meth:`run` says so.
+        min_ttc, min_gap, max_safety_shortfall: see the functions of these names; valid if :meth:`run` returned True.
     """
 
     def __init__(
@@ -81,7 +80,7 @@ class Sweep:
         self._al, self._aw = sizes[0, 0] / 2, sizes[0, 1] / 2
 
     def run(self) -> bool:
-        """Go over all ticks; whether the results hold, or else are left to the arrays."""
+        """Read all ticks and return whether the results are valid; if not, use the arrays."""
         for tick in range(self._ticks):
             if not self._is_sane(tick):
                 return False
@@ -101,13 +100,13 @@ class Sweep:
         return True
 
     def _see_ego(self, tick: int) -> None:
-        """Take up the ego at a tick, as a in the formulas."""
+        """Read the ego at a tick, as a in the formulas."""
         self._ax, self._ay = self._states[tick, 0, 0], self._states[tick, 0, 1]
         self._heading_a, self._speed_a = self._states[tick, 0, 2], self._states[tick, 0, 3]
         self._acceleration_a, self._lane_a = self._states[tick, 0, 4], self._states[tick, 0, 6]
 
     def _see(self, tick: int, vehicle: int) -> None:
-        """Take up an NPC at a tick, as b in the formulas."""
+        """Read an NPC at a tick, as b in the formulas."""
         self._x = self._states[tick, vehicle, 0] - self._ax
         self._y = self._states[tick, vehicle, 1] - self._ay
         self._heading_b, self._speed_b = self._states[tick, vehicle, 2], self._states[tick, vehicle, 3]
@@ -115,9 +114,9 @@ class Sweep:
         self._bl, self._bw = self._sizes[vehicle, 0] / 2, self._sizes[vehicle, 1] / 2
 
     def _measure(self) -> None:
-        """Look closer where there may be an extreme."""
+        """Measure exactly if there may be a new extreme."""
         turn_a, turn_b = abs(self._heading_a), abs(self._heading_b)
-        # The boxes are at least so far apart along x and along y.
+        # Lower bounds of the distance between the boxes along x and along y.
         room_x = abs(self._x) - (self._al + self._aw * turn_a + self._bl + self._bw * turn_b) - SLACK
         room_y = abs(self._y) - (self._aw + self._al * turn_a + self._bw + self._bl * turn_b) - SLACK
         room_x = room_x if room_x > 0.0 else 0.0
@@ -125,7 +124,7 @@ class Sweep:
         apart = room_x * room_x + room_y * room_y
         comes = self._may_come(room_x, room_y, turn_a, turn_b)
         keep = self._safety_distance()
-        demanded = (1.0 - self.max_safety_shortfall) * keep + SLACK  # a greater gap is no greater shortfall
+        demanded = (1.0 - self.max_safety_shortfall) * keep + SLACK  # a larger gap cannot be a larger shortfall
         near = apart < self.min_gap * self.min_gap or (keep > 0.0 and apart < demanded * demanded)
         if not (comes or near):
             return
@@ -140,7 +139,7 @@ class Sweep:
                 self.max_safety_shortfall = 1.0 - gap / keep
 
     def _may_come(self, room_x: float, room_y: float, turn_a: float, turn_b: float) -> bool:
-        """Whether the boxes may touch sooner than the least time to contact so far: along x and along y."""
+        """Return whether the boxes may touch sooner than the least time to contact so far, by bounds along x and y."""
         fast_a, fast_b = abs(self._speed_a) * turn_a * turn_a / 2.0, abs(self._speed_b) * turn_b * turn_b / 2.0
         if room_x > 0.0:
             closing = self._speed_a - self._speed_b
@@ -155,7 +154,7 @@ class Sweep:
         return True
 
     def _safety_distance(self) -> float:
-        """That of equation 5 where ego and NPC are in one lane, else 0."""
+        """Return the safety distance of equation 5 if ego and NPC are in one lane, else 0."""
         if self._lane_a != self._lane_b or self._lane_a < 0.0:
             return 0.0
         gain = self._speed_a - self._speed_b
@@ -166,7 +165,7 @@ class Sweep:
         return distance
 
     def _relate(self) -> None:
-        """See the pair along its four axes, as :func:`pytest_pafot.criticality.boxes.relate` does."""
+        """Project the pair onto its four axes, as :func:`pytest_pafot.criticality.boxes.relate` does."""
         self._ac, self._as = math.cos(self._heading_a), math.sin(self._heading_a)
         self._bc, self._bs = math.cos(self._heading_b), math.sin(self._heading_b)
         ac, sa, bc, sb = self._ac, self._as, self._bc, self._bs
@@ -182,7 +181,7 @@ class Sweep:
         self._offset_2, self._offset_3 = x * bc + y * sb, y * bc - x * sb
 
     def _contact_time(self) -> float:
-        """Time to contact [s], as :func:`pytest_pafot.criticality.boxes.contact_time` computes it."""
+        """Return the time to contact [s], as :func:`pytest_pafot.criticality.boxes.contact_time` computes it."""
         ac, sa, bc, sb = self._ac, self._as, self._bc, self._bs
         vx, vy = self._speed_b * bc - self._speed_a * ac, self._speed_b * sb - self._speed_a * sa
         self._begins, self._ends = -math.inf, math.inf
@@ -195,7 +194,7 @@ class Sweep:
         return self._begins if self._begins > 0.0 else 0.0
 
     def _cut(self, offset: float, reach: float, velocity: float) -> None:
-        """The time of contact, cut to the time in which the boxes overlap along one axis."""
+        """Restrict the time of contact to the time in which the boxes overlap along one axis."""
         distance = abs(offset)
         parting = math.copysign(1.0, offset) * velocity + TINY
         near, far = (reach - distance) / parting, -(reach + distance) / parting
@@ -204,7 +203,7 @@ class Sweep:
         self._ends = last if last < self._ends else self._ends
 
     def _gap(self) -> float:
-        """Distance between the boxes [m], as :func:`pytest_pafot.criticality.boxes.box_gap` computes it."""
+        """Return the distance between the boxes [m], as :func:`pytest_pafot.criticality.boxes.box_gap` computes it."""
         if (
             abs(self._offset_0) <= self._reach_0
             and abs(self._offset_1) <= self._reach_1
@@ -229,7 +228,7 @@ def _corners_to_box(
     half_length: float,
     half_width: float,
 ) -> float:
-    """Squared distance from the nearest corner of a box with centre (u, v) to a box in its own frame [m^2]."""
+    """Return the squared distance from the nearest corner of a box at (u, v) to a box in its own frame [m^2]."""
     nearest = _square(u + length_u + width_u, v + length_v + width_v, half_length, half_width)
     square = _square(u + length_u - width_u, v + length_v - width_v, half_length, half_width)
     nearest = square if square < nearest else nearest
@@ -240,7 +239,7 @@ def _corners_to_box(
 
 
 def _square(u: float, v: float, half_length: float, half_width: float) -> float:
-    """Squared distance of a point from a box in its own frame [m^2]."""
+    """Return the squared distance of a point from a box in its own frame [m^2]."""
     outside_u, outside_v = abs(u) - half_length, abs(v) - half_width
     outside_u = outside_u if outside_u > 0.0 else 0.0
     outside_v = outside_v if outside_v > 0.0 else 0.0

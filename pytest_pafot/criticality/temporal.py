@@ -1,9 +1,9 @@
-"""Temporal logic over signals that tells by how much a formula holds, at every tick.
+"""Temporal logic over signals, which measures at every tick by how much a formula holds.
 
 Signal temporal logic with its quantitative semantics (Donze and Maler, "Robust Satisfaction of Temporal Logic over
-Real-Valued Signals", FORMATS 2010), over the ticks of a run that ends. What a window has beyond the last tick says
-nothing: where all of it lies there, ``always`` holds by infinity, and ``eventually`` and ``until`` fail by it. NaN
-wherever a formula looks makes it NaN.
+Real-Valued Signals", FORMATS 2010), over the ticks of a run that ends. The part of a window after the last tick
+does not count: if all of the window is there, ``always`` holds by infinity, and ``eventually`` and ``until`` fail by
+infinity. A formula is NaN if any value in its window is NaN.
 """
 
 from __future__ import annotations
@@ -20,39 +20,40 @@ from pytest_pafot.model.trace import FloatArray
 IntArray = npt.NDArray[np.intp]
 
 Within = tuple[float, float]
-"""From so many seconds later to so many, both included."""
+"""A window, from so many seconds later to so many seconds later, both included."""
 
 _ROUNDING = 1e-9
-"""Of seconds times ticks per second; a tick at the very end of a window is in it [1]."""
+"""The tolerance for the rounding of seconds times ticks per second, so that a window contains its last tick [1]."""
 
 
 class Margin(Signal):
-    """By how much something holds at each tick: positive where it does, negative where it does not.
+    """A signal of by how much something holds at each tick: positive if it holds, negative if it does not.
 
-    In the unit of the signal that it speaks of. ``&``, ``|`` and ``~`` are and, or and not. A margin times a positive
-    number is one, too: what is added up in different units can be made comparable so.
+    It has the unit of the underlying signal. ``&``, ``|`` and ``~`` mean and, or and not. A margin times a positive
+    number is a margin, too, so margins in different units can be made comparable.
 
     Attributes:
-        is_formula: whether it looks ahead in time, so that its first value is the verdict on the whole run; otherwise
-            each value is one on its own tick.
+        is_formula: whether it looks ahead in time, so that its first value is the verdict on the whole run. Otherwise
+            each value is about its own tick.
     """
 
-    __slots__ = ("_deciders",)  # not in __dict__: what numpy copies has none, until somebody says which
+    __slots__ = ("_deciders",)  # not in __dict__, so that copies by numpy have none until they are set
     is_formula: bool = False
 
     @property
     def deciders(self) -> FloatArray:
-        """The tick that makes each value what it is, counted from the first value; inf where none does, or any may.
+        """The tick that decides each value, counted from the first value; inf if no tick decides it or any may.
 
-        Shape [ticks]. The first one of several, and of NaN. Numpy's functions of one margin and of numbers keep it,
-        as does a slice of known ticks; those of several arrays do not, but for margins that are no formulas.
+        Shape [ticks]. If there are several, or NaN, it is the first. Functions of numpy with one margin and numbers
+        preserve it, and so does a slice of known ticks. Functions of several arrays do not, unless no margin is a
+        formula.
         """
         if not self.is_formula:
             return np.arange(len(self), dtype=np.float64)
         return getattr(self, "_deciders", np.full(len(self), np.inf))
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
-        """What numpy computed of margins is a formula where one of them is."""
+        """Make a margin of what numpy computed from margins; it is a formula if one of them is."""
         result = super().__array_wrap__(array, context, return_scalar)
         if isinstance(result, Margin) and context is not None:
             arrays = [each for each in context[1] if np.ndim(each)]
@@ -62,76 +63,76 @@ class Margin(Signal):
         return result
 
     def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
-        """Likewise for functions that are no arithmetic, such as ``np.where``."""
+        """Call a function of numpy that is not arithmetic, such as ``np.where``."""
         result = super().__array_function__(func, types, args, kwargs)
         if isinstance(result, Margin):
             result.is_formula = _looks_ahead((*args, *kwargs.values()))
         return result
 
     def __getitem__(self, key: Any) -> Any:
-        """A value, or some of them."""
+        """Return one value or a selection."""
         part = super().__getitem__(key)
         if isinstance(part, Margin) and part.is_formula and part.hz is not None:
             part._decide(self.deciders[key] - (part.start - self.start))
         return part
 
     def __and__(self, other: Any) -> Margin:
-        """Both hold: the lesser margin."""
+        """Return the smaller margin: both hold."""
         return _joined(np.minimum, self, other)
 
     def __or__(self, other: Any) -> Margin:
-        """One of them holds: the greater margin."""
+        """Return the larger margin: at least one holds."""
         return _joined(np.maximum, self, other)
 
     def __invert__(self) -> Margin:
-        """It does not hold: the negative margin."""
+        """Return the negative margin: it does not hold."""
         return _like(self, -np.asarray(self), self.deciders if self.is_formula else None)
 
     def _decide(self, deciders: FloatArray) -> None:
-        """Be a formula that these ticks decide, whose values cannot become others."""
+        """Become a formula that these ticks decide, with values that cannot change."""
         self._deciders, self.is_formula, self.flags.writeable = deciders, True, False
 
 
 def above(signal: npt.ArrayLike, bound: npt.ArrayLike) -> Margin:
-    """By how much a signal is above a bound, a number or one for each tick, at each tick; 0 at the bound."""
+    """Return by how much a signal is above a bound at each tick; the bound is a number or one for each tick."""
     signal = signal if isinstance(signal, Signal) else Signal(signal)
     return _like(signal, np.subtract(signal, bound))
 
 
 def below(signal: npt.ArrayLike, bound: npt.ArrayLike) -> Margin:
-    """By how much a signal is below a bound, a number or one for each tick, at each tick; 0 at the bound."""
+    """Return by how much a signal is below a bound at each tick; the bound is a number or one for each tick."""
     return ~above(signal, bound)
 
 
 def always(margin: Margin, within: Within | None = None) -> Margin:
-    """The least margin from each tick on, or of the ticks ``within`` so many seconds after it.
+    """Return the smallest margin from each tick on, or of the ticks ``within`` so many seconds after it.
 
     Raises:
-        TypeError: for what is no margin.
-        ValueError: for a window in which no tick lies, or in seconds where nobody knows how many ticks those are.
+        TypeError: if the argument is no margin.
+        ValueError: if no tick is in the window, or if it is given in seconds and the ticks per second are unknown.
     """
     return ~eventually(~_checked(margin), within)
 
 
 def eventually(margin: Margin, within: Within | None = None) -> Margin:
-    """The greatest margin from each tick on, or of the ticks ``within`` so many seconds after it.
+    """Return the largest margin from each tick on, or of the ticks ``within`` so many seconds after it.
 
     Raises:
-        TypeError: for what is no margin.
-        ValueError: for a window in which no tick lies, or in seconds where nobody knows how many ticks those are.
+        TypeError: if the argument is no margin.
+        ValueError: if no tick is in the window, or if it is given in seconds and the ticks per second are unknown.
     """
     at = _greatest(np.asarray(margin), *_window(_checked(margin), within))
     return _like(margin, np.append(margin, -np.inf)[at], np.append(margin.deciders, np.inf)[at])
 
 
 def until(left: Margin, right: Margin, within: Within | None = None) -> Margin:
-    """The right one comes to hold, ``within`` so many seconds after each tick, and up to there the left one holds.
+    """Return by how much the left margin holds until the right one does, ``within`` so many seconds after each tick.
 
-    At the tick at which the right one holds, the left one need not.
+    At the tick at which the right one holds, the left one need not hold.
 
     Raises:
-        TypeError: for what is no margin.
-        ValueError: for margins over different ticks, and for windows as in :func:`always`.
+        TypeError: if an argument is no margin.
+        ValueError: if the margins are over different ticks, or for windows as in :func:`always`.
     """
     either = left | right
     first, last = _window(either, within)
@@ -141,7 +142,7 @@ def until(left: Margin, right: Margin, within: Within | None = None) -> Margin:
 
 
 def _greatest(values: FloatArray, first: int, last: int) -> IntArray:
-    """Where the greatest value of each tick's window is, the first one of several or of NaN; one beyond without any."""
+    """Return the index of the first largest value, or NaN, in each tick's window; the length for an empty one."""
     later = np.append(values, np.full(last, -np.inf))[first:]
     ahead = np.lib.stride_tricks.sliding_window_view(later, last - first + 1).argmax(axis=1)
     at: IntArray = np.minimum(ahead + np.arange(first, first + len(values)), len(values))
@@ -149,10 +150,10 @@ def _greatest(values: FloatArray, first: int, last: int) -> IntArray:
 
 
 def _holding_until(left: FloatArray, right: FloatArray, first: int, last: int) -> IntArray:
-    """Where the value of ``until`` is for each tick, in an array of all of the left, the right, and minus infinity.
+    """Return the index of the value of ``until`` for each tick, in an array of left, right, and minus infinity.
 
-    In a window it is the least of ``always`` left up to the window, ``until`` from there on, and ``eventually`` right
-    in it (Donze, Ferrere and Maler, "Efficient Robust Monitoring for STL", CAV 2013).
+    In a window, the value is the smallest of ``always`` left up to the window, ``until`` from there on, and
+    ``eventually`` right in it (Donze, Ferrere and Maler, "Efficient Robust Monitoring for STL", CAV 2013).
     """
     values = np.concatenate((left, right, [-np.inf]))
     is_nan = np.isnan(values)
@@ -165,13 +166,13 @@ def _holding_until(left: FloatArray, right: FloatArray, first: int, last: int) -
     comes = end + _greatest(values[end:-1], first, last)
     at = np.where(values[comes] < values[at], comes, at)
     held, come = _next(is_nan[:end], ticks), _next(is_nan[end:-1], ticks + first)
-    looks_at = np.maximum(held + 1, ticks + first)  # when the left one must have held at that tick
+    looks_at = np.maximum(held + 1, ticks + first)  # the tick from which on the NaN of the left one counts
     is_lost = np.minimum(looks_at, come) <= np.minimum(ticks + last, end - 1)
     return np.where(is_lost, np.where(come < looks_at, end + come, held), at)
 
 
 def _until_ever(left: list[float], right: list[float]) -> list[int]:
-    """Likewise without a window, and without NaN."""
+    """Return the same without a window and without NaN."""
     best, at, places = -math.inf, 2 * len(left), []
     for tick in range(len(left) - 1, -1, -1):
         if left[tick] <= best:
@@ -183,13 +184,13 @@ def _until_ever(left: list[float], right: list[float]) -> list[int]:
 
 
 def _next(mask: npt.NDArray[np.bool_], ticks: IntArray) -> IntArray:
-    """The next true one from each of these ticks on; beyond them all without one."""
+    """Return the next tick with a true value from each of these ticks on; if there is none, a tick beyond them all."""
     places = np.append(np.flatnonzero(mask), 2 * len(mask) + 1)
     return places[np.searchsorted(places, ticks)]
 
 
 def _like(signal: Signal, values: npt.ArrayLike, deciders: FloatArray | None = None) -> Margin:
-    """Values over the ticks and in the unit of a signal; a formula where it is told what decides it."""
+    """Make a margin over the ticks and in the unit of a signal; it is a formula if it receives what decides it."""
     margin = Margin(values, hz=signal.hz, start=signal.start, unit=signal.unit)
     if deciders is not None:
         margin._decide(deciders)
@@ -197,7 +198,7 @@ def _like(signal: Signal, values: npt.ArrayLike, deciders: FloatArray | None = N
 
 
 def _looks_ahead(given: Any) -> bool:
-    """Whether a formula is among what a function of numpy was given."""
+    """Return whether a formula is among the arguments of a function of numpy."""
     return any(
         _looks_ahead(each) if isinstance(each, (list, tuple)) else getattr(each, "is_formula", False) for each in given
     )
@@ -210,7 +211,7 @@ def _joined(choose: Any, left: Margin, right: Any) -> Margin:
         texts = [f"{ticks} from tick {start} on at {hz or 'any number of'} ticks a second" for ticks, start, hz in over]
         raise ValueError(
             f"expected margins over the same ticks, received {texts[0]}, and {texts[1]}; cut one to the ticks of the "
-            "other, such as signal[1:] beside np.diff(signal)"
+            "other, such as signal[1:] for np.diff(signal)"
         )
     sides = [np.asarray(left), np.asarray(right)]
     values, deciders = choose(*sides), None
@@ -232,12 +233,12 @@ def _checked(margin: Any) -> Margin:
 
 
 def _window(margin: Margin, within: Within | None) -> tuple[int, int]:
-    """The first and the last tick of a window, counted from each tick; the last one no farther than the run is long."""
+    """Return the first and the last tick of a window, counted from each tick; the last is within the run's length."""
     if within is None:
         return 0, len(margin) - 1
     if margin.hz is None:
         raise ValueError(
-            f"within={within}: expected a margin of a signal that knows its ticks a second, received one without; "
+            f"within={within}: expected a margin of a signal with known ticks a second, received one without; "
             "make it of a signal of the run, or of pafot.Signal(values, hz=run.trace.physics_hz)"
         )
     if np.shape(within) != (2,) or not 0 <= within[0] <= within[1] or math.isinf(within[0]):

@@ -1,11 +1,11 @@
-"""What happens at the zones in which the ways of NPCs meet the ego's: who is in them when, and how narrowly they pass.
+"""Passages of the zones where the ways of NPCs meet the ego's: which vehicle is there when, and how narrowly they pass.
 
-Places are those of :class:`~pytest_pafot.Zone`, so that somebody is in a zone from when its box could
-touch that of somebody who drives there on the other way, until it no longer could.
+Places are those of :class:`~pytest_pafot.Zone`. So a vehicle is in a zone as long as its box could touch the box of a
+vehicle on the other way.
 
 Sources: Allen, Shin, Cooper, "Analysis of traffic conflicts and collisions", Transportation Research Record 667, 1978,
 for post-encroachment time; Laureshyn, Svensson, Hyden, "Evaluation of traffic safety, based on micro-level behavioural
-data", Accident Analysis and Prevention 42, 2010, for time advantage, which is that time as one expects it.
+data", Accident Analysis and Prevention 42, 2010, for time advantage, which is the predicted post-encroachment time.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from pytest_pafot.model.crossings import Stretch, Zone
 from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Trace
 
 ROUNDING = 1e-6
-"""Of a time in ticks."""
+"""The tolerance for the rounding of a time in ticks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Passage:
-    """When the ego and an NPC were in the zone in which their ways meet.
+    """The times at which the ego and an NPC were in the zone where their ways meet.
 
     Attributes:
         npc: index in the scenario.
-        zone: in which the two ways meet.
-        ego_enters, ego_leaves, npc_enters, npc_leaves: the first tick at which a centre was there [s]; inf where the
-            run was over before.
+        zone: zone where the two ways meet.
+        ego_enters, ego_leaves, npc_enters, npc_leaves: time of the first tick at which the centre was there [s]; inf if
+            the run ended before.
     """
 
     npc: int
@@ -44,9 +44,9 @@ class Passage:
 
     @property
     def post_encroachment_time(self) -> float:
-        """From when one of them left the zone until the other one entered it [s]; lower is worse.
+        """The time from when one of them left the zone until the other entered it [s]; lower is worse.
 
-        0 where both were in it at once, inf where one of them never came.
+        0 if both were in it at the same time, inf if one of them never arrived.
         """
         if math.inf in (self.ego_enters, self.npc_enters):
             return math.inf
@@ -54,19 +54,19 @@ class Passage:
 
 
 def passages(trace: Trace) -> tuple[Passage | None, ...]:
-    """Return for each NPC how it and the ego passed the zone of both; None for one on the grid.
+    """Return for each NPC how it and the ego passed their zone; None for an NPC on the grid.
 
-    None as well where a world of the user's own records zones, but not where anybody was.
+    Also None if a user's world records zones but not the positions on the ways.
     """
     zones = trace.zones if trace.on_way is not None and trace.track is not None else ()
     return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0])))
 
 
 def time_advantage(trace: Trace) -> FloatArray:
-    """Post-encroachment time at the zone of ego and NPC as it will be if both keep their speed [s]; lower is worse.
+    """Return the post-encroachment time that results if ego and NPC keep their speeds [s]; lower is worse.
 
-    Shape [ticks + 1, NPCs]. 0 where they would be in the zone at once, inf where one of them would never come to it,
-    and for an NPC on the grid. Once one of them is in the zone, or has left it, the time at which it was counts.
+    Shape [ticks + 1, NPCs]. 0 if they would be in their zone at the same time, inf if one of them would never reach it,
+    and for an NPC on the grid. Once a vehicle has entered the zone or left it, the actual time counts.
     """
     advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
     for npc, zone in enumerate(trace.zones):
@@ -79,7 +79,7 @@ def time_advantage(trace: Trace) -> FloatArray:
             [_seconds_to(place, along, trace.states[:, vehicle, SPEED], trace.physics_hz) for place in stretch]
             for vehicle, along, stretch in _ways(trace, npc, zone)
         )
-        with np.errstate(invalid="ignore"):  # inf - inf, of who never comes
+        with np.errstate(invalid="ignore"):  # inf - inf, if both never arrive
             gap = np.maximum(other[0] - ego[1], ego[0] - other[1])
         is_alone = np.isposinf(ego[0]) | np.isposinf(other[0])
         advantage[:, npc] = np.where(is_alone, np.inf, np.maximum(gap, 0.0))
@@ -87,7 +87,7 @@ def time_advantage(trace: Trace) -> FloatArray:
 
 
 def still_to_pass(trace: Trace) -> npt.NDArray[np.bool_]:
-    """Whether neither the ego nor an NPC has left the zone of both, shape [ticks + 1, NPCs]; False without a zone."""
+    """Return whether neither ego nor NPC has left their zone yet, shape [ticks + 1, NPCs]; False without a zone."""
     ticks = np.arange(trace.ticks + 1)[:, None]
     left = [0.0 if each is None else min(each.ego_leaves, each.npc_leaves) for each in passages(trace)]
     return np.asarray(ticks < np.multiply(left, trace.physics_hz) - ROUNDING)
@@ -107,13 +107,13 @@ def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
 
 
 def _ways(trace: Trace, npc: int, zone: Zone) -> tuple[tuple[int, FloatArray, Stretch], ...]:
-    """Of the ego and of an NPC the index of the vehicle, where it is along its own way [m], and the zone's stretch."""
+    """Return index, positions along its own way [m] and the zone's stretch, for the ego and for an NPC."""
     on_way: Any = trace.on_way
     return (0, trace.track_of(0)[:, ALONG], zone.ego), (npc + 1, on_way[:, npc], zone.npc)
 
 
 def _first_at(place: float, along: FloatArray) -> float:
-    """The first tick at which somebody was at a place; inf where it never was, NaN where nobody knows."""
+    """Return the first tick at which a vehicle had reached a place; inf if never, NaN if a position is unknown."""
     if np.isnan(along).any():
         return math.nan
     ticks = np.flatnonzero(along >= place)
@@ -121,7 +121,7 @@ def _first_at(place: float, along: FloatArray) -> float:
 
 
 def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: int) -> FloatArray:
-    """In how many seconds somebody is at a place if it keeps its speed, at each tick; below 0 since it was there."""
+    """Return the seconds until a vehicle reaches a place at its speed, at each tick; negative after it was there."""
     ticks = np.arange(len(along))
     is_moving = speed > 0
     ahead: FloatArray = np.where(is_moving, (place - along) / np.where(is_moving, speed, 1.0), np.inf)

@@ -228,7 +228,7 @@ class TestOwnMeasures:
         far = Measure("far", "m", "low", "mine", lambda trace: trace.npcs[:, :, X].T)
         run = run_of(vehicle([0.0, 3.0]), vehicle(30.0), vehicle(50.0))
         assert described(run.signal(far, npc=1)) == (15, 0, "npcs[1].far", "m")
-        with pytest.raises(ValueError, match="'far': expected npc=0 and so on, as it is of each NPC"):
+        with pytest.raises(ValueError, match="'far': expected npc=0 and so on, because it has a row for each NPC"):
             run.signal(far)
 
     def test_it_is_computed_once(self):
