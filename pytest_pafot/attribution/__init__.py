@@ -1,1 +1,1 @@
-"""Whose fault a collision is, and what the ego nearly had to answer for."""
+"""Attribution of a collision to the vehicles that are responsible, with the reason and the ego's last chance."""

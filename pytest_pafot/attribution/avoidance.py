@@ -1,7 +1,8 @@
-"""Would a driver have avoided a collision by braking? Against the other's motion as it was recorded.
+"""Computed braking of a driver, to see whether it would have avoided a collision with the other as recorded.
 
-Braking is the proper response to whoever is ahead (Shalev-Shwartz et al. 2017). The responder keeps its line, and is
-integrated as the world integrates: each step goes at the speed at its beginning.
+Braking is the proper response to a vehicle ahead (Shalev-Shwartz et al. 2017). The responder keeps its line. It moves
+as
+in the world: in each step with the speed at its beginning.
 """
 
 from __future__ import annotations
@@ -16,36 +17,37 @@ from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
 from pytest_pafot.model.trace import FloatArray
 
 Direction = tuple[FloatArray, FloatArray]
-"""Cosine and sine of an angle, tick by tick."""
+"""The cosine and sine of an angle, tick by tick."""
 
 DRAWS_AWAY = 2.0
-"""From so much more speed of the other on, no headway has to be restored by braking [m/s]."""
+"""The gain in speed of the other from which on no braking is needed to restore the headway [m/s]."""
 
 HORIZON = 12.0
-"""How far the two are followed beyond the impact [s]; longer than the calmest braking to a standstill takes."""
+"""The time for which the two are followed after the impact [s]; the calmest braking to a standstill takes less."""
 
 ALIKE = 0.1
-"""Whoever drove at most so much faster than the reference answered as it does [m/s]."""
+"""A vehicle that drove at most this much faster than the reference has responded like it [m/s]."""
 SPED_UP = 0.3
-"""Less is no speeding up [m/s]."""
+"""A smaller gain in speed does not count as speeding up [m/s]."""
 HARDEST = 6.0
-"""How hard the rules ask anybody to brake at most [m/s^2]; it is that of UN R157, 5.2.5.2."""
+"""The hardest braking that the rules require of any vehicle [m/s^2], from UN R157, 5.2.5.2."""
 MARGIN = 0.2
-"""Who is at most so much further ahead at the impact, in seconds of its driving, and no faster, answered [s]."""
+"""A vehicle that is no faster than the reference at the impact, and at most this much further ahead, has responded; in
+seconds of its driving [s]."""
 NEARLY = 0.5
-"""Who answers a cut-in may then be so much faster than the reference [m/s]."""
+"""The speed by which a vehicle that has responded to a cut-in may exceed the reference's at the impact [m/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Braking:
-    """How a driver responds.
+    """A driver's response by braking.
 
     Attributes:
-        delay: from the moment at which there is something to respond to, until the brakes have acted for a tick, so
-            that what the safe distance of RSS leaves room for is avoided in steps of time as well [s].
-        deceleration: from then on, while faster than the other, or nearer than the headway [m/s^2].
-        perception: first part of the delay, in which it may go on speeding up as it did [s].
-        headway: that it restores [s].
+        delay: time from the moment that requires a response until the brakes have acted for a tick [s]. That tick is
+            included, so that a collision that the safe distance of RSS excludes is avoided in steps of time, too.
+        deceleration: deceleration from then on, while faster than the other or nearer than the headway [m/s^2].
+        perception: first part of the delay, in which the driver may continue to speed up [s].
+        headway: headway that the driver restores [s].
     """
 
     delay: float
@@ -56,13 +58,13 @@ class Braking:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Emergency:
-    """When calm braking no longer is the proper response, and what is.
+    """An emergency, in which calm braking is no longer the proper response.
 
     Attributes:
-        time_to_contact: below which it is an emergency, at constant speeds [s].
-        leader_braking: above which it is one [m/s^2].
-        perception: how long it must last to be perceived as one [s].
-        braking: the response, until the two no longer close in.
+        time_to_contact: time to contact at constant speeds below which it is an emergency [s].
+        leader_braking: braking of the leader above which it is an emergency [m/s^2].
+        perception: time that it must last to be perceived [s].
+        braking: response, until the two no longer close in.
     """
 
     time_to_contact: float
@@ -73,17 +75,17 @@ class Emergency:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pursuit:
-    """A responder and another ahead of it, from the start of a run to their contact, or almost, at the last tick.
+    """A responder and the vehicle ahead of it, from the start of a run to their contact at, or after, the last tick.
 
     All arrays have the shape [ticks + 1].
 
     Attributes:
-        ahead, right: of the other's centre from the responder's, along and across the road [m].
-        directions: of the responder and of the other, cosine and sine of the angle to the road.
-        speeds: likewise, along the road [m/s].
-        sizes: likewise, length and width [m].
+        ahead, right: offset of the other's centre from the responder's, along and across the road [m].
+        directions: cosine and sine of the angle to the road, of the responder and of the other.
+        speeds: speeds along the road, of the responder and of the other [m/s].
+        sizes: lengths and widths, of the responder and of the other [m].
         hz: ticks per second.
-        goes_on: whether the other, if it brakes at the last tick, does so afterwards.
+        goes_on: whether the other continues to brake after the last tick if it brakes then.
     """
 
     ahead: FloatArray
@@ -97,19 +99,19 @@ class Pursuit:
     def avoided_from(
         self, since: int, response: Braking, emergency: Emergency | None = None, spare: float = 0.0
     ) -> int | None:
-        """The tick from which on a response would have kept the responder off the other; None if it would not have.
+        """Return the tick from which on a response would have avoided the contact; None if it would not have.
 
-        That is the tick since which there is something to respond to, or, where the reference restores its headway, a
-        later one, up to which the responder has answered: the last, once the answer was due, at which it was no faster
-        than the other, and so far no faster than the reference.
+        That is the tick from which on there is something to respond to. If the reference restores its headway, it may
+        be a later tick up to which the responder has responded: the last one, after the response was due, at which it
+        was no faster than the other, and so far no faster than the reference.
 
-        Until the impact the other moves as recorded, and the boxes are turned as they were; after it, it is ahead in
-        one lane and keeps its speed, or its braking. The responder is followed until it is no faster, at most 12 s.
-        One that drove no faster than the reference has answered, whatever came of it; so has one that at the impact is
-        no faster, and hardly further ahead.
+        Until the impact the other moves as recorded, and the boxes are turned as recorded. After it, the other is ahead
+        in one lane and keeps its speed or its braking. The responder is followed until it is no faster, at most 12 s. A
+        responder that drove no faster than the reference has responded, whatever the result. So has one that is no
+        faster at the impact and hardly further ahead.
 
         Args:
-            spare: by how much later the response must avoid the contact, too [s].
+            spare: additional delay with which the response must still avoid the contact [s].
         """
         end = len(self.ahead) - 1
         if since >= end:
@@ -130,21 +132,21 @@ class Pursuit:
         return None if is_hit else since
 
     def is_no_further(self, since: int, response: Braking, emergency: Emergency) -> bool:
-        """Return whether the responder is no further ahead at the impact than a response from a tick on would be."""
+        """Return whether the responder is no further ahead at the impact than after a response from a tick on."""
         end = len(self.ahead) - 1
         return since < end and bool(self._driven(since, response, emergency)[1][end - since] <= 0)
 
     def sped_up(self, since: int) -> int | None:
-        """The last tick at which the responder was slowest since a tick; None where it is no faster at the impact."""
+        """Return the last tick at which the responder was slowest since a tick; None if it is no faster at the end."""
         recorded = self.speeds[0][since:]
         if len(recorded) < 2 or recorded[-1] <= recorded.min() + SPED_UP:
             return None
         return since + last_slowest(recorded)
 
     def stays_off_unless_faster(self, since: int) -> bool:
-        """Return whether it would have stayed off the other, had it never driven faster than before since a tick.
+        """Return whether the responder would have avoided the other if it had never sped up since a tick.
 
-        And could have slowed down to the other's speed at the impact.
+        It must also have been able to slow down to the other's speed at the impact.
         """
         end = len(self.ahead) - 1
         recorded = self.speeds[0][since:]
@@ -155,9 +157,9 @@ class Pursuit:
         return not is_hit and bool(self._gaps[-1] + lost[-1] > closing**2 / (2 * HARDEST))
 
     def _driven(self, since: int, response: Braking, emergency: Emergency | None) -> tuple[FloatArray, FloatArray]:
-        """Speeds of the reference [m/s], and by how much it is further back than recorded [m], tick by tick.
+        """Return the speeds of the reference [m/s], and how far it is behind the recorded place [m], tick by tick.
 
-        Until its answer is due it drives as recorded, but never speeds up once it has perceived the danger.
+        Until its response is due it drives as recorded, but never speeds up after it has perceived the danger.
         """
         hz, gaps, recorded, other = self.hz, self._gaps[since:], self._lists[0][since:], self._lists[1][since:]
         end, perceives, due = len(recorded) - 1, round(response.perception * hz), round(response.delay * hz)
@@ -185,23 +187,24 @@ class Pursuit:
 
     @cached_property
     def _gaps(self) -> list[float]:
-        """Between the boxes as if they were straight [m]."""
+        """The gap between the boxes as if they were straight [m]."""
         gaps: list[float] = (self.ahead - (self.sizes[0][0] + self.sizes[1][0]) / 2).tolist()
         return gaps
 
     @cached_property
     def _lists(self) -> tuple[list[float], list[float]]:
-        """Speeds as lists, which are faster one by one."""
+        """The speeds as lists, which are faster to read one by one."""
         return self.speeds[0].tolist(), self.speeds[1].tolist()
 
     def _is_hit(self, since: int, lost: FloatArray) -> bool:
-        """Whether the responder, so much further back than recorded since a tick [m], touches the other."""
+        """Return whether the responder, this far behind its recorded places since a tick [m], touches the other."""
         recorded = len(self.ahead) - since
         is_hit = self._touches(slice(since, len(self.ahead)), lost[:recorded])
-        return is_hit or bool((self._gaps[-1] + lost[recorded:] <= 0).any())  # here lost counts what the other gained
+        # After the impact, lost is relative to the other.
+        return is_hit or bool((self._gaps[-1] + lost[recorded:] <= 0).any())
 
     def _touches(self, ticks: slice, lost: FloatArray) -> bool:
-        """Whether the boxes touch at any tick, with the responder further back."""
+        """Return whether the boxes touch at any tick, with the responder further back [m]."""
         responder, other = self.sizes
         ahead, right = self.ahead[ticks] + lost, self.right[ticks]
         reach = (math.hypot(*responder) + math.hypot(*other)) / 2
@@ -226,13 +229,13 @@ def last_slowest(speeds: FloatArray) -> int:
 
 
 def _later(seconds: float, response: Braking, emergency: Emergency | None) -> tuple[Braking, Emergency | None]:
-    """Responses that begin so much later, and perceive as soon."""
+    """Return responses that begin this much later but perceive at the same time."""
     late = None if emergency is None else replace(emergency, braking=_later(seconds, emergency.braking, None)[0])
     return replace(response, delay=response.delay + seconds), late
 
 
 class Alarm:
-    """Tells a responder, tick by tick, whether it brakes for an emergency."""
+    """An alarm that says at each tick whether a responder brakes for an emergency."""
 
     def __init__(self, pursuit: Pursuit, since: int, emergency: Emergency) -> None:
         hz = pursuit.hz
@@ -245,7 +248,7 @@ class Alarm:
         self._held, self._from = 0, math.inf
 
     def acts(self, tick: int, closing: float, gap: float) -> bool:
-        """Whether the emergency's braking acts in the step from a tick, at a closing speed [m/s] and a gap [m]."""
+        """Return whether emergency braking acts in the step from a tick, at a closing speed [m/s] and a gap [m]."""
         emergency = self._emergency
         is_near = closing > 0 and gap < emergency.time_to_contact * closing
         braking = self._brakings[tick] if tick < len(self._brakings) else self._later

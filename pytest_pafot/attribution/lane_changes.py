@@ -1,6 +1,6 @@
-"""When a vehicle came into another's lane, and since when it keeps it.
+"""Lane changes: when a vehicle came into another's lane, and since when it has kept that lane.
 
-Across the road vehicles are where their centre is; which lane they are in says their centre, too.
+The centre of a vehicle determines its place across the road and its lane.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.trace import ACROSS, LANE, OFFSET, FloatArray, Trace, X, Y
 
 DRIFTING = 0.3
-"""Sideways speed towards the other, below which a vehicle keeps its place in the lane [m/s]."""
+"""The sideways speed towards the other below which a vehicle keeps its place in the lane [m/s]."""
 PAUSE = 0.5
-"""A sideways motion that goes on after less than that is one [s]."""
+"""A sideways motion with a shorter pause counts as one motion [s]."""
 KEEPING = 0.375
-"""A vehicle keeps its lane within this offset to its centre; beyond, a cut-in can be told from wandering (UN R157,
-annex 4, appendix 3) [m]."""
+"""The largest offset from the lane's centre at which a vehicle keeps its lane; a larger offset distinguishes a cut-in
+from wandering (UN R157, annex 4, appendix 3) [m]."""
 KEPT_SECONDS = 1.0
-"""For so long, and the lane is the vehicle's [s]."""
+"""The time near the centre after which a vehicle has kept its lane [s]."""
 BETWEEN_SECONDS = 2.0
-"""Likewise for one that is not so near to the centre, but between the lane's lines [s]."""
+"""The same time for a vehicle that is not so near to the centre, but between the lane's lines [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,10 +33,10 @@ class LaneChange:
     """One continuous sideways motion of a vehicle (0: the ego) into another's track.
 
     Attributes:
-        vehicle: which.
-        seen: the tick from which on it could be told from wandering in the lane.
-        tick: the moment: from it on its box was over the last lane line that it crossed on its way.
-        drift: sideways speed at the moment [m/s].
+        vehicle: index of the vehicle.
+        seen: tick from which on the motion could be distinguished from wandering in the lane.
+        tick: moment of the lane change: the tick from which on the box was over the last lane line that it crossed.
+        drift: sideways speed at that moment [m/s].
     """
 
     vehicle: int
@@ -46,13 +46,13 @@ class LaneChange:
 
 
 class LanePlaces:
-    """Where the vehicles of a run are on the lanes; arrays of all vehicles have the shape [vehicles, ticks + 1]."""
+    """The places of the vehicles of a run on the lanes. Arrays of all vehicles have the shape [vehicles, ticks + 1]."""
 
     def __init__(self, trace: Trace, frame: RoadFrame) -> None:
         self.trace, self.frame = trace, frame
 
     def offset(self, vehicle: int) -> FloatArray:
-        """From the centre of the lane that the vehicle's centre is in, or of the nearest one, to the right [m]."""
+        """Return the offset to the right from the centre of the vehicle's lane, or of the nearest lane [m]."""
         return np.asarray(self._offsets[vehicle])
 
     @cached_property
@@ -61,7 +61,7 @@ class LanePlaces:
             return self.trace.track[:, :, OFFSET].T
         centres = np.array([lane.y * self._cos - lane.x * self._sin for lane in self.trace.lanes])
         offset, off = self._across - centres[self._lanes], self._lanes < 0
-        if off.any():  # as on one more lane, on either side of the road
+        if off.any():  # off the road: as if there were one more lane on either side
             width = self.trace.lanes[0].width
             beside = np.concatenate((centres, [centres.min() - width, centres.max() + width]))
             apart = self._across[off, None] - beside
@@ -69,18 +69,18 @@ class LanePlaces:
         return np.asarray(offset)
 
     def over_line(self, vehicle: int, side: float, tick: int) -> bool:
-        """Whether a box reaches over the line of the lane that its centre is in, on one side (1: to the right)."""
+        """Return whether a box reaches over the line of its centre's lane, on one side (1: to the right)."""
         return bool(self._over[side][vehicle, tick])
 
     @cached_property
     def _over(self) -> dict[float, npt.NDArray[np.bool_]]:
-        """Of both sides, see :meth:`over_line`."""
+        """The values of :meth:`over_line` for both sides."""
         return {side: side * self._offsets + self.frame.half_across > self._half_widths for side in (1.0, -1.0)}
 
     def kept_since(self, vehicle: int, tick: int, end: int) -> tuple[int, int] | None:
-        """From when, and by when, the vehicle has kept its lane since a tick; None if it has not up to the end.
+        """Return the ticks from which, and by which, a vehicle has kept its lane after a tick; None if it has not.
 
-        Near the lane's centre for a second, or between its lines for two.
+        It must be near the lane's centre for a second, or between the lines for two.
         """
         part = slice(tick, end + 1)
         offset = np.abs(self._offsets[vehicle, part])
@@ -94,7 +94,7 @@ class LanePlaces:
         return min(kept, key=lambda each: each[1], default=None)
 
     def change(self, vehicle: int, other: int, side: float, onset: int) -> LaneChange | None:
-        """How a vehicle came into the other's track, to one side (1: to the right), at a tick; None if it did not."""
+        """Return the lane change to a side (1: right) that put a vehicle into the other's track at a tick, or None."""
         began = self._motion(vehicle, side, onset)
         if began is None:
             return None
@@ -102,7 +102,7 @@ class LanePlaces:
         over = self._over[side][vehicle, part]
         if over.any():
             moment = began + _run_start(over, int(np.flatnonzero(over)[-1]))
-        elif self.trace.track is not None:  # a lane itself may lead into the other's
+        elif self.trace.track is not None:  # in a bend a lane itself may lead into the other's
             line = side * (self._across - self._offsets)[other, onset] - self._half_widths[other, onset]
             beyond = side * self._across[vehicle, part] + self.frame.half_across[vehicle, part] > line
             if not beyond.any():
@@ -113,19 +113,19 @@ class LanePlaces:
         return self._made(vehicle, side, began, moment)
 
     def is_back(self, change: LaneChange, side: float, tick: int) -> bool:
-        """Whether the vehicle has given a lane change up: its box is within the lane again from which it came."""
+        """Return whether the vehicle has given up a lane change: its box is again within the lane that it came from."""
         lanes, over = self._lanes[change.vehicle], self._over[side][change.vehicle]
         return bool(over[change.tick] and not over[tick] and lanes[tick] == lanes[change.tick] and lanes[tick] >= 0)
 
     def moved_in_behind(self, npc: int, side: float, first: int, last: int) -> LaneChange | None:
-        """How an NPC came over, behind the ego, into the ego's lane, while their tracks overlapped already."""
+        """Return the lane change of an NPC into the ego's lane behind it, while their tracks already overlapped."""
         return self._crossing_after(npc + 1, 0, side, first, last, is_ahead=False)
 
     def moved_over(self, npc: int, first: int, last: int) -> LaneChange | None:
-        """How the one of ego and NPC that is ahead came over into the lane that the other was already in.
+        """Return the lane change of the one ahead, ego or NPC, into the lane that the other was already in.
 
-        The one behind had left the lane that they shared, so that their tracks overlapped all the time. None where
-        nothing of the kind happened between the ticks.
+        The one behind had left their common lane first, so their tracks overlapped all the time. None if there is no
+        such lane change between the ticks.
         """
         pairs = product(((0, npc + 1), (npc + 1, 0)), (1.0, -1.0))
         crossings = (self._crossing_after(*pair, side, first, last) for pair, side in pairs)
@@ -134,7 +134,7 @@ class LanePlaces:
     def _crossing_after(
         self, mover: int, other: int, side: float, first: int, last: int, *, is_ahead: bool = True
     ) -> LaneChange | None:
-        """The last time that the mover, ahead or behind, came over its lane line on a side where the other was."""
+        """Return the last lane change in which the mover, ahead or behind, crossed its lane line towards the other."""
         over = self._over[side][mover, first : last + 1]
         crosses = over[1:] > over[:-1]
         if not crosses.any():
@@ -150,14 +150,14 @@ class LanePlaces:
         return None
 
     def _made(self, vehicle: int, side: float, began: int, moment: int) -> LaneChange:
-        """A lane change at a moment, and since when it could be seen, at the earliest when it began."""
+        """Make a lane change from its moment, with the tick from which on it could be seen, not before it began."""
         left = side * self._offsets[vehicle, began : moment + 1] > KEEPING
         seen = began + _run_start(left, moment - began) if left[-1] else moment
         drift = side * float(self.frame.drift[vehicle, moment])
         return LaneChange(vehicle=vehicle, seen=seen, tick=moment, drift=drift)
 
     def _motion(self, vehicle: int, side: float, onset: int) -> int | None:
-        """First tick of the sideways motion that lasts until a tick, or ended just before it."""
+        """Return the first tick of the sideways motion that lasts until a tick, or ended just before it."""
         pause = PAUSE * self.trace.physics_hz
         moving = np.flatnonzero(side * self.frame.drift[vehicle, : onset + 1] >= DRIFTING)
         if not moving.size or onset - moving[-1] >= pause:
@@ -178,7 +178,7 @@ class LanePlaces:
 
     @cached_property
     def _half_widths(self) -> FloatArray:
-        """Of the lane that the vehicle is in, or of the first one off the road [m]."""
+        """Half the width of the vehicle's lane, or of the first lane if it is off the road [m]."""
         widths = np.array([lane.width for lane in self.trace.lanes])
         return np.asarray(widths[np.maximum(self._lanes, 0)] / 2)
 
@@ -192,19 +192,19 @@ class LanePlaces:
 
 
 def _run_start(holds: npt.NDArray[np.bool_], tick: int) -> int:
-    """Where the stretch begins in which a condition holds up to a tick."""
+    """Return the beginning of the stretch in which a condition holds up to a tick."""
     fails = np.flatnonzero(~holds[:tick])
     return int(fails[-1]) + 1 if fails.size else 0
 
 
 def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Where each unbroken stretch begins in which a condition holds, and where it has just ended, in their order."""
+    """Return the first tick and the tick after the last of each unbroken stretch in which a condition holds."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])))).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def first_lasting(holds: npt.NDArray[np.bool_], ticks: int) -> int | None:
-    """Where a condition first begins to hold for so many ticks; None if it never does."""
+    """Return the first tick from which on a condition holds for this many ticks; None if there is none."""
     count = np.concatenate(([0], np.cumsum(holds)))
     lasting = np.flatnonzero(count[ticks:] - count[:-ticks] == ticks)
     return int(lasting[0]) if lasting.size else None

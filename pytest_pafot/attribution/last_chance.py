@@ -1,4 +1,4 @@
-"""The last chance: when a driver in the ego's place would still have prevented what failed. It is simulated."""
+"""The last chance: the last time when a driver in the ego's place would have prevented the failure, by simulation."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ ANSWERED_BY_BRAKING: tuple[Fault, ...] = (
     "did-not-give-way",
     "entered-taken-zone",
 )
-"""The faults of which it is looked for when braking avoids the collision."""
+"""The faults for which a run is searched for braking that avoids the collision."""
 
 FREE_FOR = 12.0
-"""For how long braking must keep the ego free of contact [s]: longer than it takes to stop from 60 m/s."""
+"""The time for which braking must keep the ego free of contact [s]: longer than it takes to stop from 60 m/s."""
 
 SCANNED = 10.0
-"""How long before the impact a chance is looked for [s]."""
+"""The time before the impact that is searched for a chance [s]."""
 
 SAME_IMPACT = 0.5
-"""Up to so long after the recorded impact, one with the same NPC is the same that nothing has changed but the limits
-of a rule: who lets go of the brake just before it has not braked for long, and is no less hit [s]."""
+"""An impact with the same NPC at most this long after the recorded one counts as the same impact [s]. Otherwise a
+driver that barely delays the impact would be free only because a rule's time limit then excuses it."""
 
 ROUNDING = 1e-6
-"""By how much a run that repeats may differ: environments that step themselves move NPCs with sines of their own."""
+"""The largest difference of a repeated run: environments that step themselves compute sines in their own way."""
 
 TakeOver = Callable[[Trace, int, str], Trace]
-"""The run of a trace with a reference driver, by its name, in the ego's place from a tick on."""
+"""A function that simulates a trace again, with a reference driver by name in the ego's place from a tick on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LastChance:
-    """The last decision of the ego at which a reference driver would still have prevented a failure in its place.
+    """The last decision of the ego at which a reference driver in its place would still have prevented a failure.
 
-    Of a collision it stays free of fault, of a failed check it keeps the check.
+    The driver prevents a collision if it stays free of fault, and a failed check if it keeps the check.
 
     Attributes:
-        time: of that decision [s], to milliseconds.
+        time: time of that decision [s], to milliseconds.
         driver: name of the reference driver.
-        action: acceleration [m/s^2] and steering [rad] with which it begins, to three digits.
-        ego_action: what the ego did in its place, likewise.
+        action: acceleration [m/s^2] and steering [rad] with which the driver begins, to three digits.
+        ego_action: acceleration and steering of the ego at that time.
     """
 
     time: float
@@ -63,7 +63,7 @@ class LastChance:
 
     @property
     def sentence(self) -> str:
-        """When, and what the driver and the ego did then."""
+        """A line with the time and with what the driver and the ego did then."""
         return last_chance_sentence(self.time, self.driver, self.action[0], self.ego_action[0])
 
 
@@ -72,8 +72,8 @@ class Avoidance:
     """The last decision of the ego from which braking in its lane avoids a collision.
 
     Attributes:
-        time: of that decision [s], to milliseconds.
-        braking: with which the ego slows down to a standstill [m/s^2].
+        time: time of that decision [s], to milliseconds.
+        braking: deceleration to a standstill [m/s^2].
     """
 
     time: float
@@ -81,26 +81,26 @@ class Avoidance:
 
     @property
     def sentence(self) -> str:
-        """From when on which braking avoids the collision."""
+        """A sentence that says from when on which braking avoids the collision."""
         return avoidance_sentence(self.time, self.braking)
 
 
 def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastChance | None:
-    """The last of the ego's decisions from which a reference driver stays free of fault to the end of the run.
+    """Return the last of the ego's decisions from which a reference driver stays free of fault to the end of the run.
 
-    It is not at fault where it does not collide, and where it does not answer for the collision by
-    :func:`~pytest_pafot.attribution.responsibility.rss_rule`, unless it is the same impact, 0.5 s later at most; a run
-    in which two NPCs touch tells nothing. From some earlier decisions it may fail nevertheless, so that all of the last
-    10 s before the impact are tried, the latest first.
+    The driver is free of fault if it does not collide, or is not responsible for the collision by
+    :func:`~pytest_pafot.attribution.responsibility.rss_rule`, unless it is the same impact at most 0.5 s later. A run
+    in which two NPCs touch does not count. The driver may fail from an earlier decision and succeed from a later one,
+    so all decisions of the last 10 s before the impact are tried, the latest first.
 
     Args:
-        trace: of the run.
-        fault: of the ego in it.
-        take_over: simulates; as :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
+        trace: trace of the run.
+        fault: fault of the ego in it.
+        take_over: function that simulates, see :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
 
     Returns:
-        None without a collision that the ego answers for; where it entered a lane, which nobody undoes who keeps
-        lanes; where no decision is such a chance; and where the run does not repeat.
+        The chance. None without a collision that the ego is responsible for; if the ego entered a lane, which a driver
+        that keeps its lane cannot undo; if no decision is such a chance; and if the run does not repeat.
     """
     if trace.collision is None or fault is None or fault == "entered-lane":
         return None
@@ -117,10 +117,10 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
 def last_decision(
     trace: Trace, until: int, take_over: TakeOver, prevents: Callable[[Trace], bool]
 ) -> LastChance | None:
-    """Return the last of the ego's decisions before a tick from which a careful driver's run prevents something.
+    """Return the last of the ego's decisions before a tick from which a careful driver's run meets a condition.
 
-    Those of the last 10 s before it are tried, the latest first. None where none of them does, and where the run does
-    not repeat. See :func:`last_chance` for the arguments.
+    The decisions of the last 10 s before the tick are tried, the latest first. None if none of them does, or if the run
+    does not repeat. See :func:`last_chance` for the arguments.
     """
     for tick, taken in _taken_over(trace, until, take_over, DRIVER):
         if prevents(taken):
@@ -132,10 +132,10 @@ def last_decision(
 def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidance | None:
     """Return the last of the ego's decisions from which braking with 6 m/s^2 in its lane avoids the collision.
 
-    The ego then touches nobody in the 12 s after it, or up to the end of the run; nor do two NPCs touch, which ends a
-    run. The decisions of the last 10 s before the impact are tried, the latest first. None where none of them avoids
-    it, where the fault is not one of an answer to somebody ahead or crossing, and where the run does not repeat. See
-    :func:`last_chance` for the arguments.
+    The ego then touches no vehicle in the 12 s after the decision, or up to the end of the run. Nor do two NPCs touch,
+    which would end the run. The decisions of the last 10 s before the impact are tried, the latest first. None if none
+    of them avoids it, if the fault is not a missing response to a vehicle ahead or crossing, or if the run does not
+    repeat. See :func:`last_chance` for the arguments.
     """
     if trace.collision is None or fault not in ANSWERED_BY_BRAKING:
         return None
@@ -147,7 +147,7 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
 
 
 def _taken_over(trace: Trace, until: int, take_over: TakeOver, driver: str) -> Iterator[tuple[int, Trace]]:
-    """Let a driver take over at the decisions of the last 10 s before a tick, the latest first, if the run repeats."""
+    """Let a driver take over at each decision of the last 10 s before a tick, the latest first, if the run repeats."""
     every, first = trace.physics_hz // trace.ads_hz, max(until - round(SCANNED * trace.physics_hz), 0)
     for tick in range((until - 1) // every * every, first - 1, -every):
         taken = take_over(trace, tick, driver)
@@ -158,6 +158,6 @@ def _taken_over(trace: Trace, until: int, take_over: TakeOver, driver: str) -> I
 
 
 def _action(trace: Trace, tick: int) -> tuple[float, float]:
-    """What the ego does from a tick to the next."""
+    """Return the ego's action from a tick to the next."""
     acceleration, steering = trace.ego[tick + 1, [ACCELERATION, STEERING]].round(3).tolist()
     return acceleration + 0.0, steering + 0.0  # never -0.0

@@ -1,7 +1,7 @@
-"""What the ego did wrong in a collision that it answers for, in the few words that tell one defect from another.
+"""The ego's mistake in a collision that it is responsible for, in a few words that distinguish one defect from another.
 
-A verdict's *fault* is the branch of the rules that blames the ego. In a lane change that is one for all defects: where
-the other was, when the ego had to take it into account, tells them apart.
+A verdict's *fault* is the branch of the rules that blames the ego. All lane changes have the same fault; they are
+distinguished by where the other was when the ego had to take it into account.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ from pytest_pafot.attribution.responsibility import Attribution, Fault, frame_of
 from pytest_pafot.model.crossings import Origin
 from pytest_pafot.model.trace import ACROSS, LANE, Trace, X, Y
 
-# What a vehicle did shortly before an event, in the few words that tell one kind of failure from another.
+# The manoeuvre of a vehicle shortly before an event, in the few words that distinguish one kind of failure from
+# another.
 
 Manoeuvre = Literal["lane-change", "lane-keeping"]
 
 WINDOW_SECONDS = 4.0
-"""How far back a lane change still belongs to the event [s]; one takes about two seconds at motorway speed."""
+"""The time before an event in which a lane change still belongs to it [s]; one takes about 2 s at motorway speed."""
 
 DISPLACEMENT = 1.0
-"""How far sideways a vehicle that keeps its lane moves at most in that time [m]; half of the room beside it."""
+"""The largest sideways move in that time of a vehicle that keeps its lane [m]; half of the free width of a lane."""
 
 
 def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
-    """Whether a vehicle (0: the ego, ``i + 1``: NPC ``i``) changed lanes shortly before a tick, or was doing so."""
+    """Return whether a vehicle (0: the ego, ``i + 1``: NPC ``i``) changed lanes at a tick or shortly before."""
     first = max(0, tick - round(WINDOW_SECONDS * trace.physics_hz))
     if trace.track is not None:
         across = trace.track[first : tick + 1, vehicle, ACROSS]
@@ -50,10 +51,10 @@ Mistake = Literal[
     "did-not-give-way-behind",
     "entered-taken-zone",
 ]
-"""It did not keep off a vehicle ahead, which it followed, behind which it changed lanes, or which had cut in; it
-changed lanes into a vehicle beside it, or into the way of one behind; it braked hard, or stopped, with nothing in its
-way; it did not give way to one that came from the left, from the right, from ahead or from behind; it drove with
-priority into a zone in which somebody visibly was."""
+"""The mistakes of the ego: it did not keep its distance to a vehicle ahead, which it followed, behind which it changed
+lanes, or which had cut in; it changed lanes into a vehicle next to it, or in front of one behind; it braked hard, or
+stopped, with nothing in its way; it did not give way to a vehicle from the left, from the right, from ahead or from
+behind; it drove with priority into a zone in which another vehicle visibly was."""
 
 NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
     {
@@ -63,10 +64,10 @@ NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
         "behind": "did-not-give-way-behind",
     }
 )
-"""An ego that looks to one side alone gives no way to who comes from the other: where from tells defects apart."""
+"""The mistakes by the side that the other came from, because an ego that looks only to one side fails on the other."""
 
 CLOSE_AHEAD = 2.0
-"""Who begins no further ahead, between the boxes along the road, is beside the ego that changes lanes [m]."""
+"""A vehicle with at most this gap ahead of an ego that changes lanes counts as next to it [m]."""
 
 BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
     {
@@ -77,14 +78,14 @@ BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
         "entered-taken-zone": "entered-taken-zone",
     }
 )
-"""Those that the fault alone tells; one that entered a lane, or did not give way, is told by where the other was."""
+"""The mistakes that follow from the fault; for a lane entered, or no way given, they depend on where the other was."""
 
 
 def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
-    """What the ego did wrong in a run that ended in a collision, by the verdict; None where it does not answer.
+    """Return the ego's mistake in a collision by the verdict; None if it is not responsible.
 
-    An ego that entered a lane is judged at the verdict's moment, when it came over the line: the other is ahead when
-    there are more than 2 m between the boxes along the road, behind when it is further back than level, else beside.
+    For an ego that entered a lane, the moment when it came over the line counts: the other is ahead if there are more
+    than 2 m between the boxes along the road, behind if its box is entirely behind the ego's, else next to it.
     """
     if trace.collision is None or attribution.fault is None or attribution.tick is None:
         return None
@@ -101,5 +102,5 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
 
 
 def mistake_of(trace: Trace) -> Mistake | None:
-    """What the ego did wrong in a run, by the rule of attribution."""
+    """Return the ego's mistake in a run, by the rule of attribution."""
     return trace.reading("mistake", lambda trace: mistake(trace, rss_rule(trace)))

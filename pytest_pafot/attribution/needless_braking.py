@@ -1,7 +1,7 @@
-"""Whether a vehicle braked, or stopped, with nothing in its way.
+"""Needless braking: a vehicle brakes hard, or stops, with nothing in its way.
 
-Sources: Vienna Convention on Road Traffic, Art. 17 (1), no abrupt braking unless needed for safety; UN R157 for what is
-hard: more than 5 m/s^2 is an emergency manoeuvre's.
+Sources: Vienna Convention on Road Traffic, Art. 17 (1), no abrupt braking unless needed for safety; UN R157, by which
+more than 5 m/s^2 is an emergency manoeuvre and counts as hard here.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from pytest_pafot.model.crossings import Stretch
 from pytest_pafot.model.trace import ALONG, LANE, SPEED, FloatArray, Lane, Trace, X, Y
 
 HARD_BRAKING = 5.0
-"""[m/s^2]."""
+"""The deceleration above which braking is hard [m/s^2]."""
 HARD_SECONDS = 0.4
-"""For so long at least [s]."""
+"""The least duration of hard braking [s]."""
 LASTING_BRAKING = 4.0
-"""Braking that takes half of the speed is hard, too, down to this: more than a careful driver brakes to keep its
-distance [m/s^2]."""
+"""The deceleration above which braking by half of the speed counts as hard, too: more than a careful driver needs to
+keep its distance [m/s^2]."""
 LEAST_LOST = 5.0
-"""It takes so much speed at least [m/s]."""
+"""The least loss of speed in such a braking [m/s]."""
 STANDING_SPEED = 0.1
-"""Up to this speed the ego counts as standing [m/s]."""
+"""The speed up to which the ego counts as standing [m/s]."""
 STANDING_SECONDS = 3.0
-"""A stop that lasts so long at least is one of its own [s]."""
+"""The least duration of a stop that counts as a fault of its own [s]."""
 STANDSTILL_GAP = 5.0
-"""Behind whoever stands, a stop within that is no needless one [m]."""
+"""The gap to a standing vehicle within which a stop behind it is not needless [m]."""
 NEAR_SECONDS = 4.0
-"""Time to collision below which a vehicle ahead is a reason to brake; and how far ahead one that is entering is, in
-seconds of the ego's driving [s]."""
+"""The time to collision below which a vehicle ahead is a reason to brake, and the largest distance of an entering
+vehicle in seconds of the ego's driving [s]."""
 REASON_SECONDS = 1.6
-"""A reason that was there so long before the braking still is one: a careful driver takes 0.4 s to perceive it, 0.75 s
-until the brakes act, and the rest until they brake hard (UN R157, annex 4, appendix 3) [s]."""
+"""The time for which a reason to brake remains one: a careful driver takes 0.4 s to perceive it, 0.75 s until the
+brakes act, and the rest until they brake hard (UN R157, annex 4, appendix 3) [s]."""
 AFTERMATH_SECONDS = 1.0
-"""The danger behind is the braking's until so long after it [s]."""
+"""The time after a braking in which it is still the cause of a danger behind [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +56,7 @@ class Stop:
 
 
 def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
-    """How much a vehicle slows down in the step to each tick [m/s^2], shape [ticks + 1]; negative where it speeds up.
+    """Return the deceleration in the step to each tick [m/s^2], shape [ticks + 1]; negative if the vehicle speeds up.
 
     Vehicle 0 is the ego.
     """
@@ -65,7 +65,7 @@ def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
 
 
 def hard_braking(trace: Trace, vehicle: int, first: int, last: int) -> Stop | None:
-    """A vehicle's last hard braking that acted at some tick from the first to the last; None if there was none."""
+    """Return a vehicle's last hard braking that acted between two ticks; None if there was none."""
     for begin, end in reversed(stretches(braking(trace, vehicle) > HARD_BRAKING)):
         until = min(end, last + 1)
         if until - 1 < first:
@@ -76,7 +76,7 @@ def hard_braking(trace: Trace, vehicle: int, first: int, last: int) -> Stop | No
 
 
 def lasting_braking(trace: Trace, first: int) -> Stop | None:
-    """The ego's last braking by more than 4 m/s^2, after a tick, that took half of its speed, 5 m/s at least."""
+    """Return the ego's last braking after a tick, above 4 m/s^2, that took half of its speed and at least 5 m/s."""
     for begin, end in reversed(stretches(braking(trace) > LASTING_BRAKING)):
         before, after = trace.ego[[begin - 1, end - 1], SPEED]
         if end - 1 >= first and before - after >= max(before / 2, LEAST_LOST):
@@ -85,7 +85,7 @@ def lasting_braking(trace: Trace, first: int) -> Stop | None:
 
 
 def long_stop(trace: Trace) -> Stop | None:
-    """The braking to a standstill that has lasted for long when the run ends; None where there was none."""
+    """Return the braking to a standstill that has lasted for long when the run ends; None if there was none."""
     speed = trace.ego[:, SPEED]
     if speed[-1] > STANDING_SPEED:
         return None
@@ -98,11 +98,11 @@ def long_stop(trace: Trace) -> Stop | None:
 
 
 def reasons(trace: Trace, frame: RoadFrame, rules: RssRules, vehicle: int, ticks: slice) -> npt.NDArray[np.bool_]:
-    """Whether anything ahead gave a vehicle a reason to brake, at each of the ticks; vehicle 0 is the ego.
+    """Return whether anything ahead gave a vehicle a reason to brake, at each of the ticks; vehicle 0 is the ego.
 
-    Another in its track, closer than RSS allows or less than four seconds to a collision; one that brakes hard there,
-    or is coming into it, no farther than it drives in that time; a zone in which its way meets that of another, where
-    both are so near; the end of its lane, as if a vehicle stood there.
+    The reasons are: another vehicle in its track, closer than RSS allows or less than four seconds to a collision; a
+    vehicle within the distance of four seconds that brakes hard in its track or enters it; a zone where its way meets
+    another's, if both are within four seconds of it; and the end of its lane, as if a vehicle stood there.
     """
     speeds, drifts = frame.speed[:, ticks], frame.drift[:, ticks]
     speed, drift = speeds[vehicle], drifts[vehicle]
@@ -132,7 +132,7 @@ def reasons(trace: Trace, frame: RoadFrame, rules: RssRules, vehicle: int, ticks
 
 
 def _is_near_zone(trace: Trace, vehicle: int, ticks: slice) -> npt.NDArray[np.bool_]:
-    """Whether a vehicle and another whose way it meets are both in that zone, or within four seconds of it."""
+    """Return whether a vehicle and another are both in the zone of their ways, or within four seconds of it."""
     found = np.zeros(ticks.stop - ticks.start, dtype=np.bool_)
     for npc, zone in enumerate(trace.zones):
         if zone is None or npc + 1 == vehicle:
@@ -149,7 +149,7 @@ def _is_near(places: FloatArray, speeds: FloatArray, stretch: Stretch) -> npt.ND
 
 
 def _is_near_end(states: FloatArray, lanes: tuple[Lane, ...], lane: Lane) -> npt.NDArray[np.bool_]:
-    """Whether a vehicle's lane ends, and no other goes on from there, within four seconds."""
+    """Return whether a vehicle's lane ends within four seconds, with no other lane continuing from there."""
     end = (lane.x + lane.length * math.cos(lane.heading), lane.y + lane.length * math.sin(lane.heading))
     end = lane.points[-1] if lane.points else end
     starts = [each.points[0] if each.points else (each.x, each.y) for each in lanes]

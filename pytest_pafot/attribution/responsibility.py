@@ -1,6 +1,6 @@
-"""Who caused a collision, by written rules over the trace.
+"""Responsibility for a collision, by written rules over the trace.
 
-:func:`rss_rule` is the rule; :func:`position_rule` is a second opinion. docs/explanation/verdicts.md tells the rules
+:func:`rss_rule` is the rule; :func:`position_rule` is a second opinion. docs/explanation/verdicts.md has the rules
 clause by clause, with their sources.
 """
 
@@ -46,7 +46,7 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ALONG, LANE, Trace
 
 Responsibility = Literal["ego", "npc", "both", "none"]
-"""``none`` where there was no collision, or where ways met and nobody could have foreseen it."""
+"""The responsible vehicles; ``none`` without a collision, or where ways met and neither could have foreseen it."""
 
 Fault = Literal[
     "entered-lane",
@@ -57,54 +57,55 @@ Fault = Literal[
     "did-not-give-way",
     "entered-taken-zone",
 ]
-"""What the ego answers for: it changed lanes into somebody's way; it did not respond properly to a cut-in, or to a
+"""The faults of the ego: it changed lanes into another vehicle's way; it did not respond properly to a cut-in, or to a
 vehicle ahead in its lane; it braked hard, or stopped, with nothing in its way; where ways meet, it did not give way, or
-drove with priority into a zone in which somebody visibly was."""
+drove with priority into a zone in which another vehicle visibly was."""
 
 TOGETHER = 1.0
-"""Two that crossed into one lane within that time both did [s]."""
+"""Two lane changes into one lane that are at most this far apart count as simultaneous [s]."""
 SOON = 5.0
-"""Braking of an NPC that is hit up to so long after its lane change belongs to it, and would have gone on [s]."""
+"""The time after its lane change in which an NPC's braking belongs to the lane change if it is hit, and would have
+continued [s]."""
 SPARE = 0.2
-"""An ego that brakes for a cut-in is blamed only where the answer would have helped so much later, too [s]."""
+"""An ego that brakes for a cut-in is responsible only if a response this much later would have helped, too [s]."""
 BLOCKED = 0.3
 AT_ONCE = 2.0
-"""Nobody can answer an NPC that moves in with less headway than the first, and begins to brake hard within the second
-[s]."""
+"""No driver can respond to an NPC that moves in with less headway than the first and begins to brake hard within the
+second [s]."""
 AMPLE = 1.0
-"""Who is further behind, in seconds of its driving, has all that it needs to answer a hard braking [s]."""
+"""A follower further behind than this, in seconds of its driving, can respond to a hard braking [s]."""
 LEAST_ROOM = 2.0
-"""Of two that changed lanes towards each other the one ahead does not answer for the other's throttle, where there was
-so much between them at first [m]."""
+"""The gap between two vehicles that changed lanes towards each other from which on the one ahead is not responsible for
+the acceleration of the one behind [m]."""
 DECIDED = 0.5
-"""An NPC that moves in behind so shortly before it would touch the ego has not made it dangerous by that [s]."""
+"""An NPC that moves in behind this shortly before it would touch the ego did not cause the danger by moving in [s]."""
 LET_GO = 0.4
-"""Braking that pauses so long is over [s]."""
+"""Braking that pauses for this long is over [s]."""
 ROLLED = 0.5
-"""An ego that drove so shortly before they touched does not stand for what it owed an answer to [s]."""
+"""An ego that still drove this shortly before the impact does not count as standing if it owed a response [s]."""
 LATER = 3.0
-"""An NPC that runs into a driving ego so long after its braking has had the time to adapt [s]."""
+"""An NPC that runs into a driving ego this long after the ego's braking had the time to adapt [s]."""
 CRAWLING = 3.0
-"""An NPC that is no faster when the danger begins can stop behind whatever stands there [m/s]."""
+"""An NPC that is no faster than this when the danger begins can stop behind a standing vehicle [m/s]."""
 DROVE_ON = 1.0
-"""An NPC that gained more speed towards an ego that had braked for nothing made it dangerous itself [m/s]."""
+"""An NPC that gained more speed than this towards an ego that had braked for nothing caused the danger itself [m/s]."""
 LEAVING = 1.0
-"""An NPC that has left the ego's way for so long is still judged as on it [s]."""
+"""An NPC that left the ego's way at most this long ago still counts as on it [s]."""
 BRAKED_VISIBLY = 3.0
 BRAKED_BEFORE = 1.0
-"""A leader's braking is told where it is at least so hard [m/s^2], and up to so long before what else is told [s]."""
+"""A sentence mentions a leader's braking if it is at least this hard [m/s^2] and at most this long before the fact
+[s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Attribution:
-    """Who is responsible, and why. Two are equal that say the same.
+    """The responsibility for a collision and its reason. Two attributions are equal if they say the same.
 
     Attributes:
-        responsibility: for the collision.
-        tick, time: when the lane change, the braking or the danger began that the verdict goes by [s]; None without a
-            collision.
-        fault: of the ego; None where it does not answer for the collision.
-        facts: that the reason tells.
+        responsibility: vehicles that are responsible for the collision.
+        tick, time: when the decisive lane change, braking or danger began [s]; None without a collision.
+        fault: fault of the ego; None if it is not responsible.
+        facts: facts that the reason states.
     """
 
     responsibility: Responsibility
@@ -115,12 +116,12 @@ class Attribution:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What happened, and what was due and did not come; at most two sentences, none without a collision."""
-        return sentences(self.facts)  # worded when it is asked for: a search judges many collisions and shows few
+        """The texts on what happened and on what should have happened: at most two, none without a collision."""
+        return sentences(self.facts)  # formatted on demand: a search judges many collisions and prints few
 
     @property
     def reason(self) -> str:
-        """The sentences in one line."""
+        """The sentences joined into one line."""
         return " ".join(self.sentences) or "There was no collision."
 
     def __repr__(self) -> str:
@@ -139,16 +140,16 @@ class Attribution:
 
 
 def rss_rule(trace: Trace) -> Attribution:
-    """Who is responsible: who made it dangerous, and did not respond properly.
+    """Attribute a collision to the vehicle that caused the danger and did not respond properly.
 
-    The danger began at the first tick of the last stretch of time, up to the impact, in which the longitudinal and the
-    lateral distance both were shorter than :data:`DISTANCES` asks for (Responsibility-Sensitive Safety). If it had
-    begun when the two came into one track, whoever changed lanes into it answers for that, unless it gave way to the
-    one behind, or was the leader long enough for that one to respond; and an ego that a careful driver's braking would
-    have saved from a cut-in answers for that. Otherwise the follower does, where 6 m/s^2 after 1 s would have avoided
-    it. A leading ego answers for braking hard, or stopping, with nothing in its way; otherwise not, and not while it
-    stands. Where the NPC's way meets the ego's, right of way is asked first. Each clause, its source and its numbers
-    are in docs/explanation/verdicts.md.
+    The danger began at the first tick of the last stretch of time, up to the impact, in which both the longitudinal and
+    the lateral distance were shorter than :data:`DISTANCES` requires (Responsibility-Sensitive Safety). If it had begun
+    when the two came into one track, the vehicle that changed lanes into it is responsible, unless it gave way to the
+    one behind, or had been the leader long enough for the other to respond. An ego is responsible, too, if a careful
+    driver's braking would have saved it from a cut-in. Otherwise the follower is responsible if 6 m/s^2 after 1 s would
+    have avoided the collision. A leading ego is responsible only for braking hard, or stopping, with nothing in its
+    way, and never while it stands. If the NPC's way meets the ego's, right of way is decided first. Each clause, its
+    source and its numbers are in docs/explanation/verdicts.md.
 
     Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
     arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulations No. 79 (lane changes) and No. 157
@@ -164,9 +165,9 @@ def rss_rule(trace: Trace) -> Attribution:
 
 
 def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:
-    """By right of way, or by what two owe each other that drive in one lane."""
+    """Attribute a collision by right of way, or by the duties of two vehicles in one lane."""
     along = trace.track_of(npc + 1)[:, ALONG]
-    since, until = max(stretches(~np.isnan(along)), default=(0, 0))  # when it was last on the ego's way
+    since, until = max(stretches(~np.isnan(along)), default=(0, 0))  # the last time on the ego's way
     is_lane = until - since > 1 and trace.ticks + 1 - until <= LEAVING * trace.physics_hz
     lane = Conflict(_part(trace, since, until), npc) if is_lane else None
     if lane is not None and lane.has_begun_safely:
@@ -184,7 +185,7 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:
 
 
 def _blamed(blame: Blame, hz: int) -> Attribution:
-    """Attribute a collision to who failed in a zone."""
+    """Attribute a collision to the vehicles that failed in a zone."""
     failed = {*blame.did_not_give_way, *blame.entered_taken_zone}
     fault: Fault | None = None
     if 0 in failed:
@@ -196,12 +197,12 @@ def _blamed(blame: Blame, hz: int) -> Attribution:
 
 
 def _part(trace: Trace, first: int, end: int) -> Trace:
-    """Return a run from one tick up to another."""
+    """Return the part of a run from one tick to another."""
     return replace(trace, **{name: getattr(trace, name)[first:end] for name in ("states", "track", "on_way")})
 
 
 def _later(found: Attribution, ticks: int, hz: int) -> Attribution:
-    """Return what was found in the part of a run that begins so many ticks later."""
+    """Return an attribution of a part of a run, with its times shifted by the ticks before that part."""
 
     def shifted(time: float) -> float:
         return (round(time * hz) + ticks) / hz
@@ -219,17 +220,16 @@ def _later(found: Attribution, ticks: int, hz: int) -> Attribution:
 
 
 def is_ego_responsible(trace: Trace) -> bool:
-    """Whether the ego answers for a collision by :func:`rss_rule`, alone or with the NPC; False without one."""
+    """Return whether the ego is responsible for a collision by :func:`rss_rule`, alone or with the NPC."""
     return rss_rule(trace).responsibility in ("ego", "both")
 
 
 def position_rule(trace: Trace) -> Responsibility:
-    """The rule of the authors' released code: by where the NPC was at the impact. A second opinion.
+    """Attribute a collision by the NPC's position at the impact, as the authors' released code does: a second opinion.
 
-    An ego at 0.1 m/s or less is never responsible; otherwise it is when the NPC was ahead of it, in cell 1, 2
-    or 3; an NPC beside or behind the ego is responsible itself. Of an NPC that was not on the ego's way, and so in no
-    cell, the side of the ego that was hit says where it was: at the front it was ahead. The paper itself counts
-    collisions without a split.
+    An ego at 0.1 m/s or less is never responsible. Otherwise the ego is responsible if the NPC was ahead of it, in cell
+    1, 2 or 3; an NPC next to or behind the ego is responsible itself. An NPC that was not on the ego's way is in no
+    cell; it counts as ahead if it hit the ego's front. The paper itself counts collisions without this distinction.
     """
     hit = trace.collision
     if hit is None:
@@ -240,7 +240,7 @@ def position_rule(trace: Trace) -> Responsibility:
 
 @lru_cache(maxsize=1)
 def frame_of(trace: Trace) -> RoadFrame:
-    """Return a run in the frame of its road; the last one is kept, since verdict, mistake and situation ask in turn."""
+    """Return a run in the frame of its road; the last one is cached for verdict, mistake and situation."""
     return RoadFrame(trace)
 
 
@@ -258,19 +258,19 @@ class Conflict:
         is_dangerous = is_close & (across < frame.safe_across(DISTANCES)[:, npc])
         safe = np.flatnonzero(~is_dangerous[:-1])
         self._start = int(safe[-1]) + 1 if safe.size else 0
-        self._before = max(self._start - 1, 0)  # the last safe tick, from which on a response counts
+        self._before = max(self._start - 1, 0)  # the last safe tick; responses count from here
         apart = np.flatnonzero(across[:-1] > 0)
-        self._onset = int(apart[-1]) + 1 if apart.size else 0  # from which on they were in one track, up to the end
+        self._onset = int(apart[-1]) + 1 if apart.size else 0  # from here to the end they were in one track
         self._side = 1.0 if frame.right[npc, max(self._onset - 1, 0)] >= 0 else -1.0
 
     @property
     def has_begun_safely(self) -> bool:
-        """Whether the danger began later than with the first tick."""
+        """True if the danger began after the first tick."""
         return self._start > 0
 
     @property
     def attribution(self) -> Attribution:
-        """By the rules of docs/explanation/verdicts.md."""
+        """The attribution by the rules of docs/explanation/verdicts.md."""
         over = self._lanes.moved_over(self._npc, max(self._start, self._onset), self._end)
         if self._is_in_one_track:
             return self._in_one_lane() if over is None else self._changed(over)
@@ -288,7 +288,7 @@ class Conflict:
 
     @property
     def _is_in_one_track(self) -> bool:
-        """Whether the danger came later than that, or was there when the run began."""
+        """True if the danger began after the two came into one track, or if they were in one track throughout."""
         return self._onset == 0 or self._start > self._onset
 
     def _change(self, vehicle: int) -> LaneChange | None:
@@ -299,7 +299,7 @@ class Conflict:
 
     @property
     def _npc_change(self) -> LaneChange | None:
-        """The NPC's last lane change, also one behind an ego that reached over the line."""
+        """The NPC's last lane change, including one behind an ego that reached over the line."""
         changes = [self._change(self._npc + 1)]
         for side in (1.0, -1.0):
             change = self._lanes.moved_in_behind(self._npc, side, self._onset, self._end)
@@ -342,7 +342,7 @@ class Conflict:
         if later is not None:
             return later
         entered, room = max(self._onset, tick), self._room(tick, self._lowest(change))
-        if self._gap(tick) >= room:  # it was too little only when the two had come into one track
+        if self._gap(tick) >= room:  # the gap was too small only when the two had come into one track
             crossed = self._placed(What.CAME_IN, 0, entered)
             room = self._room(entered, float(self._frame.speed[0, entered]))
         if self._gap(tick) >= first_room and self._gap(entered) > 0:
@@ -359,9 +359,9 @@ class Conflict:
         return self._attributed("ego", tick, (crossed, asked), "entered-lane")
 
     def _duty_passed(self, change: LaneChange, tick: int, pursuit: Pursuit) -> Attribution | None:
-        """To the one behind, who could still have avoided it when the one ahead had kept the lane since a tick.
+        """Attribute to the follower, if it could still have avoided a leader that had kept its lane since a tick.
 
-        None where that one did not keep it for long enough, or nothing could have avoided it any more.
+        None if the leader did not keep the lane for long enough, or if nothing could have avoided the collision.
         """
         kept = self._lanes.kept_since(change.vehicle, tick, self._end)
         since = None if kept is None else pursuit.avoided_from(max(kept[1], self._before), FOLLOWING)
@@ -399,19 +399,19 @@ class Conflict:
         return self._excused_behind(tick, late, pursuit, change, seen) if passed is None else passed
 
     def _pushed_in(self, change: LaneChange | None) -> bool:
-        """Whether an NPC changed lanes ahead of a driving ego, not long ago, and did not give way."""
+        """Return whether an NPC recently changed lanes ahead of a driving ego and did not give way."""
         if change is None or self._stands or self._end - change.tick > SOON * self._hz:
             return False
         speed = float(self._frame.speed[self._npc + 1, change.tick])
         return self._gap(change.tick) < self._room(change.tick, speed, behind=0)
 
     def _npc_braked_hard(self, first: int, last: int) -> bool:
-        """Whether the NPC braked hard between two ticks, and for long enough."""
+        """Return whether the NPC braked hard between two ticks, for long enough."""
         slowed = -np.diff(self._frame.speed[self._npc + 1, first : last + 1]) * self._hz
         return first_lasting(slowed > HARD_BRAKING, math.ceil(HARD_SECONDS * self._hz)) is not None
 
     def _strayed(self) -> Attribution:
-        """Side by side without a lane change: by slow drift, or in lanes that come together."""
+        """Attribute a contact side by side without a lane change: by slow drift, or in lanes that come together."""
         tick, right = self._onset, self._side
         towards = right * self._frame.drift[0, tick], -right * self._frame.drift[self._npc + 1, tick]
         ego, npc = (drift >= DRIFTING for drift in towards)
@@ -427,10 +427,10 @@ class Conflict:
     def _later_cause(
         self, tick: int, room: float, crossed: Fact, pursuit: Pursuit, moved_in: int = 0
     ) -> Attribution | None:
-        """What is a nearer cause than a lane change that was over the line at a tick; None where nothing is.
+        """Attribute to a nearer cause than a lane change that was over the line at a tick; None if there is none.
 
-        The ego braked for nothing when it already kept the lane; or the NPC behind, no faster at the tick and with so
-        much room, sped up into it.
+        Such a cause is that the ego braked for nothing when it already kept the lane; or that the NPC behind, which was
+        no faster at the tick and had this much room, sped up into the ego.
         """
         kept = self._lanes.kept_since(0, tick, self._end)
         stop = None if kept is None else self._needless_braking(0, moved_in)
@@ -443,9 +443,9 @@ class Conflict:
         return None if sped_up is None else self._npc_followed(tick, moved_in or tick, (crossed, sped_up), moved_in)
 
     def _sped_up(self, behind: int, tick: int, pursuit: Pursuit) -> Fact | None:
-        """That the one behind, which could see the other since a tick, sped up into it; None where it did not.
+        """Return the fact that the follower, which saw the other from a tick on, sped up into it; None if it did not.
 
-        An ego for which it would have been enough to answer as the rules ask has no other excuse, either.
+        This also holds for an ego that could have avoided the collision by the response that the rules require.
         """
         seen = tick + round(CUT_OFF.perception * self._hz)
         since = pursuit.sped_up(seen)
@@ -458,23 +458,23 @@ class Conflict:
         return Fact(What.SPED_UP_INTO, behind, self._at(since), other=ahead, speed_m_per_s=speed)
 
     def _gives_way(self, change: LaneChange) -> bool:
-        """Whether the ego's lane change leaves the NPC room, and still does when they have come into one track."""
+        """Return whether the ego's lane change leaves the NPC room, also when they have come into one track."""
         entered = max(self._onset, change.tick)
         asked = (change.tick, self._lowest(change)), (entered, float(self._frame.speed[0, entered]))
         return all(self._gap(tick) >= self._room(tick, speed) for tick, speed in asked)
 
     def _room(self, tick: int, speed: float, behind: int | None = None) -> float:
-        """What a lane change at some speed ahead of another has to leave at a tick [m] (UN R79, 5.6.4.7)."""
+        """Return the gap that a lane change at a speed must leave to the one behind [m] (UN R79, 5.6.4.7)."""
         follower = self._frame.speed[self._npc + 1 if behind is None else behind, tick]
         return room_to_leave(float(follower), speed)
 
     def _lowest(self, change: LaneChange) -> float:
-        """Speed of the ego during its lane change [m/s]: who slows down in it asks more of the one behind."""
+        """Return the ego's lowest speed during its lane change [m/s]: slowing down requires more of the one behind."""
         over = max(self._onset, change.tick) + round(HEADWAY * self._hz)
         return float(self._frame.speed[0, change.tick : min(over, self._end) + 1].min())
 
     def _is_too_late(self, seen: int) -> bool:
-        """Whether nobody can answer a cut-in that is seen at a tick, for its time to collision."""
+        """Return whether the time to collision is too short to respond to a cut-in that is seen at a tick."""
         frame = self._frame
         closing = float(frame.speed[0, seen] - frame.speed[self._npc + 1, seen])
         hardest = EMERGENCY.braking.deceleration
@@ -494,7 +494,7 @@ class Conflict:
     def _unanswered(
         self, tick: int, danger: Fact, answer: Fact, fault: Fault, change: LaneChange | None = None
     ) -> Attribution:
-        """The ego's, behind; shared with an NPC that braked hard after it had pushed in, or with nothing in its way."""
+        """Attribute to the ego behind, and to an NPC that braked hard after pushing in or with nothing in its way."""
         npc = self._npc + 1
         stop = None if self._stands else self._needless_braking(npc)
         braked = stop is not None and self._gap(stop.begin) <= AMPLE * self._frame.speed[0, stop.begin]
@@ -510,7 +510,7 @@ class Conflict:
         change: LaneChange | None = None,
         seen: int | None = None,
     ) -> Attribution:
-        """The NPC's, ahead; but not where the ego had mastered it, or sped up, and ran into the NPC nevertheless."""
+        """Attribute to the NPC ahead, unless the ego mastered the danger, or sped up, and still ran into it."""
         chance = self._second_chance(tick, pursuit, by_ego=True)
         if chance is None and seen is not None:
             chance = self._sped_up(0, seen, pursuit)
@@ -521,7 +521,7 @@ class Conflict:
         return self._blamed_unless_standing(tick, (reason[0], chance), "leader-unanswered")
 
     def _second_chance(self, tick: int, pursuit: Pursuit, *, by_ego: bool) -> Fact | None:
-        """How the one behind gave away what it had gained since a tick; None where it did not."""
+        """Return the fact that the follower mastered the danger after a tick and lost that again, or None."""
         behind, ahead = (0, self._npc + 1) if by_ego else (self._npc + 1, 0)
         closing = self._frame.speed[behind] - self._frame.speed[ahead]
         first = max(tick, self._before) + round(FOLLOWING.delay * self._hz)
@@ -538,9 +538,9 @@ class Conflict:
         return None
 
     def _npc_followed(self, duty: int, tick: int, reason: Reason, moved_in: int = 0) -> Attribution:
-        """The ego led: the NPC owes an answer, not before a tick, unless the ego braked, or stopped, for nothing.
+        """Attribute to the NPC behind, which had to respond from a tick on, unless the ego braked for nothing.
 
-        One that moved in behind an ego that did so is responsible, too.
+        An NPC that moved in behind such an ego is responsible, too.
         """
         braked = self._needless_braking(0, moved_in)
         if braked is not None and braked.end < duty:
@@ -553,7 +553,7 @@ class Conflict:
             return self._needless(stop, max(duty, self._before), stopped, "stopped-for-nothing", moved_in)
         if braked is None:
             return self._excused(tick, reason)
-        since = max(duty, min(self._before, braked.begin))  # it is something to answer, however far away
+        since = max(duty, min(self._before, braked.begin))  # the braking requires a response at any distance
         fault: Fault = "braked-for-nothing" if self._is_hard(braked, 0) else "stopped-for-nothing"
         return self._needless(braked, since, self._braked_for_nothing(0, braked), fault, moved_in)
 
@@ -561,7 +561,7 @@ class Conflict:
         return bool((braking(self._trace, vehicle)[stop.begin + 1 : stop.end + 1] > HARD_BRAKING).any())
 
     def _needless_braking(self, leader: int, moved_in: int = 0) -> Stop | None:
-        """The hard braking of the vehicle ahead with nothing in its way, about when the danger began."""
+        """Return the hard braking of the vehicle ahead with nothing in its way, from about when the danger began."""
         first = self._start - round(AFTERMATH_SECONDS * self._hz)
         stops = (
             hard_braking(self._trace, leader, first, self._end),
@@ -575,9 +575,9 @@ class Conflict:
         return stop if self._is_needless(stop, ticks, moved_in, leader) else None
 
     def _is_needless(self, stop: Stop, ticks: slice, moved_in: int, leader: int = 0) -> bool:
-        """Whether the one ahead alone made it dangerous: nothing was a reason to brake, and it never regained speed.
+        """Return whether only the one ahead caused the danger: it had no reason to brake and never regained its speed.
 
-        And the other was behind then, and did not move in, or speed up, once the braking was over.
+        The other must have been behind then, and must not have moved in or sped up after the braking.
         """
         ahead, behind = self._frame.speed[leader], self._frame.speed[0 if leader else self._npc + 1]
         if self._leads(stop.begin) == bool(leader) or ahead[self._end] >= ahead[stop.begin]:
@@ -604,7 +604,7 @@ class Conflict:
             return self._attributed("both", stop.begin, (braked, self._answer(npc, counted)), fault)
         return self._attributed("ego", stop.begin, (braked, self._had_no_time(npc, since)), fault)
 
-    # What reasons are made of.
+    # The facts of reasons.
 
     def _attributed(
         self, responsibility: Responsibility, tick: int, facts: Reason, fault: Fault | None = None
@@ -612,7 +612,7 @@ class Conflict:
         return Attribution(responsibility=responsibility, tick=tick, time=self._at(tick), fault=fault, facts=facts)
 
     def _blamed_unless_standing(self, tick: int, reason: Reason, fault: Fault) -> Attribution:
-        """An ego that rolls until it touches does not stand."""
+        """Attribute to the ego, unless it stood. An ego that rolled shortly before the impact did not stand."""
         rolled = self._frame.speed[0, max(self._end - round(ROLLED * self._hz), 0) : self._end]
         if self._stands and not (rolled > STANDING_SPEED).any():
             return self._excused(tick, reason)
@@ -628,7 +628,7 @@ class Conflict:
         return bool(abs(self._frame.speed[0, self._end]) <= STANDING_SPEED)
 
     def _crossed(self, change: LaneChange) -> Fact:
-        """That a vehicle changed lanes, and where it was then."""
+        """Return the fact that a vehicle changed lanes, and where it was then."""
         crossed = self._placed(What.CROSSED_LINE, change.vehicle, change.tick)
         before = int(self._trace.states[change.tick, change.vehicle, LANE])
         lane = before + (1 if self._frame.drift[change.vehicle, change.tick] > 0 else -1)
@@ -636,7 +636,7 @@ class Conflict:
         return crossed._replace(lane=lane if is_numbered else None)
 
     def _placed(self, what: What, vehicle: int, tick: int) -> Fact:
-        """What a vehicle did at a tick, and where it was then."""
+        """Return a fact about a vehicle at a tick, and where it was then."""
         other, gap = self._npc + 1 - vehicle, max(self._gap(tick), 0.0)
         ahead = gap if self._leads(tick) == (vehicle == 0) else -gap
         faster = float(self._frame.speed[other, tick] - self._frame.speed[vehicle, tick])
@@ -644,43 +644,43 @@ class Conflict:
         return Fact(what, vehicle, self._at(tick), other, gap_m=ahead, faster_m_per_s=faster, leader_m_per_s2=braked)
 
     def _led_braking(self, tick: int) -> float:
-        """How hard the NPC ahead braked since a little before a tick [m/s^2]; 0 where that is not worth a word."""
+        """Return how hard the NPC ahead braked from shortly before a tick on [m/s^2]; 0 if not worth mentioning."""
         since = max(tick - round(BRAKED_BEFORE * self._hz), 0)
         peak = float(braking(self._trace, self._npc + 1)[since + 1 : self._end + 1].max(initial=0.0))
         return peak if peak >= BRAKED_VISIBLY else 0.0
 
     def _too_close(self, follower: int, leader: int) -> Fact:
         close, safe = self._placed(What.CAME_TOO_CLOSE, follower, self._start), float(self._safe_along[self._start])
-        return close._replace(gap_m=min(close.gap_m, -1e-9), asked_m=safe)  # never told as beside
+        return close._replace(gap_m=min(close.gap_m, -1e-9), asked_m=safe)  # a gap of 0 would read as "next to"
 
     def _braked_for_nothing(self, vehicle: int, stop: Stop) -> Fact:
         peak = float(braking(self._trace, vehicle)[stop.begin : stop.end + 1].max())
         return Fact(What.BRAKED_FOR_NOTHING, vehicle, self._at(stop.begin), braking_m_per_s2=peak)
 
     def _had_no_time(self, vehicle: int, tick: int) -> Fact:
-        """That the proper response would not have been in time."""
+        """Return the fact that the proper response would not have been in time."""
         return Fact(What.HAD_NO_TIME, vehicle, self._at(tick))
 
     def _answer(self, vehicle: int, since: int, response: Braking = FOLLOWING) -> Fact:
-        """When the one behind was due to brake, of what there was to answer since a tick, and what it did."""
+        """Return when the follower should have braked, given what required it since a tick, and what it did."""
         return answer(self._trace, vehicle, self._frame.speed[vehicle], since, response)
 
     def _at(self, tick: int) -> float:
-        """Time of a tick [s]."""
+        """Return the time of a tick [s]."""
         return tick / self._hz
 
     def _gap(self, tick: int) -> float:
-        """Between the boxes along the road [m], negative side by side."""
+        """Return the gap between the boxes along the road [m], negative side by side."""
         frame, npc = self._frame, self._npc
         half = frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
         return float(abs(frame.ahead[npc, tick]) - half)
 
     def _leads(self, tick: int) -> bool:
-        """Whether the ego is the one ahead."""
+        """Return whether the ego is the one ahead."""
         return bool(self._frame.ahead[self._npc, tick] < 0)
 
     def _pursuit(self, *, by_ego: bool, goes_on: bool = False) -> Pursuit:
-        """The ego behind the NPC, or the NPC behind the ego; ``goes_on`` with the braking of its last tick."""
+        """Return the ego behind the NPC, or the NPC behind the ego; ``goes_on`` continues the last tick's braking."""
         frame, npc, past, way = self._frame, self._npc, slice(self._end + 1), 1.0 if by_ego else -1.0
         vehicles = (0, npc + 1) if by_ego else (npc + 1, 0)
         first, second = ((frame.cos[vehicle, past], frame.sin[vehicle, past]) for vehicle in vehicles)
