@@ -70,8 +70,8 @@ SPARE = 0.2
 """An ego that brakes for a cut-in is responsible only if a response this much later would have helped, too [s]."""
 BLOCKED = 0.3
 AT_ONCE = 2.0
-"""No driver can respond to an NPC that moves in with less headway than the first and begins to brake hard within the
-second [s]."""
+"""No driver can respond to an NPC that moves in with a headway below ``BLOCKED`` and begins to brake hard within
+``AT_ONCE`` [s]."""
 AMPLE = 1.0
 """A follower further behind than this, in seconds of its driving, can respond to a hard braking [s]."""
 LEAST_ROOM = 2.0

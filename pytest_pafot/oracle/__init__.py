@@ -1,1 +1,1 @@
-"""A run as the user's test function sees it, and what that says of it."""
+"""The run that a test function receives, and the checks that it makes."""

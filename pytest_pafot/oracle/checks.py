@@ -1,6 +1,6 @@
-"""What a test function asserts with a margin: how far a value is from its bound, whether it holds or not.
+"""Checks: assertions of a test function with a margin, the distance of a value from its bound.
 
-A search that knows the margins can climb them; a plain ``assert`` tells it nothing but that it failed.
+A search that knows the margins can climb them; a plain ``assert`` only reports that it failed.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import numpy as np
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.support.errors import POSITIVE, checked_number
 
-# How a test function discards a scenario.
+# Discarding a scenario in a test function.
 
 
 class Rejected(BaseException):
-    """Raised by :func:`reject`. No ``Exception``, so that the test's own handlers do not swallow it."""
+    """The signal of :func:`reject`. It is no ``Exception``, so that the test's own handlers do not swallow it."""
 
 
 def reject() -> NoReturn:
-    """Discard the scenario that is running: it counts neither as passed nor as failed."""
+    """Discard the current scenario: it counts neither as passed nor as failed."""
     raise Rejected("pafot.reject() discards a scenario of a @pafot.search test; nothing else catches it")
 
 
@@ -34,19 +34,19 @@ LONGEST_NAME = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """A value that was held against its bounds in one run, or that a search was to push up.
+    """A value that was compared with its bounds in one run, or that a search should maximise.
 
     Attributes:
-        name: of the check; two failures of checks of one name are the same.
-        value: the worst one [unit]; NaN fails.
-        margin: by how much it keeps its bound, in units of the scale; negative where it does not, minus infinity for
-            NaN. For a target, minus the value.
+        name: name of the check; two failures of checks with the same name are the same.
+        value: worst value [unit]; NaN fails.
+        margin: distance by which the value keeps its bound, in units of the scale; negative if it does not, minus
+            infinity for NaN. For a target, minus the value.
         at_most, at_least: bounds [unit]; None without. Both are None for a target.
-        unit: of the value.
-        time: when it was worst [s]; None where nobody says.
-        npc: that it is about; None where nobody says.
-        values: one a tick where it was given so and the ticks are known; None otherwise.
-        start: the tick of the first of them.
+        unit: unit of the value.
+        time: time of the worst value [s]; None if unknown.
+        npc: NPC that the check is about; None if unknown.
+        values: one value a tick, if given so and the ticks are known; None otherwise.
+        start: tick of the first of these values.
     """
 
     name: str
@@ -62,16 +62,16 @@ class Check:
 
     @property
     def bounds(self) -> dict[str, float | None]:
-        """By the names of the arguments of :func:`check`."""
+        """The bounds by the names of the arguments of :func:`check`."""
         return {"at_most": self.at_most, "at_least": self.at_least}
 
     @property
     def holds(self) -> bool:
-        """Whether the value keeps its bounds."""
+        """True if the value keeps its bounds."""
         return self.margin >= 0 or (self.at_most is None and self.at_least is None)
 
     def __str__(self) -> str:
-        """As in ``jerk 35.1 > 20 m/s^3 at 4.2 s``."""
+        """Return the check in words, as in ``jerk 35.1 > 20 m/s^3 at 4.2 s``."""
         bound, sign = self.at_most, "<=" if self.holds else ">"
         if self.at_least is not None and (bound is None or self.value < self.at_least):
             bound, sign = self.at_least, ">=" if self.holds else "<"
@@ -84,9 +84,9 @@ class Check:
 
 
 class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
-    """A check whose bound is broken; ``check`` says by how much, when, and with whom."""
+    """Error for a check whose bound is broken; ``check`` says by how much, when, and with which NPC."""
 
-    __module__ = "pytest_pafot"  # where users find it, and as a traceback names it
+    __module__ = "pytest_pafot"  # users import it from there, and tracebacks show this name
 
     def __init__(self, check: Check) -> None:
         if not isinstance(check, Check):
@@ -104,8 +104,9 @@ class Recording:
 
     Attributes:
         hz: ticks of the run a second.
-        ticks: how many values one a tick are.
-        npcs: of the run; None where nobody says.
+        ticks: number of ticks of the run.
+        npcs: number of NPCs in the run; None if unknown.
+        checks: checks that were made.
     """
 
     hz: int
@@ -115,13 +116,13 @@ class Recording:
 
 
 _RECORDING: ContextVar[Recording | None] = ContextVar("pafot_checks", default=None)
-"""Of the run that is judged in this context. A test function is called with a run, and its checks have no other way to
-say so without one more argument each."""
+"""The recording of the run that is being evaluated in this context. Without it, each check in a test function would
+need one more argument."""
 
 
 @contextmanager
 def recorded(recording: Recording) -> Iterator[None]:
-    """Have the checks that are made meanwhile recorded."""
+    """Record the checks that are made inside the context."""
     token = _RECORDING.set(recording)
     try:
         yield
@@ -140,24 +141,24 @@ def check(
     npc: int | None = None,
     scale: float | None = None,
 ) -> None:
-    """Assert that a value keeps its bounds, and tell the search by how much.
+    """Assert that a value keeps its bounds, and report to the search by how much.
 
     Args:
-        value: a number, or an array with one value a tick, such as ``run.ego.jerk``, of which the worst counts. NaN
-            fails. A formula of :func:`~pytest_pafot.criticality.temporal.always` and the like needs no bound.
-        name: what a finding is called, and what makes two failures the same.
-        at_most, at_least: bounds [unit]; at least one, but for a formula.
-        unit: such as ``"m/s^3"``; that of a signal by default.
-        at: when it happened [s]; by default the time of an array's worst tick, or of the one that decides a formula.
-        npc: that it is about; -1, as of ``run.leader``, is none.
-        scale: what a margin is divided by [unit], so that checks of any unit compare; by default the bound, or 1
-            where that is 0.
+        value: a number, or an array with one value a tick, such as ``run.ego.jerk``; the worst value counts. NaN fails.
+            A formula, such as the result of :func:`~pytest_pafot.criticality.temporal.always`, needs no bound.
+        name: name of the finding; failures with the same name are the same.
+        at_most, at_least: bounds [unit]; at least one is required, except for a formula.
+        unit: unit, such as ``"m/s^3"``; the unit of a signal by default.
+        at: time of the event [s]; by default the time of an array's worst tick, or of the tick that decides a formula.
+        npc: NPC that the check is about; -1, as in ``run.leader``, means none.
+        scale: divisor of the margin [unit], so that checks in different units are comparable; by default the bound, or
+            1 if that is 0.
 
     Raises:
-        CheckFailed: where a bound is broken.
-        ValueError: for a check that cannot be made, in words for the user.
+        CheckFailed: if a bound is broken.
+        ValueError: if the check is not valid.
     """
-    __tracebackhide__ = True  # by pytest: the line of the test function is the last one then
+    __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
     what, is_margin = f"check {name!r}", hasattr(value, "is_formula")
     if is_margin and at_most is None and at_least is None:
         at_least = 0.0
@@ -192,11 +193,11 @@ def check(
 
 
 def target(value: Any, *, name: str) -> None:
-    """Have the search push a value up that has no bound; it never fails.
+    """Make the search maximise a value that has no bound; it never fails.
 
     Args:
-        value: a number, or an array with one value a tick, of which the largest counts; NaN counts as nothing.
-        name: of the objective.
+        value: a number, or an array with one value a tick; the largest value counts, and NaN is ignored.
+        name: name of the objective.
     """
     values = _values(value, name)
     tick = int(np.where(np.isnan(values), -np.inf, values).argmax())
@@ -251,9 +252,9 @@ def _npc(name: str, npc: Any) -> int | None:
 
 
 def _clock(value: Any, values: FloatArray) -> tuple[int, float] | None:
-    """The tick of an array's first value, and the ticks a second; None for a number, and where nobody knows.
+    """Return the tick of an array's first value and the ticks a second; None for a number, and if they are unknown.
 
-    By its own clock, or by that of the run that is judged where it is as long.
+    They come from the array itself, or from the run that is being evaluated if the array is as long.
     """
     if values.size == 1:
         return None
@@ -264,7 +265,7 @@ def _clock(value: Any, values: FloatArray) -> tuple[int, float] | None:
 
 
 def _short(value: float, bound: float | None) -> str:
-    """In few digits, and in more where it would read as its bound, or as one beyond it."""
+    """Return a value with few digits, or with more if it would otherwise read as its bound or as beyond it."""
     texts = [f"{value:.1f}"] if 1 <= abs(value) < 1e4 else []
     texts += [f"{value:.{digits}g}" for digits in range(3, 17)]
     if bound is None or math.isnan(value):

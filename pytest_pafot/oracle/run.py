@@ -1,4 +1,4 @@
-"""One simulated run as the user's test function sees it: ``run``, with all that a test can ask of it."""
+"""The ``run`` that a test function receives: one simulated run with its measures and its verdict."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ if TYPE_CHECKING:
 
 
 LINE_LENGTH = 99
-"""Of an explanation."""
+"""The longest line of an explanation."""
 MAX_GENE_ROWS = 5
-"""Of the table in it."""
+"""The most rows of the table of genes in an explanation."""
 _DEPARTURES = {
-    Outcome.END_OF_ROAD: ", when a vehicle came to the end of the road",
+    Outcome.END_OF_ROAD: ", when a vehicle reached the end of the road",
     Outcome.LEFT_ROUTE: ", when the ego left its route",
 }
 
@@ -56,9 +56,9 @@ class Moment:
     Attributes:
         npc: index in the scenario.
         tick: physics tick.
-        time: of that tick [s].
-        cell: that the NPC's centre is in, or the last one before where it is in the ego's own; None if it never
-            was in another, and for an NPC that crosses while it is not on the ego's way.
+        time: time of that tick [s].
+        cell: cell of the NPC's centre; if that is the ego's own cell, the last other cell before. None if there is
+            none, and for an NPC that crosses while it is not on the ego's way.
     """
 
     npc: int
@@ -68,7 +68,7 @@ class Moment:
 
 
 class NoReferenceDriversError(RuntimeError):
-    """The run does not know its world, so that no reference driver can be tried in it."""
+    """Error for a run that does not know its world, so that no reference driver can be tried in it."""
 
 
 class ReferenceWorld(Protocol):
@@ -76,29 +76,29 @@ class ReferenceWorld(Protocol):
 
     @property
     def reference_drivers(self) -> Sequence[str]:
-        """Their names."""
+        """The names of the reference drivers."""
 
     def rollout_reference(self, scenario: Scenario, name: str, /) -> Trace:
-        """Simulate a scenario with one of them."""
+        """Simulate a scenario with one reference driver."""
 
 
 ReferenceOutcome = Literal["avoids", "hit", "at-fault", "fails"]
-"""What becomes of a reference driver in the ego's place: it avoids the failure; it is hit, and an NPC is responsible;
-it answers for a collision itself, alone or with the NPC; or it fails the test function without a collision."""
+"""The outcome for a reference driver in the ego's place: it avoids the failure; it is hit, and an NPC is responsible;
+it is responsible for a collision itself, alone or with the NPC; or it fails the test function without a collision."""
 
 
 def preventing(outcomes: Iterable[tuple[str, ReferenceOutcome]], responsibility: str | None) -> Iterator[str]:
-    """Names of the reference drivers that would have prevented a failure.
+    """Return the names of the reference drivers that would have prevented a failure.
 
-    They avoid it; or, where the ego answers for a collision, they are hit at most: what the ego did is no fault of
-    theirs then. To be hit as well prevents nothing where the ego itself was not at fault, or did not collide.
+    They avoid it; or, if the ego is responsible for a collision, an NPC hits them at most, because they then do not
+    repeat the ego's fault. If the ego was not at fault, or did not collide, a driver that is hit prevents nothing.
     """
     free: tuple[ReferenceOutcome, ...] = ("avoids", "hit") if responsibility in ("ego", "both") else ("avoids",)
     return (name for name, outcome in outcomes if outcome in free)
 
 
 def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
-    """What became of a reference driver, by its run and by whether that fails."""
+    """Return the outcome for a reference driver, given its run and whether that fails."""
     if not fails:
         return "avoids"
     if run.collision is None:
@@ -108,13 +108,13 @@ def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(Drawn):
-    """What happened in one run, and all that a test can ask of it; measures are computed when first asked for.
+    """One run and everything that a test can ask of it. Measures are computed at their first use.
 
     Attributes:
-        trace: the record, tick by tick.
-        decision_limit: longest decision that the ADS is allowed [s], or None for any; see :attr:`too_slow`.
-        world: that this run took place in, where it has reference drivers; see :attr:`reference_drivers`.
-        take_over: has one of them take over in the midst of this run; see :attr:`last_chance`.
+        trace: record of the run, tick by tick.
+        decision_limit: longest allowed decision of the ADS [s], or None for no limit; see :attr:`too_slow`.
+        world: world of the run, if it has reference drivers; see :attr:`reference_drivers`.
+        take_over: function that lets a reference driver take over in the middle of this run; see :attr:`last_chance`.
     """
 
     trace: Trace
@@ -125,10 +125,10 @@ class Run(Drawn):
     if not TYPE_CHECKING:  # type checkers know every name
 
         def __getattr__(self, name: str) -> Any:
-            """Only called for what there is not: name what is near."""
-            __tracebackhide__ = True  # by pytest: the line of the test function is the last one then
+            """Suggest the nearest name; Python calls this only for attributes that do not exist."""
+            __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
             if hasattr(type(self), name):
-                return object.__getattribute__(self, name)  # an AttributeError inside of a property, as it is
+                return object.__getattribute__(self, name)  # raises again an AttributeError from inside a property
             known = [each for each in dir(self) if not each.startswith("_")]
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
             hint = f"did you mean `run.{near[0]}`?" if near else f"it has {', '.join(known)}"
@@ -138,42 +138,42 @@ class Run(Drawn):
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario as driven; running it again gives this run again."""
+        """The scenario as driven; running it again repeats this run."""
         return self.trace.executed
 
     @property
     def outcome(self) -> Outcome:
-        """How the run ended, such as ``"collision"``, ``"off_road"`` or ``"safe"``."""
+        """The outcome of the run, such as ``"collision"``, ``"off_road"`` or ``"safe"``."""
         return self.trace.outcome
 
     @property
     def collision(self) -> Collision | None:
-        """The ego's collision: when, with whom, where and how fast; None without one."""
+        """The ego's collision with its time, NPC, place and speeds; None without one."""
         return self.trace.collision
 
     @property
     def ads_error(self) -> AdsError | None:
-        """What the ADS did instead of returning an action, or None."""
+        """The error of the ADS, which did not return an action; None without one."""
         return self.trace.error
 
     @property
     def off_road(self) -> bool:
-        """Whether the ego's centre was off the road at some tick."""
+        """True if the ego's centre was off the road at some tick."""
         return self.trace.off_road_tick is not None
 
     @property
     def duration(self) -> float:
-        """Simulated time until the run ended [s]."""
+        """The simulated time until the run ended [s]."""
         return self.trace.duration
 
     @property
     def max_decision_time(self) -> float:
-        """Longest decision of the ADS in wall-clock time [s]; not reproducible."""
+        """The longest decision of the ADS in wall-clock time [s]; not reproducible."""
         return self.trace.max_decision_seconds
 
     @property
     def too_slow(self) -> bool:
-        """Whether a decision took longer than the limit; False without a limit. Depends on wall-clock time."""
+        """True if a decision took longer than the limit; False without a limit. Depends on wall-clock time."""
         return self.decision_limit is not None and self.max_decision_time > self.decision_limit
 
     # How dangerous it was for the ego: over all ticks and NPCs.
@@ -182,21 +182,22 @@ class Run(Drawn):
     def mettc(self) -> float:
         """The paper's minimum estimated time to collision [s]; lower is worse, inf if there is none.
 
-        Until the ego is where its line of travel crosses an NPC's (PAFOT, section 3.3, equations 1 to 3).
+        It is the time until the ego reaches the point where its line of travel crosses an NPC's (PAFOT, section 3.3,
+        equations 1 to 3).
         """
         return self._encounters.mettc
 
     @cached_property
     def min_ttc(self) -> float:
-        """Least time to contact of the boxes at constant velocity [s]; lower is worse, inf if there is none.
+        """The least time to contact of the boxes at constant velocity [s]; lower is worse, inf if there is none.
 
-        The time to collision of Hayward (1972), for oriented boxes.
+        It is the time to collision of Hayward (1972), for oriented boxes.
         """
         return self._encounters.min_ttc
 
     @cached_property
     def min_distance(self) -> float:
-        """Least distance between the ego's box and an NPC's [m]; lower is worse, 0 at contact."""
+        """The least distance between the ego's box and an NPC's [m]; lower is worse, 0 at contact."""
         return self._encounters.min_gap
 
     @cached_property
@@ -213,22 +214,22 @@ class Run(Drawn):
 
     @property
     def ego(self) -> EgoSignals:
-        """Signals of the ego, such as ``run.ego.speed``."""
+        """The signals of the ego, such as ``run.ego.speed``."""
         return self._signals.ego
 
     @property
     def npcs(self) -> tuple[NpcSignals, ...]:
-        """Signals of each NPC, such as ``run.npcs[0].gap``."""
+        """The signals of each NPC, such as ``run.npcs[0].gap``."""
         return self._signals.npcs
 
     @property
     def headway(self) -> Signal:
-        """Gap along the lane to the leader over the ego's speed [s]; lower is worse, inf without a leader."""
+        """The gap along the lane to the leader, divided by the ego's speed [s]; lower is worse, inf without leader."""
         return self.signal(BY_NAME["headway"])
 
     @cached_property
     def leader(self) -> npt.NDArray[np.intp]:
-        """Index of the NPC ahead of the ego in its lane at each tick, -1 without one."""
+        """The index of the NPC ahead of the ego in its lane at each tick, -1 without one."""
         return leader(self.trace)
 
     @cached_property
@@ -238,28 +239,28 @@ class Run(Drawn):
 
     @cached_property
     def passages(self) -> tuple[Passage, ...]:
-        """When the ego and each NPC that crosses were in the zone in which their ways meet; empty without any.
+        """The times at which the ego and each NPC that crosses were in their zone; empty without such an NPC.
 
-        ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` is how narrowly the ego and
+        ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` says how narrowly the ego and
         crossing traffic missed each other.
         """
         return tuple(filter(None, passages(self.trace)))
 
     def signal(self, measure: Measure, npc: int | None = None) -> Signal:
-        """A measure of your own as a signal; of one NPC where it gives a value of each.
+        """Return your own measure as a signal; a measure of each NPC needs the index of one.
 
         Raises:
-            ValueError: for a measure that gives an array of another shape, or whose ``npc`` is missing.
+            ValueError: if the measure returns an array of a different shape, or if ``npc`` is missing.
         """
         return self._signals.of(measure, npc)
 
     def to_pandas(self) -> DataFrame:
-        """All signals as a data frame, a row a tick, by names such as ``npcs[0].gap``; needs pandas.
+        """Return all signals as a data frame with a row per tick and columns such as ``npcs[0].gap``; needs pandas.
 
         The index is the time [s].
 
         Raises:
-            ModuleNotFoundError: where pandas is not installed.
+            ModuleNotFoundError: if pandas is not installed.
         """
         try:
             import pandas as pd  # noqa: PLC0415
@@ -274,24 +275,24 @@ class Run(Drawn):
 
     @cached_property
     def attribution(self) -> Attribution:
-        """Who caused the collision, since when it was dangerous, and why; by Responsibility-Sensitive Safety."""
+        """The attribution of the collision: which vehicle caused it, since when it was dangerous, and why."""
         return rss_rule(self.trace)
 
     @property
     def responsibility(self) -> str | None:
-        """Who caused the collision, ``"ego"``, ``"npc"`` or ``"both"``; None without one."""
+        """The responsibility for the collision, ``"ego"``, ``"npc"`` or ``"both"``; None without one."""
         verdict = self.attribution.responsibility
         return None if verdict == "none" else verdict
 
     @property
     def second_opinion(self) -> str | None:
-        """Who caused it by the authors' position rule, ``"ego"`` or ``"npc"``; None without a collision."""
+        """The responsibility by the authors' position rule, ``"ego"`` or ``"npc"``; None without a collision."""
         verdict = position_rule(self.trace)
         return None if verdict == "none" else verdict
 
     @property
     def preventable_by(self) -> tuple[str, ...]:
-        """Names of the reference drivers that avoid a collision in the ego's place or, where it is at fault, any fault.
+        """The names of the reference drivers that avoid a collision in the ego's place, or any fault if it is at fault.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world.
@@ -300,9 +301,10 @@ class Run(Drawn):
 
     @cached_property
     def reference_drivers(self) -> Mapping[str, ReferenceOutcome]:
-        """By name, what becomes of each driver in the ego's place: ``"avoids"``, ``"hit"`` or ``"at-fault"``.
+        """The outcome of each reference driver in the ego's place, by name: ``"avoids"``, ``"hit"`` or ``"at-fault"``.
 
-        Simulated when asked for, and judged by the collision alone. A driver is missing in whose run two NPCs touched.
+        The drivers are simulated at the first use, and only the collision counts. A driver is missing if two NPCs
+        touched in its run.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world.
@@ -311,7 +313,7 @@ class Run(Drawn):
         return {name: reference_outcome(run, fails=run.collision is not None) for name, run in runs}
 
     def by_reference_drivers(self) -> Iterator[tuple[str, Run]]:
-        """The same scenario with each reference driver in the ego's place, simulated one after the other.
+        """Yield a run of the same scenario with each reference driver in the ego's place, one after the other.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world.
@@ -323,10 +325,10 @@ class Run(Drawn):
 
     @cached_property
     def last_chance(self) -> LastChance | None:
-        """When a careful driver in the ego's place would last have stayed free of fault; simulated when asked for.
+        """The last decision at which a careful driver in the ego's place would have stayed free of fault; simulated.
 
-        None without a collision that the ego answers for, where it entered somebody's lane, and where the last 10 s
-        had no such chance.
+        None without a collision that the ego is responsible for, if it entered another vehicle's lane, and if there was
+        no such chance in the last 10 s.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world.
@@ -335,29 +337,29 @@ class Run(Drawn):
             raise _no_world("last_chance", "take_over=world.take_over")
         return last_chance(self.trace, self.attribution.fault, self.take_over)
 
-    # The moment that it is about.
+    # The moment that the run is about.
 
     @cached_property
     def worst_ttc(self) -> Moment | None:
-        """When, and with which NPC where, the time to contact was least; None where it never was finite."""
+        """The moment and NPC with the least time to contact; None if it never was finite."""
         return self._at_minimum(self._encounters.ttc)
 
     @cached_property
     def closest_approach(self) -> Moment | None:
-        """When, and with which NPC where, the boxes were closest."""
+        """The moment and NPC with the least distance between the boxes."""
         return self._at_minimum(self._encounters.gap)
 
     @property
     def closest_time(self) -> float:
-        """When the boxes were closest [s]."""
+        """The time at which the boxes were closest [s]."""
         return self.duration if self.closest_approach is None else self.closest_approach.time
 
     @cached_property
     def event_time(self) -> float:
-        """When the thing happened that the run is about [s].
+        """The time of the event that the run is about [s].
 
-        Of the collision, the ADS's error or the departure from the road; else of the least time to contact; else
-        of the closest approach.
+        The event is the collision, the ADS's error or the departure from the road; else the least time to contact; else
+        the closest approach.
         """
         if self.collision is not None:
             return self.collision.time
@@ -374,14 +376,14 @@ class Run(Drawn):
 
     @property
     def event_cell(self) -> Cell | None:
-        """The cell that :attr:`event_npc` was in at that moment; None where it crossed the ego's way."""
+        """The cell that :attr:`event_npc` was in at that moment; None if it crossed the ego's way."""
         event = self.collision or self.worst_ttc
         return None if event is None else event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
-        """The zone of the NPC of an event that crosses, as long as it had not left it; None for others.
+        """Return the zone of an event's NPC if it crosses and had not left the zone; else None.
 
-        Once it has merged and left the zone, it is on the ego's way as any other.
+        After an NPC has merged and left the zone, it is on the ego's way like any other.
         """
         zone, on_way = self.npcs[event.npc].zone, self.trace.on_way
         if zone is None or on_way is None:
@@ -389,9 +391,9 @@ class Run(Drawn):
         return zone if event.cell is None or on_way[event.tick, event.npc] <= zone.npc[1] else None
 
     def place_of(self, event: Collision | Moment) -> str:
-        """Where the NPC of an event was, in words; empty where it never left the ego's own cell.
+        """Return where an event's NPC was, in words; empty if it never left the ego's own cell.
 
-        Such as ``in cell 2 (front)``, or of an NPC that crosses ``from the left in the zone o1>o3``.
+        For example ``in cell 2 (front)``, or ``from the left in the zone o1>o3`` for an NPC that crosses.
         """
         zone, on_way = self.zone_of(event), self.trace.on_way
         if zone is None or on_way is None:
@@ -402,14 +404,14 @@ class Run(Drawn):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Who did what, what was due and did not come, and who is responsible; none without a collision."""
+        """The texts on what happened, what should have happened, and who is responsible; none without a collision."""
         if self.collision is None:
             return ()
         verdict = self.attribution
         return *verdict.sentences, responsible_sentence(verdict.responsibility, self.collision.npc)
 
     def explain(self) -> str:
-        """The run in under 15 lines of plain ASCII: what happened, whose fault, and what the NPCs were told."""
+        """Explain the run in under 15 lines of plain ASCII: what happened, whose fault, and the NPCs' instructions."""
         lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
         names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
         names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
@@ -431,7 +433,7 @@ class Run(Drawn):
         return criticality.Encounters(self.trace)
 
     def _at_minimum(self, measure: FloatArray) -> Moment | None:
-        """Where a measure of shape [NPCs, ticks + 1] is least; the first such tick, then the first such NPC."""
+        """Return where a measure of shape [NPCs, ticks + 1] is least: the first such tick, then the first such NPC."""
         values = np.where(np.isnan(measure), np.inf, measure).T
         if values.size == 0 or not np.isfinite(values.min()):
             return None
@@ -466,7 +468,7 @@ class Run(Drawn):
         return lines
 
     def _hardest_brake(self) -> str:
-        """How hard the ego braked and when, and where a verdict says that it did not, why that braking is no answer."""
+        """Return how hard the ego braked and when; if the verdict says that it did not, why that is no answer."""
         text = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
         if self.hardest_brake < 0.05:
             return text
@@ -481,19 +483,19 @@ class Run(Drawn):
 
 def _no_world(name: str, argument: str) -> NoReferenceDriversError:
     return NoReferenceDriversError(
-        f"run.{name}: expected a run that knows its world, such as a search or pafot_simulate gives, "
-        f"received one that was made of a trace alone; use Run(trace, {argument})"
+        f"run.{name}: expected a run that knows its world, as from a search or from pafot_simulate, "
+        f"received one that was made only from a trace; use Run(trace, {argument})"
     )
 
 
 def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
-    """Return what an NPC that crosses is told, in words: ``from the left, 0.5 s after the ego leaves``."""
+    """Return a crossing NPC's instruction in words: ``from the left, 0.5 s after the ego leaves``."""
     whence = "" if zone is None else zone.whence
     return ", ".join(filter(None, (whence, instruction.when, instruction.deed)))
 
 
 def _crossing_lines(trace: Trace) -> list[str]:
-    """A line for each NPC that crosses: where to, what it was told, and how it passed the zone."""
+    """Return a line for each NPC that crosses: its way, its instruction, and how it passed the zone."""
     told = [(npc, each) for npc, each in enumerate(trace.executed.crossings) if each is not None]
     shown = told[: MAX_GENE_ROWS - (2 if trace.executed.positions else 0)]
     zones, passed = trace.zones or (None,) * len(trace.executed.npcs), passages(trace)
@@ -505,7 +507,7 @@ def _crossing_lines(trace: Trace) -> list[str]:
 
 
 def _passed(passage: Passage | None) -> str:
-    """How an NPC passed its zone, in words: ``; came 0.1 s after it (5.6 s)``."""
+    """Return how an NPC passed its zone, in words: ``; came 0.1 s after it (5.6 s)``."""
     if passage is None:
         return ""
     if passage.npc_enters == math.inf:
@@ -521,7 +523,7 @@ def _passed(passage: Passage | None) -> str:
 
 
 def _gene_table(trace: Trace, room: int) -> list[str]:
-    """The Position-Instructions that the run started: a row per gene, a column per NPC, times in seconds."""
+    """Return the table of Position-Instructions that were started: a row per gene, a column per NPC, times in s."""
     scenario = trace.executed
     npcs = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], CrossingInstruction)]
     if not npcs:
@@ -542,7 +544,7 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
 
 
 def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
-    """One instruction; how an arrival is told is empty where there is no room for it."""
+    """Return one instruction in words; ``reached`` introduces the time of arrival, or is empty without room for it."""
     chain = trace.chains[npc]
     if gene >= len(chain):
         return "-"

@@ -253,7 +253,7 @@ def test_the_end_of_the_road_ends_a_run():
     trace = world.rollout(hold(world, 1, speed=30.0, gene_seconds=30.0), constant)
     assert trace.outcome is Outcome.END_OF_ROAD
     assert trace.track[:, :, ALONG].max() == pytest.approx(460 - 2.5, abs=2.5)
-    assert "when a vehicle came to the end of the road" in Run(trace).explain()
+    assert "when a vehicle reached the end of the road" in Run(trace).explain()
 
 
 def test_leaving_the_road_ends_a_run():
