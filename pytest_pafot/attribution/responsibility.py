@@ -59,7 +59,7 @@ Fault = Literal[
 ]
 """The faults of the ego: it changed lanes into another vehicle's way; it did not respond properly to a cut-in, or to a
 vehicle ahead in its lane; it braked hard, or stopped, with nothing in its way; where ways meet, it did not give way, or
-drove with priority into a zone in which another vehicle visibly was."""
+drove into a zone in which another vehicle visibly was."""
 
 TOGETHER = 1.0
 """Two lane changes into one lane that are at most this far apart count as simultaneous [s]."""

@@ -15,8 +15,9 @@ import numpy as np
 from pytest_pafot.attribution.avoidance import HARDEST
 from pytest_pafot.attribution.responses import DISTANCES, FOLLOWING, GIVING_WAY, HEADWAY, answer, room_to_leave
 from pytest_pafot.attribution.sentences import Fact, Reason, What
+from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.trace import ALONG, SPEED, Trace
+from pytest_pafot.model.trace import ALONG, HEADING, SPEED, Trace, X, Y
 
 SPARE = 1.0
 """How far outside of its stretch of a zone a vehicle may still be touched there, or have only backed away a little: the
@@ -84,14 +85,17 @@ class Passing:
 
         That is the first tick where there is none, because it came too fast.
         """
-        for tick in range(self.entered() - 1, -1, -1):
-            if self.begins - self.places[tick] >= stopping(float(self.speeds[tick]), HARDEST):
-                return tick
-        return 0
+        return self.last_stop(self.entered(), self.begins) or 0
 
-    def look(self) -> range:
-        """Return the ticks by which it had to see what comes."""
-        last = self.last_chance()
+    def last_stop(self, before: int, place: float) -> int | None:
+        """Return the last tick before another at which the proper response stops it short of a place; None without."""
+        for tick in range(before - 1, -1, -1):
+            if place - self.places[tick] >= stopping(float(self.speeds[tick]), HARDEST):
+                return tick
+        return None
+
+    def look(self, last: int) -> range:
+        """Return the ticks by which it had to see what comes, up to its last chance."""
         return range(max(last - round(LOOK * self.hz), 0), last + 1)
 
     def leaves(self) -> float:
@@ -147,13 +151,12 @@ class ZoneConflict:
         pairs = ((self.ego, self.npc), (self.npc, self.ego))
         holder = {"ego": self.ego, "npc": self.npc}.get(self._zone.priority)
         without = tuple(own for own, other in pairs if own is not holder and self._did_not_give_way(own, other))
-        taken = tuple(own for own, other in pairs if own is holder and self._entered_taken_zone(own, other))
+        seen = {own: self._seen_taken(own, other) for own, other in pairs if own not in without}
+        taken = tuple(own for own, ticks in seen.items() if ticks)
         if not without and not taken:
             return None
         first, owing = (without or taken)[0], (taken or without)[0]
-        since = owing.last_chance()
-        if taken and self._zone.kind == "merging":
-            since = self._could_slow_down(owing, self.npc if owing is self.ego else self.ego)[-1]
+        since = seen[owing][-1] if taken else owing.last_chance()
         other = self.npc if first is self.ego else self.ego
         at = first.entered() / first.hz
         entered = Fact(
@@ -169,7 +172,7 @@ class ZoneConflict:
     def _did_not_give_way(self, own: Passing, other: Passing) -> bool:
         """Whether the other was foreseen to be in the zone with it, and too near to stop without braking abruptly."""
         enters, leaves = own.entered() / own.hz, own.leaves()
-        for tick in own.look():
+        for tick in own.look(own.last_chance()):
             place, speed = other.foreseen(tick, enters)
             if other.foreseen(tick, leaves)[0] < other.begins:
                 continue
@@ -190,13 +193,27 @@ class ZoneConflict:
             return gap < room_to_leave(speed, own.slowest(enters))
         return gap < float(DISTANCES.safe_along(own.speeds[enters], np.asarray(speed), FOLLOWING.delay))
 
-    def _entered_taken_zone(self, own: Passing, other: Passing) -> bool:
-        """Whether the other had visibly entered when it could still respond, and would not be gone."""
-        enters, since = own.entered(), other.entered()
-        if self._zone.kind != "merging":
-            ticks = (tick for tick in own.look() if tick >= since)
-            return any(other.foreseen(tick, enters / own.hz)[0] < other.ends for tick in ticks)
-        return bool(self._could_slow_down(own, other))
+    def _seen_taken(self, own: Passing, other: Passing) -> list[int]:
+        """Return the ticks at which the other had visibly entered, would not be gone, and it could still respond."""
+        if self._zone.kind == "merging":
+            return self._could_slow_down(own, other)
+        touched = self._reaches(own, other)
+        last = own.last_stop(touched, float(own.places[touched]))
+        if last is None:
+            return []
+        enters, since = own.entered() / own.hz, other.entered()
+        ticks = (tick for tick in own.look(last) if tick >= since)
+        return [tick for tick in ticks if other.foreseen(tick, max(enters, tick / own.hz))[0] < other.ends]
+
+    def _reaches(self, own: Passing, other: Passing) -> int:
+        """Return the tick since which its box, at every tick, reaches where the other's box is at the impact."""
+        poses = self._trace.states[:, own.vehicle], self._trace.states[-1:, other.vehicle]
+        mine, others = (
+            Boxes.driving(*rows[:, [X, Y, HEADING, SPEED]].T, *self._trace.sizes[each.vehicle, :, None])
+            for rows, each in zip(poses, (own, other), strict=True)
+        )
+        free = np.flatnonzero(~overlaps(relate(mine, others))[:-1])
+        return int(free[-1]) + 1 if free.size else 0
 
     @staticmethod
     def _could_slow_down(own: Passing, other: Passing) -> list[int]:

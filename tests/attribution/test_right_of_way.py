@@ -15,7 +15,17 @@ from pytest_pafot.model.crossings import Holder, Kind, Origin, Zone
 from pytest_pafot.model.trace import ALONG, Y
 from pytest_pafot.oracle.run import LINE_LENGTH
 from tests.helpers.junctions import hit, plan
+from tests.helpers.pencil_and_paper import judge
 from tests.helpers.tables import table
+
+
+def agreed(trace):
+    """Return the verdict and the ego's fault that both programs come to."""
+    found = rss_rule(trace)
+    second = judge(trace)
+    assert (found.responsibility, found.fault, found.tick) == (second.responsibility, second.fault, second.tick)
+    return found.responsibility, found.fault
+
 
 FROM = {"left": "north straight", "right": "south straight", "ahead": "east left"}
 
@@ -125,6 +135,26 @@ def test_where_neither_had_priority_the_verdict_is_the_same_from_either_side():
         zones=(replace(zone, ego=zone.npc, npc=zone.ego, origin="right"),),
     )
     assert rss_rule(trace).responsibility == rss_rule(swapped).responsibility == "both"
+
+
+def test_an_ego_that_gave_way_and_sets_off_into_one_that_still_merges_is_responsible():
+    """The NPC has been in the zone for 4.7 s, but is on the ego's way only in the last 0.2 s before the impact."""
+    trace = hit(plan("west straight", 8, 4, (7.0, -4.0, 0.5), (11.8, 4.0, 6.0)), plan("south right", 7, 0.8))
+    assert np.isnan(trace.track[:-4, 1, ALONG]).all()
+    assert agreed(trace) == ("ego", "entered-taken-zone")
+
+
+def test_one_with_priority_that_rolls_into_an_ego_that_stands_in_the_zone_shares():
+    trace = hit(plan("west straight", 6, 6, (5.6, -6.0, 0.0)), plan("north straight", 7, 1))
+    ego, npc = (Passing(trace, vehicle, trace.zones[0]) for vehicle in (0, 1))
+    assert npc.last_chance() < ego.entry  # when the ego enters, it can no longer stop before the zone
+    assert agreed(trace) == ("both", "did-not-give-way")
+
+
+@table(("speed", "expected"), [(3, ("ego", "entered-taken-zone")), (4, ("none", None))])
+def test_an_ego_that_gave_way_still_stops_short_of_one_that_stays_in_the_zone_where_it_can(speed, expected):
+    trace = hit(plan("west straight", 6, speed), plan("north straight", 4.2, 6, (4.8, -6.0, 0.0)))
+    assert agreed(trace) == expected
 
 
 @table(("side", "expected"), [("front", "ego"), ("left", "npc"), ("right", "npc"), ("rear", "npc")])

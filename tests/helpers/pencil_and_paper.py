@@ -911,6 +911,10 @@ class Comer:
         self.first, self.last = zone.npc if vehicle else zone.ego
         self.length = trace.sizes[vehicle].tolist()[0]
         self.has_priority = zone.priority == ("npc" if vehicle else "ego")
+        self.boxes = [
+            corners((row[X], row[Y], row[HEADING]), *trace.sizes[vehicle].tolist())
+            for row in trace.states[:, vehicle].tolist()
+        ]
         self.enters, tick = None, self.impact
         while tick >= 0 and self.place[tick] >= self.first - 1.0:
             if self.enters is None or self.place[tick] >= self.first:
@@ -925,16 +929,18 @@ class Comer:
         return self.last - self.place[tick]
 
     def last_chance(self):
-        tick = self.enters - 1
-        while tick >= 0:
-            v = self.speed[tick]
-            if v * 1.0 + v**2 / 12 <= self.first - self.place[tick]:
-                return tick
-            tick -= 1
-        return 0
+        found = self.last_to_stop_before(self.first, self.enters)
+        return 0 if found is None else found
 
-    def look(self):
-        chance = self.last_chance()
+    def last_to_stop_before(self, place, end):
+        """The last tick, of those before another, at which it can stop before a place; None without."""
+        for tick in range(end)[::-1]:
+            v = self.speed[tick]
+            if v * 1.0 + v**2 / 12 <= place - self.place[tick]:
+                return tick
+        return None
+
+    def look(self, chance):
         return [tick for tick in range(chance + 1) if chance - tick <= round(0.6 * self.hz)]
 
     def leaves(self):
@@ -998,7 +1004,7 @@ class Crossing:
     def by_priority(self):
         self.decides = "priority"
         self.rude = [one for one in (self.ego, self.npc) if not one.has_priority and self.gives_no_way(one)]
-        self.blind = [one for one in (self.ego, self.npc) if one.has_priority and self.enters_taken(one)]
+        self.blind = [one for one in (self.ego, self.npc) if one not in self.rude and self.enters_taken(one)]
         failed = self.rude + self.blind
         if not failed:
             return None
@@ -1012,7 +1018,7 @@ class Crossing:
 
     def gives_no_way(self, one):
         other, at = self.other(one), one.enters / one.hz
-        for tick in one.look():
+        for tick in one.look(one.last_chance()):
             reaches = other.foreseen(tick, one.leaves())[0] >= other.first
             place, v = other.foreseen(tick, at)
             is_near = self.merges_too_close(one, other, place, v) if self.is_merge else is_abrupt(other, place, v)
@@ -1029,11 +1035,19 @@ class Crossing:
         return apart < max(0.0, own * 1.0 + own * abs(own) / 12 - v * abs(v) / 16)
 
     def enters_taken(self, one):
-        other = self.other(one)
-        if not self.is_merge:
-            seen = [tick for tick in one.look() if tick >= other.enters]
-            return any(other.foreseen(tick, one.enters / one.hz)[0] < other.last for tick in seen)
-        return self.last_to_slow_down(one) is not None
+        return (self.last_to_slow_down(one) if self.is_merge else self.last_to_stop_short(one)) is not None
+
+    def last_to_stop_short(self, one):
+        """The last tick at which it could see that the other is in the way, and stop; None without."""
+        other, touches = self.other(one), self.impact
+        while touches > 0 and polygon_distance(one.boxes[touches - 1], other.boxes[self.impact]) == 0:
+            touches -= 1
+        chance = one.last_to_stop_before(one.place[touches], touches)
+        for tick in [] if chance is None else one.look(chance)[::-1]:
+            when = max(one.enters, tick) / one.hz
+            if tick >= other.enters and other.foreseen(tick, when)[0] < other.last:
+                return tick
+        return None
 
     def last_to_slow_down(self, one):
         """The last tick at which it could have slowed down to one that merges ahead of it; None without."""

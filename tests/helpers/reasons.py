@@ -113,9 +113,10 @@ class Reading:
         if crossing is None or crossing.decides != "priority":
             return self.crash.ticks["answer"]
         one = crossing.ego if vehicle is self.ego else crossing.npc
-        if one in crossing.blind and crossing.is_merge:
-            return crossing.last_to_slow_down(one)
-        assert one in (crossing.blind or crossing.rude)
+        if one in crossing.blind:
+            return crossing.last_to_slow_down(one) if crossing.is_merge else crossing.last_to_stop_short(one)
+        assert one in crossing.rude
+        assert not crossing.blind
         return one.last_chance()
 
     def answered(self, said):

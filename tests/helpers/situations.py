@@ -828,7 +828,7 @@ SITUATIONS = {
             "crossing-npc-has-no-priority-and-is-slow",
             "So again two seconds before the ego, with 3 m/s. The ego never brakes.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 4, 3), priority="ego"),
-            "both", "entered-taken-zone", "9", "The ego should have braked from 5.3 s but did not",
+            "both", "entered-taken-zone", "9", "The ego should have braked from 5.4 s but did not",
         ),
         Situation(
             "crossing-one-stands-in-it-ego-has-priority",
