@@ -1,1 +1,1 @@
-"""How scenarios are run: in this process, in lock step, in other processes."""
+"""Execution of scenarios: in this process, in lock step, in other processes, on other machines."""

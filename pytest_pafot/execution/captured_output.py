@@ -1,6 +1,6 @@
-"""What code says while it runs in another process: printed text, log records and warnings, said again in this one.
+"""The output of code in a different process: printed text, log records and warnings, which are repeated in this one.
 
-pytest gathers all three in memory of the process that runs the item, where nothing that another process says arrives.
+pytest captures all three in the memory of the process that runs the item, so it would miss them otherwise.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from queue import SimpleQueue
 
 @dataclass(slots=True, kw_only=True)
 class CapturedOutput:
-    """What was said, each kind in the order in which it was said.
+    """The captured output, each kind in its order.
 
-    Of warnings that the filters let pass it has text, category, file and line, without objects they hold on to.
+    Warnings that pass the filters are stored as text, category, file and line, without the objects that they refer to.
     """
 
     out: str = ""
@@ -29,21 +29,21 @@ class CapturedOutput:
     warned: list[tuple[str, type[Warning], str, int]] = field(default_factory=list)
 
     def repeat(self) -> None:
-        """Say it in this process."""
+        """Repeat the output in this process."""
         for stream, text in ((sys.stdout, self.out), (sys.stderr, self.err)):
             if text:
                 stream.write(text)
         for record in self.records:
             logging.getLogger().callHandlers(record)
         with warnings.catch_warnings():
-            warnings.simplefilter("always")  # The filters have had their say where the warning arose.
+            warnings.simplefilter("always")  # They passed the filters of the process in which they were raised.
             for each in self.warned:
                 warnings.warn_explicit(*each)
 
 
 @contextmanager
 def capture_output() -> Iterator[CapturedOutput]:
-    """Capture what is said inside; it is complete at the end."""
+    """Capture the output inside the context; it is complete at the end."""
     captured, out, err = CapturedOutput(), _Stream(), _Stream()
     root, queue = logging.getLogger(), SimpleQueue[logging.LogRecord]()
     handlers, root.handlers = root.handlers, [QueueHandler(queue)]
@@ -58,14 +58,14 @@ def capture_output() -> Iterator[CapturedOutput]:
 
 
 class _Stream(io.TextIOWrapper):
-    """In memory, and like a standard stream also for bytes."""
+    """A text stream in memory that accepts bytes as well, like a standard stream."""
 
     def __init__(self) -> None:
         self._bytes = io.BytesIO()
         super().__init__(self._bytes, encoding="utf-8", errors="replace", newline="", write_through=True)
 
     def close(self) -> None:
-        """Stay open: whoever closes a standard stream does not take back what was said on it."""
+        """Stay open, so that code that closes a standard stream does not lose its earlier output."""
 
     @property
     def text(self) -> str:

@@ -1,11 +1,11 @@
-"""The scenario in flight, on disk before it runs, so that a crash of the whole process names its cause.
+"""Crash records: each scenario is on disk before it runs, so that a crash of the whole process can be explained.
 
-Each process writes a file of its own and holds a lock on it; the system releases the lock however the process
-ends. A file that nobody holds is what a process left behind. Process ids would not do alone: in containers each
-session may have the same one.
+Each process writes its own file and locks it. The system releases the lock when the process ends, however it ends, so
+a file without a lock was left by a process that died. Process ids alone do not suffice: in containers each session may
+have the same one.
 
-A record is signed, with a key that this user has on this machine, for the folder that it lies in. One that comes with
-a pull request, from another project or from another machine has no such signature, and no search takes it up.
+A record is signed for its folder with a key of this user on this machine. A record from a pull request, a different
+project or a different machine has no valid signature, and no search uses it.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from pytest_pafot.support.files import hold, is_held, open_regular, pid_of, writ
 
 SUFFIX = ".inflight"
 TRIED = ".tried"
-"""Before the suffix of a record whose scenario was run again and came to its end."""
+"""The part before the suffix of a record whose scenario was run again without a crash."""
 MAX_BYTES = 1 << 20
 KEY_BYTES = 32
 _SIGNATURE = b', "signature": "'
-"""Before the last value of a record, which is for all that comes before this."""
+"""The text before the last value of a record: the signature of everything before this text."""
 
 
 class KeyFolderError(OSError):
@@ -41,14 +41,14 @@ class KeyFolderError(OSError):
 
 
 class CrashRecordError(Exception):
-    """The folder cannot be read or written; the search goes on, but a hard crash would not name its scenario."""
+    """A folder that cannot be read or written; the search goes on, but a crash of the process cannot be explained."""
 
     def __init__(self, folder: Path, error: OSError) -> None:
         way_out = "make the folder readable and writable"
         if error.errno in (errno.EMFILE, errno.ENFILE):
             way_out = "close the files that the ADS and the tests open"
         elif isinstance(error, KeyFolderError):
-            way_out = "delete that, or let TMPDIR name a folder for temporary files that is yours"
+            way_out = "delete that, or set TMPDIR to a folder for temporary files that belongs to you"
         elif error.errno == errno.EINVAL:
             way_out = "put the folder itself in its place, or name it by its absolute path with pytest's key cache_dir"
         super().__init__(
@@ -58,15 +58,15 @@ class CrashRecordError(Exception):
 
 
 class CrashRecord:
-    """A process's record of the scenario that it runs now. Never raises into the search."""
+    """A process's record of the scenario that it runs now; errors are stored, and never raised into the search."""
 
     def __init__(self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None) -> None:
-        """Nothing is on disk before the first scenario, so that another process may be given the record until then.
+        """Prepare a record; it can be sent to a different process, since no file exists before the first scenario.
 
-        The folder, where the records of all processes lie, is made when it is missing.
+        The folder contains the records of all processes, and is created if it is missing.
         """
         self.error: CrashRecordError | None = None
-        """Why nothing can be recorded, or None; to be shown once."""
+        """Why nothing can be recorded, to be reported once, or None."""
         self._folder = folder
         self._descriptor: int | None = None
         self._path = folder
@@ -75,9 +75,9 @@ class CrashRecord:
         self._world = json.dumps(dict(world) if world is not None else None)
 
     def write(self, *scenarios: Scenario, reference: str = "") -> None:
-        """Put a scenario on disk; from now on a crash is its doing. Of several, it is that of one of them.
+        """Write a scenario to disk, which is then the cause of a crash; of several scenarios, one of them is.
 
-        ``reference`` is what to call a policy that drives in the place of the ADS.
+        ``reference`` is the name of a policy that drives instead of the ADS, or empty.
         """
         alone = scenarios[0].canonical() if len(scenarios) == 1 else "null"
         together = "" if alone != "null" else f', "together": [{", ".join(each.canonical() for each in scenarios)}]'
@@ -87,12 +87,12 @@ class CrashRecord:
         self._put(f'{{{process}, "scenario": {alone}{together}'.encode())
 
     def clear(self) -> None:
-        """Nothing is in flight."""
+        """Record that no scenario is running."""
         if self._descriptor is not None:
             self._put(b"")
 
     def close(self) -> None:
-        """Remove the record; a later :meth:`write` begins a new one."""
+        """Remove the record; a later :meth:`write` starts a new one."""
         if self._descriptor is None:
             return
         descriptor, self._descriptor = self._descriptor, None
@@ -118,7 +118,7 @@ class CrashRecord:
             if record:
                 record += b'%b%b"}' % (_SIGNATURE, _signature(self._sealed, record))
             os.lseek(self._descriptor, 0, os.SEEK_SET)
-            os.write(self._descriptor, record + b"\n")  # the first line counts; longer ones before it stay
+            os.write(self._descriptor, record + b"\n")  # only the first line counts: the rest of an old record may stay
         except OSError as error:
             self.error = CrashRecordError(self._folder, error)
 
@@ -136,11 +136,11 @@ def _create(folder: Path) -> tuple[int, Path]:
 
 def _refuse_link(folder: Path) -> None:
     if folder.is_symlink():
-        raise OSError(errno.EINVAL, "a link, behind which nothing is written or removed", str(folder))
+        raise OSError(errno.EINVAL, "a link; nothing is written or removed behind it", str(folder))
 
 
 def _seal(folder: Path) -> hashlib.blake2b:
-    """What signs the records of a folder, as yet without one."""
+    """Return the hash that signs the records of a folder, before any record is added."""
     return hashlib.blake2b(os.fsencode(os.path.realpath(folder)) + b"\0", key=_key(), digest_size=16)
 
 
@@ -151,15 +151,15 @@ def _signature(seal: hashlib.blake2b, record: bytes) -> bytes:
 
 
 def _key() -> bytes:
-    """The key of this user on this machine, made when it is first asked for.
+    """Return the key of this user on this machine; create it if it is missing.
 
-    It lies in the folder for temporary files, where no repository has files. Without it, after a restart of the machine
-    perhaps, older records are not believed any more, and that is all.
+    It is in the folder for temporary files, in which no repository can place files. If it is lost, for example when the
+    machine restarts, older records are ignored.
 
     Raises:
-        KeyFolderError: when there can be none, or others could have put it there.
+        KeyFolderError: if it cannot be created, or if other users could have written it.
     """
-    # On Windows each user has a folder for temporary files.
+    # On Windows each user has their own folder for temporary files.
     name = "pytest-pafot" if sys.platform == "win32" else f"pytest-pafot-{os.getuid()}"
     folder, is_of_others = Path(name), False
     try:
@@ -185,14 +185,17 @@ def _key() -> bytes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leftover:
-    """What a process that ended without a word was running.
+    """The record of a process that died.
 
     Attributes:
-        owner: node id of the test; empty where the record cannot be read.
-        scenarios: in flight: one, or several in lock step, one of which it was; none where the record cannot be read.
-        world: that they ran in, as plain data, or None.
-        reference: what to call the policy that drove in the place of the ADS; empty where that drove itself.
-        is_own: whether a session of this user wrote it in this folder. Anybody may have written another one.
+        path: the path of the record.
+        pid: the id of the process.
+        owner: the node id of the test; empty if the record cannot be read.
+        scenarios: the running scenarios: one, or several in lock step, one of which is the cause; empty if the record
+            cannot be read.
+        world: the world in which they ran, as plain data, or None.
+        reference: the name of the policy that drove instead of the ADS; empty if the ADS drove.
+        is_own: True if a session of this user wrote it in this folder; any other record may be forged.
     """
 
     path: Path
@@ -205,40 +208,40 @@ class Leftover:
 
     @property
     def scenario(self) -> Scenario | None:
-        """That in flight by itself, or None."""
+        """The only running scenario; None if there were several or none."""
         return self.scenarios[0] if len(self.scenarios) == 1 else None
 
     @property
     def is_lock_step(self) -> bool:
-        """Whether several scenarios were in flight at once."""
+        """True if several scenarios were running at once."""
         return len(self.scenarios) > 1
 
     @property
     def is_tried(self) -> bool:
-        """Whether an earlier session ran it again without harm, and died as well before it was through."""
+        """True if an earlier session ran it again without a crash, but died later in its search."""
         return self.path.name.endswith(TRIED + SUFFIX)
 
     def tried(self) -> Leftover:
-        """Mark the record until the session that ran it again is through with its search; returns the marked one."""
+        """Mark the record as run again, until the session has finished its search; return the marked record."""
         marked = self.path.with_name(self.path.name.removesuffix(SUFFIX) + TRIED + SUFFIX)
-        with suppress(OSError):  # a record that keeps its name is run again, which loses nothing
+        with suppress(OSError):  # if it cannot be renamed, it is only run again
             self.path.rename(marked)
             return replace(self, path=marked)
         return self
 
     def discard(self) -> None:
-        """Remove the record once it is reported; another process may have done so already."""
-        with suppress(OSError):  # a record that stays is reported again, which loses nothing
+        """Remove the record after it was reported; a different process may have removed it already."""
+        with suppress(OSError):  # if it cannot be removed, it is only reported again
             self.path.unlink(missing_ok=True)
 
 
 def leftovers(folder: Path) -> tuple[Leftover, ...]:
-    """The records of processes that are gone, by name; those of live ones, this one included, are left alone.
+    """Return the records of processes that died, sorted by name; records of running processes are left out.
 
-    Records of processes that ended between two scenarios are removed. A folder that is not there has none.
+    Records of processes that ended between two scenarios are removed. A missing folder has no records.
 
     Raises:
-        CrashRecordError: when the folder cannot be read.
+        CrashRecordError: if the folder cannot be read.
     """
     try:
         _refuse_link(folder)
@@ -248,15 +251,15 @@ def leftovers(folder: Path) -> tuple[Leftover, ...]:
     except OSError as error:
         raise CrashRecordError(folder, error) from error
     seal = None
-    with suppress(OSError):  # Without the key no record is believed.
+    with suppress(OSError):  # Without the key no record is valid.
         seal = _seal(folder) if paths else None
     return tuple(filter(None, [_leftover(path, seal) for path in paths]))
 
 
 def left_by(owner: str, folder: Path) -> list[Leftover]:
-    """The leftovers of one owner that a session of this user wrote.
+    """Return the records of one owner that a session of this user wrote.
 
-    There are none in a folder that cannot be read: writing there fails as well, and says so.
+    There are none in a folder that cannot be read: writing a record there fails as well, and reports the reason.
     """
     try:
         return [leftover for leftover in leftovers(folder) if leftover.is_own and leftover.owner == owner]
@@ -272,12 +275,12 @@ def _leftover(path: Path, seal: hashlib.blake2b | None) -> Leftover | None:
             file.seek(0)
             line = file.read(MAX_BYTES).split(b"\n", 1)[0]
     except OSError:
-        return None  # it has gone meanwhile, or belongs to somebody else
+        return None  # it was removed meanwhile, or belongs to a different user
     signed, _, end = line.rpartition(_SIGNATURE)
     is_own = seal is not None and secrets.compare_digest(end, _signature(seal, signed) + b'"}')
     leftover = Leftover(path=path, pid=pid_of(path), is_own=is_own)
     if not line.strip():
-        leftover.discard()  # it tells nothing
+        leftover.discard()  # no scenario was running
         return None
     try:
         record = json.loads(line)

@@ -1,9 +1,9 @@
-"""Runs by any executor, on as many machines as it has: tasks of a few scenarios, run by a process of a worker's own.
+"""Runs by any executor, on any number of machines: each task is a few scenarios, run in a child process of a worker.
 
-A task does not run in a main thread, where alone a decision that hangs can be interrupted, and an ADS that ends its
-process must not end a worker: so a worker gives its scenarios to a process of its own, which it keeps for later tasks.
-World and ADS travel as bytes, by value where workers cannot import them, and only until they are known there. A task is
-an object that is run when it is unpickled: what only hands it on, as a scheduler does, needs nothing of this package.
+A worker passes its scenarios to a child process, which it reuses for later tasks, for two reasons: a hanging decision
+can be interrupted only in a main thread, in which tasks do not run; and an ADS that ends its process must not end the
+worker. World and ADS are sent as bytes, by value if workers cannot import them, and only until the workers have them. A
+task is an object that runs when it is unpickled, so a scheduler, which only passes it on, does not need this package.
 """
 
 from __future__ import annotations
@@ -34,49 +34,49 @@ from pytest_pafot.world import protocol
 
 INSTALL = "pip install 'pytest-pafot[dask]'"
 TASK_SECONDS = 0.02
-"""What a task should take, so that what it costs besides, a few milliseconds, is little of it [s]."""
+"""The target duration of a task, which is long compared with its overhead of a few milliseconds [s]."""
 MOST = 20
-"""Scenarios of a task; one that takes longer than :data:`TASK_SECONDS` has a task of its own."""
+"""The largest number of scenarios in a task; one that takes longer than :data:`TASK_SECONDS` is a task by itself."""
 
 IDLE = 60.0
-"""After how long without a task the process of a worker ends [s]."""
+"""The time without a task after which the child process of a worker ends [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parcel:
-    """What any scenario runs with: two of the same digest are equal, also where one has left its content at home."""
+    """Everything that workers need to run scenarios; parcels of the same digest are equal, even without content."""
 
     digest: str
-    content: bytes | None = field(compare=False)  # world, ADS factory and what reads from runs
-    patience: float = field(compare=False)  # of the processes of workers, see WorkerPool [s]
-    versions: dict[str, str] = field(compare=False)  # of the session
+    content: bytes | None = field(compare=False)  # world, ADS factory and the function that reads from runs
+    patience: float = field(compare=False)  # the patience of the workers' pools, see WorkerPool [s]
+    versions: dict[str, str] = field(compare=False)  # versions of packages in the session
 
 
 Done = tuple[list[Timed | Exception], list[LostRun]]
-"""What became of each scenario of a task, and processes that died in runs that came to their end at a second try."""
+"""The answers to the scenarios of a task, and the processes that died in runs that succeeded in a second attempt."""
 
 
 class ExecutorPool:
-    """Runs scenarios by an executor, as :class:`pytest_pafot.execution.pool.WorkerPool` does by processes.
+    """A pool that runs scenarios by an executor, as :class:`pytest_pafot.execution.pool.WorkerPool` does by processes.
 
-    A task that is lost with its worker says nothing of any of its scenarios: each is run once more by itself, and one
-    that is lost again is answered by ``ProcessLostError``. Where it is the way to the workers that fails twice, the
-    executor takes no tasks any more.
+    If a task is lost with its worker, the cause may be any of its scenarios, so each is run again by itself. If it is
+    lost again, its answer is a ``ProcessLostError``. If the connection to the workers fails twice, the executor is not
+    used any more.
 
     Raises:
-        ExecutionError: where world and ADS cannot travel; by :meth:`fetch`, where they cannot arrive.
+        ExecutionError: if world and ADS cannot be packed; :meth:`fetch` raises it if workers cannot unpack them.
     """
 
     def __init__(self, job: Job, executor: Executor) -> None:
         self.recovered: list[LostRun] = []
-        """Processes and workers that died in runs that were done when they were tried again."""
+        """The processes and workers that died in runs that succeeded in a second attempt."""
         self.failure = ""
-        """Why the executor takes no tasks any more, from which moment on none has a result; or empty."""
+        """Why the executor cannot be used any more, so that no task has a result; or empty."""
         self.unable: list[Exception] = []
-        """What workers answered to scenarios that only the session can run, such as what a factory raised there."""
+        """The exceptions of workers for scenarios that only the session can run, such as an error of the factory."""
         self._executor = executor
         self._parcel = packed(job)
-        self._is_known = False  # whether some worker has the content of the parcel
+        self._is_known = False  # True if some worker has the content of the parcel
         self._under_way: dict[Scenario, tuple[Sequence[Scenario], Future[Any]]] = {}
         self._answers: dict[Scenario, Answer] = {}
         self._numbers = count()
@@ -84,17 +84,17 @@ class ExecutorPool:
 
     @property
     def notes(self) -> list[str]:
-        """What made the runs, and which of them it could not make."""
+        """Notes on the executor, and on runs that it could not make."""
         notes = [f"pafot_executor: {type(self._executor).__name__} made the runs of the generations"]
         if self.unable:
             first = f"{type(self.unable[0]).__name__}: {self.unable[0]}"
-            notes = [f"pafot_executor: {len(self.unable)} runs were made in this process, since there: {first}"]
+            notes = [f"pafot_executor: {len(self.unable)} runs were made in this process; a worker answered: {first}"]
         if self.failure:
-            notes = [f"pafot_executor: this process ran the scenarios, since no other could: {self.failure}"]
+            notes = [f"pafot_executor: this process ran the scenarios; the executor failed: {self.failure}"]
         return notes + list(map(recovery_note, self.recovered))
 
     def expect(self, scenarios: Iterable[Scenario]) -> None:
-        """Begin with these; what was expected before and not fetched is of no interest any more."""
+        """Start these scenarios; earlier ones that were not fetched are dropped."""
         self.close()
         size = max(1, min(MOST, round(self._runs * TASK_SECONDS / self._seconds))) if self._runs else 1
         to_come = iter(scenarios)
@@ -102,10 +102,10 @@ class ExecutorPool:
             self._submit(task)
 
     def fetch(self, scenario: Scenario) -> Answer:
-        """The answer to a scenario, once; waits for it.
+        """Wait for the answer to a scenario and return it, once.
 
         Raises:
-            ExecutionError: where no worker can run any scenario as it is run here.
+            ExecutionError: if no worker can run any scenario as it is run here.
         """
         if scenario not in self._under_way and scenario not in self._answers:
             self._submit([scenario])
@@ -122,7 +122,7 @@ class ExecutorPool:
         return RuntimeError(self.failure) if self.failure else self._answers.pop(scenario)
 
     def close(self, *, at_once: bool = False) -> None:
-        """Forget what is under way; the executor is the user's, and goes on."""
+        """Cancel the current tasks, but do not shut the executor down, since it belongs to the user."""
         for _, future in self._under_way.values():
             future.cancel()
         self._under_way, self._answers = {}, {}
@@ -137,25 +137,25 @@ class ExecutorPool:
             named = {"key": f"pafot-{ids}-{self._parcel.digest}-{next(self._numbers)}", "pure": False}
         try:
             future = self._executor.submit(pickle.loads, pickle.dumps(_Call(_run_task, parcel, scenarios)), **named)
-        except (RuntimeError, OSError) as error:  # it is broken, or was shut down
+        except (RuntimeError, OSError) as error:  # the executor is broken, or was shut down
             self.failure = f"{type(error).__name__}: {error}"
         else:
             self._under_way |= dict.fromkeys(scenarios, (scenarios, future))
 
     def _gather(self, scenario: Scenario) -> Exception | None:
-        """Wait for the answers to a scenario and all others of its task; by what error they are lost, or None."""
+        """Wait for the answers to a scenario's task; return the error by which they were lost, or None."""
         while scenario in self._under_way:
             scenarios, future = self._under_way[scenario]
             try:
                 done: Done | str | None = future.result()
-            except Exception as error:  # noqa: BLE001  (of the machinery of whatever executor it is)
-                # A task that did not come back says nothing of what it would have said. KilledWorker is of Dask.
+            except Exception as error:  # noqa: BLE001  (any executor may raise anything)
+                # These errors say nothing about the scenarios, which may succeed elsewhere. KilledWorker is Dask's.
                 is_lost = isinstance(error, (BrokenExecutor, CancelledError, OSError))
                 if not is_lost and type(error).__name__ != "KilledWorker":
                     expected = "workers that can run scenarios, with the same packages as this session"
                     received = f"received {type(error).__name__}: {error}"
                     raise ExecutionError(f"pafot_executor: expected {expected}, {received}") from None
-                del self._under_way[scenario]  # The others are tried alone as well, once they are asked for.
+                del self._under_way[scenario]  # The other scenarios are tried by themselves when they are fetched.
                 return error
             if isinstance(done, str):
                 raise ExecutionError(done)
@@ -179,20 +179,20 @@ class ExecutorPool:
 
 @contextmanager
 def dask_executor(address: str, *, timeout: float = 10.0) -> Iterator[Executor]:
-    """The workers of a scheduler of Dask, which must answer within a time [s], as an executor.
+    """Provide an executor for the workers of a Dask scheduler, which must answer within ``timeout`` [s].
 
     Raises:
-        ExecutionError: where Dask is not installed, nobody answers at the address, or a worker has other versions.
+        ExecutionError: if Dask is not installed, the scheduler does not answer, or a worker has different versions.
     """
     try:
-        from distributed import Client  # noqa: PLC0415  (not everybody has it)
+        from distributed import Client  # noqa: PLC0415  (an optional dependency)
     except ImportError:
         raise ExecutionError(f"--pafot-dask: expected the package distributed, received none; {INSTALL}") from None
     with ExitStack() as stack:
         try:
             client = stack.enter_context(Client(address, timeout=timeout, set_as_default=False))
             workers = client.run(pickle.loads, pickle.dumps(_Call(_difference, versions_here())))
-        except Exception as error:  # noqa: BLE001  (of any network, and of workers that lack anything)
+        except Exception as error:  # noqa: BLE001  (any network error, or a worker without a package)
             raise ExecutionError(
                 f"--pafot-dask={address}: expected a scheduler whose workers have the packages of this session, "
                 f"received {type(error).__name__}: {error}"
@@ -203,34 +203,34 @@ def dask_executor(address: str, *, timeout: float = 10.0) -> Iterator[Executor]:
 
 
 def versions_here() -> dict[str, str]:
-    """Of what decides how a run goes, and of Python."""
+    """Return the versions of Python and of the packages on which a run depends."""
     return {"python": platform.python_version(), **installed_versions()}
 
 
 def packed(job: Job) -> Parcel:
-    """World and ADS of a job for workers elsewhere, with the modules of the user's project by value."""
+    """Pack world and ADS of a job for workers on other machines, with the modules of the user's project by value."""
     try:
-        import cloudpickle  # noqa: PLC0415  (not everybody needs it)
+        import cloudpickle  # noqa: PLC0415  (an optional dependency)
     except ImportError:
         raise ExecutionError(f"pafot_executor: expected the package cloudpickle, received none; {INSTALL}") from None
     with ExitStack() as stack:
-        # Loaded modules of the project, which no other machine is expected to have installed.
+        # The loaded modules of the project, because other machines need not have them installed.
         for module in [each for each in list(sys.modules.values()) if _is_below(job.root, each)]:
             cloudpickle.register_pickle_by_value(module)
             stack.callback(cloudpickle.unregister_pickle_by_value, module)
         try:
             content = cloudpickle.dumps((job.world, job.ads, job.read))
-        except Exception as error:  # noqa: BLE001  (whatever the objects of the user raise when they are pickled)
+        except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
-                "pafot_executor: expected a world and an ADS factory that can travel to other machines, received one "
-                f"that raises {type(error).__name__}: {error}; let the factory open what the ADS needs"
+                "pafot_executor: expected a world and an ADS factory that can be sent to other machines, received one "
+                f"that raises {type(error).__name__}: {error}; open what the ADS needs in the factory, not before"
             ) from None
     digest = hashlib.sha256(content).hexdigest()[:16]
     return Parcel(digest, content, protocol.hang_limit(job.world) + GRACE, versions_here())
 
 
 class _Call:
-    """A call that takes place, and gives its result, where this object is unpickled."""
+    """A call that is made when this object is unpickled, which gives the result of the call."""
 
     def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
         self._call = function, arguments
@@ -240,7 +240,7 @@ class _Call:
 
 
 class _Bench:
-    """In a worker: the processes that have what a parcel holds, as many as there are tasks at the same time."""
+    """The child processes of a worker for one parcel, one for each simultaneous task."""
 
     def __init__(self, parcel: Parcel) -> None:
         self.parcel = parcel
@@ -250,7 +250,7 @@ class _Bench:
         try:
             pool = self._idle.get_nowait()
         except Empty:
-            multiprocessing.current_process().daemon = False  # Workers of Dask are daemons, which may have no child.
+            multiprocessing.current_process().daemon = False  # Dask's workers are daemons, which may have no children.
             work, patience = partial(_run, self.parcel), self.parcel.patience
             pool = WorkerPool(work, 1, method="spawn", patience=patience, idle=IDLE)
         pool.expect(scenarios)
@@ -264,7 +264,7 @@ class _Bench:
 
 
 def _run_task(parcel: Parcel, scenarios: Sequence[Scenario]) -> Done | str | None:
-    """In a worker: run scenarios; or why it cannot run any, or None where it lacks the content of the parcel."""
+    """Run scenarios in a worker; return why it cannot run any, or None if it lacks the content of the parcel."""
     difference = _difference(parcel.versions)
     if difference:
         return difference
@@ -283,11 +283,11 @@ def _bench(parcel: Parcel) -> _Bench:
 
 
 def _run(parcel: Parcel, scenario: Scenario, tell: object) -> Timed:
-    """The work of the process of a worker."""
+    """Run a scenario in the child process of a worker."""
     with capture_output() as output:
         world, ads, read = _unpacked(parcel)
         trace, seconds = timed(world, scenario, ads)
-    with suppress(Exception):  # which is raised where somebody asks for it
+    with suppress(Exception):  # it is raised again in the session, when the value is read there
         read(trace)
     return trace, output, seconds
 
@@ -295,13 +295,13 @@ def _run(parcel: Parcel, scenario: Scenario, tell: object) -> Timed:
 @lru_cache(maxsize=1)
 def _unpacked(parcel: Parcel) -> Any:
     try:
-        return pickle.loads(parcel.content or b"")  # noqa: S301  (what the session has made)
-    except Exception as error:  # noqa: BLE001  (whatever a user's module raises when it is imported)
+        return pickle.loads(parcel.content or b"")  # noqa: S301  (packed by the session)
+    except Exception as error:  # noqa: BLE001  (importing a user's module may raise anything)
         raise ExecutionError(f"expected the packages that it needs, received {type(error).__name__}: {error}") from None
 
 
 def _difference(session: dict[str, str]) -> str:
-    """In a worker: why it would not run a scenario as the session does, or empty."""
+    """Return why this worker would not run a scenario as the session does, or an empty text."""
     here = versions_here()
     other = [f"{name} {version} in this session, {here.get(name)} there" for name, version in session.items()
              if here.get(name) != version]  # fmt: skip

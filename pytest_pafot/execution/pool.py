@@ -1,9 +1,9 @@
-"""A pool of processes that run tasks, one each at a time, and name the task in which a process dies or falls silent.
+"""A pool of processes that run one task each at a time; it identifies the task in which a process dies or hangs.
 
-Tried in its place: with loky 3.7.0 every task under way fails when one process dies, and nothing says which one it was.
-pebble 5.2.3 says it, but forks the next process in a thread of its own, while another may hold a lock, and can limit
-nothing but the duration of a task, so that a slow one ends like one that never comes back to Python. Here each process
-has a pipe of its own, and the thread that asks serves them all.
+Why not an existing pool: with loky 3.7.0 all running tasks fail if one process dies, and the guilty one is unknown.
+pebble 5.2.3 identifies it, but forks the next process in a thread, while a different thread may hold a lock. It can
+limit only the duration of a task, so it cannot tell a slow task from one that never returns to Python. Here each
+process has its own pipe, and the calling thread serves all of them.
 """
 
 from __future__ import annotations
@@ -33,37 +33,40 @@ TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")
 
 GRACE = 5.0
-"""How much longer than its limit one decision may take, or a process be silent, before it is ended [s]."""
+"""The time beyond its limit after which a decision or a silent process is ended [s]."""
 
 IGNORED = 0.5
-"""How long a decision in a process of its own may ignore its interruption: less, since only that process ends [s]."""
+"""The same for a decision in a separate process that ignores its interrupt; shorter, as only that process ends [s]."""
 
 FAREWELL = 2.0
-"""How long a process may take to end by itself [s]; what its libraries started ends with it then."""
+"""The time that a process gets to end by itself, together with the processes that its libraries started [s]."""
 
-OUT_OF_MEMORY = "ran out of the memory that it may take (--pafot-memory)"
-"""How a process ended whose allocations failed where nobody could say so but itself."""
+OUT_OF_MEMORY = "ran out of the memory that it may use (--pafot-memory)"
+"""The end of a process in which an allocation failed, in words."""
 
 STUCK, EXHAUSTED = 1, 2
-"""Why a process ended itself: a decision would not end, or it had no more memory."""
+"""The reasons for which a process ends itself: a decision that does not end, or no more memory."""
 
 POLL = 0.5
-"""How long to wait for answers at most before looking whether those who owe one still live [s]."""
+"""The longest time to wait for answers before checking that the busy processes are still alive [s]."""
 
 LARGEST = 0x2020_2020 - 1
-"""Bytes of an answer. A message begins with its length, and what an ADS prints into the pipe, whose descriptor it found
-by chance, reads as more: the session would wait for so many bytes for ever."""
+"""The largest size of an answer [bytes].
+
+A message begins with its length. If an ADS prints into the pipe, whose descriptor it has found by chance, its text
+reads as a larger length, and without a limit the session would wait forever for so many bytes.
+"""
 
 Work: TypeAlias = Callable[..., ResultT]
-"""Runs a task in a process of the pool: it is called with the task, and with a function that can be told the share of
-it that is done."""
+"""A function that runs a task in a process of the pool: its arguments are the task and a function that it may call with
+the finished share of the task."""
 
 
 class ProcessLostError(Exception, Generic[TaskT]):
-    """What came of a task cannot be told: its process did not come back.
+    """A task without a result, because its process died or hung.
 
-    ``how`` says in a few words how the process ended, ``is_hang`` whether it fell silent and was killed. A ``pid`` of 0
-    stands for a worker of an executor, of which nobody knows more.
+    ``how`` describes in a few words how the process ended. ``is_hang`` is True if it hung and was killed. A ``pid`` of
+    0 stands for an executor's worker, about which nothing else is known.
     """
 
     def __init__(self, task: TaskT, *, pid: int, how: str, is_hang: bool = False) -> None:
@@ -80,22 +83,23 @@ class ProcessLostError(Exception, Generic[TaskT]):
 
 @dataclass(eq=False)
 class WorkerPool(Generic[TaskT, ResultT]):
-    """Up to so many processes, started as they are needed. To be used in a ``with`` statement.
+    """A pool of up to ``size`` processes, which are started when they are needed. Use it in a ``with`` statement.
 
-    The answer to a task is its result, or an exception: what was raised, why the result cannot be sent, why there is no
-    process to run it, or ``ProcessLostError``.
+    The answer to a task is its result or an exception: the exception of the task, the reason why the result cannot be
+    sent, the reason why no process can run it, or ``ProcessLostError``.
 
     Args:
-        work: what every process does with each of its tasks. It must be possible to pickle tasks and results, and the
-            work itself where processes are not forked.
-        method: by which processes are started, see :mod:`multiprocessing`.
+        work: the function that runs a task. Tasks and results must be picklable, and ``work`` as well if processes are
+            not forked.
+        size: the largest number of processes.
+        method: the start method of processes, see :mod:`multiprocessing`.
         patience: how long a process may run without answering a signal, as Python does between two instructions [s].
-        grace: how much longer than its limit one decision of an ADS may take that ignores its interruption [s].
-        memory: how many bytes more than it begins with a process may take, or None for any number. Beyond, allocations
-            fail, in it and in what it starts, which has the same limit. It is held on Linux alone.
-        idle: how long a process may wait for a task before it ends by itself [s], or None for ever.
-        ended: told the id of each process of the pool when it has ended.
-        clock: monotonic [s].
+        grace: how much longer than its limit a decision of an ADS may take that ignores its interrupt [s].
+        memory: how many bytes a process may use in addition to those with which it starts, or None for no limit. Beyond
+            it, allocations fail, also in processes that it starts, which have the same limit. Only on Linux.
+        idle: how long a process may wait for a task before it ends by itself [s], or None for no limit.
+        ended: is called with the id of each process of the pool that has ended.
+        clock: a monotonic clock [s].
     """
 
     work: Work[ResultT]
@@ -111,12 +115,12 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def __post_init__(self) -> None:
         self.recovered: list[ProcessLostError[TaskT]] = []
-        """Processes that died in tasks that were done when they were tried alone."""
+        """The processes that died in tasks that succeeded when they were tried alone."""
         self.failure = ""
-        """Why no process could be started, from which moment on no task has a result; or empty."""
+        """Why no process could be started, so that no task has a result; or empty."""
         self._context: Any = multiprocessing.get_context(self.method)
         self._workers: list[_Worker[TaskT]] = []
-        self._looked_at = -math.inf  # when all processes were looked at, those that say nothing included
+        self._looked_at = -math.inf  # when all processes, including silent ones, were last checked
         self._pending: deque[TaskT] = deque()
         self._wanted: set[TaskT] = set()
         self._answers: dict[TaskT, ResultT | Exception] = {}
@@ -129,9 +133,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self.close(at_once=kind is not None)
 
     def expect(self, tasks: Iterable[TaskT]) -> None:
-        """Begin with these, in this order; what was expected before and not fetched is of no interest any more.
+        """Start these tasks in this order; earlier ones that were not fetched are dropped.
 
-        Tasks that are made as they are read take no time from those before them.
+        ``tasks`` may be a generator: each task starts as soon as it is made.
         """
         self._pending, self._wanted = deque(), set()
         self._answers, self._suspects = {}, {}
@@ -141,10 +145,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._send()
 
     def fetch(self, task: TaskT) -> ResultT | Exception:
-        """The answer to a task, once; waits for it. One that was not expected is run next.
+        """Wait for the answer to a task and return it, once; a task that was not expected is run next.
 
         A task in which a process died is tried once more while nothing else runs: there may have been too little
-        memory for all of them, or somebody killed the process.
+        memory for all processes, or the process was killed from outside.
         """
         if task not in self._wanted:
             self._wanted.add(task)
@@ -160,9 +164,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
         return self._answers.pop(task)
 
     def completed(self, tick: Callable[[float], None]) -> Iterator[tuple[TaskT, ResultT | Exception]]:
-        """Each expected task with its answer, as soon as that is there; none is tried twice.
+        """Yield each expected task with its answer as soon as it is available; no task is tried twice.
 
-        Every now and then, ``tick`` is told the sum of the shares that are done of the tasks under way.
+        ``tick`` is called now and then with the sum of the finished shares of the running tasks.
         """
         while self._wanted:
             self._receive()
@@ -175,7 +179,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 yield task, answer
 
     def close(self, *, at_once: bool = False) -> None:
-        """End all processes; those that are at work are killed, and ``at_once`` all of them."""
+        """End all processes; busy ones are killed, and with ``at_once`` all of them."""
         idle = [] if at_once else [worker for worker in self._workers if worker.task is None]
         deadline = self.clock() + FAREWELL
         for worker in [worker for worker in idle if worker.send(None)]:
@@ -211,7 +215,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         idle = next((worker for worker in self._workers if worker.task is None), None)
         try:
             while idle is None or not idle.take(task, self.clock()):
-                if idle is not None:  # It ended between two tasks: nobody's doing.
+                if idle is not None:  # It ended between two tasks, so no task is the cause.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
                 idle = _Worker(self._context, self.work, others, self.grace, self.memory, self.idle)
@@ -220,12 +224,12 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._fail(task, str(error))
 
     def _fail(self, task: TaskT, reason: str) -> None:
-        """Without processes, whoever asks must see to the tasks."""
+        """Record that there can be no processes, and answer a task with the reason."""
         self.failure = reason
         self._answers[task] = RuntimeError(reason)
 
     def _receive(self) -> None:
-        """Take what is there, after a while at most; those that say nothing are looked at every now and then."""
+        """Receive available answers, waiting for a limited time; check silent processes now and then."""
         busy, now_and_then = self._busy, min(POLL, self.patience / 4)
         ready = wait([worker.connection for worker in busy], timeout=now_and_then)
         is_time = not ready or self.clock() - self._looked_at >= now_and_then
@@ -237,7 +241,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 self._look_at(worker, is_heard=is_heard)
 
     def _look_at(self, worker: _Worker[TaskT], *, is_heard: bool) -> None:
-        task, is_gone = worker.task, not worker.process.is_alive()  # In this order: what it sent last is there now.
+        # Checked before the pipe is read: the last answer of a process that has ended is in the pipe by then.
+        task, is_gone = worker.task, not worker.process.is_alive()
         if task is None:
             return
         if is_heard or worker.connection.poll():
@@ -251,10 +256,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
         if worker.gave_up.value == EXHAUSTED:
             self._lose(task, worker, OUT_OF_MEMORY)
         elif worker.gave_up.value == STUCK:
-            how = f"ignored the interruption of a decision for {self.grace:.1f} s and was ended"
+            how = f"ignored the interrupt of a decision for {self.grace:.1f} s and was ended"
             self._lose(task, worker, how, is_hang=True)
         elif is_gone:
-            is_garbled = not worker.connection.readable  # since what it said is longer than any answer
+            is_garbled = not worker.connection.readable  # the pipe was closed by a message above the largest size
             how = "wrote into the pipe to the session, by a descriptor that it did not open, and was ended"
             self._lose(task, worker, how if is_garbled else "")
         elif worker.silence(self.clock()) > self.patience:
@@ -269,7 +274,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
             (self._answers if is_hang else self._suspects)[task] = lost
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
-        """End a process and let nothing of it remain, nor, on Linux, of what it has started."""
+        """End a process, and on Linux also the processes that it has started."""
         _end_children(worker.pid)
         worker.process.kill()
         worker.process.join()
@@ -279,7 +284,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
 
 class _Worker(Generic[TaskT]):
-    """One process, as the pool sees it: ``share`` is what it says is done of its task, where it has one."""
+    """One process of the pool; ``share`` is the finished share of its task that it has reported."""
 
     def __init__(
         self,
@@ -292,17 +297,17 @@ class _Worker(Generic[TaskT]):
     ) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
-        self.gave_up = context.RawValue("b", 0)  # why it ended itself, where it did
+        self.gave_up = context.RawValue("b", 0)  # why it ended itself; 0 if it did not
         self._beats = context.RawValue("Q", 0)
         self.connection, end = context.Pipe()
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
         arguments = (work, end, inherited, self._beats, self.gave_up, grace, memory, idle)
-        # As a daemon it is ended, and not waited for, where a worker of an executor ends that has it.
+        # A daemon, so that an executor's worker that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings():
-            # Python warns of any thread; those of numerical libraries are documented, and this module has none.
+            # Python warns about any thread. This module has none, and those of numerical libraries are documented.
             warnings.filterwarnings("ignore", message=".*multi-threaded.*fork", category=DeprecationWarning)
             self.process.start()
         self.pid = int(self.process.pid)
@@ -310,17 +315,17 @@ class _Worker(Generic[TaskT]):
 
     @property
     def has_begun(self) -> bool:
-        """Whether it came so far as to wait for tasks."""
+        """True if it has started so far that it waits for tasks."""
         return bool(self._beats.value)
 
     def take(self, task: TaskT, now: float) -> bool:
-        """Run a task; False where the process has ended."""
+        """Give it a task; return False if the process has ended."""
         self.share, self._asked_at = 0.0, None if self.has_begun else now
         self.task = task if self.send(task) else None
         return self.task is not None
 
     def send(self, task: TaskT | None) -> bool:
-        """Give it a task, or None for its end; False where the process has ended."""
+        """Send a task, or None to end it; return False if the process has ended."""
         try:
             self.connection.send_bytes(pickle.dumps(task))
         except OSError:
@@ -328,12 +333,12 @@ class _Worker(Generic[TaskT]):
         return True
 
     def hear(self) -> tuple[bool, Any] | None:
-        """Whether its task is done, and the result, or else the share that is; None where it ended before."""
+        """Receive a message: True and the result of its task, or False and the finished share; None if it has ended."""
         try:
-            is_done, said = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (of a process of this one)
+            is_done, said = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
         except (EOFError, OSError):
             return None
-        except Exception as error:  # noqa: BLE001  (made of what cannot be had here)
+        except Exception as error:  # noqa: BLE001  (unpickling the user's objects may raise anything)
             expected = "expected a result that can be read in the session, received one that raises there"
             is_done, said = True, RuntimeError(f"{expected} {type(error).__name__}: {error}")
         if is_done:
@@ -343,7 +348,7 @@ class _Worker(Generic[TaskT]):
         return is_done, said
 
     def silence(self, now: float) -> float:
-        """Since when it owes an answer to a signal [s]; sends one where it owes none."""
+        """Return for how long it has not answered a signal [s]; send a signal if none is unanswered."""
         if self._beats.value != self._heard:
             self._heard, self._asked_at = self._beats.value, None
         if self._asked_at is not None:
@@ -356,7 +361,7 @@ class _Worker(Generic[TaskT]):
 
 
 def ending(code: int | None) -> str:
-    """How a process ended by itself, by its exit code."""
+    """Describe how a process ended, by its exit code."""
     if code is not None and code < 0:
         with suppress(ValueError):
             return f"was ended by {signal.Signals(-code).name}"
@@ -364,7 +369,10 @@ def ending(code: int | None) -> str:
 
 
 def _end_children(pid: int) -> None:
-    """End what a process has started, in groups of its own too. While it lives, their ids are nobody else's."""
+    """Kill the processes that a process has started, also in their own groups.
+
+    The process must still exist: until it ends, the ids of its children are not reused.
+    """
     for listed in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(OSError):
             for child in map(int, listed.read_text("utf-8").split()):
@@ -383,9 +391,9 @@ def _serve(
     memory: int | None,
     idle: float | None,
 ) -> None:
-    """In a process of the pool: run tasks until there are no more, or nobody waits for them.
+    """Run tasks in a process of the pool until there are no more, or until the session has ended.
 
-    ``beats`` counts that it has begun, and the signals that it answers.
+    ``beats`` counts the start of the process and each signal that it answers.
     """
 
     def tell(share: float) -> None:
@@ -396,14 +404,15 @@ def _serve(
 
     def end(why: int = STUCK) -> None:
         gave_up.value = why
-        time.sleep(2 * POLL)  # The pool ends it meanwhile, and what it has started, which it would leave behind.
+        time.sleep(2 * POLL)  # Meanwhile the pool kills it with its children, which it would leave behind.
         os._exit(1)
 
-    gc.freeze()  # Else it would look for garbage in its copy of all that is in the session, and so make that copy.
+    gc.freeze()  # Otherwise a garbage collection would touch, and so copy, all of the session's memory.
     for other in inherited:
-        other.close()  # Else nobody would see the end of the session, or of another process, while this one lives.
+        other.close()  # Otherwise the end of the session or of a different process would go unnoticed.
     multiprocessing.current_process().daemon = False  # An ADS may have processes of its own.
-    # The session ends its processes itself. What they start is interrupted: it would inherit SIG_IGN, but no function.
+    # Ctrl-C must not interrupt this process, since the session ends it. A function and not SIG_IGN: children would
+    # inherit SIG_IGN, but must be interrupted.
     signal.signal(signal.SIGINT, lambda number, frame: None)
     if hasattr(signal, "SIGUSR2"):
         signal.signal(signal.SIGUSR2, beat)
@@ -414,10 +423,10 @@ def _serve(
         while connection.poll(idle) and (task := connection.recv()) is not None:
             try:
                 said = _sendable(work(task, tell))
-            except MemoryError:  # To repeat it in the session would take the memory of the session.
+            except MemoryError:  # Not sent as an answer: the session would run the task itself and use up its memory.
                 end(EXHAUSTED)
                 return
-            except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
+            except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
                 said = pickle.dumps((True, _portable(error)))
             connection.send_bytes(said)
 
@@ -435,14 +444,14 @@ def _sendable(result: object) -> bytes:
 
 
 def _limit_memory(more: int) -> None:
-    """Let allocations of this process fail once it has so many bytes more than now.
+    """Make allocations of this process fail when it uses ``more`` bytes more than now.
 
-    What counts is the memory that it could write to and shares with nobody: not the address space that CUDA and
-    allocators reserve, nor the code of libraries. Only Linux counts like that.
+    Only private, writable memory counts: not the address space that CUDA and allocators reserve, nor the code of
+    libraries. Only Linux has such a limit.
     """
     if sys.platform != "linux":
         return
-    import resource  # noqa: PLC0415  (not there on Windows)
+    import resource  # noqa: PLC0415  (not available on Windows)
 
     now = int(Path("/proc/self/statm").read_text("ascii").split()[5]) * resource.getpagesize()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
@@ -451,12 +460,12 @@ def _limit_memory(more: int) -> None:
 
 
 def _portable(error: BaseException) -> Exception:
-    """The error with its traceback as a note; where it cannot be sent to another process, one that says the same."""
+    """Return the error with its traceback as a note; if it cannot be pickled, a RuntimeError with the same text."""
     worded = RuntimeError("".join(traceback.format_exception_only(error)).strip())
     told = error if isinstance(error, Exception) else worded
     try:
-        pickle.loads(pickle.dumps(told))  # noqa: S301  (what this very process has made)
-    except Exception:  # noqa: BLE001  (whatever somebody's error does when it is pickled)
+        pickle.loads(pickle.dumps(told))  # noqa: S301  (made by this process)
+    except Exception:  # noqa: BLE001  (pickling the user's exception may raise anything)
         told = worded
-    told.add_note("In a worker:\n" + "".join(traceback.format_exception(error)))  # Its own traceback does not travel.
+    told.add_note("In a worker:\n" + "".join(traceback.format_exception(error)))  # Tracebacks cannot be pickled.
     return told

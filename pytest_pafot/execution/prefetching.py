@@ -1,6 +1,6 @@
-"""Runs that are made before a search asks for them: in lock step, or in other processes.
+"""Runs that are made before a search requests them: in lock step, or in other processes.
 
-What taking a run may raise is said where it is taken, in :meth:`pytest_pafot.execution.runner.Runner.run`.
+:meth:`pytest_pafot.execution.runner.Runner.run` documents the exceptions of ``take``.
 """
 
 from __future__ import annotations
@@ -25,20 +25,25 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.world import Highway
 
 DEAR = 0.010
-"""From this mean duration of a run on, processes are worth their cost [s]: a run that is made in another one costs half
-a millisecond more, and starting a process as much as some runs."""
+"""The mean duration of a run from which on processes pay off [s].
+
+A run in a different process takes half a millisecond more, and starting a process takes as long as several runs.
+"""
 
 WARM_RUNS = 2
-"""Runs that tell for good. The first run of a search does not, since it loads what the others use: processes begin
-after it where it was dear, and end again where those are not."""
+"""The number of runs after the first that decide for good whether processes pay off.
+
+The first run of a search is slower, since it loads libraries. Processes start after it if it was slow, and are ended if
+these runs turn out to be fast.
+"""
 
 
 class LockStep:
-    """Makes announced runs at once, in one batch, when the first of them is asked for.
+    """A maker of runs in lock step: it runs all announced scenarios in one batch when the first of them is requested.
 
-    On a Highway these have as many NPCs each: a planner is shown all of them, and a network that is given rows of NaN
-    for those that a run lacks decides on NaN without an error. The world of the job has ``rollout_batch``; ``workers``
-    is the number of processes that could have been used.
+    On a Highway, all scenarios of a batch have the same number of NPCs: a planner sees all of them, and a network that
+    receives rows of NaN for missing NPCs would decide on NaN without an error. The world of the job must have
+    ``rollout_batch``. ``workers`` is the number of processes that the user requested.
     """
 
     def __init__(self, job: Job, record: CrashRecord, *, workers: int) -> None:
@@ -50,16 +55,16 @@ class LockStep:
 
     @property
     def notes(self) -> list[str]:
-        """Why processes were not used, where they were asked for."""
+        """A note on why processes were not used, if they were requested."""
         why = "since the ADS decides for many runs at once, by its `batch`"
         return [] if self._workers == 1 else [f"--pafot-workers={self._workers}: not in use, {why}"]
 
     def announce(self, scenarios: Iterable[Scenario]) -> None:
-        """Know what will be asked for; of what was made before, nothing is kept."""
+        """Announce the next scenarios; earlier runs are dropped."""
         self._announced, self._made = list(scenarios), {}
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of an announced run, once; None where the run is to be made by itself."""
+        """Return the trace of an announced run, once; None if it must be run by itself."""
         __tracebackhide__ = True
         if afresh:
             return None
@@ -75,26 +80,26 @@ class LockStep:
 
 
 class Processes:
-    """Makes announced runs in other processes, from the moment on that runs turn out to be dear.
+    """A maker of announced runs in other processes, which are started when runs turn out to be slow.
 
-    With one worker, none is ever started. With an executor all announced runs are made by that, from the first on.
+    With one worker, no process is ever started. With an executor, it makes all announced runs, from the first on.
     """
 
     def __init__(self, job: Job, *, workers: int, executor: Executor | None = None) -> None:
         self.announced: list[Scenario] = []
-        """What will be asked for, as far as it was not yet."""
+        """The announced scenarios that were not requested yet."""
         self._job = job
         self._workers = workers
         self._executor = executor
         self._pool: ScenarioPool | ExecutorPool | None = None
         self._failure = ""
         self._is_measured = False
-        self._runs = self._runs_before = 0  # altogether, and before there were processes
+        self._runs = self._runs_before = 0  # all runs, and the runs before processes were started
         self._warm_seconds = 0.0
 
     @property
     def notes(self) -> list[str]:
-        """What was used, or why not, where that was asked for; complete once the processes have ended."""
+        """Notes on whether processes were used, if they were requested; complete after the processes have ended."""
         if self._failure:
             return [f"--pafot-workers is 1: {self._failure}"]
         if isinstance(self._pool, ExecutorPool):
@@ -103,15 +108,15 @@ class Processes:
         if self._pool is not None:
             used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process"
             if self._pool.failure:
-                used = f"--pafot-workers: one process ran the scenarios, since no other could: {self._pool.failure}"
+                used = f"--pafot-workers: this process ran the scenarios; no other one could: {self._pool.failure}"
             return [used, *map(recovery_note, self._pool.recovered)]
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
-        return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays from {dear:g} ms on"]
+        return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays off from {dear:g} ms on"]
 
     def announce(self, scenarios: Iterable[Scenario]) -> None:
-        """Know what will be asked for, and begin with it where processes are in use."""
+        """Announce the next scenarios, and start them if processes are in use."""
         self.announced = []
         if self._pool is not None:
             self._pool.expect(self._noted(scenarios))
@@ -124,7 +129,7 @@ class Processes:
             yield scenario
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of an announced run, once; None where the run is to be made in this process."""
+        """Return the trace of an announced run, once; None if it must be run in this process."""
         __tracebackhide__ = True
         if afresh or scenario not in self.announced:
             return None
@@ -140,7 +145,7 @@ class Processes:
         return trace_from(answer)
 
     def ran_here(self, seconds: float) -> None:
-        """Learn how long the last run took; what was not announced is not measured."""
+        """Record how long the last run took in this process; runs that were not announced are not measured."""
         if self._is_measured:
             self._is_measured = False
             self._learn(seconds)
@@ -160,7 +165,7 @@ class Processes:
                 self._failure = str(error)
 
     def close(self, *, at_once: bool) -> None:
-        """End the processes, where ``at_once`` without waiting for any."""
+        """End the processes; with ``at_once`` do not wait for any of them."""
         if self._pool is not None:
             self._pool.close(at_once=at_once)
 
@@ -172,19 +177,19 @@ class Processes:
 
 
 class Isolated(Processes):
-    """Makes all runs in other processes, announced or not: the ADS is never called in this one."""
+    """A maker of all runs in other processes, announced or not: the ADS is never called in this one."""
 
     @property
     def notes(self) -> list[str]:
-        """Which processes died in runs that were made after all; of an executor that made all, also that it did."""
+        """Notes on processes that died in runs that succeeded later, and on an executor that made all runs."""
         if isinstance(self._pool, ExecutorPool):
             return [] if self._pool.failure or self._pool.unable else self._pool.notes
         return [] if self._pool is None else [recovery_note(each) for each in self._pool.recovered]
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace:
-        """The trace of a run. What was raised in the other process is raised here, and nothing is repeated here.
+        """Return the trace of a run; an exception in the other process is raised here, and no run is repeated here.
 
-        Of an executor's workers that may be what they lack, so that such a run is refused.
+        If an executor's worker raises, it may lack something that the run needs, so the run is refused.
         """
         __tracebackhide__ = True
         try:
@@ -197,8 +202,8 @@ class Isolated(Processes):
         if isinstance(pool, ExecutorPool) and pool.unable:
             first = pool.unable[0]
             raise ExecutionError(
-                "--pafot-isolate: expected workers that can make every run, received from one "
-                f"{type(first).__name__}: {first}; let the workers have what the run needs, or search without "
-                "--pafot-isolate, where this process makes such runs"
+                "--pafot-isolate: expected workers that can make every run, received from one of them "
+                f"{type(first).__name__}: {first}; install what the run needs on the workers, or search without "
+                "--pafot-isolate, so that this process makes such runs"
             )
         return trace_apart(answer)

@@ -1,7 +1,7 @@
-"""One way to run a scenario: a search announces which ones come, and asks for one run after the other.
+"""The runner of a search, which announces the next scenarios and requests one run after the other.
 
-Where a run is made depends on the ADS and on what a run costs: in this process, in lock step with others, or in
-another process. Nothing but the time depends on it. :func:`runner_for` puts together who does what.
+Where a run is made depends on the ADS and on the duration of a run: in this process, in lock step with other runs, or
+in a different process. Only the time depends on it. :func:`runner_for` combines the parts.
 """
 
 from __future__ import annotations
@@ -25,28 +25,27 @@ from pytest_pafot.searching.evaluation_cache import Chains, plain_chains
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.protocol import WorldLike, lock_stepping, resumable
 
-# What an ADS decided in earlier runs, for runs that begin alike.
+# The decisions of an ADS in earlier runs, for runs that begin in the same way.
 
 DECISIONS = 100_000
-"""Decisions kept at most: some 300 runs of a minute at five a second, which is about 15 MB."""
+"""The largest number of cached decisions: about 300 runs of a minute at 5 Hz, which take about 15 MB."""
 
 _Key = tuple[object, ...]
 _Actions = tuple[Any, ...]
 
 
 class DecisionCache:
-    """Decisions of the last runs of one ADS in one world, found again by what they depended on.
+    """A cache of the decisions in the last runs of one ADS in one world, by the genes on which they depended.
 
-    Up to the end of its gene ``g`` a run depends on the first ``g`` genes of each NPC and on the start alone; the
-    decision at that very tick, before the next gene begins, is the last one that does. For what two scenarios must
-    have in common see :class:`~pytest_pafot.searching.evaluation_cache.EvaluationCache`: the chains as driven, or as
-    asked for with the seed. Where NPCs with Lane-Instructions start may be drawn by the seed, which is then always part
-    of it.
+    Until the end of gene ``g``, a run depends only on the start and on the first ``g`` genes of each NPC. The last such
+    decision is the one at the tick at which the next gene begins. For what two scenarios must have in common see
+    :class:`~pytest_pafot.searching.evaluation_cache.EvaluationCache`: the chains as driven, or the requested chains and
+    the seed. The seed is always included with Lane-Instructions, since the start of these NPCs may depend on it.
 
-    Only an ADS that decides from its observation alone decides the same there.
+    The cache is valid only for an ADS that decides from its observation alone.
 
     Args:
-        decisions: kept at most; the oldest runs are forgotten first.
+        decisions: the largest number of cached decisions; the oldest runs are removed first.
     """
 
     def __init__(self, decisions: int = DECISIONS) -> None:
@@ -56,7 +55,7 @@ class DecisionCache:
         self._runs: deque[tuple[_Actions, list[_Key]]] = deque()
 
     def remember(self, trace: Trace) -> None:
-        """Keep the decisions of a run, in the place of older ones that were the same."""
+        """Cache the decisions of a run; they replace older ones with the same key."""
         actions, scenario = trace.actions, trace.scenario
         if not actions or len(actions) > self._room:
             return
@@ -76,11 +75,11 @@ class DecisionCache:
             oldest, keys = self._runs.popleft()
             self._kept -= len(oldest)
             for key in keys:
-                if key in self._known and self._known[key][0] is oldest:  # else a later run has taken its place
+                if key in self._known and self._known[key][0] is oldest:  # unless a later run has replaced it
                     del self._known[key]
 
     def recall(self, scenario: Scenario) -> _Actions:
-        """The first decisions in a run of the scenario, as far as earlier runs tell; often none."""
+        """Return the first decisions in a run of the scenario, as far as they are cached; often none."""
         chains = plain_chains(scenario)
         for genes in range(scenario.genes, 0, -1):
             for seed in (None, scenario.seed):
@@ -106,28 +105,28 @@ def runner_for(
     times_decisions: bool = False,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Runner:
-    """Who makes the runs of a job.
+    """Return the runner of a job.
 
     Args:
-        job: what is run.
-        record: of this process, open; the caller clears it after each verdict, and closes it.
-        workers: processes at most beside this one; with 1, all runs are made in this one unless ``isolate`` is set.
-        isolate: whether the ADS shall never run in this process.
-        executor: makes the announced runs, where one is given, and with ``isolate`` all.
-        times_decisions: whether it matters how long each decision takes, which decisions for many runs at once, and
-            those that are known from earlier runs, do not tell.
-        clock: monotonic [s].
+        job: everything that a run needs.
+        record: the open crash record of this process; the caller clears it after each verdict, and closes it.
+        workers: the largest number of other processes; with 1, all runs are made in this one unless ``isolate`` is set.
+        isolate: True if the ADS must never run in this process.
+        executor: makes the announced runs if it is given, and with ``isolate`` all runs.
+        times_decisions: True if the duration of each decision matters; then no decisions are cached or made for many
+            runs at once.
+        clock: a monotonic clock [s].
 
     Raises:
-        WorldError: by a world that finds out only now that it cannot be used.
+        WorldError: if a world finds out only now that it cannot be used.
     """
     if isolate:
         return Runner(job=job, record=record, processes=Isolated(job, workers=workers, executor=executor), clock=clock)
     is_asked = not (times_decisions or is_vehicle_class(job.ads) or wants_env(job.ads))
     can_lock_step = is_asked and executor is None and lock_stepping(job.world) is not None
-    # This process makes the first runs. They show what the ADS can do and what a run costs. From then on the runs that
-    # were announced are made in lock step where the ADS decides for many at once, else in processes where a run is
-    # dear; what was not announced, or cannot be made elsewhere, is always made in this process.
+    # This process makes the first runs, which show what the ADS can do and how long a run takes. Then the announced
+    # runs are made in lock step if the ADS decides for many runs at once, or else in other processes if runs are slow.
+    # Runs that were not announced, or that cannot be made elsewhere, are always made in this process.
     return Runner(
         job=job,
         record=record,
@@ -140,7 +139,7 @@ def runner_for(
 
 @contextmanager
 def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
-    """Give who makes the runs of a command in this process, whose crash records are of no use to a later one."""
+    """Provide a runner in this process for a command, with temporary crash records that no later command reads."""
     with tempfile.TemporaryDirectory(prefix="pafot-") as records:
         job = Job(world=world, ads=ads, records=Path(records), owner="command")
         with job.crash_record() as record, runner_for(job, record) as runner:
@@ -149,16 +148,16 @@ def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
 
 @dataclass(eq=False, kw_only=True)
 class Runner:
-    """Gives the runs of one search: those that were made ahead, and makes all others in this process.
+    """A runner, which returns runs that were made ahead, and makes all others in this process.
 
-    At the end of a ``with`` statement the processes that it has started end, at once where an exception passes. What
-    was announced is forgotten then; a runner can be used after that, and in another ``with`` statement.
+    The end of a ``with`` statement ends the processes that it has started, at once after an exception, and drops the
+    announced scenarios. The runner can still be used after that, also in a second ``with`` statement.
 
-    A pure ADS is asked once for what it decides in runs that begin alike. Physics is stepped as always, so that a trace
-    is the same to the last bit. The declaration is a promise of the user's: what counts is asked for afresh.
+    For runs that begin in the same way, a pure ADS decides only once. Physics is always stepped, so a trace is the same
+    to the last bit. ``pure`` is only a promise of the user's, so every run that counts is made from scratch.
 
-    ``processes`` make announced runs ahead, ``lock_step`` in their place once the ADS shows that it can. With
-    ``can_resume``, decisions are taken from earlier runs once the ADS shows that it is pure.
+    ``processes`` make announced runs ahead, or ``lock_step`` instead as soon as the ADS shows that it has ``batch``.
+    With ``can_resume``, decisions are cached as soon as the ADS shows that it is pure.
     """
 
     job: Job
@@ -168,7 +167,7 @@ class Runner:
     can_resume: bool = False
     clock: Callable[[], float]
     is_alone: bool = field(default=True, init=False)
-    """Whether the last trace was made by itself, and not in lock step with others."""
+    """True if the last trace was made by itself, and not in lock step with others."""
 
     def __post_init__(self) -> None:
         self._prefetching: Processes | LockStep = self.processes
@@ -178,12 +177,12 @@ class Runner:
 
     @property
     def notes(self) -> list[str]:
-        """How the runs were made, where that is worth telling; complete once the processes have ended."""
+        """Notes on how the runs were made; complete after the processes have ended."""
         return self._prefetching.notes
 
     @property
     def decides_for_many(self) -> bool:
-        """Whether the ADS has shown that it decides for many runs at once."""
+        """True if the ADS has shown that it decides for many runs at once."""
         return self._prefetching is self.lock_step
 
     def __enter__(self) -> Self:
@@ -194,20 +193,20 @@ class Runner:
         self.processes.close(at_once=kind is not None)
 
     def announce(self, scenarios: Iterable[Scenario]) -> None:
-        """Say what will be asked for next, in this order; what was announced before is forgotten."""
+        """Announce the next scenarios in their order; earlier announcements are dropped."""
         self._prefetching.announce(scenarios)
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
-        """One run. It leaves the crash record written, for a verdict that may end the process too.
+        """Return the trace of a run. The crash record stays written, since the verdict may end the process, too.
 
         Args:
-            scenario: to run, announced or not.
-            afresh: whether the ADS is asked for every decision, and for this run alone.
+            scenario: the scenario to run, announced or not.
+            afresh: True if the ADS must make every decision again, only for this run.
 
         Raises:
-            ProcessLostError: where another process made it, and did not come back.
-            ExecutionError: where it must be made in another process, and none can be started.
-            Exception: what the world, the factory or the ADS's ``batch`` raises.
+            ProcessLostError: if the run was in a different process, which died or hung.
+            ExecutionError: if it must be in a different process, and none can be started.
+            Exception: any exception of the world, the factory or the ADS's ``batch``.
         """
         __tracebackhide__ = True
         trace = self._prefetching.take(scenario, afresh=afresh)
@@ -216,16 +215,16 @@ class Runner:
         if trace is None:
             decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
             started = self.clock()
-            given = {"decisions": decisions} if decisions else {}  # a world of the user's own need not know of them
+            given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
             trace = self.job.world.rollout(scenario, self._factory, **given)
             if not self.decides_for_many:
                 self.processes.ran_here(self.clock() - started)
-        if self._decisions is not None and self.is_alone:  # what is decided for many at once is not relied on
+        if self._decisions is not None and self.is_alone:  # decisions of a batch may differ, so they are not cached
             self._decisions.remember(trace)
         return trace
 
     def _showing(self, factory: Callable[..., Any]) -> Callable[..., Any]:
-        """The factory, whose first ADS is looked at: a factory is called for runs and for nothing else."""
+        """Wrap the factory to inspect its first ADS, because the factory must not be called except for runs."""
 
         def make(*arguments: Any, **named: Any) -> Any:
             __tracebackhide__ = True
@@ -238,5 +237,5 @@ class Runner:
                 self._prefetching = self.lock_step
             return ads
 
-        make.__wrapped__ = factory  # type: ignore[attr-defined]  # signatures are looked up there
+        make.__wrapped__ = factory  # type: ignore[attr-defined]  # for inspect.signature
         return make

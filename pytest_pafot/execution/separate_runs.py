@@ -1,4 +1,4 @@
-"""Single runs in another process, since this one may die of them, or of the verdict."""
+"""Single runs in a separate process, because the run or its verdict may end this one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pytest_pafot.world import protocol
 
 @dataclass(frozen=True, slots=True)
 class _OtherRuns:
-    """In the place of a world: its scenarios run in another way."""
+    """A stand-in for a world with a different ``rollout``."""
 
     hang_limit: float
     rollout: Callable[[Scenario, Callable[..., Any]], Trace]
@@ -37,19 +37,19 @@ class _OtherRuns:
 def answers_apart(
     job: Job, scenarios: Sequence[Scenario], judge: Callable[[Trace], object], *, isolate: bool
 ) -> dict[Scenario, Answer] | None:
-    """What running and judging each scenario by itself in another process shows.
+    """Run and judge each scenario by itself in a separate process; return the answers, or None if that is impossible.
 
-    A death counts, also where the process that tries it again lives: it is not the first of this scenario.
+    A death counts even if a second attempt succeeds, because a process has died in this scenario before.
 
     Args:
-        job: what is run.
-        scenarios: one after the other.
-        judge: of a trace; only forked processes have it, since it needs the fixtures of the test function. What it
-            prints and raises is seen where the verdict counts.
-        isolate: whether another process without the judge will do where none can be forked; else there is None.
+        job: everything that a run needs.
+        scenarios: the scenarios, run one after the other.
+        judge: judges a trace. It needs the fixtures of the test function, so only forked processes have it. Its output
+            and its exceptions are ignored here, since the session judges the run again.
+        isolate: True if a process without the judge is good enough if none can be forked.
 
     Raises:
-        ExecutionError: with ``isolate``, where there can be no other process.
+        ExecutionError: with ``isolate``, if there can be no other process.
     """
     world = job.world
 
@@ -79,15 +79,15 @@ def run_apart(
     isolate: bool,
     in_own_session: Callable[[], object],
 ) -> Trace | None:
-    """The trace of a scenario that was run and judged in another process, to be judged again in this one.
+    """Return the trace of a scenario that was run and judged in a separate process, to be judged again in this one.
 
-    None where it is to be run in this process: there can be no other one, and it came through ``in_own_session``, which
-    replays it in a session of its own. :func:`answers_apart` has the other arguments.
+    Return None if it must be run in this process: there can be no other one, and ``in_own_session``, which replays it
+    in a separate session, has survived. For the other arguments see :func:`answers_apart`.
 
     Raises:
-        ProcessLostError: where that process did not come back.
-        ExecutionError: with ``isolate`` where there can be no other process; without where it works in no other one.
-        Exception: with ``isolate``, what was raised there.
+        ProcessLostError: if that process died or hung.
+        ExecutionError: with ``isolate`` if there can be no other process; without if the ADS works in no other one.
+        Exception: with ``isolate``, any exception of that process.
     """
     __tracebackhide__ = True
     answers = answers_apart(job, [scenario], judge, isolate=isolate)
@@ -102,17 +102,18 @@ def run_apart(
         if isolate:
             raise
         raise ExecutionError(
-            "expected a scenario that has ended a process to run in another process, received from there "
-            f"{type(error).__name__}: {error}. {NOT_REPEATED} Or delete the file, which a search may then find again"
+            "expected a scenario that has ended a process to run in a separate process, received from there "
+            f"{type(error).__name__}: {error}. {NOT_REPEATED} Or delete the file; a search may then find it again"
         ) from None
 
 
 def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:
-    """One run by ``env.step`` of the environment of a world that has one, in another process, or what it raised there.
+    """Run a scenario with ``env.step`` of highway-env's own environment in a separate process.
 
     Raises:
-        ProcessLostError: where that process did not come back.
-        ExecutionError: where there can be no other process.
+        ProcessLostError: if that process died or hung.
+        ExecutionError: if there can be no other process.
+        Exception: any exception of that process.
     """
     __tracebackhide__ = True
     in_gym = replace(job, world=_OtherRuns(protocol.hang_limit(job.world), job.world.rollout_in_gym))
@@ -120,22 +121,21 @@ def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Tr
         return runner.run(scenario)
 
 
-# What was in flight when a process died runs again, in a process of its own, before it is called a finding.
+# A scenario in which a process died runs again in a separate process before it is called a finding.
 #
-# A process also dies because somebody ends it: a job that is cancelled, a system that is short of memory. The
-# scenario that it ran then says nothing of the ADS. Where the next session dies as well, it is no accident: something
-# that builds up from run to run, such as memory. That scenario is then called a finding after all, or nobody would
-# hear of it.
+# A process may also be killed from outside: a job is cancelled, or the system is short of memory. Then the scenario
+# says nothing about the ADS. But if the next session dies as well, the cause is probably something that builds up from
+# run to run, such as memory. Then the scenario is called a finding after all, or this would never be reported.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Retried:
-    """What came of the record of a process that died."""
+    """The result of running the scenarios again in which a process died."""
 
     notes: tuple[str, ...] = ()
-    """On what is not to blame."""
+    """Notes on scenarios that are not the cause."""
     pending: Leftover | None = None
-    """To discard once the search is through; until then this session may die as well."""
+    """The record to discard at the end of the search; until then this session may die as well."""
 
 
 def retry(
@@ -147,28 +147,29 @@ def retry(
     keep: Callable[[Leftover, Scenario, LostRun | None], object],
     run_here: Callable[[Leftover], object],
 ) -> Retried:
-    """Keep what is to blame for the death of a process.
+    """Run the scenarios of a process that died again, and save those that caused its death.
 
-    A reference that drove when the process died is to blame itself, and what it drove in is not run again. Where no
-    process can be made to try it in, one death is enough for a scenario that was alone in flight; and where
-    the session that tried it died as well, that is enough too.
+    If a reference was driving when the process died, the reference is the cause, and nothing is run again. One death is
+    enough for a scenario that ran alone, if there can be no separate process, or if the session that ran it again died
+    as well.
 
     Args:
-        leftover: of the process; removed once all is said, unless it is pending.
+        leftover: the record of the process; it is removed unless it is pending.
         job: what the process ran.
         judge, isolate: see :func:`answers_apart`.
-        keep: saves a scenario in which a process died, and another one when it ran again, as far as that is known.
-        run_here: runs what was in lock step in this process, with the scenario on disk, for the next session to retry.
+        keep: saves a scenario in which a process died; its last argument is the second death, if it is known.
+        run_here: runs the scenarios of a batch in this process, one by one with a record on disk, for the next session.
     """
     if leftover.reference:
         note = (
-            f"a process (pid {leftover.pid}) died while {leftover.reference} ran {leftover.scenario!r}, which is held "
-            "against it and not against the ADS: mend it, or search with --pafot-isolate, where it may die"
+            f"a process (pid {leftover.pid}) died while the reference {leftover.reference} drove in "
+            f"{leftover.scenario!r}, which says nothing about the ADS: correct the reference, or search with "
+            "--pafot-isolate, so that it can die without harm"
         )
         return Retried(notes=(note,), pending=leftover)
     answers: dict[Scenario, Answer] | None = None
     if not leftover.is_tried:
-        with suppress(ExecutionError):  # The first run of the search says so.
+        with suppress(ExecutionError):  # The first run of the search reports it.
             answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
     if answers is None and leftover.is_lock_step:
         run_here(leftover)
@@ -193,5 +194,5 @@ def retry(
 
 
 def _came_to_its_end(answer: Answer) -> bool:
-    """Whether a run did. One in which the ADS failed may have failed since it was another process."""
+    """Return whether a run succeeded; not if the ADS failed, since it may have failed only in the separate process."""
     return not isinstance(answer, Exception) and answer[0].outcome not in (Outcome.ADS_ERROR, Outcome.HANG)

@@ -187,7 +187,7 @@ def test_a_key_that_others_could_have_put_there_is_not_used(tmp_path, monkeypatc
         record.write(SCENARIO)
     assert "a hard crash of this process will not name" in str(record.error)
     assert str(home) in str(record.error)
-    assert str(record.error).endswith("delete that, or let TMPDIR name a folder for temporary files that is yours")
+    assert str(record.error).endswith("delete that, or set TMPDIR to a folder for temporary files that belongs to you")
     assert leftovers(tmp_path / "records") == ()
 
 
@@ -205,7 +205,7 @@ def test_no_link_is_followed_in_or_to_the_folder_of_records(tmp_path):
     assert leftovers(folder) == ()
     (tmp_path / "link").symlink_to(folder)
     (folder / "9-x.inflight").write_text("\n")  # which would be removed
-    with pytest.raises(CrashRecordError, match="a link, behind which nothing"):
+    with pytest.raises(CrashRecordError, match="a link; nothing is written"):
         leftovers(tmp_path / "link")
     with CrashRecord(tmp_path / "link", OWNER) as record:
         record.write(SCENARIO)

@@ -149,7 +149,7 @@ def test_an_executor_that_is_broken_is_used_no_more(pool_of):
     pool = pool_of(Broken(lost=(0,), error=BrokenExecutor))
     assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [RuntimeError] * 3
     assert pool.notes == [
-        "pafot_executor: this process ran the scenarios, since no other could: BrokenExecutor: a process ended"
+        "pafot_executor: this process ran the scenarios; the executor failed: BrokenExecutor: a process ended"
     ]
 
 
@@ -165,7 +165,7 @@ def test_an_executor_whose_connections_go_on_failing_is_used_no_more_and_no_scen
     assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [tuple, RuntimeError, RuntimeError]
     fetched(pool, SCENARIOS[3:6])
     assert len(executor.sizes) == 4
-    assert pool.notes == ["pafot_executor: this process ran the scenarios, since no other could: OSError: pafot-1"]
+    assert pool.notes == ["pafot_executor: this process ran the scenarios; the executor failed: OSError: pafot-1"]
 
 
 def test_a_worker_with_other_versions_is_refused_and_both_are_named(pool_of, monkeypatch):
@@ -204,7 +204,9 @@ def test_what_workers_cannot_run_is_left_to_the_session_and_the_notes_say_why(po
     pool = pool_of(Inline(), worker=Unable)
     assert [type(each) for each in fetched(pool, SCENARIOS[:3])] == [tuple, LookupError, LookupError]
     (note,) = pool.notes
-    assert note.endswith("2 runs were made in this process, since there: LookupError: my-env-v0 is not registered")
+    assert note.endswith(
+        "2 runs were made in this process; a worker answered: LookupError: my-env-v0 is not registered"
+    )
 
 
 def test_isolated_runs_by_an_executor_say_so_too(tmp_path, monkeypatch):
@@ -220,14 +222,14 @@ def test_an_isolated_run_that_workers_cannot_make_is_refused_and_not_made_by_the
     executors._bench.cache_clear()
     isolated = Isolated(job_of(tmp_path), workers=1, executor=Inline())
     assert isolated.take(SCENARIOS[0], afresh=True) is not None
-    with pytest.raises(ExecutionError, match=r"--pafot-isolate: .*LookupError: my-env-v0 is not registered; let the"):
+    with pytest.raises(ExecutionError, match=r"--pafot-isolate: .*LookupError: my-env-v0 is not registered; install"):
         isolated.take(SCENARIOS[1], afresh=True)
     assert isolated.notes == []
 
 
 def test_what_cannot_travel_is_refused(tmp_path):
     lock = threading.Lock()
-    with pytest.raises(ExecutionError, match=r"can travel to other machines, received .* TypeError: .*lock"):
+    with pytest.raises(ExecutionError, match=r"can be sent to other machines, received .* TypeError: .*lock"):
         packed(job_of(tmp_path, lambda: lambda number: lock))
 
 

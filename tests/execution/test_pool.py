@@ -114,7 +114,7 @@ def test_what_a_process_has_started_ends_with_it(pool_of, is_stuck):
     os.close(write)
     assert os.read(read, 1) == b"."
     if is_stuck:
-        assert "ignored the interruption" in pool.fetch(0).how
+        assert "ignored the interrupt" in pool.fetch(0).how
     pool.close(at_once=True)
     assert select.select([read], [], [], 30.0)[0], "the program holds its end"
     assert os.read(read, 1) == b""

@@ -97,7 +97,7 @@ class TestProcesses:
         with runner_of(world) as runner:
             asked(runner)
         assert world.ran == list(range(8))
-        assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays from 10 ms on"]
+        assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays off from 10 ms on"]
 
     def test_they_end_where_only_the_first_run_was_dear_since_it_loads_what_the_others_use(self, runner_of):
         world, pool = World(1.5), Pool(seconds=0.005)
@@ -108,7 +108,7 @@ class TestProcesses:
             assert [runner.run(each).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
         assert (pool.fetched, pool.closed) == ([1, 2], True)
         assert world.ran == [0, 3, 4, 5, 6, 7]
-        assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays from 10 ms on"]
+        assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays off from 10 ms on"]
 
     def test_they_begin_later_where_the_first_run_was_not_dear_and_the_others_are(self, runner_of):
         world, pool = World(0.005), Pool()

@@ -124,7 +124,7 @@ def test_isolated_runs_raise_here_what_the_factory_raises_there(runner_of):
 
 def test_isolated_runs_refuse_a_factory_that_no_process_can_be_given(runner_of, monkeypatch):
     monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
-    with pytest.raises(ExecutionError, match=r"^--pafot-isolate: where processes cannot be forked, .* pickled"):
+    with pytest.raises(ExecutionError, match=r"^--pafot-isolate: expected an ADS factory .* pickled"):
         runner_of(lambda: None, isolate=True).run(SCENARIOS[0])
 
 

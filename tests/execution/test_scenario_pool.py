@@ -138,5 +138,5 @@ def test_processes_that_are_not_forked_run_a_factory_that_can_be_pickled(job_of,
 
 def test_a_factory_that_cannot_be_pickled_where_processes_are_not_forked_is_told(job_of, monkeypatch):
     monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
-    with pytest.raises(ExecutionError, match="such as a class of a module that can be imported"):
+    with pytest.raises(ExecutionError, match="such as a class in a module that can be imported"):
         pool_for(job_of(lambda: print), 2)

@@ -94,7 +94,7 @@ def test_what_the_factory_raises_is_the_outcome_and_is_not_repeated_here(job_of,
     with pytest.raises(kind, match="cannot re-initialize CUDA") as raised:
         run_apart(job, ONE, praise, isolate=isolate, in_own_session=pytest.fail)
     told = "".join([str(raised.value), *getattr(raised.value, "__notes__", ())])
-    assert "open that in the factory, and not before it" in told
+    assert "open that in the factory, not before" in told
     assert ("delete the file" in told) is not isolate
 
 
@@ -102,7 +102,7 @@ def test_where_no_process_can_be_forked_a_session_of_its_own_goes_first(job_of, 
     went = []
     assert run_apart(job_of(idle), ONE, praise, isolate=False, in_own_session=lambda: went.append(1)) is None
     assert went == [1]
-    with pytest.raises(ExecutionError, match="must be one that can be pickled"):
+    with pytest.raises(ExecutionError, match="expected an ADS factory that can be pickled"):
         run_apart(job_of(idle), ONE, praise, isolate=True, in_own_session=pytest.fail)
 
 

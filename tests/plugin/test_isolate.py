@@ -150,7 +150,7 @@ def test_what_only_another_process_raises_is_the_outcome_and_no_decision_is_made
     more = "import json\n\ndef breaks(observation):\n    note()\n    json.dumps = None\n    return 0.0, 0.0\n"
     project = isolated("breaks", more)
     result = project.run("--pafot-isolate", "-p", "no:cacheprovider", generations=1)
-    result.stdout.fnmatch_lines(["*TypeError: 'NoneType' object is not callable*", "*not repeated in the session*"])
+    result.stdout.fnmatch_lines(["*TypeError: 'NoneType' object is not callable*", "*not tried again in the session*"])
     assert result.parseoutcomes()["passed"] == 1
     assert f"pid-{os.getpid()}" not in {path.name for path in project.path.glob("pid-*")}
 
@@ -210,7 +210,7 @@ def test_where_processes_are_not_forked_the_factory_must_be_one_that_can_be_pick
     project = isolated()
     result, contents = session(project, "--pafot-isolate", generations=1)
     assert contents == {}
-    result.stdout.fnmatch_lines(["*--pafot-isolate: where processes cannot be forked, the ADS factory must be one*"])
+    result.stdout.fnmatch_lines(["*--pafot-isolate: expected an ADS factory that can be pickled*"])
     named = "from tests.helpers.toy_world import Keeps\n" + MANY.replace(
         "npcs=2", "npcs=2, ads=Keeps, shrink_rollouts=0"
     )

@@ -68,7 +68,7 @@ def test_a_search_in_lock_step_finds_and_saves_what_one_by_one_finds(project, in
     [
         ("Batched", 2, ["not in use, since the ADS decides for many runs at once, by its `batch`"]),
         ("Batched", 1, []),
-        ("Planner", 2, ["not in use, since a run took ... ms, and it pays from 60000 ms on"]),
+        ("Planner", 2, ["not in use, since a run took ... ms, and it pays off from 60000 ms on"]),
     ],
 )
 def test_a_search_tells_once_why_workers_are_idle(project, ads, workers, notes, monkeypatch):

@@ -140,7 +140,7 @@ def test_a_worker_whose_decision_swallows_its_interruption_ends_and_the_search_g
     result, contents = session(project, 2, generations=4)
     finding = next(load(project.path / name) for name in contents if "hang-" in name)
     assert finding.expect.outcome is Outcome.HANG
-    assert "ignored the interruption of a decision for 0.3 s" in finding.expect.message
+    assert "ignored the interrupt of a decision for 0.3 s" in finding.expect.message
     result.stdout.fnmatch_lines(["*ended: all generations done*"])
 
 
