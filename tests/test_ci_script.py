@@ -218,7 +218,7 @@ def test_a_night_goes_on_in_a_fresh_clone_from_the_states_that_a_cache_brings(re
         found.append([finding.file for finding in record_of(folder).findings if finding.is_new])
         if folder is repository:
             shutil.copytree(repository / "pafot_state", tmp_path / "next" / "pafot_state")
-    assert "went on after 4 runs of earlier sessions" in printed
+    assert "resumed after 4 runs of earlier sessions" in printed
     assert found[0]
     assert found[1]
     git(repository, "fetch", "-q", "origin", "pafot-finds")

@@ -1,1 +1,1 @@
-"""One search, from its replays to its findings."""
+"""One search, from the replays of saved scenarios to new findings."""

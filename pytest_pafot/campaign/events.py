@@ -1,4 +1,4 @@
-"""What a search tells as it goes on, besides the events of its algorithm (:mod:`pytest_pafot.searching.events`)."""
+"""Events of a search, in addition to those of its algorithm (:mod:`pytest_pafot.searching.events`)."""
 
 from __future__ import annotations
 
@@ -13,103 +13,103 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Event
 from pytest_pafot.support.text import ascii_text
 
-# What is told of a search: where it is, each find that is new, and how it went.
+# Reports of a search: its progress, each new finding, and its summary.
 #
-# Values that travel between processes as plain data. How they read on a terminal is in ``report.terminal``.
+# These values are sent between processes as plain data. ``report.terminal`` turns them into text.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """Where a search is."""
+    """The progress of a search."""
 
     node_id: str
-    generation: int  # that is in progress, from 1
-    generations: int | None  # that were asked for; None where the runs decide
+    generation: int  # the generation in progress, from 1
+    generations: int | None  # requested generations; None if the number of runs decides
     runs: int
-    failing: int  # runs that the test rejected
-    finds: int  # distinct ones that are new
+    failing: int  # runs in which the test failed
+    finds: int  # distinct new findings
     seconds: float  # since the search began
-    budget: int | None = None  # runs that were asked for
-    phase: str = ""  # what goes on after the generations, such as shrinking; empty while they run
+    budget: int | None = None  # requested runs
+    phase: str = ""  # the work after the generations, such as shrinking; empty while they run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Find:
-    """A distinct find that is new."""
+    """A distinct new finding."""
 
     id: str
-    node_id: str  # under which it is reported
+    node_id: str  # the node id under which it is reported
     headline: str
-    path: str = ""  # of its file, or empty
+    path: str = ""  # the path of its file, or empty
     problem: str = ""  # why there is no file, or empty
     difference: str = ""  # what differed when it was run again, or empty
-    is_timed: bool = False  # it depends on wall-clock time
-    unshrunk: str = ""  # why it is not yet as simple as it is to be, or empty
-    severity: Severity | None = None  # None where nothing measures it, or no run is there
-    responsible: str = "none"  # for the collision, as in its file
-    repeats: int = 0  # further runs that failed in the same way
+    is_timed: bool = False  # True if it depends on wall-clock time
+    unshrunk: str = ""  # why it is not yet fully shrunk, or empty
+    severity: Severity | None = None  # None if nothing measures it, or if there is no run
+    responsible: str = "none"  # who is responsible for the collision, as in its file
+    repeats: int = 0  # number of other runs that failed in the same way
 
     @property
     def is_flaky(self) -> bool:
-        """Whether running it again gave another run."""
+        """True if running it again gave a different run."""
         return bool(self.difference)
 
     @property
     def remark(self) -> str:
-        """What a reader must know besides, or nothing."""
+        """Anything else that a reader must know, or an empty text."""
         flaky = f"flaky: {self.difference}" if self.is_flaky else ""
         timed = "depends on wall-clock time" if self.is_timed else ""
         return "; ".join(filter(None, [flaky, timed, self.unshrunk]))
 
     @property
     def summary(self) -> str:
-        """One line on it, with what a reader must know besides."""
+        """The headline in one line, with anything else that a reader must know."""
         return ascii_text(f"{self.headline} ({self.remark})" if self.remark else self.headline)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSummary:
-    """How a search went."""
+    """The summary of a search."""
 
     node_id: str
     algorithm: str = "pafot"
-    profile: str = ""  # that the defaults came from
-    base_seed: int = 0  # that was given, or fresh
-    seed: int = 0  # of this search, derived from the base seed and the node id
-    generations: int = 0  # finished, of ``asked``
-    asked: int | None = None  # generations that were asked for
-    budget: int | None = None  # runs that were asked for
+    profile: str = ""  # the profile of the defaults
+    base_seed: int = 0  # the base seed that was given, or a random one
+    seed: int = 0  # the seed of this search, derived from the base seed and the node id
+    generations: int = 0  # finished generations, of ``asked``
+    asked: int | None = None  # requested generations
+    budget: int | None = None  # requested runs
     reason: str = ""  # why it ended
     seconds: float = 0.0
     runs: int = 0  # simulated scenarios
-    known_runs: int = 0  # scenarios that were not simulated, since an earlier run showed what they do
-    invalid: int = 0  # runs that are no failures, by kind, as the next five
+    known_runs: int = 0  # scenarios that were not simulated, because the result of an earlier run was reused
+    invalid: int = 0  # runs that do not count as failures, of this kind and of the next five kinds
     npc: int = 0
     unpreventable: int = 0
     common: int = 0
     rejected: int = 0
     skipped: int = 0
-    reached: float | None = None  # share of Position-Instructions whose cell was reached; None where no run tells
+    reached: float | None = None  # share of Position-Instructions whose cell was reached; None if it is unknown
     no_interaction: int = 0  # runs in which no NPC came near the ego
-    failing: int = 0  # runs that the test rejected
-    finds: tuple[Find, ...] = ()  # distinct ones that are new
-    unsaved: Mapping[str, int] = field(default_factory=dict)  # runs of those that the limit of saved ones left out
-    shrink_runs: int = 0  # taken to simplify the finds, beside ``runs``
+    failing: int = 0  # runs in which the test failed
+    finds: tuple[Find, ...] = ()  # distinct new findings
+    unsaved: Mapping[str, int] = field(default_factory=dict)  # runs of each finding above the limit of saved scenarios
+    shrink_runs: int = 0  # runs used to shrink the findings, in addition to ``runs``
     known: Mapping[str, int] = field(default_factory=dict)  # failing runs by the id of the file that covers them
     warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()  # anything else to be told once
-    against: str = ""  # the reference that failures were held against, or empty
-    # random scenarios at its beginning: runs that failed in a collision which the ego answers for, alone or with the
-    # NPC, and all that say something of the ego; and those that failed in any other way
+    notes: tuple[str, ...] = ()  # anything else to report once
+    against: str = ""  # the reference with which failures were compared, or empty
+    # counts for the random scenarios at the beginning: runs with a collision for which the ego is responsible, alone or
+    # with the NPC, and all runs that say something about the ego; then runs that failed in any other way
     random: tuple[int, int] = (0, 0)
     random_otherwise: int = 0
-    drawn: str = ""  # from what the scenarios were drawn, in one line
-    coverage: str = ""  # one line on the Position-Instructions that the runs came to
+    drawn: str = ""  # one line on the space from which the scenarios were sampled
+    coverage: str = ""  # one line on the Position-Instructions that the runs covered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchStarted:
-    """A search begins, with a seed of its own; ``speed_limit`` is the highest target speed in its world [m/s]."""
+    """The beginning of a search; ``speed_limit`` is the highest target speed in its world [m/s]."""
 
     node_id: str
     seed: int
@@ -118,7 +118,7 @@ class SearchStarted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judged:
-    """A run of the search, with what the test function made of it."""
+    """A run of the search, with the verdict of the test function."""
 
     run: Run
     verdict: Verdict
@@ -126,25 +126,25 @@ class Judged:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FindTold:
-    """A new find, or more of one that was told before: the last telling of a find is the one that counts."""
+    """A new finding, or an update of one that was reported before; the last report of a finding counts."""
 
     finding: Finding
     find: Find
-    origin: str  # how it was found, in one line
+    origin: str  # one line on how it was found
     exception: BaseException
-    run: Run | None = None  # of the scenario in the file; None where nobody saw how it ended
+    run: Run | None = None  # the run of the scenario in the file; None if its process died or hung
     file: Path | None = None
-    content: str = ""  # of the file that could not be written, or empty
-    number: int = 0  # of its run in the search, from 1; 0 where it was none of its runs
-    is_new: bool = True  # whether it is told for the first time
+    content: str = ""  # the content of a file that could not be written, or empty
+    number: int = 0  # the number of its run in the search, from 1; 0 if the search did not run it
+    is_new: bool = True  # True if it is reported for the first time
 
     @property
     def is_firm(self) -> bool:
-        """Whether its runs are expected to repeat, so that it can be shrunk."""
+        """True if its runs are expected to repeat, so it can be shrunk."""
         return not (self.find.is_flaky or self.find.is_timed or self.finding.expect.is_crash)
 
 
 SearchEvent = SearchStarted | Judged | FindTold | Progress | SearchSummary | Event
 
 Listener = Callable[[SearchEvent], None]
-"""Is told what happens in a search, in the order in which it happens."""
+"""A function that receives the events of a search in their order."""

@@ -29,17 +29,17 @@ from pytest_pafot.world.driving.ads import AdsFactory
 
 PLACE = "pafot.explore"
 OF_TESTS = ("arg", "profile", "report", "save", "strict_drift", "strict_health")
-"""Arguments of the mark that mean nothing where no test passes or fails."""
+"""Arguments of the mark that have no meaning without a test."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exploration(Shown):
-    """What a search found, and how it went.
+    """The result of a search.
 
     Attributes:
-        findings: every distinct failure that is new, shrunk, each with the trace of a run that shows it.
-        summary: how the search went: runs, coverage, warnings, notes.
-        events: what happened, in order, but for the single runs; of the algorithm and of the search.
+        findings: all distinct new failures, shrunk, each with the trace of a run that shows it.
+        summary: the summary of the search: runs, coverage, warnings, notes.
+        events: the events of the algorithm and of the search in their order, without the single runs.
         runs: a row for each scenario that was tried, with the columns of ``--pafot-table``, ready for
             ``pandas.DataFrame(...)``.
     """
@@ -51,12 +51,12 @@ class Exploration(Shown):
 
     @property
     def told(self) -> tuple[FindTold, ...]:
-        """The last word on each finding, in their order: its run, the exception that it ended in, and its headline."""
+        """The last report of each finding, in their order, with its run, its exception and its headline."""
         last = {event.finding.id: event for event in self.events if isinstance(event, FindTold)}
         return tuple(last[finding.id] for finding in self.findings)
 
 
-def explore(  # noqa: PLR0913  (what most searches differ in)
+def explore(  # noqa: PLR0913  (the arguments in which most searches differ)
     ads: AdsFactory,
     *,
     holds: Callable[[Run], None],
@@ -71,25 +71,25 @@ def explore(  # noqa: PLR0913  (what most searches differ in)
 ) -> Exploration:
     """Search for scenarios that make a property fail, without pytest.
 
-    With the node id of a test, its base seed and its arguments this finds what the test finds, file for file.
+    With the node id, the base seed and the arguments of a test, it finds the same as the test, with identical files.
 
     Args:
         ads: the factory, called once for each run, or a highway-env vehicle class.
-        holds: the property: a function of a :class:`~pytest_pafot.oracle.run.Run` that asserts, as a test function
-            does.
-        world: such as ``pafot.World("highway-v0")``; by default ``pafot.Highway()``.
-        runs: of the search, after which it ends; 40 where there is no number of generations.
-        generations: of the search, after which it ends.
-        seed: base seed; that of the search follows from it and the node id.
-        node_id: of the test that is meant, free of ``[search]``; by default one that names ``holds``.
-        on_event: is told what happens as it happens; see :mod:`pytest_pafot.campaign.events`.
-        executor: makes the runs of the generations, as the fixture ``pafot_executor`` does.
-        settings: further arguments of ``@pafot.search``. With ``corpus``, findings are saved below that folder and what
-            is saved there is known; without, nothing is written.
+        holds: the property: a function that receives a :class:`~pytest_pafot.oracle.run.Run` and asserts, like a test
+            function.
+        world: the world, such as ``pafot.World("highway-v0")``; by default ``pafot.Highway()``.
+        runs: the number of runs after which the search ends; 40 if ``generations`` is not given.
+        generations: the number of generations after which the search ends.
+        seed: the base seed; the seed of the search is derived from it and the node id.
+        node_id: the node id of the corresponding test, without ``[search]``; by default a name with that of ``holds``.
+        on_event: receives the events of the search as they happen; see :mod:`pytest_pafot.campaign.events`.
+        executor: runs the scenarios of the generations, as the fixture ``pafot_executor`` does.
+        settings: other arguments of ``@pafot.search``. With ``corpus``, findings are saved below that folder, and
+            failures saved there are known. Without it, nothing is written.
 
     Raises:
-        RequestError: on a wrong argument, in words for the user.
-        Exception: where every run of the first generation ends in the same error, that error, with a note.
+        RequestError: if an argument is wrong; the message is written for the user.
+        Exception: if every run of the first generation ends in the same error; it is that error, with a note.
     """
     budget = PROFILES[LOCAL] if runs is None and generations is None else {"runs": runs, "generations": generations}
     request = request_of({"ads": ads, "world": world, "seed": seed, **budget, **settings})
@@ -99,7 +99,7 @@ def explore(  # noqa: PLR0913  (what most searches differ in)
 
     def listen(event: SearchEvent) -> None:
         table.see(event)
-        if not isinstance(event, Judged):  # with its trace each would fill the memory
+        if not isinstance(event, Judged):  # its trace is large: all of them would fill the memory
             events.append(event)
         if on_event is not None:
             on_event(event)
@@ -118,14 +118,16 @@ def explore(  # noqa: PLR0913  (what most searches differ in)
 
 
 def request_of(given: dict[str, Any]) -> Request:
-    """Return the request that arguments of :func:`explore` make, ``ads`` among them.
+    """Return the request for arguments of :func:`explore`, including ``ads``.
 
     Raises:
         RequestError: on the first wrong argument.
     """
     for name in OF_TESTS:
         if name in given:
-            raise RequestError(f"{PLACE}({name}=...): expected arguments of the search, received one of its test")
+            raise RequestError(
+                f"{PLACE}({name}=...): expected an argument of a search, received one that only tests use; remove it"
+            )
     check_names(given, place=PLACE)
     values: dict[str, Any] = {each.name: each.default for each in OPTIONS if each.name in Settings.__annotations__}
     values |= {"profile": "", "corpus": "", "save": "new" if given.get("corpus") else "none"}
@@ -140,10 +142,10 @@ def request_of(given: dict[str, Any]) -> Request:
 def replays_of(
     request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path, executor: Executor | None = None
 ) -> Replays:
-    """Return how saved scenarios are run without pytest, with the harness of a search that is asked for.
+    """Return the replays of saved scenarios without pytest, with the harness of the requested search.
 
     Raises:
-        RequestError: for what no search can be run with.
+        RequestError: if the search cannot be run with these arguments.
     """
     if isinstance(request.ads, str):
         raise request.error("ads", f"expected a factory such as `lambda: MyPlanner()`, received {request.ads!r}")
@@ -180,6 +182,6 @@ def replays_of(
 
 def _no_session(file: Path, *what: object) -> NoReturn:
     raise RequestError(
-        f"{file}: a process died in this scenario, and where processes cannot be forked only pytest can run it again "
-        f"without harm to this one; run `python -m pytest {file}`"
+        f"{file}: a process died in this scenario, and on a system that cannot fork processes only pytest can run it "
+        f"again without danger for this process; run `python -m pytest {file}`"
     )

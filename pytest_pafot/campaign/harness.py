@@ -1,4 +1,4 @@
-"""What one search runs and judges with: a world, an ADS, a test function; where what it finds lies; and its runs."""
+"""The harness of a search: its world, ADS, test function and folders; and the runs that it makes."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object, preload
 from pytest_pafot.world.guard.failure import exits, let_through
 
-# The reference of a search: a policy beside the one that is tested, such as the one before a change.
+# The reference of a search: a policy with which the tested one is compared, such as its version before a change.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reference:
-    """A policy that failures are held against."""
+    """A policy that must pass a scenario, so that a failure of the tested policy counts."""
 
-    ads: Callable[..., Any]  # its factory
-    name: str  # by which files call it; empty for a factory that no text can refer to
+    ads: Callable[..., Any]  # the factory
+    name: str  # the name in saved files; empty for a factory that no text can refer to
 
     @property
     def shown(self) -> str:
-        """What the summary calls it."""
+        """The name in the summary."""
         return self.name or "the reference"
 
 
 def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) -> Reference | None:
-    """The reference that the option ``against`` gives: a factory, its ``module:factory``, or a fixture by its name.
+    """Return the reference of the option ``against``: a factory, its ``module:factory``, or the name of a fixture.
 
     Raises:
-        RequestError: for anything else, or a module or a name that there is not.
+        RequestError: for anything else, or if the module or the name does not exist.
     """
     if given is None:
         return None
@@ -60,7 +60,7 @@ def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) ->
     if not callable(ads):
         raise RequestError(
             "against: expected a factory such as `lambda: OldPlanner()`, its module:factory, or the name of a fixture "
-            f"that gives it, received {ads!r:.100}. {hint_at_object(ads)}".removesuffix(". ")
+            f"that returns it, received {ads!r:.100}. {hint_at_object(ads)}".removesuffix(". ")
         )
     return Reference(ads=ads, name=given if isinstance(given, str) else _name_of(ads))
 
@@ -75,31 +75,31 @@ def _name_of(factory: Callable[..., Any]) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Harness:
-    """How scenarios are run and judged for one test, parameters included."""
+    """Everything that is needed to run and judge scenarios for one test with its parameters."""
 
     request: Request
-    world: Any  # of new scenarios
+    world: Any  # the world of new scenarios
     ads: Callable[..., Any]
     test: Test
     test_file: str
-    node_id: str  # of the test, free of what the plugin adds
-    saved_node_id: Callable[[str], str]  # under which a saved scenario of an id is a test of its own
-    folder: Path  # of the test's saved scenarios
-    records: Path  # folder of the crash records
-    root: Path  # folder of the project, which paths are told relative to
-    versions: dict[str, str]  # of the packages that a run depends on
-    against: Reference | None = None  # that must pass where a failure shall count
-    executor: Executor | None = None  # that makes the runs of a search, where the user has one
-    states: Path | None = None  # folder of the states of searches that go on in other sessions, where there is one
+    node_id: str  # the node id of the test, without the plugin's own part
+    saved_node_id: Callable[[str], str]  # returns the node id of a saved scenario's item from its id
+    folder: Path  # the folder of the test's saved scenarios
+    records: Path  # the folder of crash records
+    root: Path  # the folder of the project; paths in messages are relative to it
+    versions: dict[str, str]  # versions of the packages on which a run depends
+    against: Reference | None = None  # the reference that must pass, so that a failure counts
+    executor: Executor | None = None  # the user's executor for the runs of a search, if any
+    states: Path | None = None  # the folder of states for searches that are resumed in other sessions, if any
 
     def job(self, world: Any = None, owner: str = "") -> Job:
-        """What any process needs to run scenarios: of this test, in the world of new ones, unless others are given.
+        """Return everything that a process needs to run scenarios, by default of this test in the world of new ones.
 
         Raises:
-            RequestError: for a world that cannot be used, or an ADS that cannot be loaded.
+            RequestError: if the world cannot be used, or the ADS cannot be loaded.
         """
         world = self.world if world is None else world
-        with refusals():  # whether a pafot.World can be used shows when its environment is made
+        with refusals():  # only making the environment of a pafot.World shows whether it can be used
             data = codec.described(world)
             preload(self.ads)
         owner = owner or self.node_id
@@ -115,32 +115,33 @@ class Harness:
         )
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
-        """The run that a trace is the record of, in the world of new scenarios unless another is given."""
+        """Return the run of a trace, by default in the world of new scenarios."""
         world = self.world if world is None else world
         known, take_over = protocol.reference_world(world), protocol.taking_over(world)
         return Run(trace, decision_limit=self.request.decision_limit, world=known, take_over=take_over)
 
     def judge(self, run: Run) -> Verdict:
-        """What the user's function, or the failure of the ADS, makes of a run."""
+        """Return the verdict on a run: of the user's function, or on a failure of the ADS itself."""
         __tracebackhide__ = True
         return judge(run, self.test, blame=self.request.blame, test_file=self.test_file)
 
     def reference_outcomes(self, run: Run, verdict: Verdict) -> dict[str, ReferenceOutcome]:
-        """What becomes of the reference drivers where a run fails; empty where it is the ADS itself that failed."""
+        """Return the outcomes of the reference drivers for a failed run; empty if the ADS itself failed."""
         if verdict.is_ads or run.world is None:
             return {}
         return dict(reference_outcomes(run, self.test, blame=self.request.blame, test_file=self.test_file))
 
     @property
     def against_name(self) -> str:
-        """Return what the reference that failures are held against is called; empty without one."""
+        """The name of the reference in the summary; empty without a reference."""
         return "" if self.against is None else self.against.shown
 
     def last_chance(self, run: Run, verdict: Verdict) -> LastChance | None:
-        """Simulate when a reference driver could last have prevented what failed.
+        """Find by simulation the last decision at which a reference driver could still have prevented the failure.
 
-        For a collision it is that of the run. For a failed check it is the last decision before the check was worst
-        from which the driver keeps it to the end of the run. None for all else, and where a check does not say when.
+        For a collision it is the last chance of the run. For a failed check it is the last decision before the worst
+        moment from which the driver fulfils the check to the end of the run. It is None for other failures, and for a
+        check that does not state its worst moment.
         """
         take_over = run.take_over
         if take_over is None or verdict.failure is None or verdict.severity is None:
@@ -154,7 +155,8 @@ class Harness:
         until = min(round(check.time * run.trace.physics_hz), run.trace.ticks)
 
         def keeps(taken: Trace) -> bool:
-            # Whoever is to blame for a later collision, the function is asked; an earlier one shows nothing.
+            # blame="any", so that the function is called even after a collision that an NPC is responsible for. A run
+            # that ends before the worst moment shows nothing.
             asked = judge(self.seen(taken), self.test, blame="any", test_file=self.test_file)
             made = [each for each in asked.checks if each.name == check.name]
             return taken.ticks >= until and bool(made) and all(each.holds for each in made)
@@ -162,28 +164,28 @@ class Harness:
         return last_decision(run.trace, until, take_over, keeps)
 
     def avoidance(self, run: Run, verdict: Verdict) -> Avoidance | None:
-        """Simulate from when on braking avoids the collision that failed; None where something else did."""
+        """Find by simulation the last moment at which braking avoids the collision; None if something else failed."""
         failure = verdict.failure
         if run.take_over is None or failure is None or failure.check is not None or verdict.severity is None:
             return None
         return avoidance(run.trace, run.attribution.fault, run.take_over)
 
     def judge_trace(self, world: Any, trace: Trace) -> Verdict:
-        """What the function makes of a trace from a world."""
+        """Return the function's verdict on a trace from a world."""
         return self.judge(self.seen(trace, world))
 
     def reference_runner(self, job: Job, record: CrashRecord, *, isolate: bool) -> Runner | None:
-        """Who makes the runs of the reference, one by one, and apart where the ADS runs so; None without one."""
+        """Return the runner of the reference, in a separate process if the ADS has one; None without a reference."""
         if self.against is None:
             return None
         with refusals():
             return runner_for(replace(job, ads=self.against.ads, reference=self.against.shown), record, isolate=isolate)
 
     def judge_reference(self, runner: Runner, scenario: Scenario, world: Any = None) -> Verdict:
-        """What the function makes of the reference in a scenario; to raise, to hang or to end its process is to fail.
+        """Return the function's verdict on the reference in a scenario; a reference that raises, hangs or dies fails.
 
         Raises:
-            RequestError: for a factory that cannot be used, or a scenario that does not fit.
+            RequestError: if the factory cannot be used, or the scenario does not fit the world.
         """
         __tracebackhide__ = True
         try:
@@ -197,7 +199,7 @@ class Harness:
         return self.judge_trace(self.world if world is None else world, trace)
 
     def fails_with(self, ads: Callable[..., Any], scenario: Scenario, record: CrashRecord) -> bool:
-        """Whether the test fails in a scenario with another ADS in the place of its own."""
+        """Return whether the test fails in a scenario with a different ADS."""
         __tracebackhide__ = True
         job = replace(self.job(), ads=ads)
         with refusals(), runner_for(job, record, isolate=self.request.settings.isolate) as runner:
@@ -211,52 +213,54 @@ class Harness:
 
     @contextmanager
     def recording(self, job: Job) -> Iterator[CrashRecord]:
-        """The record of what runs now; gone at the end, however that comes, unless the process dies."""
+        """Provide the record of the scenario that runs now; it is removed at the end, unless the process dies."""
         try:
             with job.crash_record() as record:
                 yield record
         finally:
-            if self.records == self.folder.parents[1]:  # the corpus, where there is no cache to keep records in
-                with suppress(OSError):  # It holds findings, or was never made.
+            if self.records == self.folder.parents[1]:  # records are in the corpus, because there is no cache
+                with suppress(OSError):  # The corpus contains findings, or was never created.
                     self.records.rmdir()
 
     def left_behind(self, owner: str = "") -> list[Leftover]:
-        """The records of processes that died in runs of this test, or of another owner of crash records."""
+        """Return the records of processes that died in runs of this test, or of a different owner of records."""
         return left_by(owner or self.node_id, self.records)
 
 
 @contextmanager
 def refusals(whose: str = "the ADS") -> Iterator[None]:
-    """Errors that are the user's to mend, of a world, a factory, a scenario or a process, as errors of the request."""
+    """Turn errors of a world, a factory, a scenario or a process that the user can correct into request errors."""
     __tracebackhide__ = True
     try:
         yield
     except (WorldError, AdsFactoryError, ScenarioError, ExecutionError) as error:
         raise RequestError(str(error)) from None
-    except skips() as error:  # of the factory: what the ADS raises is in the trace
+    except skips() as error:  # raised by the factory: exceptions of the ADS are in the trace
         raise RequestError(no_skip(f"the factory of {whose}", error)) from None
     except exits() as error:
         let_through(error)
         raise RequestError(
             f"expected the factory of {whose} to leave the session alone, received pytest.exit({str(error)!r}); raise "
-            "an exception of another kind"
+            "a different exception"
         ) from None
 
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """The runs of one search, each with its scenario on disk, in the record of this process, until it is judged."""
+    """The runs of one search; each scenario is on disk, in the record of this process, until its run is judged."""
 
     harness: Harness
     runner: Runner
     record: CrashRecord
-    reference: Runner | None = None  # of the policy that failures are held against
+    reference: Runner | None = None  # the runner of the reference
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
-        """One run, whose verdict follows; ``afresh`` as in :meth:`pytest_pafot.execution.runner.Runner.run`.
+        """Run a scenario; :meth:`judge` must follow.
+
+        For ``afresh`` see :meth:`pytest_pafot.execution.runner.Runner.run`.
 
         Raises:
-            ProcessLostError: where another process made it, and did not come back.
+            ProcessLostError: if the run was in a different process, which died or hung.
             RequestError: for a world, factory or scenario that does not fit.
         """
         __tracebackhide__ = True
@@ -265,7 +269,7 @@ class Simulation:
         return self.harness.seen(trace)
 
     def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
-        """The verdict on the last run; the reference has the scenario given, or the run's own, where that fails."""
+        """Judge the last run; if it fails, run the reference in the same scenario, or in the one given."""
         __tracebackhide__ = True
         verdict = self.harness.judge(run)
         if verdict.failed and self.reference is not None:
@@ -274,7 +278,7 @@ class Simulation:
         return verdict
 
     def is_common(self, scenario: Scenario) -> bool:
-        """Whether the reference does not pass a scenario, either, in which the ADS ended its process."""
+        """Return whether the reference does not pass a scenario either in which the ADS ended its process."""
         __tracebackhide__ = True
         if self.reference is None:
             return False
@@ -283,21 +287,21 @@ class Simulation:
         return not verdict.passes
 
     def rerun(self, scenario: Scenario) -> Run:
-        """One run without a verdict, with the ADS asked for every decision."""
+        """Run a scenario from scratch, without a verdict."""
         __tracebackhide__ = True
         run = self.run(scenario, afresh=True)
         self.record.clear()
         return run
 
     def rerun_one_by_one(self, leftover: Leftover) -> None:
-        """Run by itself what was in lock step when a process died, so that a second death has one name."""
+        """Run each scenario of a batch separately after a process died in it, so that a second death has one cause."""
         __tracebackhide__ = True
-        leftover.discard()  # before another death, of which it would otherwise be the cause for ever
+        leftover.discard()  # first, or after a second death every session would run the whole batch again
         for scenario in leftover.scenarios:
             self.rerun(scenario)
 
     def rerun_in_gym(self, scenario: Scenario) -> Run | None:
-        """One run by ``env.step`` of highway-env's own environment; None in a world that has none."""
+        """Run a scenario with ``env.step`` of highway-env's own environment; None for a world that has none."""
         __tracebackhide__ = True
         world = protocol.gym_replaying(self.harness.world)
         if world is None:
@@ -313,27 +317,27 @@ class Simulation:
 
 
 def checked_factory(given: object, name: str) -> Callable[..., Any]:
-    """The ADS factory that the fixture of a name gives.
+    """Return the ADS factory from a fixture.
 
     Raises:
-        RequestError: where it is none.
+        RequestError: if it is not a factory.
     """
     if not callable(given):
         hint = hint_at_object(given)
         raise RequestError(
-            f"expected the fixture {name!r} to give a factory, a function that makes a fresh ADS for each scenario "
+            f"expected the fixture {name!r} to return a factory, a function that makes a fresh ADS for each scenario "
             f"such as `return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
         )
     return given
 
 
 def source_file(function: Callable[..., Any], default: str = "") -> str:
-    """The file in which a function is written, whatever wraps it."""
+    """Return the source file of a function, without its wrappers."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return default if code is None else str(code.co_filename)
 
 
 def is_same_run(a: Run, b: Run) -> bool:
-    """Whether two runs are the same to the last bit."""
+    """Return whether two runs are identical to the last bit."""
     first, second = a.trace.states, b.trace.states
     return a.outcome == b.outcome and first.shape == second.shape and first.tobytes() == second.tobytes()

@@ -1,4 +1,4 @@
-"""Merging: finds of other machines are run here, and the corpus of a test keeps the simplest of each kind."""
+"""Merging: run the findings of other machines here, and store the simplest of each kind in the corpus of a test."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.support.text import plural, visible
 
-# What the corpora of several machines come to together: the simplest finding of each kind, under names that follow.
+# The result of merging the corpora of several machines is the simplest finding of each kind.
 #
-# A join: what is kept depends on which findings there are, and neither on the order in which folders give them, nor
-# on how often one comes, nor on whether the folders come at once or one after the other.
+# It is a join in the mathematical sense: the result and its file names depend only on the set of findings, not on the
+# order of the folders, on repeated findings, or on whether the folders are merged at once or one after the other.
 
 _NUMBERED = re.compile(r"(.+-[0-9a-f]{6})-\d+")
 """An id to which :func:`~pytest_pafot.corpus.writer.free_path` has appended a number."""
@@ -33,7 +33,7 @@ _NUMBERED = re.compile(r"(.+-[0-9a-f]{6})-\d+")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A saved scenario that fails here: its file, its finding as it would be written, and the kind that it shows."""
+    """A saved scenario that fails here: its file, its finding as it would be written, and the kind of its failure."""
 
     saved: Saved
     finding: Finding
@@ -42,17 +42,17 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joined:
-    """What to keep, by id, with the ``xfail`` of its kind; and the kinds that have several."""
+    """The candidates to store, by id, each with the ``xfail`` of its kind; and the kinds with different ``xfail``."""
 
     kept: Mapping[str, Candidate]
     conflicts: Sequence[Sequence[Candidate]]
 
 
 def join(candidates: Iterable[Candidate], taken: Iterable[str] = ()) -> Joined:
-    """The simplest candidate of each kind: by the order of shrinking, then by id. Of equals the first.
+    """Return the simplest candidate of each kind, by the order of shrinking, then by id; of equal ones, the first.
 
-    One that is flaky comes after all that are not, however simple it is. Ids are given anew to those that share one:
-    the simplest has it, the next has ``-2`` behind it. None gets an id that is taken, or that a conflict is about.
+    A flaky candidate is chosen only if all are flaky. If several share an id, the simplest gets it, and the next one
+    gets ``-2`` appended. Ids that are taken, or that belong to a conflict, are not used.
     """
     kinds: dict[Signature, list[Candidate]] = {}
     for each in candidates:
@@ -73,7 +73,7 @@ def join(candidates: Iterable[Candidate], taken: Iterable[str] = ()) -> Joined:
 
 
 def free_id(finding: Finding, taken: Collection[str]) -> str:
-    """An id for a finding that is not taken: its own without a number behind it, or with the first that is free."""
+    """Return a free id for a finding: its own without a number, or else with the first free number."""
     stem = _stem(finding)
     number, name = 1, stem
     while name in taken:
@@ -83,13 +83,13 @@ def free_id(finding: Finding, taken: Collection[str]) -> str:
 
 
 def acceptances(group: Iterable[Candidate]) -> set[tuple[str, date | None]]:
-    """The reasons with which a kind of failure is accepted, each with its last day."""
+    """Return the different reasons for accepting a kind of failure, each with its last day."""
     return {(each.finding.xfail, each.finding.xfail_until) for each in group if each.finding.xfail is not None}
 
 
 def _order(candidate: Candidate) -> tuple[bool, tuple[int, ...], str, str]:
     finding = candidate.finding
-    # The text tells apart what else is equal, such as two searches that have found the same scenario.
+    # The text orders findings that are equal otherwise, such as the same scenario from two searches.
     text = text_of(replace(finding, xfail=None, xfail_until=None))
     return finding.flaky is not None, sort_key(finding.scenario), _stem(finding), text
 
@@ -100,30 +100,30 @@ def _stem(finding: Finding) -> str:
 
 
 SHOWS_AGAIN = ("still failing", "introduced")
-"""Labels of replays that show what their file was saved for."""
+"""The labels of replays that show the failure for which their file was saved."""
 
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """What to tell of a merge: what became of the files, and what is to be mended."""
+    """The report of a merge: lines on the files, and errors that the user must correct."""
 
     lines: Sequence[str]
     errors: Sequence[str]
 
 
 def merge(replays: Replays, folders: Iterable[Path], owner: str) -> Merged:
-    """Bring the files of other folders into the corpus of a test; ``owner`` is that of the crash record.
+    """Merge the files of other folders into the corpus of a test; ``owner`` is the owner of the crash record.
 
-    Files of the corpus that fail are of the join, so that one of them goes where another folder has a simpler one of
-    its kind. One that does not fail stays as it is, and so does every file of a kind with several reasons or days of
-    ``xfail``. Nothing is written under ``save="none"``.
+    A file of the corpus that fails takes part in the join, so it is replaced if a different folder has a simpler one of
+    its kind. A file that does not fail stays unchanged, and so does every file of a kind with different ``xfail``.
+    Nothing is written with ``save="none"``.
     """
     harness = replays.harness
     own = saved_in(harness.folder)
     distinct: dict[tuple[str, str], Saved] = {}
     for saved in [*own, *(each for folder in folders for each in saved_in(folder))]:
         content = ("", str(saved.path)) if saved.finding is None else (saved.id, text_of(saved.finding))
-        distinct.setdefault(content, saved)  # Of equal ones one run is enough; the first is this corpus' own.
+        distinct.setdefault(content, saved)  # Equal files run once. The file of this corpus is first.
     candidates: list[Candidate] = []
     left: list[str] = []
     errors: list[str] = []
@@ -148,15 +148,15 @@ def merge(replays: Replays, folders: Iterable[Path], owner: str) -> Merged:
         errors += _write(result, harness.folder, old)
         verb = "merged"
     added = sum(each.saved.path not in old for each in result.kept.values())
-    told = f"  {plural(added, 'saved scenario')} from other folders, {len(old - kept)} of before replaced"
+    told = f"  {plural(added, 'saved scenario')} from other folders added, {len(old - kept)} of this corpus replaced"
     return Merged([f"{verb}: {harness.node_id}", told, *sorted(left)], sorted(errors))
 
 
 def _replayed(replays: Replays, saved: Saved, owner: str) -> tuple[str, Signature | None]:
-    """The label of a replay, and what it shows where that is what the file was saved for.
+    """Return the label of a replay, and its signature if it shows the failure for which the file was saved.
 
     Raises:
-        RequestError: for a file that cannot be read or run.
+        RequestError: if the file cannot be read or run.
     """
     try:
         label, run, verdict = replays.labelled(saved, owner)
@@ -173,8 +173,8 @@ def _conflict(group: Sequence[Candidate], root: Path) -> str:
         f"{relative(each.saved.path, root)}: {each.finding.accepted}" for each in group if each.finding.xfail
     )
     return (
-        f"xfail: expected one reason and one day for a kind of failure, received {len(acceptances(group))} "
-        f"({visible(told)}); write the same in these files, and merge again"
+        f"xfail: expected the same reason and day for a kind of failure, received {len(acceptances(group))} different "
+        f"ones ({visible(told)}); write the same line in these files, and merge again"
     )
 
 
@@ -183,10 +183,10 @@ def _accepts(finding: Finding | None) -> tuple[str | None, date | None]:
 
 
 def _write(result: Joined, folder: Path, old: set[Path]) -> list[str]:
-    """Write what is kept, then remove the old files that it replaces; what is wrong where that is not possible.
+    """Write the result, then remove the old files that it replaces; return errors.
 
-    Killed at any moment, it leaves each finding in one file or two, and merging again leaves one: what goes where a
-    file lies already is written under a name that is free, and takes the place of that file once all is written.
+    If it is killed at any moment, each finding is in one or two files, and merging again leaves one. For that, a
+    finding that replaces a file is first written under a free name, and renamed when everything is written.
     """
     targets = {folder / f"{id_}{SUFFIX}": each for id_, each in result.kept.items()}
     in_conflict = {each.saved.path for group in result.conflicts for each in group}

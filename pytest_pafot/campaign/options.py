@@ -1,8 +1,8 @@
 """The options of a search, in one typed table.
 
-Command line, ini and toml keys, ``PAFOT_*`` variables, arguments of the mark and of ``pafot.explore``, and the
-reference documentation are all made from :data:`OPTIONS`. Where the values of a test come from is said in
-:mod:`pytest_pafot.plugin.option_sources`.
+Command-line options, ini and toml keys, ``PAFOT_*`` variables, arguments of the mark and of ``pafot.explore``, and the
+reference documentation are all generated from :data:`OPTIONS`. :mod:`pytest_pafot.plugin.option_sources` defines the
+precedence of these sources.
 """
 
 from __future__ import annotations
@@ -32,65 +32,63 @@ PROFILES: Mapping[str, Mapping[str, object]] = {
     FULL: {"runs": 400, "seed": 0},
     LOCAL: {"runs": 40},
 }
-"""``ci`` is automatic when the variable CI is set, ``local`` otherwise. ``local`` has a fresh base seed."""
+"""The profiles: ``ci`` is automatic if the variable CI is set, otherwise ``local``, which has a random base seed."""
 
 BUDGETS = ("runs", "generations")
-"""Options of which one that is given replaces the default of the other. Of both, the first that is used up counts."""
+"""Options that limit a search: if one is given, the other has no default; if both are, the first limit ends it."""
 
 
 class OptionError(ArgumentTypeError):
-    """A value that an option cannot take: its place, what was expected and received. argparse shows it as it is."""
+    """A wrong value of an option: where it is, what was expected and received. argparse prints it unchanged."""
 
 
 class Option(NamedTuple):
-    """One option and everything that is generated from it: ``--pafot-<name>``, ``pafot_<name>``, ``PAFOT_<NAME>``."""
+    """An option and all names that are generated from it: ``--pafot-<name>``, ``pafot_<name>``, ``PAFOT_<NAME>``."""
 
     name: str
     kind: Kind
     help: str
     default: object = None
-    least: float = 0  # smallest number that is accepted
-    choices: tuple[str, ...] = ()  # the texts that are accepted, or nothing for any
-    or_class: bool = False  # whether a class or function, or its ``module:name``, is accepted as well
-    everywhere: bool = True  # False for what concerns the session and is a deliberate act: command line only
-    is_argument: bool = True  # False for what concerns the session as a whole: no marker argument
+    least: float = 0  # the smallest accepted number
+    choices: tuple[str, ...] = ()  # the accepted texts; empty if any is accepted
+    or_class: bool = False  # True if a class or function, or its ``module:name``, is accepted as well
+    everywhere: bool = True  # False for a deliberate request for one session: only on the command line
+    is_argument: bool = True  # False for an option of the whole session: not an argument of the mark
 
     @property
     def flag(self) -> str:
-        """On the command line."""
+        """The name on the command line."""
         return f"--pafot-{self.name.replace('_', '-')}"
 
     @property
     def key(self) -> str:
-        """In ini and toml files, and the attribute of ``config.option``."""
+        """The key in ini and toml files, and the attribute of ``config.option``."""
         return f"pafot_{self.name}"
 
     @property
     def variable(self) -> str:
-        """In the environment."""
+        """The name of the environment variable."""
         return f"PAFOT_{self.name.upper()}"
 
     @property
     def metavar(self) -> str:
-        """What the help shows for a value."""
+        """The placeholder of the value in the help."""
         shown = {"integer": "N", "day": "YYYY-MM-DD", "workers": "N", "page": "PATH", "folders": "DIR", "switch": ""}
         return shown.get(self.kind, self.name.upper() if self.kind == "text" else self.kind.upper())
 
     def read(self, value: object) -> Any:
-        """The typed value of a text or of a Python value.
+        """Convert a text or a Python value to the type of the option.
 
         Raises:
-            OptionError: expected, received; without the place, which the caller knows.
+            OptionError: states what was expected and received; the caller adds the source.
         """
         if self.or_class and (not isinstance(value, str) or ":" in value):
-            return value  # whoever uses it checks it: nothing is imported for options
+            return value  # checked where it is used, since reading options must not import anything
         typed = _READERS[self.kind](self, value)
         if self.choices and typed not in self.choices:
             *others, last = self.choices
             near = difflib.get_close_matches(str(value), self.choices, n=1)
-            hint = (
-                "; or give a class of your own, as module:Class where only text can be given" if self.or_class else ""
-            )
+            hint = "; or give your own class, or module:Class if only text can be given" if self.or_class else ""
             hint = f"; did you mean {near[0]!r}?" if near else hint
             raise OptionError(f"expected {', '.join(others)} or {last}, received {value!r}{hint}")
         return typed
@@ -100,34 +98,36 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "runs",
         "integer",
-        "Runs of each search, after which it ends, also within a generation. 40, or 400 in the profile ci, unless "
-        "generations are given.",
+        "Number of runs after which each search ends, even within a generation. Default: 40, or 400 in the profile ci; "
+        "none if --pafot-generations is given.",
         least=1,
     ),
     Option(
         "generations",
         "integer",
-        "Generations of each search; 0 replays saved scenarios only. Without, the number of runs decides.",
+        "Number of generations of each search; 0 only replays saved scenarios. Default: none, so the number of runs "
+        "decides.",
     ),
     Option(
         "population",
         "integer",
-        "Scenarios per generation. 16 for distinct, or 64 from the second one on where the ADS decides for many runs "
-        "at once by its `batch`, of which --pafot-isolate, decision_limit and executors make no use; 4 for the others.",
+        "Scenarios per generation. Default: 16 for distinct, and 64 from the second generation on if the ADS decides "
+        "for many runs at once with `batch` (not used with --pafot-isolate, decision_limit or an executor); 4 for the "
+        "other algorithms.",
         least=2,
     ),
     Option(
         "seed",
         "integer",
-        "Base seed; each search derives its own from it and its node id. Fresh, or 0 in the profile ci "
+        "Base seed; each search derives its own seed from it and its node id. Default: random, but 0 in the profile ci "
         "and with --pafot-resume.",
     ),
     Option(
         "algorithm",
         "text",
-        "Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts), distinct the same "
-        "looking for other failures once it has found one, the others are baselines; the last three need "
-        "pytest-pafot[search]. Or module:Class for an algorithm of your own.",
+        "Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts); distinct is the same, but "
+        "searches for different failures after it has found one; the others are baselines, the last three of which "
+        "need pytest-pafot[search]. Or module:Class for your own algorithm.",
         default="distinct",
         choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
         or_class=True,
@@ -135,150 +135,150 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "against",
         "text",
-        "A reference, such as the policy before a change: the module:factory of another ADS, or in the mark also the "
-        "factory or the name of its fixture. Only what it passes is a failure then; it runs where the ADS fails.",
+        "A reference, such as the policy before a change: the module:factory of a second ADS, or in the mark also the "
+        "factory or the name of its fixture. A failure then counts only if the reference passes the same scenario; the "
+        "reference runs only if the ADS fails.",
         or_class=True,
     ),
     Option(
         "max_time",
         "seconds",
-        "End each search after so many seconds of wall-clock time, shrinking and reference drivers included: a search "
-        "that has found something leaves them a third. A search that this cuts is not reproducible.",
+        "Limit of wall-clock time of each search [s], including shrinking and reference drivers, for which a search "
+        "with findings reserves a third. A search that this limit cuts is not reproducible.",
     ),
     Option(
         "total_time",
         "seconds",
-        "End the searches of the session so many seconds of wall-clock time after its start; each gets an equal "
-        "share of what is left when it begins, shrinking included as with --pafot-max-time. A search that this cuts is "
-        "not reproducible.",
+        "Limit of wall-clock time for all searches of the session [s], from its start; each search gets an equal share "
+        "of the time left when it begins, including shrinking as with --pafot-max-time. A search that this limit cuts "
+        "is not reproducible.",
         is_argument=False,
     ),
     Option(
         "resume",
         "text",
-        "Folder of the states of searches. A search whose state is there goes on where it stopped, with its runs, "
-        "generations and time counted anew, and what it finds in several sessions is what one long one finds. With "
-        "distinct, random, random-manoeuvre, or an algorithm of your own that can.",
+        "Folder for the states of searches. A search with a state there resumes where it stopped, with a new budget of "
+        "runs, generations and time. Several sessions find the same as one long one. Works with distinct, random, "
+        "random-manoeuvre, or your own algorithm if it supports it.",
     ),
-    Option("stop_after", "integer", "End each search after so many distinct findings that are new.", least=1),
+    Option("stop_after", "integer", "Number of distinct new findings after which each search ends.", least=1),
     Option(
         "shrink_rollouts",
         "integer",
-        "Runs that simplifying each new finding may take; 0 keeps findings as they were found. 3000 where the ADS is "
-        "a vehicle class that the kernel drives, else 300.",
+        "Largest number of runs to shrink each new finding; 0 leaves findings as they were found. Default: 3000 if the "
+        "ADS is a vehicle class that the kernel drives, otherwise 300.",
     ),
     Option(
         "max_saved",
         "integer",
-        "Saved scenarios of each test; further new findings are counted and named, and not saved.",
+        "Largest number of saved scenarios of each test; more new findings are counted and named, but not saved.",
         default=20,
         least=1,
     ),
     Option(
         "corpus",
         "text",
-        "Folder of saved scenarios: a name beside each test file, or an absolute path for all.",
+        "Folder of saved scenarios: a name next to each test file, or an absolute path for all.",
         default=CORPUS,
     ),
-    Option("save", "text", "Whether new findings are written to the corpus.", default="new", choices=("new", "none")),
+    Option("save", "text", "Which findings are written to the corpus.", default="new", choices=("new", "none")),
     Option(
         "workers",
         "workers",
-        "Processes that simulate the scenarios of a generation once runs turn out to take long; auto is one for "
-        "each core. What is found is the same. 1 under pytest-xdist.",
+        "Number of processes that simulate the scenarios of a generation if runs take long; auto is one for each core. "
+        "The findings are the same. Always 1 under pytest-xdist.",
         default=1,
         least=1,
     ),
     Option(
         "isolate",
         "switch",
-        "Run the ADS only in other processes, from the first run on: one that ends its process is a find, and the "
-        "session goes on. What is found is the same, of an ADS with `batch` where the population is given.",
+        "Run the ADS only in other processes: an ADS that ends its process is a finding, and the session goes on. The "
+        "findings are the same; for an ADS with `batch`, only if the population is given.",
         default=False,
     ),
     Option(
         "memory",
         "integer",
-        "Memory [MB] that a process of --pafot-isolate or --pafot-workers may take beyond what it begins with; 0 for "
-        "any. Then allocations in it fail, which is a find. Three quarters of the machine's, shared among the workers, "
-        "or 2048 where that is more. On Linux.",
+        "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use in addition to what it starts with; "
+        "0 for no limit. Beyond it allocations fail, which is a finding. Default: three quarters of the machine's "
+        "memory, shared among the workers, but at least 2048. Only on Linux.",
     ),
     Option(
         "dask",
         "address",
-        "Have the workers of the scheduler at ADDRESS simulate the scenarios of a generation; needs "
-        "pytest-pafot[dask]. What is found is the same, of an ADS with `batch` where the population is given.",
+        "Simulate the scenarios of a generation on the workers of the Dask scheduler at ADDRESS; needs "
+        "pytest-pafot[dask]. The findings are the same; for an ADS with `batch`, only if the population is given.",
         everywhere=False,
         is_argument=False,
     ),
     Option(
         "report",
         "page",
-        "Write the findings to FILE.html as one web page, or to DIR/ as a page and a moving picture of each.",
+        "Write the findings to FILE.html as one web page, or to DIR/ as a page with an animation of each.",
     ),
     Option(
         "json",
         "file",
-        "Write to FILE what the session comes to, for programs: searches, findings, their files and the exit code.",
+        "Write the results of the session to FILE, for programs: searches, findings, their files and the exit code.",
         everywhere=False,
         is_argument=False,
     ),
     Option(
         "table",
         "table",
-        "Write to FILE.csv, or FILE.parquet, a row for each scenario that the searches tried, whether it failed or "
-        "not.",
+        "Write a row for each scenario that the searches tried, failed or not, to FILE.csv or FILE.parquet.",
         everywhere=False,
         is_argument=False,
     ),
     Option(
         "prune",
         "switch",
-        "Remove saved scenarios whose test was collected and no longer exists; lists them first.",
+        "Remove saved scenarios whose test no longer exists in the collected files; list them first.",
         default=False,
         everywhere=False,
     ),
     Option(
         "merge",
         "folders",
-        "Bring the saved scenarios of another machine's corpus DIR into this one, in place of searches and replays: "
-        "each is run, and of each kind of failure the simplest is kept. May be given several times.",
+        "Merge the saved scenarios of a different machine's corpus DIR into this one, instead of searches and replays: "
+        "each is run, and the simplest of each kind of failure is stored. May be given several times.",
         everywhere=False,
         is_argument=False,
     ),
     Option(
         "today",
         "day",
-        "Hold the last days of accepted failures (`xfail` with `until`) against this day in place of today's, to see "
-        "what will count then.",
+        "Compare the last days of accepted failures (`xfail` with `until`) with this day instead of today, to see "
+        "which failures will count then.",
         everywhere=False,
         is_argument=False,
     ),
     Option(
         "profile",
         "text",
-        "Defaults for an occasion: ci (400 runs, seed 0; automatic when CI is set) or local.",
+        "Set of defaults: ci (400 runs, seed 0; automatic if CI is set) or local (40 runs, random seed).",
         choices=tuple(PROFILES),
     ),
     Option(
         "strict_drift",
         "switch",
-        "Fail saved scenarios that pass under other versions than those that found them, or without that the situation "
-        "of their failure came up.",
+        "Fail saved scenarios that pass with other versions than those that found them, or although the situation of "
+        "their failure did not occur.",
         default=False,
     ),
     Option(
         "strict_health",
         "switch",
-        "Fail searches with a health warning, such as scenarios without any interaction, and a session whose saved "
-        "scenarios have lost their test, as with the variable CI.",
+        "Fail searches with a health warning, such as scenarios without any interaction; and fail a session whose "
+        "saved scenarios have lost their test, as the variable CI does.",
         default=False,
     ),
     Option(
         "allow_orphans",
         "switch",
-        "Let a session pass whose saved scenarios have lost their test, also under CI or --pafot-strict-health: where "
-        "projects share a corpus, or a job has a part of the tests. The summary names them all the same.",
+        "Let a session pass whose saved scenarios have lost their test, even with CI or --pafot-strict-health: for "
+        "projects that share a corpus, or a job that has only some of the tests. The summary still names them.",
         default=False,
         is_argument=False,
     ),
@@ -289,11 +289,11 @@ BY_NAME: Mapping[str, Option] = {option.name: option for option in OPTIONS}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """The value of every option for one item. ``seed`` is the base seed."""
+    """The value of every option for one item; ``seed`` is the base seed."""
 
     runs: int | None
     generations: int | None
-    population: int | None  # the algorithm's own where it is None
+    population: int | None  # None for the algorithm's own default
     seed: int
     algorithm: str | type[Algorithm[Any]]
     against: str | Callable[..., Any] | None
@@ -301,13 +301,13 @@ class Settings:
     total_time: float | None
     resume: str | None
     stop_after: int | None
-    shrink_rollouts: int | None  # by the kind of ADS where it is None
+    shrink_rollouts: int | None  # None for a default that depends on the ADS
     max_saved: int
     corpus: str
     save: str
     workers: int
     isolate: bool
-    memory: int | None  # by the machine where it is None
+    memory: int | None  # None for a default that depends on the machine
     report: str | None
     profile: str
     strict_drift: bool
@@ -316,18 +316,18 @@ class Settings:
 
     @property
     def is_search(self) -> bool:
-        """Whether there is anything to do beside the replays."""
+        """True if there is a search, not only replays."""
         return self.generations != 0
 
     @property
     def budget(self) -> str:
-        """The options by which as long a search is asked for."""
+        """The command-line options that request a search of the same length."""
         given = ((BY_NAME[name].flag, getattr(self, name)) for name in BUDGETS)
         return " ".join(f"{flag}={value}" for flag, value in given if value is not None)
 
 
 def is_ci(environ: Mapping[str, str]) -> bool:
-    """Whether the profile ``ci`` is automatic: CI is set to anything but an empty text, 0 or false."""
+    """Return whether the profile ``ci`` is automatic: CI is set to anything except an empty text, 0 or false."""
     return environ.get("CI", "").lower() not in ("", "0", "false")
 
 
@@ -352,7 +352,7 @@ def _read_workers(option: Option, value: object) -> int:
 
 
 def cores() -> int:
-    """Those that this process may use, at least one."""
+    """Return the number of cores that this process may use, at least one."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -404,7 +404,7 @@ def _read_table(option: Option, value: object) -> str:
 
 
 def is_page_file(text: str) -> bool:
-    """Whether the option ``report`` names a file, rather than a folder."""
+    """Return whether the option ``report`` names a file, not a folder."""
     return text.lower().endswith((".html", ".htm"))
 
 

@@ -1,4 +1,4 @@
-"""What happens to a new find: its file first, then a look at whether it repeats, then everybody is told."""
+"""The recorder of new findings: it saves the file, checks whether the run repeats, and reports the finding."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import UNFIT, let_through
 
-# Whether a find is what it seems: the same run once more, and once by other means.
+# Confirmation of a finding: the same run once more, and once in highway-env's own environment.
 
-NOT_REPEATED = "running it again gave another run"
+NOT_REPEATED = "running it again gave a different run"
 
 
 def difference(run: Run, simulation: Simulation) -> str:
-    """What differs when a scenario is run again; empty where the find is confirmed.
+    """Return what differs when a scenario is run again; empty if the finding is confirmed.
 
-    The same means must give a run that is equal to the last bit; highway-env's own environment, in a world that has
-    one, must end the run in the same way.
+    The same engine must give a run that is equal to the last bit. If the world has an environment of highway-env's own,
+    the run must end in the same way there.
     """
     try:
         if not is_same_run(run, simulation.rerun(run.scenario)):
@@ -54,7 +54,7 @@ def _difference_in_gym(run: Run, simulation: Simulation) -> str:
         other = simulation.rerun_in_gym(run.scenario)
     except ProcessLostError:
         raise
-    except UNFIT as error:  # whatever an environment or an ADS raises there is what differs
+    except UNFIT as error:  # any exception of the environment or the ADS is the difference
         let_through(error)
         return f"{type(error).__name__}: {message_of(error)}"[:165]
     return "" if other is None else disagreement(run, other)
@@ -62,40 +62,41 @@ def _difference_in_gym(run: Run, simulation: Simulation) -> str:
 
 UNSEEN_CRASH = Expect(
     failure=PROCESS_CRASH,
-    outcome=Outcome.ADS_ERROR,  # The ADS is the code that a process can die in.
+    outcome=Outcome.ADS_ERROR,  # The ADS is the only code that can kill a process.
     time=0.0,
     message="the process ended while it ran this scenario",
 )
-"""What a scenario is expected to show in which a process died, nobody knows how."""
+"""The expectation of a scenario in which a process died for an unknown reason."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Recorder:
-    """Saves and announces the finds of one search."""
+    """A recorder that saves and reports the findings of one search."""
 
     harness: Harness
     seed: int
-    confirm: Callable[[Run], str]  # says what differs when a run is repeated; empty where nothing does
+    confirm: Callable[[Run], str]  # returns what differs when a run is repeated; empty if nothing does
     listener: Listener
-    clock: Callable[[], float]  # seconds since any moment
-    pace: float = 0.0  # seconds that it has taken to confirm a second of a run, at most
-    # Files that were there before the search; a find that comes to be kept is not what they show
+    clock: Callable[[], float]  # returns the seconds since some fixed moment
+    pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
+    # files that existed before the search; their replays do not show the findings that are saved here
     replayed: frozenset[Path] = frozenset()
-    kept: dict[str, FindTold] = field(default_factory=dict)  # the finds so far, by id
-    unsaved: list[str] = field(default_factory=list)  # ids of those that the limit of saved scenarios left out
-    first: BaseException | None = None  # the exception of the first find, for a debugger
-    # Ids of finds not told yet, since they may turn out to be a fault of the set-up; None once finds are told at once
+    kept: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
+    unsaved: list[str] = field(default_factory=list)  # ids of findings above the limit of saved scenarios
+    first: BaseException | None = None  # the exception of the first finding, for a debugger
+    # ids of findings that are not reported yet, since they may be a fault of the set-up; None if findings are reported
+    # at once
     held: list[str] | None = field(default_factory=list)
 
     @property
     def count(self) -> int:
-        """Distinct finds that were told, whether they were kept or only counted."""
+        """The number of distinct findings that were reported, saved or only counted."""
         return len(self.kept) + len(self.unsaved) - len(self.held or ())
 
     def keep(self, run: Run, verdict: Verdict, generation: int, number: int) -> str:
-        """Save a new find, run it again to confirm it, and announce it or hold it; returns its id.
+        """Save a new finding, run it again to confirm it, and report it or hold it back; return its id.
 
-        The generation of the search counts from 0, the number of the run in the search from 1.
+        The generation is counted from 0, the number of the run in the search from 1.
         """
         if verdict.failure is None or verdict.exception is None:
             raise ValueError(f"verdict: expected a failed one, received {verdict!r}")
@@ -110,9 +111,10 @@ class Recorder:
             against="" if harness.against is None else harness.against.name,
             root=str(harness.root),
         )
-        files = files_in(harness.folder)  # None of a folder that cannot be read; writing into it says why.
+        files = files_in(harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
         is_full = max(len(files), len(self.kept)) >= harness.request.settings.max_saved
-        if is_full and not os.path.lexists(free_path(harness.folder, finding, self.replayed)[0]):  # else it has a file
+        # A finding whose file exists already takes no more room.
+        if is_full and not os.path.lexists(free_path(harness.folder, finding, self.replayed)[0]):
             self.unsaved.append(finding.id)
             self.first = self.first or verdict.exception
             return finding.id
@@ -122,7 +124,7 @@ class Recorder:
         differs = ""
         try:
             differs = "" if verdict.is_timed else self.confirmed(run)
-        finally:  # An interrupt in these runs must not keep the find from being told.
+        finally:  # The finding must be reported even if these runs are interrupted.
             if differs:
                 kept = self.call_flaky(kept, differs)
             if self.held is None:
@@ -133,20 +135,20 @@ class Recorder:
         return kept.find.id
 
     def confirmed(self, run: Run) -> str:
-        """Return what differs when a run is repeated, empty where nothing does; and learn how long that takes."""
+        """Return what differs when a run is repeated, or an empty text; measure how long that takes."""
         began = self.clock()
         differs = self.confirm(run)
         self.pace = max(self.pace, (self.clock() - began) / max(run.duration, 1.0))
         return differs
 
     def release(self) -> None:
-        """Announce what is held, and from now on each find at once."""
+        """Report the findings that were held back, and from now on report each finding at once."""
         held, self.held = self.held or [], None
         for find_id in held:
             self.tell(self.kept[find_id])
 
     def withdraw(self) -> None:
-        """Undo what is held: it is no finding. What cannot be removed is told after all."""
+        """Remove the findings that were held back, which are a fault of the set-up; report those that cannot be."""
         withdrawn, self.held = [self.kept.pop(find_id) for find_id in self.held or ()], None
         self.unsaved.clear()
         for kept in withdrawn:
@@ -156,26 +158,26 @@ class Recorder:
             except OSError:
                 self.tell(kept)
         if not any(kept.file for kept in withdrawn):
-            return  # The folders may lie behind a link, where nothing was saved.
-        with suppress(OSError):  # They hold something else.
+            return  # Nothing was saved, and the folders may be behind a link, where nothing may be removed.
+        with suppress(OSError):  # Folders with other content stay.
             for folder in (self.harness.folder, *self.harness.folder.parents[:2]):
                 folder.rmdir()
 
     def tell(self, told: FindTold) -> None:
-        """Announce a find, or tell more of it."""
+        """Report a finding, or an update of it."""
         self.kept[told.find.id] = told
         if self.first is None or told.find.id == next(iter(self.kept)):
             self.first = told.exception
         self.listener(told)
 
     def call_flaky(self, kept: FindTold, difference: str) -> FindTold:
-        """Keep a find as one that does not repeat, in its file too."""
+        """Mark a finding as flaky, in its file too; return the marked one."""
         marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, str(self.harness.root))))
         self.kept[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference))
         return self.kept[kept.find.id]
 
     def rewritten(self, kept: FindTold, finding: Finding) -> FindTold:
-        """The same with another finding, in its file too; as it was, with the reason, where that cannot be written."""
+        """Replace the content of a finding, in its file too; if that fails, return it unchanged, with the reason."""
         if kept.file is None:
             return replace(kept, finding=finding, content=text_of(finding) if kept.content else "")
         try:
@@ -184,21 +186,22 @@ class Recorder:
             return replace(kept, origin=f"{kept.origin}; its file is as first found: {error}")
 
     def keep_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> None:
-        """Save what was in flight when a process died, and announce it.
+        """Save and report a scenario in which a process died.
 
-        ``again`` is what became of the process that ran it again; None where none could tell.
+        ``again`` is how the process ended that ran it again; None if that is unknown.
         """
         others = " and others in lock step" if leftover.is_lock_step else ""
         text = f"a process (pid {leftover.pid}) died while it ran this scenario{others}, "
         if leftover.is_tried:
             text += (
-                "which ran to its end when the next session tried it alone, and that session died as well: by what "
-                "builds up from run to run, such as memory, or by a kill from outside; then delete the file"
+                "which ran to its end when the next session tried it alone, but then that session died as well: "
+                "because of something that builds up from run to run, such as memory, or a kill from outside; if it "
+                "was killed from outside, delete the file"
             )
         elif again is None:
             text += (
-                "by a crash of native code, a lack of memory or a kill from outside; if it was killed from outside, "
-                "delete the file"
+                "because of a crash of native code, a lack of memory or a kill from outside; if it was killed from "
+                "outside, delete the file"
             )
         else:
             text += f"and the one that ran it again {again.how}: {cause(again, 'delete the file')}"
@@ -210,8 +213,8 @@ class Recorder:
         self.tell(self._saved(finding, line, "the record of a session that died", PlainFailure(text), is_timed))
 
     def keep_lost(self, lost: LostRun, generation: int, number: int) -> str:
-        """Save a scenario whose process did not come back, and announce it; returns its id. See :meth:`keep`."""
-        alone = "" if lost.is_hang else ", and so it was when nothing else ran"
+        """Save and report a scenario whose process died or hung; return its id. See :meth:`keep`."""
+        alone = "" if lost.is_hang else ", also when nothing else ran"
         text = f"the {lost.who} that ran this scenario {lost.how}{alone}: "
         text += cause(lost, "--pafot-workers=1 finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
@@ -259,7 +262,7 @@ class Recorder:
         try:
             if self.harness.request.settings.save == "none":
                 problem = "--pafot-save=none"
-            # Another session may take the name for another finding between the look and the attempt.
+            # Between the check and the write, a different session may use the name for its own finding.
             while not problem and not write(path, finding):
                 other, renamed = free_path(self.harness.folder, finding, self.replayed)
                 if other == path:
@@ -292,12 +295,12 @@ def _headline(lost: LostRun) -> str:
 
 
 def cause(lost: LostRun, way_out: str) -> str:
-    """Why a process may not come back, with the way out where the scenario is not to blame."""
+    """Return why a process may have died or hung, and the way out if the scenario is not the cause."""
     if lost.how == OUT_OF_MEMORY:
-        return "the ADS takes more and more of it, or needs so much (then give --pafot-memory more)"
+        return "the ADS uses more and more of it, or needs that much (then give a larger --pafot-memory)"
     if not lost.is_hang:
-        return "by a crash of native code, an exit or a lack of memory"
+        return "the likely cause is a crash of native code, an exit or a lack of memory"
     return (
-        "the ADS hangs in code that does not return to the interpreter, or swallows its interruption, or uses a "
-        f"library that does not work in a forked process (then {way_out})"
+        "the ADS hangs in code that does not return to the interpreter, ignores the interrupt, or uses a library that "
+        f"does not work in a forked process (then {way_out})"
     )

@@ -1,4 +1,4 @@
-"""Replays of saved scenarios: each in the world of its file, against the ADS and the function of its test."""
+"""Replays of saved scenarios, each in the world of its file, with the ADS and the function of its test."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ from pytest_pafot.world.driving.perception import sight_of
 FLAKY = "flaky"
 
 BESIDE = {True: "introduced", False: "common", None: ""}
-"""What to call a saved scenario that fails, by whether the reference passes it; nothing without one."""
+"""The label of a saved scenario that fails, by whether the reference passes it; empty without a reference."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replays:
-    """How the saved scenarios of one test are run."""
+    """The replays of one test's saved scenarios."""
 
     harness: Harness
-    # Replays the scenario of a file in a session of its own, where no process can be made that has what the test needs;
-    # raises ``ProcessLostError`` where that session died
+    # replays the scenario of a file in a separate session, if no other process can be given what the test needs; raises
+    # ``ProcessLostError`` if that session died
     in_own_session: Callable[[Path, Job, Scenario], None]
 
     def shown_by(self, saved: Iterable[Saved]) -> dict[Signature, str]:
-        """Replay saved scenarios; return the failures that are *known*, each with the id of the first to show it.
+        """Replay saved scenarios; return the *known* failures, each with the id of the first file that shows it.
 
-        A saved scenario, accepted or not, covers what it shows now, whatever it was saved for, and nothing where it
-        passes: so no failure goes without an item that fails for it, or is accepted for it. Nor does a file that cannot
-        be used, whose own test says so, and one that the reference fails as well: what was there before hides nothing
-        that is new.
+        A saved scenario, accepted or not, covers the failure that it shows now, even if it was saved for a different
+        one. If it passes, it covers nothing. So for each failure there is an item that fails for it, or that accepts
+        it. A file that cannot be used covers nothing either, as its own item reports the error. Neither does a file
+        that the reference fails as well: old failures must not hide new ones.
         """
         known: dict[Signature, str] = {}
         for each in saved:
@@ -62,7 +62,7 @@ class Replays:
         return known
 
     def still_fails(self, saved: Saved) -> bool:
-        """Whether the process still dies in a saved scenario that it died in, whatever the reference does."""
+        """Return whether a process still dies in a saved scenario, without regard to the reference."""
         try:
             shown = self._observed(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
         except RequestError:
@@ -77,10 +77,10 @@ class Replays:
         return of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
 
     def world_of(self, saved: Saved) -> Any:
-        """The world that a file describes, made, with its scenario checked against it; the test's, where it is code.
+        """Build the world that a file describes, or return the test's if it is code; check that the scenario fits it.
 
         Raises:
-            RequestError: naming the file, the line and the field.
+            RequestError: names the file, the line and the field.
         """
         finding = _finding(saved)
         try:
@@ -95,12 +95,12 @@ class Replays:
         return world
 
     def tried(self, saved: Saved, world: Any, owner: str) -> tuple[Run, Verdict]:
-        """One run of a saved scenario in a world, and its verdict; ``owner`` is that of the crash record.
+        """Run a saved scenario in a world; return the run and its verdict. ``owner`` is the owner of the crash record.
 
-        In another process where one died in it, or hung, or the ADS shall run in no other way.
+        The run is in a separate process if one died or hung in this scenario, or with ``--pafot-isolate``.
 
         Raises:
-            ProcessLostError: where that process did not come back.
+            ProcessLostError: if that process died or hung.
             RequestError: for a world, factory or scenario that does not fit.
         """
         __tracebackhide__ = True
@@ -135,7 +135,7 @@ class Replays:
         return None if verdict is None else verdict.passes
 
     def of_reference(self, saved: Saved, world: Any, owner: str) -> Verdict | None:
-        """Return the verdict on the reference, in another process where the ADS runs so; None without a reference."""
+        """Return the verdict on the reference, in a separate process if the ADS has one; None without a reference."""
         __tracebackhide__ = True
         harness, scenario = self.harness, _finding(saved).scenario
         job, isolate = harness.job(world, owner), self._is_apart(saved, owner)
@@ -146,15 +146,14 @@ class Replays:
             return None if runner is None else harness.judge_reference(runner, scenario, world)
 
     def labelled(self, saved: Saved, owner: str) -> tuple[str, Run, Verdict]:
-        """A replay with its label. One that passes is tried twice, since chance must not be called a fix.
+        """Replay a saved scenario; return its label, run and verdict. A pass is tried twice: it must not be chance.
 
-        Beside a reference it is ``introduced`` or ``common`` where it fails, by whether that passes. Where it passes,
-        it is ``fixed`` where the reference fails and the situation came up, whatever else the file says, and else
-        ``fixed before`` at most.
+        With a reference, a failure is ``introduced`` if the reference passes, otherwise ``common``. A pass is ``fixed``
+        if the reference fails and the situation occurred; otherwise a label ``fixed`` becomes ``fixed before``.
 
         Raises:
-            ProcessLostError: where the process that ran it did not come back.
-            RequestError: naming the file, the line and the field, where it cannot be run.
+            ProcessLostError: if the process that ran it died or hung.
+            RequestError: if it cannot be run; names the file, the line and the field.
         """
         __tracebackhide__ = True
         finding, world = _finding(saved), self.world_of(saved)
@@ -162,9 +161,9 @@ class Replays:
         failure = verdict.failure if verdict.failed else None
         label: str = replay_label(finding, run, failure, self.harness.versions)
         if finding.expect.is_crash:
-            label = "drifted" if verdict.failed else "fixed"  # The process lives, whatever the run shows.
+            label = "drifted" if verdict.failed else "fixed"  # The process survived, whatever the run shows.
         if label == "fixed" and (self.world_changes(finding) or self.sight_change(finding)):
-            label = "drifted"  # It passes elsewhere than where it failed, or sees otherwise.
+            label = "drifted"  # It passes in a different world or with different sight.
         if verdict.discarded:
             return label, run, verdict
         if verdict.failed:
@@ -184,23 +183,23 @@ class Replays:
         return label, run, verdict
 
     def world_changes(self, finding: Finding) -> list[str]:
-        """What differs between the world of a file and that of its replay: the test's, or one whose run it cuts."""
+        """Return the differences between the world of a file and the test's, or how the file's world cuts the run."""
         own = self.harness.world
         return codec.changes(finding.world, own) or codec.cuts(finding.world, finding.scenario, own)
 
     def sight_change(self, finding: Finding) -> list[str]:
-        """How the ADS of the test sees, where that is not as the file tells: it is the test's that runs."""
+        """Return the difference between the sight of the ADS in the file and now; empty if there is none."""
         then = Sight() if finding.perception is None else finding.perception.sight
         now = sight_of(self.harness.ads) or Sight()
         return [] if then == now else [f"found with {then.described()}, run with {now.described()}"]
 
     def ads_changes(self, finding: Finding) -> list[str]:
-        """What differs between the ADS of now and that of a file: how it sees, and its weights where both tell them."""
+        """Return the differences between the ADS in a file and now: its sight, and its weights if both are known."""
         then, now = finding.found.weights, weights_digest(self.harness.ads)
         return [*self.sight_change(finding), *(["found with other weights"] if then and now and then != now else [])]
 
     def changes(self, finding: Finding, now: str) -> str:
-        """What differs from a file; ``now`` is what happens."""
+        """Return the differences between a file and its replay; ``now`` is what happened in the replay."""
         versions = self.harness.versions
         changed = [
             f"{name} {version} then, {versions.get(name, 'none')} now"
@@ -213,11 +212,11 @@ class Replays:
         if expect.check is not None:
             then = f"{expect.assertion} failed at {expect.time:.1f} s"
         event = [] if then == now else [f"{then} in the file, {now} now"]
-        return "; ".join([*event, *changed]) or "another run than before"
+        return "; ".join([*event, *changed]) or "a different run than before"
 
 
 def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
-    """What happens in a replay, beside what the file tells of the same outcome."""
+    """Return what happened in a replay, in the terms in which the file describes its failure."""
     if failure is not None and failure.check is not None:
         when = "" if failure.check.time is None else f" at {failure.check.time:.1f} s"
         return f"{failure.check.name} failed{when}"
@@ -232,7 +231,7 @@ def _event(outcome: Outcome, time: float) -> str:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Tell what is wrong with the scenario of a file with the file and the line, also where only a run shows it."""
+    """Add the file and the line to an error in the scenario of a file, even if only a run shows the error."""
     __tracebackhide__ = True
     try:
         yield

@@ -1,4 +1,4 @@
-"""What one search is asked for: the arguments of a mark or of ``pafot.explore``, checked, beside its settings."""
+"""The request for one search: the checked arguments of a mark or of ``pafot.explore``, and the settings."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ from pytest_pafot.world.driving.ads import hint_at_object
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts")
 NPCS = 4
-"""In a scenario, where neither the algorithm nor the mark says otherwise: beside the ego in any lane of a Highway."""
+"""The default number of NPCs in a scenario; so many fit around the ego in any lane of a Highway."""
 MOST_NPCS = 6
-"""Where their number is drawn; fewer in the outer lanes, so that a cell is left to go to."""
+"""The largest random number of NPCs; it is lower in the outer lanes, so that a cell stays free."""
 MOST_CROSSING = 3
-"""NPCs where ways of other traffic meet the ego's: enough to hide one behind another. An ego that waits for one of many
-meets none of the others as they were told, so that more of them show less."""
+"""The largest random number of NPCs if ways of other traffic meet the ego's: enough to hide one NPC behind a
+second. An ego that waits for one of many NPCs meets the others at other times than their slots, so more show less."""
 GENE_DURATIONS = (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
-"""Of which that of a scenario's genes is drawn [s]."""
+"""The durations from which the one of a scenario's genes is sampled [s]."""
 SLOWEST_START = 12.0
-"""Of the ego [m/s]; half the limit where that is less."""
+"""The lowest random start speed of the ego [m/s]; half the limit if that is lower."""
 BLAMES = ("any", "ego", "preventable")
 
 
 class RequestError(Exception):
-    """A search that cannot be run as it is asked for; the message is complete for the user."""
+    """A search that cannot be run as requested; the message is complete for the user."""
 
 
 class SearchArguments(TypedDict, total=False):
-    """What :func:`pytest_pafot.search` accepts, for type checkers and for the check of names; all is optional."""
+    """The arguments of :func:`pytest_pafot.search`, for type checkers and the check of names; all are optional."""
 
     world: Any
     lanes: int
@@ -89,25 +89,25 @@ class Request:
 
     settings: Settings
     algorithm: AlgorithmClass
-    ads: str | Callable[..., Any]  # name of the fixture that gives the factory, or the factory itself
+    ads: str | Callable[..., Any]  # the name of the fixture that returns the factory, or the factory itself
     arg: str = "run"  # the parameter of the test function that receives the run
-    # ``any``; ``ego`` to call the function only where the ego is responsible, or nobody; ``preventable`` to count its
-    # failures then only where a reference driver would have prevented them
+    # ``any``; ``ego`` to call the function unless only an NPC is responsible for a collision; ``preventable`` to also
+    # count its failures only if a reference driver would have prevented them
     blame: str = "any"
-    decision_limit: float | None = None  # slowest decision of the ADS that is no finding [s]
+    decision_limit: float | None = None  # the longest decision of the ADS that is not a finding [s]
     fitness: str | Weights | Callable[[Trace], float] = "default"
-    world: Any = None  # given by the mark, or None for the fixture's
-    road: Mapping[str, Any] = field(default_factory=dict)  # arguments of a Highway that the mark gives
-    space: Mapping[str, Any] = field(default_factory=dict)  # arguments of a SearchSpace that the mark gives
-    place: str = "@pafot.search"  # where the arguments stand, for messages
+    world: Any = None  # the world of the mark, or None for the fixture's
+    road: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a Highway
+    space: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a SearchSpace
+    place: str = "@pafot.search"  # where the arguments are, for messages
 
     def error(self, arguments: str, problem: object) -> RequestError:
-        """What is wrong with arguments, such as ``world=...``."""
+        """Return an error about arguments, such as ``world=...``."""
         return RequestError(f"{self.place}({arguments}): {problem}")
 
 
 def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: str = "@pafot.search") -> Request:
-    """The request that arguments make, ``ads`` among them; of those that are options the settings count.
+    """Return the request for arguments, including ``ads``; values of options are taken from the settings.
 
     Raises:
         RequestError: on the first wrong argument.
@@ -133,13 +133,13 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
 
 
 def _problems(request: Request) -> Mapping[str, object]:
-    """What is wrong with each argument, in the order in which it is told; whatever is false where nothing is."""
+    """Return the problem of each argument, in the order of reporting; a false value if there is none."""
     world, limit, fitness = request.world, request.decision_limit, request.fitness
     part = next(iter(request.road), "")
     return {
         f"world=..., {part}=...": world is not None
         and part
-        and f"expected either a whole world or its parts, received both; give {part} to the world",
+        and f"expected either a whole world or its parts, received both; pass {part} to the world",
         "world=...": world is not None
         and (isinstance(world, type) or not callable(getattr(world, "rollout", None)))
         and f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}",
@@ -147,7 +147,7 @@ def _problems(request: Request) -> Mapping[str, object]:
         "arg=...": not _is_name(request.arg) and f"expected a name, received {request.arg!r}",
         "blame=...": request.blame not in BLAMES and f"expected one of {', '.join(BLAMES)}, received {request.blame!r}",
         "decision_limit=...": limit is not None
-        and not (plain_number(limit) or 0) > 0  # nor is NaN
+        and not (plain_number(limit) or 0) > 0  # written so that NaN is refused, too
         and f"expected seconds, more than 0, received {limit!r}",
         "fitness=...": not (isinstance(fitness, (str, Weights)) or callable(fitness))
         and "expected default, paper, av-fuzzer, a measure such as headway, pafot.Weights(...) or a function of a "
@@ -156,10 +156,10 @@ def _problems(request: Request) -> Mapping[str, object]:
 
 
 def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:
-    """Check that there are arguments of these names.
+    """Check that arguments of these names exist.
 
     Raises:
-        RequestError: on the first that there is not, with the one that may be meant.
+        RequestError: on the first unknown name, with a similar one.
     """
     known = SearchArguments.__annotations__
     unknown = next((name for name in arguments if name not in known), None)
@@ -167,7 +167,8 @@ def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -
         return
     if unknown in BY_NAME:
         raise RequestError(
-            f"{place}({unknown}=...): this concerns the whole session; give {BY_NAME[unknown].flag} on the command line"
+            f"{place}({unknown}=...): this applies to the whole session; give {BY_NAME[unknown].flag} on the command "
+            "line"
         )
     near = difflib.get_close_matches(unknown, known, n=1)
     expected = f"did you mean {near[0]!r}? Expected" if near else "expected"
@@ -175,12 +176,12 @@ def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -
 
 
 def build_world(request: Request, fixture_world: Any) -> Any:
-    """The world of a search: the mark's, else the fixture's with the mark's road arguments.
+    """Return the world of a search: the mark's, or else the fixture's with the mark's road arguments.
 
-    Where the mark says how long the chains are, runs on a Highway that it does not give itself last as long.
+    If the mark gives the length of the chains but no world, runs on the fixture's Highway last as long as the chains.
 
     Raises:
-        RequestError: when the road arguments do not fit the world, or it lacks what a search needs.
+        RequestError: if the road arguments do not fit the world, or if the world lacks something that a search needs.
     """
     if request.world is not None:
         return _checked_world(request, request.world, "world= to be")
@@ -190,8 +191,8 @@ def build_world(request: Request, fixture_world: Any) -> Any:
             return _checked_world(request, fixture_world, "the fixture pafot_world to give")
         raise request.error(
             f"{next(iter(changes))}=...",
-            f"expected the fixture pafot_world to give a pafot.Highway, received {fixture_world!r}; describe the whole "
-            "road with world= instead",
+            f"expected the fixture pafot_world to return a pafot.Highway, received {fixture_world!r}; describe the "
+            "whole road with world= instead",
         )
     if "genes" in request.space or "gene_seconds" in request.space:
         try:
@@ -206,10 +207,10 @@ def build_world(request: Request, fixture_world: Any) -> Any:
 
 
 def build_space(request: Request, world: Any) -> SearchSpace:
-    """The space of scenarios on a world, with as many genes as a run of it comes to unless the mark says how many.
+    """Return the space of scenarios in a world; unless the mark gives their number, the genes fill a run.
 
     Raises:
-        RequestError: when an argument is out of range, no scenario can be made, or the world cannot be built.
+        RequestError: if an argument is out of range, no scenario can be made, or the world cannot be built.
     """
     given = ", ".join(request.space)
     try:
@@ -217,7 +218,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
         drawn = {} if request.algorithm.is_papers else drawn_space(world, request.space)
         space = space_on(world, {**drawn, **request.space}, protocol.road_start(world))
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
-        sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error, and no failing search
+        sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error before the search begins
     except WorldError as error:
         raise request.error("world=...", error) from None
     except (TypeError, ValueError) as error:
@@ -226,10 +227,10 @@ def build_space(request: Request, world: Any) -> SearchSpace:
 
 
 def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of the space of an algorithm that need not have the paper's, where they are not given.
+    """Return default arguments for the space of an algorithm that is not bound to the paper's space.
 
-    NPCs are attentive, and where ways of other traffic meet the ego's most of them come from there. All else is for a
-    straight road, and the start is drawn on a Highway alone: an environment says how its ego starts.
+    NPCs are attentive. If ways of other traffic meet the ego's, most NPCs come from there. The other defaults are only
+    for a straight road. The start is random only on a Highway, because an environment defines how its ego starts.
     """
     drawn: dict[str, Any] = {"traffic": given.get("traffic", Traffic().style)}
     road = protocol.straight_road(world)
@@ -256,7 +257,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _crossing_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of the space of a world with ways that meet the ego's; none without."""
+    """Return default arguments for the space of a world in which other ways meet the ego's; empty for other worlds."""
     crossings = protocol.crossings(world)
     if crossings is None:
         return {}
@@ -268,7 +269,7 @@ def _checked_world(request: Request, world: Any, origin: str) -> Any:
     missing = protocol.missing(world)
     if missing:
         raise RequestError(
-            f"expected {origin} pafot.Highway(...) or pafot.World(...), or a world of your own with "
+            f"expected {origin} pafot.Highway(...) or pafot.World(...), or your own world with "
             f"{', '.join(protocol.REQUIRED)}, received {world!r:.100}, which has no {', '.join(missing)}"
             f"{hint_at_world(world)}"
         )
@@ -282,8 +283,8 @@ def _checked_world(request: Request, world: Any, origin: str) -> Any:
 
 
 def hint_at_world(given: Any) -> str:
-    """The world that is meant by the id of an environment, or by an environment; empty for anything else."""
-    spec = getattr(given, "spec", None)  # of an environment that gymnasium made
+    """Return a hint at the world for an environment or its id; empty for anything else."""
+    spec = getattr(given, "spec", None)  # set on an environment that gymnasium made
     env_id = given if isinstance(given, str) else getattr(spec, "id", None)
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
     return f'; did you mean pafot.World("{env_id}"{config})?' if isinstance(env_id, str) else ""

@@ -1,4 +1,4 @@
-"""A search that goes on in other sessions: what it has from earlier ones, and leaves for later ones."""
+"""A search that is resumed in other sessions: what it reads from earlier sessions and stores for later ones."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 
-# How often random scenarios fail, and how often by the ego's fault, counted in those that a search begins with.
+# Counts of random scenarios that fail, and that fail by the ego's fault, among the first scenarios of a search.
 
 FAILING = ("failed", "unpreventable", "common")
-"""Kinds of verdicts on runs that failed, whatever else excuses them."""
+"""The kinds of verdicts on runs that failed, even if something excuses them."""
 
 
 @dataclass(slots=True, kw_only=True)
 class RandomBeginning:
-    """Passes the events of a search on, and counts its first runs as long as their scenarios are random.
+    """A listener that counts the first runs of a search while their scenarios are random, and passes all events on.
 
     Attributes:
-        listener: to whom the events go.
-        most: scenarios at the beginning that are random; infinite where all are.
-        runs: of them, but for those that say nothing of the ego.
-        at_fault: of these, those that failed in a collision which the ego answers for, alone or with the NPC.
-        otherwise: those that failed in any other way, such as by a check or an error of the ADS.
+        listener: receives the events.
+        most: the number of random scenarios at the beginning; infinite if all are random.
+        runs: the number of their runs so far, without runs that say nothing about the ego.
+        at_fault: how many of these had a collision for which the ego is responsible, alone or with the NPC.
+        otherwise: how many of these failed in a different way, such as by a check or an error of the ADS.
     """
 
     listener: Listener
@@ -58,20 +58,20 @@ class RandomBeginning:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all of them were run."""
+        """True if all random scenarios were run."""
         return self._evaluated >= self.most
 
     @property
     def counts(self) -> tuple[int, int, int, int]:
-        """Scenarios that were evaluated, as far as it counts, ``runs``, ``at_fault`` and ``otherwise``."""
+        """The number of evaluated scenarios, ``runs``, ``at_fault`` and ``otherwise``."""
         return self._evaluated, self.runs, self.at_fault, self.otherwise
 
     def restore(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
-        """Go on from the counts of an earlier session."""
+        """Continue from the counts of an earlier session."""
         self._evaluated, self.runs, self.at_fault, self.otherwise = evaluated, runs, at_fault, otherwise
 
     def __call__(self, event: SearchEvent) -> None:
-        """Told what happens; a run is judged, and perhaps judged again, before its scenario is evaluated."""
+        """Pass on and count an event; a run is judged once or twice before its scenario is evaluated."""
         self.listener(event)
         if self.is_whole:
             return
@@ -93,10 +93,10 @@ SAVES_NONE = f"{BY_NAME['save'].flag}=none"
 
 
 def check_states(resume: str, here: Path) -> None:
-    """Refuse a folder of states that lies behind a link: states are written and removed there.
+    """Refuse a folder of states behind a link, because states are written and removed there.
 
     Raises:
-        RequestError: where one is below the folder that a relative path counts from.
+        RequestError: if a relative path contains a link.
     """
     link = None if Path(resume).is_absolute() else link_below(here, here / resume)
     if link is not None:
@@ -105,25 +105,25 @@ def check_states(resume: str, here: Path) -> None:
 
 @dataclass(slots=True, kw_only=True)
 class Sessions:
-    """The sessions of one search, of which this is one; without a folder of states it is the only one."""
+    """The sessions of one search, including this one; without a folder of states it is the only one."""
 
     harness: Harness
-    seed: int  # of the search
+    seed: int  # the seed of the search
     loop: SearchLoop
     beginning: RandomBeginning
-    clock: Callable[[], float]  # seconds since any moment
-    # What attempts to shrink finds have shown so far, by the id of the find
+    clock: Callable[[], float]  # returns the seconds since some fixed moment
+    # results of the attempts to shrink each finding so far, by the id of the finding
     answers: dict[str, list[Answer]] = field(default_factory=dict)
-    # Ids of finds that are yet to be simplified, and for which this session has no time
+    # ids of findings that still must be shrunk, but not in this session, which has no time left for them
     _postponed: set[str] = field(init=False, default_factory=set)
     _began: float = field(init=False)
     _file: StateFile | None = field(init=False, default=None)
-    _last: Callable[[], Checkpoint[Any]] | None = field(init=False, default=None)  # the checkpoint at the last border
-    _before: tuple[str, ...] = field(init=False, default=())  # ids of what was saved when the first one began
+    _last: Callable[[], Checkpoint[Any]] | None = field(init=False, default=None)  # makes the last checkpoint
+    _before: tuple[str, ...] = field(init=False, default=())  # ids of files saved before the first session
     _earlier: Counts | None = field(init=False, default=None)
-    _runs: int = field(init=False, default=0)  # of earlier ones, as the generations
-    _generations: int = field(init=False, default=0)
-    # Ids of the finds of earlier sessions that no file has and none is to be written of, each with the option for that
+    _runs: int = field(init=False, default=0)  # runs of earlier sessions
+    _generations: int = field(init=False, default=0)  # generations of earlier sessions
+    # ids of findings of earlier sessions that have no file and get none, each with the option that prevents it
     _unsaved_before: dict[str, str] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -131,17 +131,17 @@ class Sessions:
 
     @property
     def go_on(self) -> bool:
-        """Whether there are others."""
+        """True if the search can be resumed in other sessions."""
         return self._file is not None
 
     @property
     def seconds(self) -> float:
-        """That the search has taken."""
+        """The time that the search has taken in all its sessions [s]."""
         return self.clock() - self._began + (0.0 if self._earlier is None else self._earlier.seconds)
 
     @property
     def budget(self) -> tuple[int | None, int | None]:
-        """Runs and generations after which this session ends, counted from the beginning of the search."""
+        """The runs and generations after which this session ends, counted from the beginning of the search."""
         settings = self.harness.request.settings
         return (
             None if settings.runs is None else self._runs + settings.runs,
@@ -150,21 +150,21 @@ class Sessions:
 
     @property
     def decides_for_many(self) -> bool:
-        """Whether the ADS has shown, in any session, that it decides for many runs at once."""
+        """True if the ADS has decided for many runs at once in any session."""
         earlier = self._earlier is not None and self._earlier.decides_for_many
         return earlier or self.loop.simulation.runner.decides_for_many
 
     @property
     def found_before(self) -> Counter[str]:
-        """Failing runs by the id of the find of an earlier session that they show, of those that were to be saved."""
+        """The number of failing runs for each finding of an earlier session that is saved, by id."""
         loop = self.loop
         told = {*loop.recorder.kept, *loop.recorder.unsaved, *self._unsaved_before}
         return Counter({id_: 1 + loop.repeats[id_] for id_ in loop.finds.values() if id_ not in told})
 
     @property
     def notes(self) -> list[str]:
-        """What a reader must know."""
-        went_on = f"went on after {plural(self._runs, 'run')} of earlier sessions"
+        """Notes for the summary."""
+        went_on = f"resumed after {plural(self._runs, 'run')} of earlier sessions"
         problem = "" if self._file is None else self._file.problem
         unsaved = self._unsaved_before
         shown = plural(sum(1 + self.loop.repeats[id_] for id_ in unsaved), "run")
@@ -179,11 +179,11 @@ class Sessions:
         ]
 
     def resume(self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]) -> Checkpoint[Any] | None:
-        """Where the search goes on, with all that was counted; None where it begins.
+        """Restore the counts of earlier sessions; return the checkpoint to resume from, or None for a new search.
 
         Raises:
-            RequestError: for an algorithm that cannot go on, for a state that is not of this search, and for one that
-            another session goes on from.
+            RequestError: if the algorithm cannot be resumed, or if the state belongs to a different search or is in use
+                by a different session.
         """
         self._before = tuple(each.id for each in saved)
         if self.harness.states is None:
@@ -191,9 +191,9 @@ class Sessions:
         name = self.harness.request.algorithm.name
         if not isinstance(algorithm, ResumableSearch):
             raise RequestError(
-                f"{FLAG}: expected an algorithm that can go on in another session, such as distinct or random, "
-                f"received {name!r}; search without {FLAG}, or give an algorithm of your own the methods stored and "
-                "restored (pytest_pafot.searching.ResumableSearch)"
+                f"{FLAG}: expected an algorithm that can be resumed, such as distinct or random, received {name!r}; "
+                f"search without {FLAG}, or add the methods stored and restored to your own algorithm "
+                "(pytest_pafot.searching.ResumableSearch)"
             )
         path = state_path(self.harness.states, self.harness.node_id)
         settings = agreed(self.harness, algorithm, space)
@@ -207,37 +207,37 @@ class Sessions:
         self._runs, self._generations = checkpoint.sums.simulated, checkpoint.state.generation
         restore(self._earlier, self.loop, self.beginning)
         self.loop.generation = self._generations
-        if checkpoint.sums.evaluated:  # What began before was no fault of the set-up, or the search had ended by it.
+        if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.
             self.loop.first.is_alike = False
             self.loop.recorder.release()
         return checkpoint
 
     def close(self) -> None:
-        """Leave the state to other sessions."""
+        """Release the state for other sessions."""
         if self._file is not None:
             self._file.release()
 
     def refused(self, error: ValueError) -> RequestError:
-        """What was resumed turns out not to be of this search."""
+        """Return the error for a state that does not belong to this search."""
         return RequestError(str(error)) if self._file is None else self._file.refused(error)
 
     def is_own(self, saved: Saved) -> bool:
-        """Whether a saved scenario is a find of an earlier session, of which the state knows or will know."""
+        """Return whether a saved scenario is a finding of this search from an earlier session."""
         found = None if saved.finding is None else saved.finding.found
         algorithm = self.harness.request.algorithm.name
         is_of_search = found is not None and (found.seed, found.algorithm) == (self.seed, algorithm)
         return self.go_on and is_of_search and saved.id not in self._before
 
     def find_again(self, saved: Sequence[Saved], until: float) -> None:
-        """Take up finds of a session that ended before it had simplified them, and those whose file is gone.
+        """Run findings again that an earlier session has not shrunk, and those whose file is gone.
 
-        Without the second, a corpus that did not come along would leave a search that passes for ever. From the moment
-        ``until`` on [s], finds that have a file are left to another session.
+        If findings without a file were skipped, a search whose corpus was lost would pass forever. From the moment
+        ``until`` on [s], findings with a file are left to a later session.
         """
         __tracebackhide__ = True
         saves = self.harness.request.settings.save != "none"
         for find in () if self._earlier is None else self._earlier.finds:
-            # Under its name, or as the simpler one of a merge.
+            # There is a file of the same name, or a simpler one of the same kind after a merge.
             is_there = any(
                 each.id == find.id or (each.finding is not None and each.finding.signature == find.signature)
                 for each in saved
@@ -251,7 +251,7 @@ class Sessions:
                 self._postponed.add(find.id)
                 self.answers[find.id] = list(find.answers)
                 continue
-            if not is_there:  # also for a process that dies in it: its find is new then
+            if not is_there:  # forget it, so that it counts as new again, even if the process dies in it
                 del self.loop.finds[find.signature]
             scenario, generation, number = find.found
             try:
@@ -266,13 +266,13 @@ class Sessions:
                 self.loop.finds[find.signature], self.answers[find_id] = find_id, list(find.answers)
 
     def at_border(self, checkpoint: Callable[[], Checkpoint[Any]]) -> None:
-        """Told after each generation, and at the end, how to make the checkpoint."""
+        """Store the state after a generation, if it is time; ``checkpoint`` makes the checkpoint."""
         self._last = checkpoint
         if self._file is not None:
             self._file.offer(checkpoint, self._counts)
 
     def store(self, simplified: Collection[str] = ()) -> None:
-        """Write where the search has ended, unless something has broken it off, and which finds need no more work."""
+        """Write the state at the end of the search, unless it was aborted; ``simplified`` findings are done."""
         if self._file is not None and self._last is not None and self.loop.finished is not None:
             self._file.write(self._last(), self._counts(simplified))
 
@@ -280,7 +280,7 @@ class Sessions:
         loop = self.loop
         kept = loop.recorder.kept
         found = {each.id: each.found for each in (() if self._earlier is None else self._earlier.finds)}
-        for id_, each in kept.items():  # as the search made it, whether it is simplified by now or not
+        for id_, each in kept.items():  # the scenario as found, before shrinking
             finding = each.finding
             found[id_] = (finding.original or finding.scenario, finding.found.generation, each.number)
         due = self._postponed | {id_ for id_, each in kept.items() if each.is_firm and id_ not in simplified}
@@ -311,7 +311,7 @@ class Sessions:
 
 
 def restore(counts: Counts, loop: SearchLoop, beginning: RandomBeginning) -> None:
-    """Let a search that has not begun know what an earlier session has counted."""
+    """Restore the counts of an earlier session in a search that has not begun."""
     loop.finds = {each.signature: each.id for each in counts.finds}
     loop.repeats = Counter({each.id: each.repeats for each in counts.finds})
     loop.known, loop.verdicts, loop.caught = map(Counter, (counts.known, counts.verdicts, counts.caught))
@@ -321,9 +321,9 @@ def restore(counts: Counts, loop: SearchLoop, beginning: RandomBeginning) -> Non
 
 
 def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> dict[str, Any]:
-    """What a state and a search must have in common, as plain data: whatever decides what the search draws and finds.
+    """Return the settings in which a state and a search must agree, as plain data: all that the findings depend on.
 
-    The code of the test, of the ADS and of an algorithm of the user's own is not part of it.
+    The code of the test, of the ADS and of the user's own algorithm is not included.
     """
     request, sight = harness.request, sight_of(harness.ads)
     names: list[str] = [each.name for each in fields(algorithm)] if is_dataclass(algorithm) else []
@@ -346,6 +346,6 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
 
 
 def _named(value: object) -> str:
-    """What is no data, in words that are the same in each process as far as can be: a function by its name."""
+    """Return a text for an object that is not plain data, if possible the same in each process: a function's name."""
     name = getattr(value, "__qualname__", None)
     return repr(value) if name is None else f"{getattr(value, '__module__', '')}:{name}"

@@ -1,4 +1,4 @@
-"""All runs of a search as a table: a row for each scenario that was tried, whether it failed or not."""
+"""All runs of a search as a table with a row for each scenario that was tried, failed or not."""
 
 from __future__ import annotations
 
@@ -16,53 +16,53 @@ from pytest_pafot.searching.events import Evaluated
 
 COLUMNS: Mapping[str, str] = {
     "test": "node id of the search",
-    "seed": "of the search",
+    "seed": "seed of the search",
     "run": "number of the row in its search, from 1",
-    "generation": "from 0",
-    "local_generation": "of a local search, from 1; 0 outside of one",
+    "generation": "number of the generation, from 0",
+    "local_generation": "number of the generation in a local search, from 1; 0 outside of a local search",
     "scenario": "id of the scenario, six hexadecimal digits",
-    "reused": "whether an earlier run had shown what the scenario does, so that it was not simulated",
+    "reused": "True if the result of an earlier run was reused, so the scenario was not simulated",
     "ego_lane": "the ego's first lane, from 0 at the left",
-    "ego_speed": "its first speed [m/s]",
-    "npcs": "how many NPCs",
-    "gene_seconds": "how long an instruction lasts [s]",
+    "ego_speed": "the ego's first speed [m/s]",
+    "npcs": "number of NPCs",
+    "gene_seconds": "duration of an instruction [s]",
     "traffic": "style of the traffic",
-    "genes": "JSON: for each NPC its instructions, as cell or lane and speed [m/s], or as zone, speed, slot [s], act",
+    "genes": "JSON: the instructions of each NPC, as cell or lane and speed [m/s], or as zone, speed, slot [s], act",
     "outcome": "how the run ended, such as `collision`",
-    "verdict": "what the test says of it: passed, failed, npc (an NPC's fault, which blame leaves out), unpreventable, "
+    "verdict": "verdict of the test: passed, failed, npc (an NPC's fault, which blame excludes), unpreventable, "
     "common (the reference fails, too), invalid, rejected, skipped",
-    "failing": "whether it is a failure",
-    "fitness": "what the search climbs; higher is worse for the ego",
-    "duration": "simulated [s]",
-    "collision_time": "[s]",
-    "npc": "that was hit, from 0",
-    "side": "of the ego that was hit",
-    "closing_speed": "at the impact [m/s]",
-    "responsibility": "for the collision: ego, npc, both or none",
-    "fault": "of the ego, such as `leader-unanswered`",
-    "kind": "of the failure; failures of one kind are one finding",
-    "least_gap": "between the ego and any NPC, bumper to bumper [m]",
-    "least_time_to_contact": "[s]",
-    "hardest_braking": "of the ego [m/s^2]",
-    "margins": "JSON: the worst margin of each check that the test made, negative where it failed",
+    "failing": "True if the run counts as a failure",
+    "fitness": "number that the search maximises; higher is worse for the ego",
+    "duration": "simulated time [s]",
+    "collision_time": "time of the collision [s]",
+    "npc": "NPC that was hit, from 0",
+    "side": "side of the ego that was hit",
+    "closing_speed": "closing speed at the impact [m/s]",
+    "responsibility": "who is responsible for the collision: ego, npc, both or none",
+    "fault": "fault of the ego, such as `leader-unanswered`",
+    "kind": "kind of the failure; all failures of one kind are one finding",
+    "least_gap": "smallest gap between the ego and any NPC, bumper to bumper [m]",
+    "least_time_to_contact": "smallest time to contact with any NPC [s]",
+    "hardest_braking": "hardest braking of the ego [m/s^2]",
+    "margins": "JSON: the worst margin of each check that the test made, negative if it failed",
 }
-"""The columns of the table in their order, and what they mean. A cell is empty where there is nothing to tell."""
+"""The columns of the table in their order, with their meaning; a cell is empty if there is no value."""
 
 Row = dict[str, Any]
 
 
 @dataclass(slots=True)
 class RunTable:
-    """Makes rows of what a search tells; rows that are taken are gone."""
+    """A table that makes rows from the events of a search; rows that are taken are removed."""
 
     test: str = ""
     seed: int = 0
     number: int = 0
     rows: list[Row] = field(default_factory=list)
-    _judged: dict[str, Row] = field(default_factory=dict)  # what a run showed, by the id of its scenario
+    _judged: dict[str, Row] = field(default_factory=dict)  # the columns of a run, by the id of its scenario
 
     def see(self, event: SearchEvent) -> None:
-        """Take an event of the search."""
+        """Process an event of the search."""
         match event:
             case SearchStarted():
                 self.test, self.seed = event.node_id, event.seed
@@ -73,7 +73,7 @@ class RunTable:
                 self.rows.append(self._row(event))
 
     def taken(self) -> list[Row]:
-        """Return the rows since this was last asked."""
+        """Return the rows since the last call."""
         rows, self.rows = self.rows, []
         return rows
 

@@ -1,4 +1,4 @@
-"""A saved scenario outside of pytest: what its file says, and one run of it with an ADS."""
+"""A saved scenario outside of pytest: the content of its file, and one run of it with an ADS."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from pytest_pafot.world.driving.ads import AdsFactory
 
 
 def load(path: str | os.PathLike[str]) -> SavedScenario:
-    """A saved scenario; nothing in its file is run as code.
+    """Load a saved scenario; nothing in its file is run as code.
 
     Raises:
-        CorpusError: on any fault of the file, with its line, its field and the way out.
+        CorpusError: for any error in the file, with the line, the field and the way out.
     """
     return SavedScenario(path=Path(path), finding=reader.load(path))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SavedScenario(Shown):
-    """What a corpus file holds.
+    """The content of a corpus file.
 
     Attributes:
-        path: of the file.
-        finding: all that it says, such as ``finding.test``.
+        path: the path of the file.
+        finding: everything in the file, such as ``finding.test``.
     """
 
     path: Path
@@ -42,17 +42,17 @@ class SavedScenario(Shown):
 
     @property
     def id(self) -> str:
-        """The name of the file."""
+        """The id of the finding, which is the name of the file."""
         return self.finding.id
 
     @property
     def scenario(self) -> Scenario:
-        """That fails."""
+        """The scenario that fails."""
         return self.finding.scenario
 
     @property
     def expect(self) -> Expect:
-        """What running it shows while the failure is not fixed."""
+        """The expected result of a run while the failure is not fixed."""
         return self.finding.expect
 
     @property
@@ -60,14 +60,14 @@ class SavedScenario(Shown):
         """The world that the file describes.
 
         Raises:
-            CorpusError: where that world is code, which no file holds, or cannot be made here.
+            CorpusError: if that world is code, which files do not contain, or cannot be made here.
         """
         if codec.is_code(self.finding.world):
             code = WorldError(
                 field="world",
                 expected="a world that is data",
                 received=f"{dict(self.finding.world)!r:.100}",
-                fix="a file holds no code: give the world itself, as in replay(ads, world=...)",
+                fix="a file contains no code: give the world itself, as in replay(ads, world=...)",
             )
             raise reader.located(self.path, "world", code)
         try:
@@ -76,39 +76,39 @@ class SavedScenario(Shown):
             raise reader.located(self.path, "world", error) from None
 
     def replay(self, ads: AdsFactory, *, world: Any = None) -> Run:
-        """One run of the scenario; what it means, the test function says, and :meth:`matches`.
+        """Run the scenario once; call the test function or :meth:`matches` to judge the run.
 
         Args:
             ads: the factory, or a highway-env vehicle class.
-            world: in the place of the file's; needed where that is code.
+            world: replaces the file's world; required if that is code.
 
         Raises:
-            CorpusError: where the file's world cannot be made, or its scenario does not fit the world; and where a
-                process died in it, as this one would.
-            AdsFactoryError: for an ``ads`` that makes none.
+            CorpusError: if the file's world cannot be made, if the scenario does not fit the world, or if a process
+                died in this scenario, as this process would.
+            AdsFactoryError: if ``ads`` does not make an ADS.
         """
         if self.expect.is_crash:
             expected, received = "a scenario that leaves its process alive", "one in which a process died"
-            fix = f"run `python -m pytest {self.path}`, which makes a process for it"
+            fix = f"run `python -m pytest {self.path}`, which runs it in a separate process"
             raise CorpusError(self.path, expected, received, fix, field="expect.failure")
         if world is None:
             world = self.world
         try:
             protocol.check_fits(world, self.scenario)
-            trace = world.rollout(self.scenario, ads)  # what a world of one's own finds wrong shows here
+            trace = world.rollout(self.scenario, ads)  # the user's own world may raise only now
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from None
         return Run(trace, world=protocol.reference_world(world), take_over=protocol.taking_over(world))
 
     def matches(self, run: Run) -> bool:
-        """Whether a run shows what the file expects: the same contact, or the same other end, at its time to 0.2 s.
+        """Return whether a run shows what the file expects: the same contact or other end, within 0.2 s of its time.
 
         Raises:
-            ValueError: where a check failed, which only the test function can measure.
+            ValueError: if the file is of a failed check, which only the test function can measure.
         """
         if self.expect.check is not None:
             raise ValueError(
-                f"matches: expected a scenario whose run tells by itself, received one of the check "
+                f"matches: expected a failure that the run itself shows, received one of the check "
                 f"{self.expect.assertion!r}; call the test function with the run, which asserts it"
             )
         return is_same_event(self.expect, run)

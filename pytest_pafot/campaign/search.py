@@ -1,4 +1,4 @@
-"""One search, from the replay of what is saved to its findings, told to whoever listens.
+"""One search, from the replays of saved scenarios to new findings, reported to a listener.
 
 Read :meth:`Search.run` from the top: replays, the loop over generations, simplification, the summary.
 """
@@ -44,31 +44,34 @@ from pytest_pafot.world.guard.failure import is_interruption
 
 DONE, ALL_RUN = "all generations done", "all runs done"
 FOR_SIMPLIFYING = 1 / 3
-"""The share of a limit of time that a search leaves to its finds, to be shrunk and tried with reference drivers."""
+"""The share of a time limit that a search reserves to shrink its findings and to try reference drivers in them."""
 
 RUNS_TO_CONFIRM = 4
-"""The time of a run that finds something, of the one that is compared with it, and of one in highway-env's own
-environment, which takes about twice as long."""
+"""The time to find and confirm something, in runs: the run, its repetition, and one in highway-env's own environment.
 
-AFTER_A_DEATH = "ran as with --pafot-isolate, since a process has died in this search before"
+The last of these takes about twice as long.
+"""
+
+AFTER_A_DEATH = "ran as with --pafot-isolate, since a process died in this search before"
 
 
 def search_seed(base_seed: int, node_id: str) -> int:
-    """The seed of a search: a function of the base seed and its test's node id, the same in every process."""
+    """Return the seed of a search, derived from the base seed and the node id, so it is the same in every process."""
     return int.from_bytes(hashlib.sha256(f"{base_seed}:{node_id}".encode()).digest()[:4], "big")
 
 
 class TimeLimit(NamedTuple):
-    """The moment at which a search and what follows its finds end [s], or infinity, and the flag of its option."""
+    """The moment at which a search, including shrinking, must end [s], or infinity, and the flag of its option."""
 
     flag: str
     until: float
 
 
 def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:
-    """Return when a search must be through that begins now [s]: by its own limit, or its share of the session's.
+    """Return when a search that begins ``now`` [s] must end: by its own limit, or by its share of the session's limit.
 
-    The session ``began`` at a moment [s]; each of the searches ``left``, this one included, gets as much of its time.
+    The session ``began`` at a moment [s]. Its remaining time is divided equally among the searches ``left``, including
+    this one.
     """
     own = TimeLimit(BY_NAME["max_time"].flag, now + (math.inf if settings.max_time is None else settings.max_time))
     if settings.total_time is None:
@@ -79,20 +82,20 @@ def time_limit(settings: Settings, *, now: float, began: float, left: int) -> Ti
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchResult:
-    """What came of a search."""
+    """The result of a search."""
 
     summary: SearchSummary
     kept: tuple[FindTold, ...]
-    count: int  # of distinct new finds, whether they were kept or only counted
-    first: BaseException | None  # the exception of the first find; None without one
-    fault: BaseException | None  # of the set-up, as the exception to show in the place of finds
-    skip: BaseException | None  # by which the function declined to judge every run
-    is_vacuous: bool  # whether nothing was tested, or all that failed was held against a broken reference
+    count: int  # number of distinct new findings, saved or only counted
+    first: BaseException | None  # the exception of the first finding; None without one
+    fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
+    skip: BaseException | None  # the last skip, if the function skipped every run
+    is_vacuous: bool  # True if nothing was tested, or if a broken reference prevented every failure from counting
 
 
 @contextmanager
 def prepared(harness: Harness, listener: Listener) -> Iterator[Sessions]:
-    """Put together who runs, records and counts in a search; the end of the block ends what they have begun.
+    """Build the parts of a search that run, record and count; stop their processes at the end of the context.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
@@ -100,12 +103,12 @@ def prepared(harness: Harness, listener: Listener) -> Iterator[Sessions]:
     request, seed = harness.request, search_seed(harness.request.settings.seed, harness.node_id)
     space = build_space(request, harness.world) if request.settings.is_search else None
     is_for_ego = request.blame != "any"
-    try:  # Unless blame="any" a search is steered towards what the ego is responsible for.
+    try:  # Unless blame="any", steer the search towards collisions for which the ego is responsible.
         fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
     except FitnessError as error:
         raise request.error("fitness=...", error) from None
     job, settings = harness.job(), request.settings
-    # What users write stays in this process, where its errors are told.
+    # The user's own fitness runs only in this process, where its errors are reported.
     job = replace(job, read=partial(read_ahead, fitness if is_built_in(request.fitness) else None))
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
@@ -118,7 +121,7 @@ def prepared(harness: Harness, listener: Listener) -> Iterator[Sessions]:
                 executor=harness.executor,
                 times_decisions=request.decision_limit is not None,
             )
-        stack.push(runner.__exit__)  # What runs after the search begins processes anew.
+        stack.push(runner.__exit__)  # Runs after the search start new processes, which must be stopped as well.
         reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
         if reference is not None:
             stack.push(reference.__exit__)
@@ -142,13 +145,13 @@ def prepared(harness: Harness, listener: Listener) -> Iterator[Sessions]:
 class Search:
     """A search of one test."""
 
-    node_id: str  # under which it is told
-    sessions: Sessions  # what is :func:`prepared`
+    node_id: str  # the node id in reports
+    sessions: Sessions  # made by :func:`prepared`
     replays: Replays
     limit: TimeLimit
-    stops_at_first: bool = False  # whether it ends at its first new finding
-    progress_seconds: float = 10.0  # between two tellings of progress
-    notes: list[str] = field(default_factory=list)  # to be told once in the summary
+    stops_at_first: bool = False  # True if it ends at its first new finding
+    progress_seconds: float = 10.0  # interval between reports of progress [s]
+    notes: list[str] = field(default_factory=list)  # notes for the summary
     _shrink_runs: int = field(init=False, default=0)
     _told_at: float = field(init=False)
 
@@ -157,19 +160,19 @@ class Search:
 
     @property
     def harness(self) -> Harness:
-        """What it runs and judges with."""
+        """The harness of the search."""
         return self.sessions.harness
 
     @property
     def loop(self) -> SearchLoop:
-        """What it has seen so far."""
+        """The loop, with everything that the search has seen so far."""
         return self.sessions.loop
 
     def run(self) -> SearchResult:
-        """Replay what is saved, search, simplify, and tell how it went; whatever ends that, what was found is told.
+        """Replay saved scenarios, search, simplify, and report a summary; findings are reported even after an error.
 
         Raises:
-            RequestError: where the search cannot be run as it is asked for.
+            RequestError: if the search cannot be run as requested.
         """
         __tracebackhide__ = True
         harness, loop, recorder, simulation = self.harness, self.loop, self.loop.recorder, self.loop.simulation
@@ -196,14 +199,14 @@ class Search:
             )
             try:
                 work.run_all(f"; {BY_NAME['resume'].flag} goes on" if self.sessions.go_on else "")
-            finally:  # Also what was simplified until Ctrl-C is not to be simplified again.
+            finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs = work.runs
                 self.sessions.store(simplified=work.done)
         except SetupFaultError as error:
             reason, fault = "error", error
             recorder.withdraw()
-            loop.known.clear()  # A saved scenario that ends in the same error now was saved for something else.
-            loop.finds.clear()  # Withdrawn, they are no finds of earlier sessions.
+            loop.known.clear()  # The same error ends the saved scenarios now, but was not what they were saved for.
+            loop.finds.clear()  # They are withdrawn, and must not count as findings of earlier sessions.
         except BaseException as error:
             reason = "interrupted" if is_interruption(error) else "error"
             raise
@@ -229,9 +232,9 @@ class Search:
         )
 
     def _retried(self, leftover: Leftover) -> Retried:
-        """What came of the record of a process that died: what it ran runs again, in the world that it ran in.
+        """Run the scenarios again in which a process died, in the world of that process; return the result.
 
-        Where that cannot be made, it is only reported.
+        If that world cannot be made, only report it.
         """
         harness, world = self.harness, self.harness.world
         if leftover.world not in (None, harness.job().world_data):
@@ -242,7 +245,7 @@ class Search:
         if world is None:
             note = (
                 f"a process (pid {leftover.pid}) died while it ran {leftover.scenarios!r:.300} in a world that cannot "
-                f"be made here now, {dict(leftover.world or {})!r:.200}; nobody can try it again, so it is no finding"
+                f"be made here now, {dict(leftover.world or {})!r:.200}; it cannot be tried again, so it is no finding"
             )
             return Retried(notes=(note,), pending=leftover)
         return retry(
@@ -255,10 +258,10 @@ class Search:
         )
 
     def _searched(self, saved: Sequence[Saved], began: float) -> str:
-        """Run the campaign of a search that began at a moment [s]; returns why it ended.
+        """Run the campaign of a search that began at a moment [s]; return why it ended.
 
         Raises:
-            RequestError: where the algorithm does not take the settings or the road, or the fitness cannot be used.
+            RequestError: if the algorithm does not support the settings or the road, or the fitness cannot be used.
         """
         __tracebackhide__ = True
         if self.loop.space is None:
@@ -288,7 +291,7 @@ class Search:
 
         def foresee(scenarios: Iterable[Scenario]) -> None:
             runner.announce(each for each in scenarios if each not in loop.fatal)
-            loop.count()  # while other processes are at work
+            loop.count()  # now, because other processes are busy with the scenarios
 
         try:
             events = run_campaign(
@@ -317,10 +320,10 @@ class Search:
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
 
     def _most_seconds(self, search_until: float) -> Callable[[], float]:
-        """Return what says how long the campaign that begins now may take [s], by what it has found so far.
+        """Return a function that returns how long the campaign that begins now may take [s], given its findings so far.
 
-        Once there is something to simplify, it is to end at the moment ``search_until``. As long as there is not, all
-        of the time is for the search, but for a rest in which what its last run may find can be confirmed.
+        With something to simplify, the campaign ends at the moment ``search_until``. Until then the search may use all
+        of the time, except for a rest in which a finding of its last run can be confirmed.
         """
         loop, clock, began, runs_before = self.loop, self.sessions.clock, self.sessions.clock(), self.loop.runs
         workers = self.harness.request.settings.workers
@@ -363,7 +366,7 @@ class Search:
         notes = (loop.doubt, loop.known_alone, self._unused, loading_hint(self.harness.ads) if loop.runs else "")
         beginning, crossings = self.sessions.beginning, None if loop.space is None else loop.space.crossings
         ways = [] if crossings is None else [zone.way for zone in crossings.zones]
-        # An error says nothing of the ego, and random scenarios that end with the first failure say too much.
+        # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
         is_cut_short = reason == "error" or (reason == "enough findings" and not beginning.is_whole)
         return SearchSummary(
             node_id=self.node_id,
@@ -400,7 +403,7 @@ class Search:
 
     @property
     def _unused(self) -> str:
-        """Say what no scenario of the search has, since nobody drives on the roads that meet the ego's way."""
+        """A note on traffic that no scenario of the search contains, because no NPC drives on the other roads."""
         world, unused = self.harness.world, protocol.unused_roads(self.harness.world)
         crosses = self.loop.space is not None and self.loop.space.crossings is not None
         if not unused or not self.loop.runs or crosses:
@@ -409,17 +412,17 @@ class Search:
         none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
         where = getattr(world, "env_id", type(world).__name__)
         which = f"at {where} all NPCs drive along the ego's way: none {none}"
-        return f"{which}, so that the search says nothing of such traffic"
+        return f"{which}, so the search says nothing about such traffic"
 
     def _left_undone(self, reason: str) -> Iterator[str]:
-        """What a longer search would do besides, and how to have it."""
+        """Yield what the search left undone, and how to continue."""
         settings, recorder = self.harness.request.settings, self.loop.recorder
         is_broken_off = reason in ("interrupted", "error")
         firm = [kept for kept in recorder.kept.values() if kept.is_firm]
         left = [kept for kept in firm if (kept.finding.shrunk is None if is_broken_off else kept.find.unshrunk)]
         if left and settings.shrink_rollouts != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
-            first = "delete what is saved of it and " if any(kept.file for kept in left) else ""
+            first = "delete its files and " if any(kept.file for kept in left) else ""
             again = f"{first}search again with --pafot-seed={settings.seed}"
             resume = BY_NAME["resume"].flag
             if not is_broken_off:
@@ -429,18 +432,18 @@ class Search:
                 yield f"ended before {what} shrunk: {again}"
         is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
         if is_default and reason == ALL_RUN and not self.loop.verdicts["failed"] and not recorder.count:
-            yield f"{settings.runs} runs are a short search: --pafot-runs={PROFILES[FULL]['runs']} looks further"
+            yield f"{settings.runs} runs are a short search; use --pafot-runs={PROFILES[FULL]['runs']} for a longer one"
 
 
 def _population(given: int | None) -> dict[str, int]:
-    """The parameter of an algorithm, which has a default of its own."""
+    """Return the parameter of an algorithm, or nothing, so that the algorithm uses its own default."""
     return {} if given is None else {"population": given}
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
-    """The same with its runs in other processes, where one of its ADSs died in a session before.
+    """Return the harness with its runs in other processes, if an earlier session died in a run of this test.
 
-    Only where processes are forked: elsewhere not every factory can be handed to another one.
+    Only if processes are forked: otherwise not every factory can be passed to a different process.
     """
     settings = harness.request.settings
     if scenario_pool.METHOD != "fork" or settings.isolate or not settings.is_search:

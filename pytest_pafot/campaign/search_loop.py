@@ -1,4 +1,4 @@
-"""The loop of a search: scenarios in, evaluations out, and every distinct find handed on the moment it is there."""
+"""The loop of a search: it turns scenarios into evaluations, and records every distinct finding at once."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.text import plural
 
-# What a search reads from every run, read in the process that has made it, so that this one need not.
+# Values that a search reads from every run. They are read in the process that made the run, to relieve this one.
 
 FITNESS = "fitness"
-"""The name of what a search maximises, among the readings of a trace."""
+"""The name of the fitness among the readings of a trace."""
 
 
 def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
-    """Read what will be asked for; the trace keeps it. The fitness is None where it stays in the session."""
+    """Compute the values that the search will need, which the trace stores; ``fitness`` is None for the user's own."""
     trace.reading("interaction", interaction_of)
     unit_doubt(trace)
     mistake_of(trace)
@@ -42,45 +42,45 @@ def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
 
 @dataclass(slots=True, kw_only=True)
 class SearchLoop:
-    """A search in progress: what it has seen so far."""
+    """A search in progress, with everything that it has seen so far."""
 
     simulation: Simulation
     recorder: Recorder
-    fitness: Callable[[Trace], float]  # of a trace, higher is worse for the ego
-    space: SearchSpace | None = None  # from which scenarios are drawn; None for replays alone
+    fitness: Callable[[Trace], float]  # the fitness of a trace; higher is worse for the ego
+    space: SearchSpace | None = None  # the space from which scenarios are sampled; None for replays only
     listener: Listener = lambda event: None
-    is_steered_by_checks: bool = True  # whether the margins of checks are objectives beside the fitness
-    fatal: set[Scenario] = field(default_factory=set)  # in which a process died, earlier or in this search; not run
-    shown: Mapping[Signature, str] = field(default_factory=dict)  # by saved scenarios now: their ids by signature
-    finds: dict[Signature, str] = field(default_factory=dict)  # ids of new finds by signature
-    repeats: Counter[str] = field(default_factory=Counter)  # further runs of each new find, by id
-    known: Counter[str] = field(default_factory=Counter)  # failing runs by the id of the file that covers them
-    verdicts: Counter[str] = field(default_factory=Counter)  # counts by kind
-    caught: Counter[str] = field(default_factory=Counter)  # passed runs by the name of a check that failed in them
-    counted: Health = field(default_factory=Health)  # of the evaluations that were counted
+    is_steered_by_checks: bool = True  # True if margins of checks are objectives, in addition to the fitness
+    fatal: set[Scenario] = field(default_factory=set)  # scenarios in which a process died; they are not run
+    shown: Mapping[Signature, str] = field(default_factory=dict)  # ids of saved scenarios by the failure they show now
+    finds: dict[Signature, str] = field(default_factory=dict)  # ids of new findings by signature
+    repeats: Counter[str] = field(default_factory=Counter)  # number of other runs that show a new finding, by id
+    known: Counter[str] = field(default_factory=Counter)  # number of failing runs by the file that covers them
+    verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
+    caught: Counter[str] = field(default_factory=Counter)  # number of passed runs by a check that failed in them
+    counted: Health = field(default_factory=Health)  # health of the evaluations that were counted
     uncounted: list[events.Evaluated] = field(default_factory=list)
-    generation: int = 0  # of the main search, from 0
+    generation: int = 0  # generation of the main search, from 0
     finished: events.CampaignFinished | None = None  # the last event, once the campaign is over
-    skip: BaseException | None = None  # the last exception by which the function declined to judge
+    skip: BaseException | None = None  # the last skip of the test function
     first: FirstGeneration = field(default_factory=FirstGeneration)
-    doubt: str = ""  # about the units of the ADS's actions, once there is one
-    # Of the reference, once it was run: what it failed by itself, or empty as soon as it did not
+    doubt: str = ""  # a doubt about the units of the ADS's actions, if any
+    # how the reference itself failed in all its runs so far; empty if it did not in one of them, None before the first
     broken: str | None = None
 
     @property
     def runs(self) -> int:
-        """Simulated scenarios."""
+        """The number of simulated scenarios."""
         return self.verdicts.total()
 
     @property
     def health(self) -> Health:
-        """Whether the search tested anything."""
+        """The figures that say whether the search tested anything."""
         self.count()
         return self.counted
 
     @property
     def known_alone(self) -> str:
-        """That all that failed are checks whose failures are saved; empty where anything else failed, or nothing."""
+        """A note if all failures are saved failures of checks; empty if anything else failed, or nothing."""
         checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
         if not self.known or self.known.total() < self.verdicts["failed"] or not checks.issuperset(self.known):
             return ""
@@ -90,7 +90,7 @@ class SearchLoop:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The search's health, and whether the test function was asked at all, and kept to itself what failed."""
+        """Warnings about the search's health, and about a test function or a reference that makes it void."""
         warnings = self.health.warnings(self.known.total())
         excused = self.verdicts["npc"] + self.verdicts["unpreventable"]
         if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
@@ -99,22 +99,22 @@ class SearchLoop:
                 what = "failures that no reference driver would have prevented, or " + what
             warnings.append(
                 f"the test function judged nothing: all runs that it could judge were {what}, which "
-                f'blame="{blame}" leaves out; search longer'
+                f'blame="{blame}" excludes; search longer'
             )
         warnings += [
             f"check {name!r} failed in {runs} of {self.verdicts['passed']} runs that passed: the test function caught "
-            "it; let it through, or take pafot.target, which never fails"
+            "its exception; do not catch it, or use pafot.target, which never fails"
             for name, runs in sorted(self.caught.items())
         ]
         if self.broken:
             warnings.append(
-                f"the reference itself failed wherever it was run, at first by {self.broken}, so that nothing could "
-                "count; correct it, its factory, or the world= that it drives in"
+                f"the reference itself failed in all its runs, at first with {self.broken}, so no failure could count; "
+                "correct the reference, its factory, or the world= in which it drives"
             )
         return tuple(warnings)
 
     def evaluate(self, scenario: Scenario) -> Evaluation:
-        """Return the evaluation that a campaign asks for."""
+        """Return the evaluation of a scenario for a campaign."""
         run = lost = None
         if scenario not in self.fatal:
             try:
@@ -125,9 +125,9 @@ class SearchLoop:
             return self._judged(run)
         self.first.is_alike = False
         self.recorder.release()
-        if lost is not None:  # Outside of the handler: the find that is made of it is no consequence of it.
+        if lost is not None:  # Outside of the handler, so that the finding's exception has no context.
             self.verdicts["failed" if self.lose(lost) else "common"] += 1
-        # All that is known of a scenario in which a process died: it is not run again.
+        # Nothing is known about a scenario in which a process died, and it is not run again.
         return Evaluation(
             scenario=scenario,
             executed=scenario,
@@ -145,7 +145,7 @@ class SearchLoop:
         """Run a campaign to its end; ``tick`` is called after each event.
 
         Raises:
-            SetupFaultError: where the same exception ends all runs of the first generation.
+            SetupFaultError: if all runs of the first generation end in the same exception.
         """
         for event in campaign:
             self.listener(event)
@@ -164,15 +164,15 @@ class SearchLoop:
             tick()
 
     def count(self) -> None:
-        """Count what was evaluated since this was done last, which no scenario has to wait for."""
+        """Count the evaluations since the last call; this is delayed so that no scenario has to wait for it."""
         for event in self.uncounted:
             self.counted = self.counted.counted(event.evaluation, reused=event.reused)
         self.uncounted.clear()
 
     def lose(self, lost: LostRun) -> bool:
-        """Know of a scenario whose process did not come back; it is not run again, in later sessions either.
+        """Record a scenario whose process died or hung, which is never run again, not even in later sessions.
 
-        Whether that counts as a failure: not where the reference does not pass, either.
+        Return whether that counts as a failure: not if the reference does not pass either.
         """
         self.fatal.add(lost.task)
         if self.simulation.is_common(lost.task):
@@ -184,7 +184,7 @@ class SearchLoop:
         is_alone = self.simulation.runner.is_alone
         verdict = self.simulation.judge(run)
         self.listener(Judged(run=run, verdict=verdict))
-        if verdict.failed and not is_alone:  # A find is what its replay will be, also where a batch mixes up its rows.
+        if verdict.failed and not is_alone:  # Run it alone as its replay will, in case a batch mixes up its rows.
             run = self.simulation.run(run.trace.scenario, afresh=True)
             verdict = self.simulation.judge(run)
             self.listener(Judged(run=run, verdict=verdict))
@@ -217,7 +217,7 @@ class SearchLoop:
         )
 
     def _count(self, signature: Signature, keep: Callable[[], str]) -> None:
-        """A failure is known, or one of this search's own again, or new."""
+        """Count a failure: it is known, a repetition in this search, or new."""
         if signature in self.shown:
             self.known[self.shown[signature]] += 1
         elif signature in self.finds:

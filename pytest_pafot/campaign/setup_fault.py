@@ -1,7 +1,7 @@
-"""A fault of the set-up: every run of the first generation ends in the same exception, whatever happens in it.
+"""Detection of a fault of the set-up: every run of the first generation ends in the same exception.
 
-A misspelt name in the test function, or an ADS that fails before it has seen anything, says nothing of any scenario.
-Actions in other units than a planner's are no such fault, but a doubt that is told.
+A misspelt name in the test function, or an ADS that fails at its first decision, says nothing about any scenario.
+Actions in wrong units are not such a fault, but a doubt that is reported.
 """
 
 from __future__ import annotations
@@ -21,56 +21,56 @@ from pytest_pafot.world.limits import TOP_SPEED
 from pytest_pafot.world.protocol import first_decision
 
 NO_STEERING = math.pi / 2
-"""No car steers so far, and no planner asks for it [rad]."""
+"""A steering angle that no car reaches and no planner requests [rad]."""
 NO_ACCELERATION = 30.0
-"""No car accelerates so fast [m/s^2]. Full braking is often asked for by a large number, full throttle is not."""
+"""An acceleration that no car reaches [m/s^2]; large negative numbers are allowed, as planners use them to brake."""
 
 
 class SetupFaultError(Exception):
-    """What all runs of the first generation ended in."""
+    """The exception in which all runs of the first generation ended."""
 
     def __init__(self, run: Run, verdict: Verdict, runs: str) -> None:
         super().__init__(f"{runs} ended in {verdict.exception!r}")
         self.run, self.verdict, self.runs = run, verdict, runs
 
     def shown(self, world: Any, ads: Callable[..., Any]) -> BaseException:
-        """The exception for the item: what was raised and where, why it is no finding, and what to do."""
+        """Return the exception for the item: what was raised and where, why it is no finding, and what to do."""
         verdict = self.verdict
         if verdict.is_ads or verdict.exception is None:
             asked = None if is_vehicle_class(ads) else first_decision(world, self.run.trace.scenario)
             others = (
-                "A policy needs the config= and the wrappers= that it was trained with; a planner in SI units needs "
-                "pafot.Highway, which is there without world=, or pafot.World(..., planner_hz=5)."
+                "A policy needs the config= and the wrappers= with which it was trained; a planner in SI units needs "
+                "pafot.Highway, which is the default world, or pafot.World(..., planner_hz=5)."
             )
             if asked is not None and asked.is_si:
                 others = 'A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).'
             told = "" if asked is None else f"\n\n{asked.text} {others}"
             return PlainFailure(
                 f"{verdict.exception}\n\n"
-                f"So it was in {self.runs}, before anything had happened in them: an error of the set-up and no "
-                "finding, so that nothing was saved. Correct the ADS, its factory, or the world= that it drives in, "
-                f"and search again.{told}"
+                f"This happened in {self.runs}, at the first decision: it is an error of the set-up and no finding, "
+                "so nothing was saved. Correct the ADS, its factory, or the world= in which it drives, and search "
+                f"again.{told}"
             )
         verdict.exception.add_note(
-            f"So it was in {self.runs}, whatever happened in them: an error of the test function and no finding, so "
-            "that nothing was saved. Correct the line, and search again; what shall be a finding is asserted."
+            f"This happened in {self.runs}, whatever the ego did: it is an error of the test function and no finding, "
+            "so nothing was saved. Correct the line and search again; if it is meant as a finding, use assert."
         )
         return verdict.exception
 
 
 @dataclass(slots=True)
 class FirstGeneration:
-    """What the runs so far have in common."""
+    """The runs of the first generation: whether they all end in the same exception."""
 
-    is_alike: bool = True  # whether all of them ended in the same exception; once they did not, that is settled
-    last: tuple[Run, Verdict] | None = None  # of them, with its verdict; None before the first
-    runs: int = 0  # their number
-    unjudged: int = 0  # the number of other runs, which the test function was not asked about
+    is_alike: bool = True  # False as soon as two runs differ, and for the rest of the search
+    last: tuple[Run, Verdict] | None = None  # the last judged run with its verdict; None before the first
+    runs: int = 0  # number of judged runs
+    unjudged: int = 0  # number of runs for which the test function was not called
     _cause: Cause | None = None
 
     def see(self, run: Run, verdict: Verdict) -> None:
-        """Learn how a run ended."""
-        if verdict.kind in ("npc", "invalid"):  # The test function was not asked about it.
+        """Record how a run ended."""
+        if verdict.kind in ("npc", "invalid"):  # The test function was not called.
             self.unjudged += 1
             return
         cause = cause_of(run, verdict)
@@ -78,10 +78,10 @@ class FirstGeneration:
         self._cause, self.last, self.runs = cause, (run, verdict), self.runs + 1
 
     def end(self) -> None:
-        """The generation is over.
+        """End the generation.
 
         Raises:
-            SetupFaultError: where all of its runs were alike.
+            SetupFaultError: if all of its runs ended in the same exception.
         """
         if self.is_alike and self.last is not None:
             judged = " that were judged" if self.unjudged else ""
@@ -90,10 +90,10 @@ class FirstGeneration:
 
 
 def cause_of(run: Run, verdict: Verdict) -> Cause | None:
-    """What a failure comes from, where it can be a fault of the set-up; None else.
+    """Return the cause of a failure if it can be a fault of the set-up; otherwise None.
 
-    It never is where something was asserted, nor where an ADS failed after its first decision or hung in it: that can
-    be the doing of a scenario, or of the machine.
+    An assertion is never such a fault. Neither is an ADS that fails after its first decision, or that hangs: the cause
+    can be the scenario or the machine.
     """
     failure = verdict.failure
     if failure is None or failure.kind == AssertionError.__name__ or isinstance(verdict.exception, assertions()):
@@ -102,7 +102,7 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
 
 
 def unit_doubt(trace: Trace) -> str:
-    """What to check in a planner whose actions cannot be meant as they are; empty for others, and for policies."""
+    """Return what to check in a planner whose actions seem to have wrong units; empty for others and for policies."""
     return trace.reading("unit doubt", _unit_doubt)
 
 
@@ -111,22 +111,21 @@ def _unit_doubt(trace: Trace) -> str:
     steering = max((abs(pair[1]) for pair in pairs), default=0.0)
     if steering > NO_STEERING:
         return (
-            f"the ADS asked for a steering angle of {steering:.3g}, in rad, of which {possible_steering(steering):.2f} "
-            "have an effect: convert degrees with math.radians(...); an action is (acceleration, steering), in this "
-            "order"
+            f"the ADS requested a steering angle of {steering:.3g} rad, of which {possible_steering(steering):.2f} rad "
+            "take effect: convert degrees with math.radians(...); an action is (acceleration, steering), in this order"
         )
     drives = [action for action in trace.actions if isinstance(action, Drive)]
     speed = max((drive.speed or 0.0 for drive in drives), default=0.0)
     if speed > TOP_SPEED:
         return (
-            f"the ADS asked for a speed of {speed:.3g}, in m/s, and no vehicle drives more than {TOP_SPEED:g}: divide "
-            "km/h by 3.6"
+            f"the ADS requested a speed of {speed:.3g} m/s, but no vehicle drives faster than {TOP_SPEED:g} m/s: "
+            "divide km/h by 3.6"
         )
     acceleration = max([*[pair[0] for pair in pairs], *[drive.acceleration or 0.0 for drive in drives]], default=0.0)
     if acceleration > NO_ACCELERATION:
         return (
-            f"the ADS asked for an acceleration of {acceleration:.3g}, in m/s^2, of which "
-            f"{possible_acceleration(acceleration):g} have an effect: an action is (acceleration, steering), and holds "
-            "no speed"
+            f"the ADS requested an acceleration of {acceleration:.3g} m/s^2, of which "
+            f"{possible_acceleration(acceleration):g} m/s^2 take effect: an action is (acceleration, steering), not a "
+            "speed"
         )
     return ""

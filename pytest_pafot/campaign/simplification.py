@@ -1,8 +1,8 @@
-"""After a search: each find becomes as simple as it can be, and is tried with reference drivers.
+"""Simplification after a search: each finding is shrunk, and reference drivers are tried in it.
 
-Nothing that was found depends on it: a find is saved and announced before, and its file and its report are replaced
-when there is something better. What a limit of time leaves open is gone on with by another session that is given the
-answers so far: shrinking asks the same questions in the same order, so that it comes to the same end.
+No finding depends on it: each is saved and reported before, and its file and report are replaced by the simpler one.
+If a time limit cuts it, a later session continues with the stored answers so far. Shrinking then makes the same
+attempts in the same order, so it has the same result.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import protocol
 from pytest_pafot.world.driving.perception import Perception
 
-# Which imperfections of an ADS's sight a failure needs.
+# The imperfections of an ADS's sight that a failure needs.
 
 
 def needed_imperfections(sight: Sight, fails: Callable[[Sight], bool]) -> tuple[str, ...]:
-    """Names of those without which a test does not fail; none where it fails also with perfect sight.
+    """Return the names of the imperfections without which a test does not fail; empty if it fails with perfect sight.
 
-    With several, each in turn is left out for good where the test still fails without it. So none of those that remain
-    can be spared, though others may do as well. It takes a run for perfect sight, and one for each where there are
-    several.
+    If there are several, each in turn is removed if the test still fails without it. So each one that remains is
+    needed, although a different set may work as well. It takes one run with perfect sight and, if there are several,
+    one for each imperfection.
 
     Args:
-        sight: with which the test fails.
-        fails: whether it does with another one.
+        sight: the sight with which the test fails.
+        fails: returns whether the test fails with a different sight.
     """
     if fails(sight.only(())):
         return ()
@@ -52,24 +52,26 @@ def needed_imperfections(sight: Sight, fails: Callable[[Sight], bool]) -> tuple[
 
 
 ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000
-"""Runs that shrinking one find may take by default; more where the kernel runs a vehicle class without any Python."""
+"""The default number of runs to shrink one finding; the second is for a vehicle class that the kernel runs quickly."""
 
 
 RUNS_TO_CONCLUDE = 3
-"""What follows shrinking, but for confirming the result, takes at most about as long as so many runs of it: one is for
-the verdict, the others are those of reference drivers, in which the ADS is not asked."""
+"""The time for the work after shrinking, without the confirmation, in runs of the result: an approximate upper limit.
+
+One run is for the verdict. The others are for reference drivers, with which the ADS is not called.
+"""
 
 
 @dataclass(slots=True, kw_only=True)
 class _Turn:
-    """The time in which a find is shrunk.
+    """The time in which one finding is shrunk.
 
     Attributes:
         until: the moment at which it ends [s], or infinity.
-        to_conclude: how long it will take to run the result again and to try reference drivers [s], as far as is known.
-        attempts: so far.
-        seconds: that they took.
-        is_over: whether it has ended shrinking.
+        to_conclude: an estimate of the time to run the result again and to try reference drivers [s].
+        attempts: the number of attempts so far.
+        seconds: the time of these attempts [s].
+        is_over: True if it has ended shrinking.
     """
 
     until: float
@@ -79,14 +81,14 @@ class _Turn:
     is_over: bool = False
 
     def check(self, now: float) -> None:
-        """Raise OutOfBudget where no time is left for one more attempt and for what follows, and ever after."""
+        """Raise OutOfBudget if no time is left for one more attempt and the work after it, and from then on."""
         mean = self.seconds / max(self.attempts, 1)
         self.is_over = self.is_over or now + mean + self.to_conclude >= self.until
         if self.is_over:
             raise OutOfBudget
 
     def took(self, seconds: float, confirming: float | None) -> None:
-        """Learn from an attempt; where it is the result so far, with the seconds that it will take to confirm it."""
+        """Record an attempt; if it is the result so far, ``confirming`` is the time to confirm it [s], else None."""
         self.attempts += 1
         self.seconds += seconds
         if confirming is not None:
@@ -95,18 +97,18 @@ class _Turn:
 
 @dataclass(slots=True, kw_only=True)
 class Simplification:
-    """Simplifies the finds of one search.
+    """The simplification of the findings of one search.
 
     Attributes:
-        loop: of the search.
-        tell: is told what goes on, often.
-        plain: the start of an ego that the search does not draw elsewhere.
-        plain_seconds: the duration of a gene that the search does not draw otherwise [s].
-        answers: what attempts have shown, in this session or an earlier one, by the id of the find.
-        clock: seconds since any moment.
-        until: the moment at which it has to be through [s], or infinity.
-        done: ids of the finds of which nothing is left to do.
-        runs: taken so far in this session.
+        loop: the loop of the search.
+        tell: receives the current phase, often.
+        plain: the default start of the ego, to which shrinking returns.
+        plain_seconds: the default duration of a gene, to which shrinking returns [s].
+        answers: the results of attempts in this session or an earlier one, by the id of the finding.
+        clock: returns the seconds since some fixed moment.
+        until: the moment at which it must end [s], or infinity.
+        done: the ids of the findings for which nothing is left to do.
+        runs: the number of runs so far in this session.
     """
 
     loop: SearchLoop
@@ -120,15 +122,15 @@ class Simplification:
     runs: int = field(default=0, init=False)
 
     def run_all(self, way_on: str) -> None:
-        """Simplify each find, in the order in which they were found. What does not repeat cannot be shrunk.
+        """Simplify each finding in the order of discovery, except flaky ones, which cannot be shrunk.
 
-        With a limit of time each has an equal share of what is left. What it leaves is for those after it, and what
-        all of them leave is for those that were cut. How it goes on with one that stays cut is told as ``way_on``.
+        With a time limit, each finding gets an equal share of the time that is left. Unused time goes to the next ones,
+        and then to those that were cut. ``way_on`` tells the user how to continue with a finding that stays cut.
         """
         __tracebackhide__ = True
         recorder = self.loop.recorder
         finds, before = [find_id for find_id, kept in recorder.kept.items() if kept.is_firm], -1
-        while finds and self.runs > before:  # A round that runs nothing has no time left.
+        while finds and self.runs > before:  # After a round without runs there is no time left.
             before, round_ = self.runs, finds
             for number, find_id in enumerate(round_):
                 self._have_turn(find_id, sharing=len(round_) - number)
@@ -139,7 +141,7 @@ class Simplification:
             recorder.tell(replace(kept, find=find, is_new=False))
 
     def _have_turn(self, find_id: str, sharing: int) -> None:
-        """Simplify a find in its share of the time that is left, one of so many."""
+        """Simplify a finding in its share of the remaining time, which ``sharing`` findings divide equally."""
         __tracebackhide__ = True
         now, kept = self.clock(), self.loop.recorder.kept[find_id]
         if now >= self.until:
@@ -154,7 +156,7 @@ class Simplification:
             self.done.add(find_id)
 
     def _refine(self, kept: FindTold, turn: _Turn) -> bool:
-        """Shrink a find, run the result once more, try reference drivers, and tell; returns whether it is done with."""
+        """Shrink a finding, run the result again, try reference drivers, and report; return whether it is done."""
         __tracebackhide__ = True
         found = kept.finding.original or kept.finding.scenario
         scenario, shrunk = self._shrunk(kept, found, turn)
@@ -164,10 +166,10 @@ class Simplification:
             return False
         run, verdict, differs = self._run_again(scenario, kept)
         if differs and len(self.answers[kept.find.id]) > turn.attempts:
-            self.answers[kept.find.id].clear()  # Of earlier sessions, since which the ADS may have changed.
+            self.answers[kept.find.id].clear()  # Some are from earlier sessions: the ADS may have changed since.
             return self._refine(kept, _Turn(until=turn.until))
         if differs and scenario != found:
-            # The simplification does not hold; what was found does, or is flaky itself.
+            # The simplified scenario does not repeat, so fall back to the scenario as found, which may be flaky, too.
             scenario, shrunk, turn.is_over = found, Shrunk(rollouts=shrunk.rollouts, is_minimal=False), False
             run, verdict, differs = self._run_again(scenario, kept)
         if differs:
@@ -186,7 +188,7 @@ class Simplification:
         def attempt(candidate: Scenario) -> Scenario | None:
             nonlocal asked
             if asked < len(answers) and answers[asked][0] != candidate.id:
-                del answers[asked:]  # They are of a session with other settings, by which others were asked for.
+                del answers[asked:]  # They are from a session with other settings, which made other attempts.
             if asked == len(answers):
                 began = self.clock()
                 turn.check(began)
@@ -214,12 +216,12 @@ class Simplification:
         )
 
     def _confirming(self, scenario: Scenario) -> float:
-        """Return the seconds that it will take to confirm a scenario, as long as it took with those before."""
+        """Estimate the time to confirm a scenario, from the slowest confirmation so far [s]."""
         longest_run = float(self.loop.simulation.harness.world.longest_run)
         return self.loop.recorder.pace * min(scenario.seconds, longest_run)
 
     def _shown(self, find_id: str, candidate: Scenario, top_speed: float) -> Shown:
-        """Run a candidate: as driven, with the start of each gene, where it fails in the same way as a find."""
+        """Run a candidate; return the scenario as driven and the starts of its genes, or None if it does not fail."""
         __tracebackhide__ = True
         loop = self.loop
         if candidate in loop.fatal:
@@ -227,7 +229,7 @@ class Simplification:
         try:
             protocol.check_fits(loop.simulation.harness.world, candidate)
             run = loop.simulation.run(candidate)
-        except ScenarioError:  # As where it begins in an outer lane, beside which there are fewer cells for the NPCs.
+        except ScenarioError:  # For example, it begins in an outer lane, next to which there are too few cells.
             return None
         except ProcessLostError as error:
             loop.lose(error)
@@ -237,18 +239,18 @@ class Simplification:
         return (scenario, starts_of(run, top_speed)) if self._shows(find_id, run, verdict) else None
 
     def _shows(self, find_id: str, run: Run, verdict: Verdict) -> bool:
-        """Whether a run shows the failure of a find; by the same fault, too, so that the find's name still fits."""
+        """Return whether a run shows the failure of a finding by the same fault, so the finding's name still fits."""
         found = next(signature for signature, id_ in self.loop.finds.items() if id_ == find_id)
         shown = of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
         return shown is not None and (shown, shown.fault) == (found, found.fault)
 
     def _run_again(self, scenario: Scenario, kept: FindTold) -> tuple[Run, Verdict, str]:
-        """A run, its verdict, and what differs from the finding in it, or in a further run by other means."""
+        """Run a scenario from scratch; return the run, its verdict, and how it differs from the finding, if it does."""
         __tracebackhide__ = True
         run = self.loop.simulation.run(scenario, afresh=True)
         verdict = self.loop.simulation.judge(run)
         if not self._shows(kept.find.id, run, verdict):
-            otherwise = f"a later run of it ended otherwise: {ending(run)}"
+            otherwise = f"a later run of it ended differently: {ending(run)}"
             return run, verdict, "the reference failed when it ran again" if verdict.kind == "common" else otherwise
         return run, verdict, "" if scenario == kept.finding.scenario else self.loop.recorder.confirmed(run)
 
@@ -287,7 +289,7 @@ class Simplification:
         )
 
     def _perceived(self, kept: FindTold, scenario: Scenario) -> Perceived | None:
-        """Which imperfections of its sight a find needs; None where the ADS has none."""
+        """Return the imperfections of its sight that a finding needs; None if the ADS has none."""
         before, simulation = kept.finding.perception, self.loop.simulation
         harness, ads = simulation.harness, simulation.harness.ads
         if before is None or not isinstance(ads, Perception):
@@ -301,7 +303,7 @@ class Simplification:
 
 
 def rollouts_for(harness: Harness) -> int:
-    """Runs that shrinking one find may take: the user's number, else by how dear a run is."""
+    """Return the largest number of runs to shrink one finding: the user's, or a default that depends on their cost."""
     given = harness.request.settings.shrink_rollouts
     if given is not None:
         return given
@@ -309,18 +311,18 @@ def rollouts_for(harness: Harness) -> int:
 
 
 def driven(run: Run) -> Scenario:
-    """The scenario of a run without the genes that it did not come to, which changes nothing."""
+    """Return the scenario of a run without the genes that the run did not reach, which does not change the run."""
     scenario = run.scenario
     return scenario.truncated(max(1, min(scenario.genes, int(run.duration / scenario.gene_seconds - 1e-9) + 1)))
 
 
 def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
-    """The ego's lane and speed at the beginning of each gene that the run came to, where it was on the road.
+    """Return the ego's lane and speed at the beginning of each gene that the run reached; empty if it left the road.
 
-    The speed [m/s] is at most ``top_speed``, at which an ego may start.
+    The speed [m/s] is at most ``top_speed``, which is the highest start speed of an ego.
     """
     trace = run.trace
     rows = trace.ego[: trace.ticks : round(run.scenario.gene_seconds * trace.physics_hz)]
     if trace.track is not None or (rows[:, LANE] < 0).any():
-        return ()  # where a road is not straight, what comes later is another road
+        return ()  # on a road that is not straight, a later start would be on a different part of the road
     return tuple((int(row[LANE]), float(min(max(round(row[SPEED], 1), 0.0), top_speed))) for row in rows)

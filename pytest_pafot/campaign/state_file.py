@@ -1,7 +1,7 @@
-"""The state of a search in one JSON file: all that decides what comes next.
+"""The state of a search in one JSON file: everything on which its continuation depends.
 
-The random numbers of a generation follow from the seed and its number, so that none are stored. The file is data: it is
-limited and checked, and says at most how a search goes on.
+The random numbers of a generation follow from the seed and the generation's number, so none are stored. The file is
+untrusted data: its size is limited, it is checked, and it can affect only how a search goes on.
 """
 
 from __future__ import annotations
@@ -36,41 +36,43 @@ from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.world import codec
 
 VERSION = 4
-"""Of the format; a file of another one is refused."""
+"""The version of the format; a file of any other version is refused."""
 
 MAX_BYTES = 1 << 28
-"""A larger file is neither written nor read; ten thousand runs of four NPCs take some 10 MB."""
+"""The largest size of a file that is written or read; ten thousand runs of four NPCs take about 10 MB."""
 
 LOCK = ".lock"
-"""In place of the ending of a state while a session goes on from it."""
+"""The suffix of the lock file that is next to a state while a session uses it."""
 
 SHARE = 50
-"""Between two generations the file is written when so many times as long has passed as that took last time, new runs
-aside, which have to be put into words once however seldom it is written."""
+"""The smallest ratio of the time between two writes to the time of a write, so that writing takes at most 2 %.
+
+The time to convert new runs to text is not counted, because each is converted once, however often the file is written.
+"""
 
 FLAG = BY_NAME["resume"].flag
-ANEW = f"delete the file to begin the search anew, or give another folder with {FLAG}"
+ANEW = f"delete the file to start the search from scratch, or give a different folder with {FLAG}"
 PARTS = ("version", "settings", "algorithm", "sums", "begun", "counts", "remembered")
 
 
 Shown = tuple[Scenario, tuple[Start, ...]] | None
-"""What a run shows of a find: the scenario as driven, with the start of each gene, where it fails in the same way."""
+"""The result of an attempt: the scenario as driven and the start of each gene; None if it does not show the finding."""
 
 Answer = tuple[str, Shown]
-"""An attempt to shrink a find: the id of the candidate, and what its run has shown."""
+"""An attempt to shrink a finding: the id of the candidate, and the result of its run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlierFind:
-    """A find of a search.
+    """A finding of an earlier session.
 
     Attributes:
-        id: of its file.
-        signature: by which it is told from others.
-        repeats: further runs that failed in the same way.
-        found: the scenario as found, its generation and the number of its run; None where it was only counted.
-        is_due: whether it is yet to be simplified.
-        answers: where it is due, what the attempts to shrink it have shown so far, in their order.
+        id: the id of its file.
+        signature: distinguishes it from other findings.
+        repeats: the number of other runs that failed in the same way.
+        found: the scenario as found, its generation and the number of its run; None if it was only counted.
+        is_due: True if it still must be simplified.
+        answers: the results of the attempts to shrink it so far, in their order, if it is due.
     """
 
     id: str
@@ -83,14 +85,14 @@ class EarlierFind:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counts:
-    """What a search knows and has counted, beside its algorithm.
+    """The knowledge and the counts of a search, without the state of its algorithm.
 
     Attributes:
-        before: ids of the saved scenarios that were there when it began; others with its seed are its own finds.
-        seconds: of all its sessions so far.
-        decides_for_many: whether the ADS has shown that it decides for many runs at once.
-        finds: in the order in which they were found.
-        known: see :class:`~pytest_pafot.campaign.search_loop.SearchLoop`, as the next five.
+        before: the ids of the files saved before the search began; other files with its seed are its own findings.
+        seconds: the time of all its sessions so far [s].
+        decides_for_many: True if the ADS has decided for many runs at once.
+        finds: the findings in the order of discovery.
+        known: see :class:`~pytest_pafot.campaign.search_loop.SearchLoop`, also for the next five.
         random: see :class:`~pytest_pafot.campaign.resuming.RandomBeginning`: evaluated, runs, at_fault, otherwise.
         health: counts over all evaluations.
     """
@@ -110,11 +112,11 @@ class Counts:
 
 
 class NoNumberError(ValueError):
-    """A word for a number, such as NaN, which JSON does not have."""
+    """A constant such as NaN, which is not a number in JSON."""
 
 
 def state_path(folder: Path, node_id: str) -> Path:
-    """The file of a test's search in the folder of all states."""
+    """Return the file of a test's search in the folder of states."""
     return folder / f"{safe_name(node_id)}.json"
 
 
@@ -123,11 +125,11 @@ class StateFile:
     """The state of one search on disk.
 
     Attributes:
-        path: of the file.
-        settings: that the state must agree in, as plain data.
-        algorithm: of the search.
-        clock: seconds since any moment.
-        problem: why it could not be written last time; empty where it could.
+        path: the path of the file.
+        settings: the settings that the state must have, as plain data.
+        algorithm: the algorithm of the search.
+        clock: returns the seconds since some fixed moment.
+        problem: why it could not be written last time, or empty.
     """
 
     path: Path
@@ -135,16 +137,16 @@ class StateFile:
     algorithm: ResumableSearch
     clock: Callable[[], float]
     problem: str = ""
-    _claim: BinaryIO | None = None  # an empty file beside it, under a lock
-    _texts: dict[int, tuple[Remembered, str]] = field(default_factory=dict)  # of what is remembered, by identity
+    _claim: BinaryIO | None = None  # an empty, locked file next to the state
+    _texts: dict[int, tuple[Remembered, str]] = field(default_factory=dict)  # texts of remembered runs, by identity
     _written_at: float = -math.inf
     _cost: float = 0.0
 
     def claim(self) -> None:
-        """Keep other sessions from the state: of two that begin at the same one, the later to end would undo the other.
+        """Lock the state against other sessions: of two that use it, the last to end would undo the other's work.
 
         Raises:
-            RequestError: where another one has it, or a link is in the place of the file that says so.
+            RequestError: if a different session uses the state, or if the lock file is a link.
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -152,39 +154,39 @@ class StateFile:
         except OSError as error:
             if error.errno == errno.EINVAL:
                 raise self._unreadable(self.path.with_suffix(LOCK), error) from None
-            return  # Nothing can be written here; the state itself says so.
-        if not hold(file.fileno(), is_inherited=False):  # A worker that a killed session leaves behind does no harm.
+            return  # Nothing can be written here; writing the state reports that.
+        if not hold(file.fileno(), is_inherited=False):  # not inherited: a worker of a killed session must not hold it
             file.close()
             raise RequestError(
-                f"{self.path}: expected a search that no other session makes now, received one that another session "
-                f"is at; wait until that has ended, or give another folder with {FLAG}"
+                f"{self.path}: expected a search that no other session runs now, received one that is running; wait "
+                f"until that session has ended, or give a different folder with {FLAG}"
             )
         self._claim = file
 
     def release(self) -> None:
-        """Let other sessions have the state."""
+        """Release the state for other sessions."""
         if self._claim is None:
             return
         path = self.path.with_suffix(LOCK)
         with suppress(OSError), self._claim:
             if os.name != "nt":
-                path.unlink()  # while it is locked, so that nobody locks what is removed then
+                path.unlink()  # while it is locked, so that no other session locks a file that is then removed
         if os.name == "nt":
-            with suppress(OSError):  # Windows removes no open file, nor one that another session has by now.
+            with suppress(OSError):  # Windows cannot remove an open file, such as one that a new session has locked.
                 path.unlink()
 
     def read(self) -> tuple[Counts, Checkpoint[Any]] | None:
-        """The state; None where there is none yet.
+        """Return the state; None if there is none yet.
 
         Raises:
-            RequestError: for a file that is none, is of another search, or cannot be read.
+            RequestError: if the file is not a state, belongs to a different search, or cannot be read.
         """
         data = self._data()
         if data is None:
             return None
         version = data.get("version")
         if version != VERSION:
-            # What is no state may be a secret, of which nothing is shown.
+            # A file that is not a state may be a secret, so its content is not printed.
             self._refuse(
                 f"a state of version {VERSION}", f"version {version if isinstance(version, int) else 'unknown'}"
             )
@@ -204,19 +206,19 @@ class StateFile:
         return self._part(data, "counts", partial(from_plain, Counts)), checkpoint
 
     def offer(self, checkpoint: Callable[[], Checkpoint[Any]], counts: Callable[[], Counts]) -> None:
-        """Write the state at a border of two generations, unless that would take too large a share of the time."""
+        """Write the state between two generations, unless that would take too large a share of the time."""
         if self.clock() - self._written_at >= SHARE * self._cost:
             self.write(checkpoint(), counts())
 
     def write(self, checkpoint: Checkpoint[Any], counts: Counts) -> None:
-        """Write the state, as a whole or not at all; what keeps it from being written is told, and ends no search.
+        """Write the state, as a whole or not at all; an error while writing is reported and does not end the search.
 
         Raises:
-            RequestError: where an algorithm stores of itself what JSON cannot hold.
+            RequestError: if an algorithm stores data that JSON cannot represent.
         """
         known, self._texts = self._texts, {}
         for run in checkpoint.remembered:
-            # Each is put into words once: there may be ten thousand, of which few are new.
+            # Convert each run to text only once: there may be ten thousand, of which few are new.
             self._texts[id(run)] = known.get(id(run)) or (run, _json(plain(run)))
         began = self.clock()
         parts = {
@@ -233,7 +235,7 @@ class StateFile:
             lines += [f'"algorithm": {_json(data)}', f'"remembered": [{remembered}]']
         except (TypeError, ValueError) as error:
             raise RequestError(
-                f"{FLAG}: expected data that JSON can hold from the method stored of {type(self.algorithm).__name__}, "
+                f"{FLAG}: expected the method stored of {type(self.algorithm).__name__} to return data for JSON, "
                 f"received {data!r:.100} ({error}); see pytest_pafot.searching.plain"
             ) from None
         content = ("{" + ",\n".join(lines) + "}\n").encode()
@@ -244,7 +246,7 @@ class StateFile:
                 write_whole(self.path, content)
                 self.problem = ""
         except OSError as error:
-            reason, fix = error.strerror or error, way_out(error, f"or give another folder with {FLAG}")
+            reason, fix = error.strerror or error, way_out(error, f"or give a different folder with {FLAG}")
             self.problem = f"{self.path}: expected to write the state of the search, received: {reason}; {fix}"
         self._written_at = self.clock()
         self._cost = self._written_at - began
@@ -254,7 +256,7 @@ class StateFile:
             return read(data[name])
         except FieldError as error:
             self._refuse(f"{name}{error.field}: {error.expected}", error.received)
-        except (ValueError, TypeError, LookupError) as error:  # of an algorithm of the user's own
+        except (ValueError, TypeError, LookupError) as error:  # raised by the user's own algorithm
             self._refuse(f"{name}: data that can be restored", f"{type(error).__name__}: {error!s:.100}")
 
     def _data(self) -> dict[str, Any] | None:
@@ -272,22 +274,22 @@ class StateFile:
         except NoNumberError as error:
             self._refuse("the JSON of a search's state", str(error))
         except json.JSONDecodeError as error:
-            self._refuse("the JSON of a search's state", f"JSON with a fault in line {error.lineno}")
-        except (ValueError, RecursionError) as error:  # whose text may quote the file
+            self._refuse("the JSON of a search's state", f"invalid JSON in line {error.lineno}")
+        except (ValueError, RecursionError) as error:  # only its type, because its text may quote the file
             self._refuse("the JSON of a search's state", type(error).__name__)
         if not isinstance(data, dict):
             self._refuse("a mapping", f"a {type(data).__name__}")
         return data
 
     def _unreadable(self, path: Path, error: OSError) -> RequestError:
-        fix = way_out(error, f"or give another folder with {FLAG}")
+        fix = way_out(error, f"or give a different folder with {FLAG}")
         return RequestError(f"{path}: expected a file that can be read, received: {error.strerror or error}; {fix}")
 
     def _refuse(self, expected: str, received: str) -> NoReturn:
         raise self.refused(f"expected {expected}, received {received}")
 
     def refused(self, why: object) -> RequestError:
-        """The state cannot be used, with the way out."""
+        """Return the error for a state that cannot be used, with the way out."""
         return RequestError(f"{self.path}: {why}; {ANEW}")
 
 
@@ -296,4 +298,4 @@ def _json(data: Any) -> str:
 
 
 def _no_constant(name: str) -> NoReturn:
-    raise NoNumberError(f"{name} is no number of JSON")
+    raise NoNumberError(f"{name}, which is not a number in JSON")

@@ -1,4 +1,4 @@
-"""The user's test function as an oracle: what it says of one run, in a verdict and in one line."""
+"""The user's test function as an oracle: its verdict on one run, also in one line."""
 
 from __future__ import annotations
 
@@ -19,61 +19,61 @@ from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference
 from pytest_pafot.world.guard.failure import UNFIT, is_interruption
 
 Test = Callable[[Run], Any]
-"""The user's function with everything but the run filled in; it asserts, and returns None."""
+"""The user's function with all arguments except the run filled in; it asserts, and returns None."""
 
 
-class PlainFailure(Exception):  # noqa: N818  (it is shown as what failed)
-    """A failure that is told by its text alone: a traceback would show code of this package."""
+class PlainFailure(Exception):  # noqa: N818  (its name is printed as the failure)
+    """A failure that is reported without a traceback, which would only show code of this package."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What the oracle says of a run."""
+    """The verdict of the oracle on a run."""
 
-    # ``failed`` is a find; ``rejected`` and ``skipped`` are no judgement; ``npc`` is a collision that an NPC is
-    # responsible for, unless ``blame="any"``; ``unpreventable`` a failure that no reference driver would have
-    # prevented, under ``blame="preventable"``; ``common`` one that the reference does not pass either, where there is
-    # one; ``invalid`` a crash between NPCs
+    # ``failed`` is a finding. ``rejected`` and ``skipped`` are no judgement. ``npc`` is a collision for which an NPC is
+    # responsible, unless ``blame="any"``. ``unpreventable`` is a failure that no reference driver would have prevented,
+    # with ``blame="preventable"``. ``common`` is a failure that the reference does not pass either. ``invalid`` is a
+    # crash between NPCs.
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "unpreventable", "common", "invalid"]
-    exception: BaseException | None = None  # that the function raised, where it failed or skipped
+    exception: BaseException | None = None  # the exception of the function, if it failed or skipped
     failure: Failure | None = None
-    checks: tuple[Check, ...] = ()  # those that the function made, in its order, up to one that failed
-    is_timed: bool = False  # whether it depends on wall-clock time
-    is_ads: bool = False  # whether the ADS itself failed, whatever the function asserts
-    severity: Severity | None = None  # of the failure; None where there is none, or nothing measures it
-    reference: Verdict | None = None  # on the run of the reference in the same scenario; None where it was not run
+    checks: tuple[Check, ...] = ()  # the checks that the function made, in order, up to one that failed
+    is_timed: bool = False  # True if it depends on wall-clock time
+    is_ads: bool = False  # True if the ADS itself failed, whatever the function asserts
+    severity: Severity | None = None  # severity of the failure; None if there is none, or if nothing measures it
+    reference: Verdict | None = None  # verdict on the reference in the same scenario; None if it was not run
 
     @property
     def failed(self) -> bool:
-        """Whether this is a find."""
+        """True if this is a finding."""
         return self.kind == "failed"
 
     @property
     def passes(self) -> bool:
-        """Whether a test passes in which this happens, by its blame."""
+        """True if a test with this run passes, given its blame."""
         return self.kind in ("passed", "npc", "unpreventable")
 
     @property
     def discarded(self) -> bool:
-        """Whether the function declined to judge."""
+        """True if the function declined to judge."""
         return self.kind in ("rejected", "skipped")
 
     def beside(self, reference: Verdict) -> Self:
-        """A failure beside the verdict on the reference in the same scenario, which must pass for it to count."""
+        """Return a failure with the verdict on the reference in the same scenario; it counts only if that passes."""
         return replace(self, kind="failed" if reference.passes else "common", reference=reference)
 
 
 def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
-    """Judge a run: by the function, except where the ADS or the NPCs themselves failed.
+    """Judge a run by the function, unless the ADS itself failed or NPCs touched.
 
-    Unless blame is ``any`` the function is not asked about collisions that an NPC is responsible for. With
-    ``preventable`` what it asserts counts only where a reference driver would have prevented the failure; what it
-    raises else is an error of its own. A failure is identified by the line of the ``test_file`` that failed.
+    Unless blame is ``any``, the function is not called for collisions for which an NPC is responsible. With
+    ``preventable``, its assertions count only if a reference driver would have prevented the failure; any other
+    exception is an error of the function. A failure is identified by the line in ``test_file`` that failed.
 
     Raises:
-        BaseException: what says nothing of the run: an interrupt, the end of the session, a timeout of the item,
-            the end of a debugging session, or a function that cannot be an oracle.
-        NoReferenceDriversError: with ``preventable``, for a failing run whose world has no reference drivers.
+        BaseException: anything that says nothing about the run: an interrupt, the end of the session, a timeout of the
+            item, the end of a debugging session, or a function that cannot be an oracle.
+        NoReferenceDriversError: with ``preventable``, for a failing run in a world without reference drivers.
     """
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
@@ -93,9 +93,9 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
 
 
 def reference_outcomes(run: Run, test: Test, *, blame: str, test_file: str) -> Iterator[tuple[str, ReferenceOutcome]]:
-    """What becomes of each reference driver in the ego's place, simulated one after the other, judged as the ego is.
+    """Yield the outcome of each reference driver in the ego's place, simulated one after the other, judged as the ego.
 
-    Left out are drivers whose run says nothing: two NPCs touched in it, or the function declined to judge.
+    A driver is left out if two NPCs touched in its run, or if the function declined to judge it.
     """
     blame = "any" if blame == "any" else "ego"
     for name, other in run.by_reference_drivers():
@@ -105,7 +105,7 @@ def reference_outcomes(run: Run, test: Test, *, blame: str, test_file: str) -> I
 
 
 def worst_margins(verdict: Verdict) -> tuple[tuple[str, float], ...]:
-    """The worst margin of each check by its name, in the order of the names."""
+    """Return the worst margin of each check, sorted by name."""
     worst: dict[str, float] = {}
     for each in verdict.checks:
         worst[each.name] = min(each.margin, worst.get(each.name, math.inf))
@@ -137,19 +137,19 @@ def _asked(run: Run, test: Test, test_file: str) -> Verdict:
     if result is not None:
         raise RequestError(
             f"expected the test function to assert and to return None, received the return value {result!r:.60}; write "
-            "`assert ...` in place of `return ...`"
+            "`assert ...` instead of `return ...`"
         )
     return Verdict(kind="passed", checks=tuple(recording.checks))
 
 
 def ads_text(failure: Failure, timing: str = "") -> str:
-    """What the ADS did in place of a decision, with the traceback where it raised."""
+    """Return what the ADS did instead of a decision, with the traceback if it raised."""
     text = f"the ADS failed: {failure.kind}: {failure.message}{timing}"
     return f"{text}\n\n{failure.traceback.rstrip()}" if failure.traceback else text
 
 
 def headline(run: Run, verdict: Verdict) -> str:
-    """One line on a find: what happened in the run, and what the function said where that is not the same."""
+    """Return one line on a finding: what happened in the run, and the function's message if that adds something."""
     if verdict.is_ads and verdict.failure is not None:
         return f"{verdict.failure.kind}: {verdict.failure.message}"
     if verdict.failure is not None and verdict.failure.check is not None:
@@ -164,7 +164,7 @@ def headline(run: Run, verdict: Verdict) -> str:
 
 
 def collision_in_short(run: Run) -> str:
-    """One line on the collision of a run: when, how fast they closed in, with whom, whose fault; empty without one."""
+    """Return one line on the collision of a run: time, closing speed, NPC, fault; empty if there was none."""
     hit = run.collision
     if hit is None:
         return ""
@@ -179,9 +179,10 @@ def collision_in_short(run: Run) -> str:
 
 
 def skips() -> tuple[type[BaseException], ...]:
-    """What pytest reports as a skip or an expected failure, which only the test function may decide.
+    """Return the exceptions that pytest reports as a skip or an xfail, which only the test function may raise.
 
-    Whoever raises one of these has imported its module, which this room does not know.
+    They are looked up in ``sys.modules``, because this package does not import pytest. Code that raises one of them has
+    imported its module.
     """
     pytest, unittest = sys.modules.get("pytest"), sys.modules.get("unittest")
     of_pytest = () if pytest is None else (pytest.skip.Exception, pytest.xfail.Exception)
@@ -189,13 +190,13 @@ def skips() -> tuple[type[BaseException], ...]:
 
 
 def assertions() -> tuple[type[BaseException], ...]:
-    """What a test function says that a property does not hold with, rather than that something went wrong in it."""
+    """Return the exceptions by which a test function states that a property does not hold."""
     pytest = sys.modules.get("pytest")
     return (AssertionError,) if pytest is None else (AssertionError, pytest.fail.Exception)
 
 
 def no_skip(who: str, error: BaseException) -> str:
-    """Why a skip cannot be heeded that comes from somewhere in the middle of a search."""
+    """Return the error message for a skip from code in which a skip is not allowed."""
     return (
         f"expected {who} to raise no skip, which would hide that nothing was tested, received "
         f"{type(error).__name__}: {error}; call pytest.skip() in the fixture or in the test function, or mark the test "

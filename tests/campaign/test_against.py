@@ -111,7 +111,7 @@ def test_where_it_fails_or_its_run_says_nothing_the_failure_is_common(kind):
 def test_a_reference_that_always_fails_by_itself_is_told_with_what_it_raised():
     exploration = pafot.explore(constant_speed.make, against=Breaks, holds=never_collides, **SHORT)
     assert exploration.findings == ()
-    assert "the reference itself failed wherever it was run, at first by KeyError: 'lanes'" in "".join(
+    assert "the reference itself failed in all its runs, at first with KeyError: 'lanes'" in "".join(
         exploration.summary.warnings
     )
 

@@ -158,8 +158,7 @@ def test_a_search_says_once_which_traffic_no_scenario_has():
         return pafot.explore(world=world, **fields, **more).summary.notes
 
     assert notes(pafot.World("merge-v0", duration=3.0)) == (
-        "at merge-v0 all NPCs drive along the ego's way: none joins it, "
-        "so that the search says nothing of such traffic",
+        "at merge-v0 all NPCs drive along the ego's way: none joins it, so the search says nothing about such traffic",
     )
     (note,) = notes(pafot.World("intersection-v0", duration=2.0), algorithm="pafot")  # which keeps to the grid
     assert "at intersection-v0 all NPCs drive along the ego's way: none crosses it or joins it, " in note
@@ -225,7 +224,7 @@ def test_of_an_ads_that_fails_no_file_tells_what_reference_drivers_do():
     [
         ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): did you mean 'generations'"),
         ({"generations": "many"}, r"pafot\.explore\(generations=\.\.\.\): expected a whole number"),
-        ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected arguments of the search"),
+        ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected an argument of a search"),
         (
             {"world": Bare(), "blame": "preventable"},
             r"\(blame='preventable'\): expected a world with reference_drivers",
@@ -333,5 +332,5 @@ def test_a_find_that_does_not_repeat_is_called_flaky_in_its_file_too(tmp_path):
     )
     finds = [each for each in told if isinstance(each, FindTold)]
     assert finds
-    assert {each.find.difference for each in finds} == {"running it again gave another run"}
-    assert {load(path).flaky for path in tmp_path.rglob("*.yaml")} == {"running it again gave another run"}
+    assert {each.find.difference for each in finds} == {"running it again gave a different run"}
+    assert {load(path).flaky for path in tmp_path.rglob("*.yaml")} == {"running it again gave a different run"}

@@ -148,7 +148,7 @@ def check_summaries(whole, parts):
     counted = {find.id: 1 + find.repeats for part in parts[-1:] for find in part.finds}
     assert counted | dict(last.known) == {find.id: 1 + find.repeats for find in whole.finds}
     assert [part.runs for part in parts] == [6, 12, 18, 24]
-    assert last.notes[0] == "went on after 18 runs of earlier sessions"
+    assert last.notes[0] == "resumed after 18 runs of earlier sessions"
     assert not parts[0].notes
 
 
@@ -246,7 +246,7 @@ def test_a_state_of_other_settings_is_refused_with_both_named(search, begun, opt
     before = begun.read_text()
     text = refused(search, match, **options)
     assert text.startswith(str(begun))
-    assert "delete the file to begin the search anew" in text
+    assert "delete the file to start the search from scratch" in text
     assert begun.read_text() == before
 
 
@@ -266,12 +266,12 @@ def changed(change):
 
 
 FAULTS = {
-    "truncated": (lambda text: text[: len(text) // 2], "expected the JSON of a search's state, received JSON"),
+    "truncated": (lambda text: text[: len(text) // 2], "expected the JSON of a search's state, received invalid JSON"),
     "empty": (lambda text: "", "expected the JSON of a search's state"),
     "no text": (lambda text: b"\xff\xfe\x00", "expected the JSON of a search's state, received UnicodeDecodeError"),
     "another kind": (lambda text: "[1, 2]", "expected a mapping, received"),
     "deep": (lambda text: "[" * 100_000, "expected the JSON of a search's state, received RecursionError"),
-    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 4', '"version": NaN'), "NaN is no number"),
+    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 4', '"version": NaN'), "NaN, which is not"),
     "version": (changed(lambda data: data.update(version=2)), "expected a state of version 4, received version 2"),
     "extra key": (changed(lambda data: data.update(run="rm")), "expected the keys version, settings"),
     "missing key": (changed(lambda data: data.pop("begun")), "expected the keys version, settings"),
@@ -360,7 +360,7 @@ def test_a_state_that_is_too_large_is_not_written(search, tmp_path, monkeypatch)
 
 
 def test_an_algorithm_that_cannot_go_on_is_refused(search):
-    text = refused(search, "--pafot-resume: expected an algorithm that can go on", algorithm="pafot")
+    text = refused(search, "--pafot-resume: expected an algorithm that can be resumed", algorithm="pafot")
     assert "received 'pafot'" in text
 
 
@@ -389,7 +389,9 @@ class Unstorable(Climbing):
 
 def test_an_algorithm_that_stores_what_is_no_data_is_refused_before_the_first_run(search, tmp_path):
     refused(
-        search, "--pafot-resume: expected data.* stored of Unstorable, received .*0.*searching", algorithm=Unstorable
+        search,
+        "--pafot-resume: expected the method stored of Unstorable .*, received .*0.*searching",
+        algorithm=Unstorable,
     )
     assert not list(tmp_path.glob("states/*"))
 
@@ -410,7 +412,7 @@ def test_reused_scenarios_cost_later_sessions_no_runs(search):
     first, last = search(runs=2, **given), search(runs=1, **given).summary
     assert sum(isinstance(event, Evaluated) for event in first.events) > 2
     assert (last.runs, last.budget) == (3, 3)
-    assert last.notes[0] == "went on after 2 runs of earlier sessions"
+    assert last.notes[0] == "resumed after 2 runs of earlier sessions"
 
 
 def test_a_function_among_the_parameters_of_an_algorithm_is_the_same_in_another_process(search, tmp_path):

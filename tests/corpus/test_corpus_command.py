@@ -127,7 +127,8 @@ def test_join_loses_no_acceptance_and_keeps_firm_ones(tmp_path, capsys):
         "removed: accepted/c.pafot.yaml: b.pafot.yaml shows the same failure and is accepted",
         "removed: accepted/a.pafot.yaml: b.pafot.yaml shows the same failure and is accepted",
         "differing: d.pafot.yaml, e.pafot.yaml, f.pafot.yaml: left as they are: expected the same reason "
-        "and day in their lines `xfail:`, received 2 different ones; write the same line in these files, and join again",
+        "and day in their lines `xfail:`, received 2 different ones; write the same line in these files, and "
+        "join again",
         "removed: flaky/g.pafot.yaml: h.pafot.yaml shows the same failure and is not flaky",
     ]
 

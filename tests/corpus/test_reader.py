@@ -30,7 +30,7 @@ SHRUNK = plain_finding(
     perception=Perceived(sight=Sight(latency=0.3, noise={"position": 0.5}, dropout=0.1), needed=("latency", "noise")),
     original=Scenario(npcs=plain_finding().scenario.npcs, seed=9),
     shrunk=Shrunk(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
-    flaky="running it again gave another run",
+    flaky="running it again gave a different run",
 )
 
 
@@ -599,7 +599,7 @@ def test_how_a_finding_was_seen_and_shrunk_stands_in_its_file(path):
     )
     assert (
         "shrunk: {rollouts: 41, is_minimal: false, speeds: [{npc: 0, gene: 1, low: 3.0, high: 11.2}]}\n"
-        'flaky: "running it again gave another run"\n'
+        'flaky: "running it again gave a different run"\n'
     ) in text_of(SHRUNK)
     path.write_text(text_of(SHRUNK))
     assert load(path) == SHRUNK
@@ -615,7 +615,7 @@ def test_how_a_finding_was_seen_and_shrunk_stands_in_its_file(path):
         ("gene: 1, low", "gene: 2, low", "shrunk.speeds[0].gene"),
         ("low: 3.0", "low: .inf", "shrunk.speeds[0].low"),
         ("low: 3.0, high: 11.2", "low: 11.2, high: 3.0", "shrunk.speeds[0].high"),
-        ('flaky: "running it again gave another run"', 'flaky: " "', "flaky"),
+        ('flaky: "running it again gave a different run"', 'flaky: " "', "flaky"),
         ("latency: 0.3", "latency: -0.3", "perception.latency"),
         ("latency: 0.3", "lag: 0.3", "perception.lag"),
         ("position: 0.5", "position: far", "perception.noise.position"),

@@ -127,7 +127,7 @@ def test_a_reference_that_ends_the_session_is_named_by_the_next_one_and_the_ads_
     result.stdout.fnmatch_lines(
         [
             "* 4 runs in *, 0 failing, 4 failing with both*",
-            "*note: a process (pid *) died while planner_before:make ran <Scenario *>, which is held against it *",
+            "*note: a process (pid *) died while the reference planner_before:make drove in <Scenario *>*nothing *",
         ]
     )
     assert (project.files, list(project.path.rglob("*.inflight"))) == ([], [])
@@ -138,4 +138,4 @@ def test_a_search_whose_reference_breaks_wherever_it_is_run_fails(project):
     policies(project, SPEEDS, "def make():\n    return lambda observation: observation.lanes\n")
     result = project.run(AGAINST)
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["the search tested nothing:", "the reference itself failed wherever it was run, *"])
+    result.stdout.fnmatch_lines(["the search tested nothing:", "the reference itself failed in all its runs, *"])

@@ -81,8 +81,8 @@ def test_an_algorithm_that_does_not_exist_or_fit_is_answered_with_those_that_do(
         "received 'av-fuzzer', *",
         f"algorithm='random-manoeuvre', {road}": "*algorithm: expected one of distinct, * on a road that is not "
         "straight, received 'random-manoeuvre', *",
-        "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or cma-es, received 'genetic'; or give a class of "
-        "your own*",
+        "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or cma-es, received 'genetic'; or give your own "
+        "class*",
         "SHORT, algorithm='randm'": "*or cma-es, received 'randm'; did you mean 'random'[?]",
     }
     project.write("\n".join(f"@pafot.search({given})\ndef test_{n}(run):\n    pass\n" for n, given in enumerate(told)))

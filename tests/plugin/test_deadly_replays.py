@@ -86,7 +86,7 @@ def test_a_search_in_which_a_process_died_before_runs_in_other_processes(crash):
         [
             "*ended: all generations done*",
             "*covered by saved-crash-*",
-            "*note: ran as with --pafot-isolate, since a process has died in this search before*",
+            "*note: ran as with --pafot-isolate, since a process died in this search before*",
             "*1 saved scenario: 1 still failing*",
         ]
     )

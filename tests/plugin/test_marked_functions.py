@@ -160,13 +160,13 @@ def test_given_and_search_on_one_function_are_refused(project):
 WRONG = [
     ("colour='red'", "*(colour=...): expected one of *received 'colour'*"),
     ("5", "*expected keyword arguments only, received (5,)*"),
-    ("prune=True", "*this concerns the whole session; give --pafot-prune on the command line*"),
+    ("prune=True", "*this applies to the whole session; give --pafot-prune on the command line*"),
     ("blame='npc'", "*(blame=...): expected one of any, ego, preventable, received 'npc'*"),
     ("decision_limit=0", "*(decision_limit=...): expected seconds, more than 0, received 0*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
     ("world=pafot.Highway", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received <class*"),
     ("world='highway-v0'", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received 'highway-v0'*"),
-    ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*give lanes to the world*"),
+    ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*pass lanes to the world*"),
     ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
     ("algorithm='magic'", "*(algorithm=...): expected distinct, pafot, * or cma-es, received 'magic'*"),
 ]
@@ -242,7 +242,7 @@ def test_the_line_of_the_summary_says_the_name_of_the_test_once(project):
     )
     project.run().stdout.fnmatch_lines(
         [
-            "FAILED test_it.py::test_drive[[]search[]] - expected the fixture 'tmp_path' to give a factory*",
+            "FAILED test_it.py::test_drive[[]search[]] - expected the fixture 'tmp_path' to return a factory*",
             "ERROR test_it.py::test_other - expected a parameter 'run'*",
         ]
     )
@@ -254,7 +254,7 @@ def test_an_ads_fixture_that_is_no_factory_says_what_to_write(project):
     )
     result = project.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*expected the fixture 'ads' to give a factory*received 'planner'*"])
+    result.stdout.fnmatch_lines(["*expected the fixture 'ads' to return a factory*received 'planner'*"])
 
 
 def test_a_factory_that_raises_shows_its_own_traceback_and_is_no_find(project):

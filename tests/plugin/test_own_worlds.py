@@ -164,7 +164,7 @@ def test_a_world_without_what_a_search_needs_is_refused_with_what_is_missing(pro
     project.path.joinpath("test_it.py").write_text(text)
     result = project.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*or a world of your own with rollout, to_dict, speed_limit, longest_run, *"])
+    result.stdout.fnmatch_lines(["*or your own world with rollout, to_dict, speed_limit, longest_run, *"])
     result.stdout.fnmatch_lines(["*which has no speed_limit, longest_run*"])
 
 

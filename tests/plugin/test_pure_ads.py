@@ -69,7 +69,7 @@ def test_drives(run):
 """
     project.write(PLANNERS + stateful)
     result = project.run(generations=6)
-    result.stdout.fnmatch_lines(["*LookupError*", "*flaky: running it again gave another run*"])
+    result.stdout.fnmatch_lines(["*LookupError*", "*flaky: running it again gave a different run*"])
     assert len(project.files) == 1
 
 

@@ -279,7 +279,7 @@ def test_brakes(run):
 """
     )
     result = project.run()
-    result.stdout.fnmatch_lines(["*flaky: running it again gave another run*"])
+    result.stdout.fnmatch_lines(["*flaky: running it again gave a different run*"])
     project.write((project.path / "test_it.py").read_text().replace("if len(calls) % 2", "if len(calls) % 2 == 0"))
     result = project.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)

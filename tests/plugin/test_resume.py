@@ -53,7 +53,7 @@ def test_a_night_cut_into_four_leaves_the_files_of_a_long_one(project):
     for _ in range(4):
         result = night(project, runs=4)
     assert project.contents == whole
-    result.stdout.fnmatch_lines(["*went on after 12 runs of earlier sessions*"])
+    result.stdout.fnmatch_lines(["*resumed after 12 runs of earlier sessions*"])
     (state,) = project.path.glob("states/*.json")
     assert state.name.startswith("test_it.py.test_it~")
 
@@ -120,7 +120,7 @@ def test_an_algorithm_that_cannot_go_on_is_refused(project):
     project.write(SOURCE)
     result = night(project, "--pafot-algorithm=pafot", runs=4)
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*expected an algorithm that can go on in another session*received 'pafot'*"])
+    result.stdout.fnmatch_lines(["*expected an algorithm that can be resumed*received 'pafot'*"])
 
 
 @pytest.mark.processes
@@ -180,8 +180,8 @@ def test_a_second_session_at_the_same_state_is_refused_and_leaves_it_alone(proje
     night(project, runs=8, apart=True).assert_outcomes(passed=1)
     (state,) = project.path.glob("states/*")
     told = (project.path / "inner.txt").read_text()
-    assert f"{state.name}: expected a search that no other session makes now, received one that another" in told
-    assert "wait until that has ended, or give another folder with --pafot-resume" in told
+    assert f"{state.name}: expected a search that no other session runs now, received one that is running" in told
+    assert "wait until that session has ended, or give a different folder with --pafot-resume" in told
     assert simulated(state) == 8
 
 

@@ -109,7 +109,7 @@ def test_it(run):
     assert project.files == []
     assert left_in_the_end(project, 2), "of both sessions, the first one tried"
     replayed(project).stdout.fnmatch_lines(
-        ["*ran to its end when the next session tried it alone, and that session died*"]
+        ["*ran to its end when the next session tried it alone, but then that session died*"]
     )
     assert project.only_id.startswith("crash-")
     assert records(project) == []

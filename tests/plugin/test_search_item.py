@@ -268,7 +268,7 @@ def test_a_fitness_is_a_name_or_weights_or_a_function_of_a_trace(project):
     project.run(generations=2).assert_outcomes(passed=len(each))
 
 
-SHORT_SEARCH = "*note: 40 runs are a short search: --pafot-runs=400 looks further"
+SHORT_SEARCH = "*note: 40 runs are a short search; use --pafot-runs=400 for a longer one"
 KEEPS = "@pafot.search(SHORT)\ndef test_drive(run):\n    assert run.duration BOUND\n"
 
 

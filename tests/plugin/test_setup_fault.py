@@ -25,7 +25,7 @@ def test_drive(run):
     pass
 """
 
-ALIKE = "*So it was in all 4 runs of the first generation*no finding*nothing was saved*"
+ALIKE = "*This happened in all 4 runs of the first generation*no finding*nothing was saved*"
 
 
 def misspelt(arguments=""):
@@ -44,7 +44,7 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
                 [
                     "*assert not run.collided",
                     "E*AttributeError: a run has no attribute 'collided'; did you mean `run.collision`?",
-                    "E*So it was in all * runs of the first generation*an error of the test function*is asserted.",
+                    "E*This happened in all * runs of the first generation*an error of the test function*use assert.",
                 ]
             )
         result.stdout.no_fnmatch_line("*pafot: found*")
@@ -72,7 +72,7 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         result.assert_outcomes(failed=len(told))
         for n, line in enumerate(told.values()):
             shown = pytest.LineMatcher(section(result, f"test_{n}").splitlines())
-            shown.fnmatch_lines([line, "*in all 4 runs of the first generation, before anything had happened*"])
+            shown.fnmatch_lines([line, "*in all 4 runs of the first generation, at the first decision*"])
         assert project.files == []
 
     def test_in_an_ads_that_decides_for_many_runs(self, project):
@@ -219,7 +219,7 @@ def test_drive_NUMBER(run):
 """
 
 CONFIG = (
-    "A policy needs the config= and the wrappers= that it was trained with; a planner in SI units needs pafot.Highway"
+    "A policy needs the config= and the wrappers= with which it was trained; a planner in SI units needs pafot.Highway"
 )
 NO_FACTORY = "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh one: `lambda: MyPlanner()`"
 
@@ -243,7 +243,7 @@ MESSAGES = {
     "ads=lambda: print()": ["received None. Is a `return` missing in it?"],
     "ads=lambda: model": [PREDICT],
     "ads=model": ["expected the name of a fixture or a factory such as `lambda: MyPlanner()`", PREDICT],
-    "ads='trained'": ["expected the fixture 'trained' to give a factory", PREDICT],
+    "ads='trained'": ["expected the fixture 'trained' to return a factory", PREDICT],
     "ads='model.zip'": [
         "received 'model.zip'. Load a model in the factory, as in `ads=lambda: MyPlanner('model.zip')`"
     ],
@@ -357,9 +357,9 @@ def steers(actions):
 
 def test_a_note_doubts_actions_in_other_units_or_in_another_order(project):
     told = {
-        "(0.0, 3.0)": "asked for a steering angle of 3, in rad, of which 0.79*convert degrees with math.radians*",
+        "(0.0, 3.0)": "requested a steering angle of 3 rad, of which 0.79*convert degrees with math.radians*",
         "(0.05, -6.0)": "an action is (acceleration, steering), in this order*",
-        "(80.0, 0.0)": "asked for an acceleration of 80, in m/s^2, of which 6*holds no speed*",
+        "(80.0, 0.0)": "requested an acceleration of 80 m/s^2, of which 6*not a speed*",
     }
     project.write(steers(told))
     lines = [each for n, line in enumerate(told.values()) for each in (f"*test_drive_{n}[[]search[]]", f"*{line}")]

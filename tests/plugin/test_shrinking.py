@@ -143,7 +143,7 @@ def test_interrupted(run):
 """
 
 
-@pytest.mark.parametrize(("save", "first"), [("new", "delete what is saved of it and "), ("none", "")])
+@pytest.mark.parametrize(("save", "first"), [("new", "delete its files and "), ("none", "")])
 @pytest.mark.parametrize("limit", [2, 4])
 def test_an_interrupted_search_tells_how_its_find_is_shrunk_after_all(project, save, first, limit):
     source = INTERRUPTED.replace("LIMIT", str(limit)).replace("STOP", "raise KeyboardInterrupt")
@@ -265,12 +265,12 @@ def test_brakes(run):
     result.stdout.fnmatch_lines(["  * is flaky, so it is never reported as fixed: *", "*(flaky: running it*"])
     result.stdout.fnmatch_lines(
         [
-            "note       flaky: running it again gave another run; it does not repeat, so it is not shrunk; the ADS "
+            "note       flaky: running it again gave a different run; it does not repeat, so it is not shrunk; the ADS "
             "probably draws random numbers: seed it in its factory, or * predict(..., deterministic=True))"
         ]
     )
     finding = load(project.only_file)
-    assert finding.flaky == "running it again gave another run"
+    assert finding.flaky == "running it again gave a different run"
     assert finding.shrunk is None
 
 

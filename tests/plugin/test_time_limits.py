@@ -125,4 +125,4 @@ def test_it_is_no_argument_of_one_search(project):
     project.write("@pafot.search(SHORT, total_time=3)\ndef test_it(run):\n    pass\n")
     result = project.run()
     result.assert_outcomes(errors=1)
-    result.stdout.fnmatch_lines(["*(total_time=...): this concerns the whole session; give --pafot-total-time*"])
+    result.stdout.fnmatch_lines(["*(total_time=...): this applies to the whole session; give --pafot-total-time*"])

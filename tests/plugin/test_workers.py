@@ -179,7 +179,7 @@ def test_a_worker_that_dies_is_a_finding_at_once_and_the_search_goes_on(dear):
     result.assert_outcomes(failed=1 + len(contents))
     result.stdout.fnmatch_lines(
         [
-            "the process (pid *) that ran this scenario ended with exit code 9, and so it was when nothing else ran:*",
+            "the process (pid *) that ran this scenario ended with exit code 9, also when nothing else ran:*",
             "*ended: all generations done*",
         ]
     )

@@ -80,7 +80,7 @@ def test_a_search_survives_the_way_through_plain_data():
 
 
 def test_the_summary_of_a_session_reads_so(snapshot):
-    flaky = replace(FIND, id="rear-6-222222", difference="running it again gave another run", repeats=0)
+    flaky = replace(FIND, id="rear-6-222222", difference="running it again gave a different run", repeats=0)
     lost = replace(FIND, id="left-8-333333", path="", problem="read-only file system")
     other = replace(
         SEARCH, node_id="tests/test_safety.py::test_other[search]", finds=(flaky, lost), unsaved={"front-2-aaaaaa": 3},
@@ -108,7 +108,7 @@ def test_the_summary_of_a_session_reads_so(snapshot):
 
 
 def test_the_failure_of_a_search_reads_so(snapshot):
-    flaky = replace(FIND, id="rear-6-222222", difference="running it again gave another run", is_timed=True)
+    flaky = replace(FIND, id="rear-6-222222", difference="running it again gave a different run", is_timed=True)
     search = replace(SEARCH, finds=(FIND, flaky), unsaved={"front-2-aaaaaa": 3, "rear-6-bbbbbb": 1})
     assert terminal.failure_message(search) == snapshot
 
@@ -165,7 +165,7 @@ def test_progress_fits_into_a_narrow_terminal_which_could_not_rewrite_two_lines(
     ("flags", "remark"),
     [
         ({}, ""),
-        ({"difference": "running it again gave another run"}, "flaky: running it again gave another run"),
+        ({"difference": "running it again gave a different run"}, "flaky: running it again gave a different run"),
         ({"is_timed": True}, "depends on wall-clock time"),
     ],
 )

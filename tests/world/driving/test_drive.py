@@ -268,7 +268,7 @@ def test_policies_of_an_environment_answer_in_its_own_actions():
 
 def test_speeds_in_kilometres_an_hour_are_doubted():
     trace = Highway(duration=1.0).rollout(BEHIND, always(Drive(lane=1, speed=90.0)))
-    assert unit_doubt(trace).startswith("the ADS asked for a speed of 90, in m/s")
+    assert unit_doubt(trace).startswith("the ADS requested a speed of 90 m/s")
     assert unit_doubt(Highway(duration=1.0).rollout(BEHIND, always(Drive(lane=1, speed=25.0)))) == ""
 
 
