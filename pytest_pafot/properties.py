@@ -1,14 +1,14 @@
-"""Ready properties: what is commonly asked of a driving policy, one line of a test function each.
+"""Ready properties: common requirements for a driving policy, each one line of a test function.
 
-Such as::
+For example::
 
     @pafot.search(blame="ego")
     def test_drives_well(run):
         pafot.properties.comfort(run)
 
-Each is a check of a name of its own, with a margin that steers the search, or makes none where a run has nothing to
-judge; :func:`no_fault` alone has no margin. Each says where it is from and how sure that is: *read*, that the text of
-the source itself was read; *second hand*, that others quote it so; all other numbers are choices, and arguments.
+Each property is a check with its own name and a margin that steers the search; only :func:`no_fault` has no margin. If
+a run has nothing to judge, it makes no check. Each property names its source and how reliable that is: *read* means
+that the source itself was read; *second hand* means that others quote it. All other numbers are choices, and arguments.
 """
 
 from __future__ import annotations
@@ -49,39 +49,40 @@ __all__ = [
     "rss_distance", "stays_on_road",
 ]  # fmt: skip
 
-__tracebackhide__ = True  # by pytest: the line of the test function is the last one then
+__tracebackhide__ = True  # pytest hides these frames, so a traceback ends in the test function
 
 NEAR = 10.0
-"""What gaps to others are divided by for their margins [m]."""
+"""The scale by which gaps to other vehicles are divided to get margins [m]."""
 INTRUSION = 0.3
-"""Over the line of the ego's lane, from which on an NPC has come in; UN R157, 5.2.5.2, has it of the tyre [m]."""
+"""The distance over the line of the ego's lane at which an NPC has cut in; UN R157, 5.2.5.2: of its tyre [m]."""
 VISIBLE = 0.72
-"""For so long an NPC's motion must have been visible before that; UN R157, 5.2.5.2 [s]."""
+"""The time for which an NPC's motion must have been visible before it cuts in; UN R157, 5.2.5.2 [s]."""
 CONTACT = 0.1
-"""Boxes that are closer touch [m]."""
+"""The gap below which boxes touch [m]."""
 
 
 def no_fault(run: Run) -> None:
-    """The ego is at fault in no collision, neither alone nor with the NPC; an assertion, without a margin.
+    """Assert that the ego is at fault in no collision, neither alone nor with the NPC; without a margin.
 
-    By the written rules of ``run.attribution``, whose sources docs/explanation/verdicts.md names.
+    The rules are those of ``run.attribution``, whose sources are listed in docs/explanation/verdicts.md.
     """
     assert run.responsibility not in ("ego", "both"), run.explain()  # noqa: S101
 
 
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
-    """Whoever is ahead or side by side is as far as Responsibility-Sensitive Safety asks, along or across the road.
+    """Check that NPCs ahead and side by side are at the safe distance of Responsibility-Sensitive Safety.
 
-    What is checked is the gap beyond the safe distance [m] of the worst NPC, at least 0: across the road side by side,
-    along it where the gap across is too small, else the greater one of both. An NPC behind owes the distance itself;
-    :func:`lane_change_gaps` is about moving in ahead of one.
+    The value is the gap minus the safe distance [m] of the worst NPC, at least 0: across the road for an NPC side by
+    side, along the road if the gap across is too small, otherwise the larger of the two. An NPC behind is not judged,
+    since it must keep the distance itself; :func:`lane_change_gaps` judges a lane change in front of it. A crossing NPC
+    is not judged before it is on the ego's way; see :func:`gives_way`.
 
-    Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default with the numbers of attribution, a
-    choice by which two seconds are always enough; ``pytest_pafot.criticality.RssRules()`` has those that Intel
-    suggests (read). An NPC that crosses is not judged before it is on the ego's way; see :func:`gives_way`.
+    Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). The default parameters are those of attribution,
+    a choice for which two seconds are always enough; ``pytest_pafot.criticality.RssRules()`` has those that Intel
+    suggests (read).
     """
     if not isinstance(rules, RssRules):
-        raise TypeError(f"rss_distance: expected rules= as RssRules(...) of criticality, received {rules!r:.80}")
+        raise TypeError(f"rss_distance: expected rules= as criticality.RssRules(...), received {rules!r:.80}")
     frame = RoadFrame(run.trace)
     along, across = frame.gap_along - frame.safe_along(rules), frame.gap_across - frame.safe_across(rules)
     beyond = np.where(frame.gap_along <= 0, across, np.where(across < 0, along, np.maximum(along, across))).T
@@ -97,16 +98,16 @@ def comfort(
     lateral_acceleration: float | None = 3.0,
     lateral_jerk: float | None = 5.0,
 ) -> None:
-    """Gentle for who sits in it: along and across its way, the ego's acceleration and its change are at most so much.
+    """Check that the ride is comfortable: the ego's acceleration and jerk, along and across its way, are limited.
 
-    Jerk, the mean of 1 s [m/s^3], and deceleration, the mean of 2 s [m/s^2]; ``run.ego.lateral_acceleration`` to either
-    side [m/s^2], and how it changes [m/s^3], each the mean of 0.5 s. None leaves one out. What a bend of the road takes
-    counts, as who sits there feels it and the policy chooses the speed. Before the run it drove as at its first tick. A
-    mean over time does not punish a policy for deciding only a few times a second. Who has to brake for others is not
-    comfortable.
+    The values are the jerk, a mean over 1 s [m/s^3]; the deceleration, a mean over 2 s [m/s^2]; and
+    ``run.ego.lateral_acceleration`` to either side [m/s^2] and its change [m/s^3], each a mean over 0.5 s. None
+    disables a limit. The lateral acceleration in a bend of the road counts, because passengers feel it and the policy
+    chooses the speed. Braking for other vehicles counts, too. The ego is assumed to have driven before the run as at
+    its first tick. Means are used so that a policy is not penalised for deciding only a few times a second.
 
-    Source: along, ISO 15622:2018, adaptive cruise control above 20 m/s (second hand: of jerk it speaks only in
-    braking); across, UN R79, 5.6.2.1.3, automatically commanded steering (second hand: only the jerk is a mean there).
+    Source: along, ISO 15622:2018, adaptive cruise control above 20 m/s (second hand: its limit of jerk is only for
+    braking); across, UN R79, 5.6.2.1.3, automatically commanded steering (second hand: only its jerk is a mean).
     """
     asked = {
         "jerk": jerk,
@@ -130,11 +131,11 @@ def comfort(
 
 
 def gives_way(run: Run, *, seconds: float = 1.0) -> None:
-    """The ego goes first through a zone in which an NPC has priority only if so many seconds are left for it [s].
+    """Check that the ego goes first through a zone in which an NPC has priority only with a gap of ``seconds`` [s].
 
-    What is checked is the NPC's ``time_advantage`` at the tick at which the ego enters the zone: from when the ego will
-    have left it until the NPC comes, if both keep their speed. So nobody counts who sets off only then, and nobody who
-    came before the ego; to run into that one is a matter of :func:`no_fault`.
+    The value is the NPC's ``time_advantage`` at the tick at which the ego enters the zone: the time from the ego's exit
+    to the NPC's arrival, if both keep their speed. So an NPC that sets off only then does not count. Neither does an
+    NPC that entered before the ego; for a collision with it see :func:`no_fault`.
 
     Source: Laureshyn and others 2010 for the measure (second hand); 1 s is a choice.
     """
@@ -147,9 +148,10 @@ def gives_way(run: Run, *, seconds: float = 1.0) -> None:
 
 
 def stays_on_road(run: Run) -> None:
-    """The ego's centre stays on the road: its way to the nearer edge [m] is at least 0. The same as ``run.off_road``.
+    """Check that the ego's centre stays on the road: its distance to the nearer edge [m] is at least 0.
 
-    On roads that bend the edge is not known while the ego is on them: half its lane's width counts there. No source.
+    It fails for the same runs as ``run.off_road``. On roads that bend, the edge is unknown while the ego is on the
+    road, so half the width of its lane is used instead. No source.
     """
     trace, lane = run.trace, run.trace.ego[:, LANE].astype(np.intp)
     half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
@@ -172,15 +174,15 @@ def keeps_up(
     headway: float = 3.0,
     seconds: float = 10.0,
 ) -> None:
-    """With nobody ahead for so many seconds, the ego has reached a share of a speed at some tick of them.
+    """Check that the ego reaches a share of a speed in any ``seconds`` [s] during which no vehicle is ahead.
 
-    What is checked is the ego's highest speed of the last ``seconds`` over that speed, the limit of its lane unless
-    given [m/s], as a number or one a tick. Nobody is ahead where the gap to the leader in the ego's lane is at least
-    what it would drive in ``headway`` [s] with the speed that is asked, and where of each NPC that crosses and the ego
-    one has left the zone of both. Where that speed is 0 nothing is asked. Shorter runs are not judged.
+    The value is the ego's highest speed in the last ``seconds`` divided by ``speed`` [m/s], which is a number or one
+    number per tick; the default is the speed limit of its lane. A vehicle is ahead if the gap to the leader in the
+    ego's lane is less than the required speed times ``headway`` [s], or if both the ego and a crossing NPC still have
+    to pass their zone. Ticks with a ``speed`` of 0 and runs shorter than ``seconds`` are not judged.
 
     Raises:
-        ValueError: for what is no finite number of at least 0, and for speeds that are not one for each tick.
+        ValueError: for an argument that is not a finite number of at least 0, or speeds that are not one per tick.
 
     Source: Vienna Convention on Road Traffic, Art. 13 (4), on impeding others by driving slowly (read; it has no
     numbers).
@@ -189,14 +191,15 @@ def keeps_up(
     full = np.asarray(limits if speed is None else speed)
     is_number = full.dtype.kind in "iuf" and full.shape in ((), limits.shape)
     if not is_number or not ((full >= 0) & (full < math.inf)).all():
-        expected = "a finite speed of at least 0 as a number or one a tick"
+        expected = "a finite speed of at least 0, as a number or one number per tick"
         raise ValueError(f"keeps_up: expected {expected}, received speed={speed!r:.80}")
     _refuse_odd("keeps_up", share=share, headway=headway, seconds=seconds)
     if run.duration < seconds:
         return
     full = np.broadcast_to(full, limits.shape)
     ahead, ticks = run.leader, np.arange(len(full))
-    gaps = np.column_stack((longitudinal_gap(run.trace), np.full(len(full), np.inf)))[ticks, ahead]  # -1: nobody
+    # A leader of -1, which is none, selects the last column.
+    gaps = np.column_stack((longitudinal_gap(run.trace), np.full(len(full), np.inf)))[ticks, ahead]
     is_free = (full > 0) & (gaps >= headway * share * full) & ~still_to_pass(run.trace).any(axis=1)
     paces = np.where(is_free, np.asarray(run.ego.speed) / np.where(full > 0, full, 1.0), np.inf)
     window = round(seconds * run.trace.physics_hz)
@@ -206,12 +209,13 @@ def keeps_up(
 
 
 def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> None:
-    """The ego changes lanes only into gaps of so many seconds [s], of whoever is behind in them.
+    """Check that the ego changes lanes only into gaps of at least so many seconds [s].
 
-    When its centre comes into the other lane: ahead, the gap to each NPC in that lane over the ego's speed; behind,
-    over that NPC's speed. 0 side by side. A run without a lane change is not judged, and nor is an NPC that crosses.
+    The value is taken when the ego's centre enters the new lane. Ahead, it is the gap to each NPC in that lane divided
+    by the ego's speed; behind, divided by the NPC's speed; side by side, it is 0. A run without a lane change is not
+    judged, and neither is a crossing NPC.
 
-    Source: 1 s is what UN R79, 5.6.4.7, leaves the one behind (formula read); that of the one ahead is a choice.
+    Source: for ``behind``, 1 s is what UN R79, 5.6.4.7, requires (formula read); 1 s for ``ahead`` is a choice.
     """
     _refuse_odd("lane_change_gaps", ahead=ahead, behind=behind)
     gaps, is_on_way = longitudinal_gap(run.trace), Encounters(run.trace).is_on_way
@@ -229,11 +233,11 @@ def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> No
 
 
 def brakes_for_a_reason(run: Run) -> None:
-    """The ego never brakes hard, more than 5 m/s^2 for 0.4 s, with nothing in its way, whether somebody hits it or not.
+    """Check that the ego never brakes hard, more than 5 m/s^2 for 0.4 s, without a reason, even if nothing hits it.
 
-    What is checked is the deceleration that lasts for 0.4 s from a tick on [m/s^2], 0 where there is a reason, at most
-    5. A reason of docs/explanation/verdicts.md, rule 7, must be there when the braking began, up to 1.6 s before, or
-    0.4 s after; or an NPC that crosses, with which the ego would be in the zone of both within four seconds.
+    The value is the deceleration that lasts for 0.4 s from a tick on [m/s^2], at most 5; it is 0 if there is a reason.
+    A reason of docs/explanation/verdicts.md, rule 7, must exist between 1.6 s before the braking began and 0.4 s after
+    it. A crossing NPC that would be in its zone together with the ego within four seconds is a reason, too.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """
@@ -241,7 +245,7 @@ def brakes_for_a_reason(run: Run) -> None:
     lasts, back = math.ceil(HARD_SECONDS * trace.physics_hz), round(REASON_SECONDS * trace.physics_hz)
     later = np.concatenate((braking(trace)[1:], np.zeros(lasts)))
     lasting = np.lib.stride_tricks.sliding_window_view(later, lasts).min(axis=1)
-    # Whether the ego had a reason, at each tick, by the lane in which it is then.
+    # Reasons depend on the ego's lane, so find them separately for each stretch of ticks in one lane.
     bounds = [0, *(np.flatnonzero(np.diff(trace.ego[:, LANE])) + 1).tolist(), trace.ticks + 1]
     parts, frame = (slice(first, end) for first, end in pairwise(bounds)), RoadFrame(trace)
     by_lane = [reasons(trace, frame, DISTANCES, 0, part) for part in parts]
@@ -258,21 +262,21 @@ def brakes_for_a_reason(run: Run) -> None:
 
 
 def answers_cut_ins(run: Run) -> None:
-    """No collision follows a cut-in that UN R157 has an automated vehicle avoid.
+    """Check that no collision follows a cut-in that an automated vehicle must avoid by UN R157.
 
-    A cut-in counts where an NPC ahead that is slower comes 0.3 m over the line of the ego's lane, has been visible in
-    its motion for 0.72 s, and the time to collision is more than v / (2 * 6 m/s^2) + 0.35 s, with v by how much it is
-    slower. From there on the gap of the boxes [m] is checked, at least 0.1, until the ego is no faster, one of the two
-    is out of the lane, or the NPC is so slow that at this speed the cut-in had not counted. What happens later is no
-    matter of the cut-in. A run without such a cut-in is not judged.
+    A cut-in counts if a slower NPC ahead is 0.3 m over the line of the ego's lane, its motion has been visible for
+    0.72 s, and the time to collision is more than v / (2 * 6 m/s^2) + 0.35 s, where v is the difference of speeds. The
+    value is the gap between the boxes from then on [m], at least 0.1. It is checked until the ego is not faster any
+    more, until one of the two leaves the lane, or until the NPC is so slow that the cut-in would not have counted at
+    this speed. Later events are not due to the cut-in. A run without such a cut-in is not judged.
 
-    Source: UN R157, 5.2.5.2 (formula read), for an NPC that keeps its speed. Choices are: up to that lower speed, half
-    the NPC's width beside its centre in place of the tyre, visible once it moves sideways with 0.3 m/s, 0.1 m. Who
-    merges from a way of its own, as at a junction, cuts in nowhere.
+    Source: UN R157, 5.2.5.2 (formula read), for an NPC that keeps its speed. Choices are: the end at that lower speed,
+    half the NPC's width next to its centre instead of the tyre, visibility from a lateral speed of 0.3 m/s on, and the
+    gap of 0.1 m. An NPC that merges from its own way, as at a junction, does not cut in.
     """
     trace, frame = run.trace, RoadFrame(run.trace)
     lane = trace.ego[:, LANE].astype(np.intp)
-    beside = frame.right + LanePlaces(trace, frame).offset(0)  # of the NPCs' centres from that of the ego's lane
+    beside = frame.right + LanePlaces(trace, frame).offset(0)  # offsets of the NPCs from the centre of the ego's lane
     half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
     is_in = half + trace.sizes[1:, 1:] / 2 - np.abs(beside) >= INTRUSION
     keeps = (lane[1:] == lane[:-1]) & (lane[1:] >= 0)
@@ -282,7 +286,8 @@ def answers_cut_ins(run: Run) -> None:
     for each, before in zip(*np.nonzero(is_in[:, 1:] & ~is_in[:, :-1] & keeps), strict=True):
         npc, tick = int(each), int(before) + 1
         towards = -np.sign(beside[npc, tick]) * frame.drift[npc + 1, : tick + 1]
-        began = int(np.flatnonzero(np.append(True, ~(towards[1:] >= DRIFTING)))[-1])  # NaN before it was on the way
+        # ~(>=) instead of <, because the drift is NaN before the NPC is on the way.
+        began = int(np.flatnonzero(np.append(True, ~(towards[1:] >= DRIFTING)))[-1])
         slower = np.maximum(frame.speed[0, tick] - frame.speed[npc + 1, tick:], 0.0)
         is_asked = gaps[npc, tick] > slower * (slower / (2 * 6.0) + 0.35)
         if tick - began >= VISIBLE * trace.physics_hz and slower[0] > 0 and is_asked[0]:
@@ -293,13 +298,13 @@ def answers_cut_ins(run: Run) -> None:
 
 
 def _refuse_odd(name: str, **given: object) -> None:
-    """Refuse what is no finite number of at least 0."""
+    """Refuse arguments that are not finite numbers of at least 0."""
     for each, value in given.items():
         checked_number(value, name, f"{each}= as a finite number of at least 0", least=0.0)
 
 
 def _check_worst(run: Run, values: FloatArray, *, name: str, at_least: float) -> None:
-    """Check metres of shape [NPCs, ticks + 1], the least at each tick; inf is nothing to judge."""
+    """Check the smallest of all NPCs' values [m] at each tick; the shape is [NPCs, ticks + 1], inf is not judged."""
     if values.size and not np.isposinf(values).all():
         npc = int(np.where(np.isnan(values), -np.inf, values).min(axis=1).argmin())
         least = Signal(values.min(axis=0), hz=run.trace.physics_hz, unit="m")
@@ -307,7 +312,7 @@ def _check_worst(run: Run, values: FloatArray, *, name: str, at_least: float) ->
 
 
 def _change(signal: Signal, seconds: float) -> Signal:
-    """Mean change per second over the seconds up to each tick; before the first one it was as there."""
+    """Return the mean change per second in the ``seconds`` before each tick, constant before the first one."""
     hz = signal.hz or 1
     ticks = round(seconds * hz)
     before = np.concatenate((np.full(ticks, signal[0]), signal))[: len(signal)]

@@ -1,7 +1,7 @@
 """Hypothesis strategies for valid Position-Instructions, chromosomes and scenarios.
 
-Valid by construction: a chain is a start cell and steps along the ring, so nothing is filtered. They shrink
-towards few NPCs, short chains, "stay" and low round speeds; of NPCs that cross towards a slot of 0.
+Examples are valid by construction: a chain is a start cell and steps along the ring, so nothing is filtered. They
+shrink towards few NPCs, short chains, "stay" and low round speeds; crossing NPCs shrink towards a slot of 0.
 
     from hypothesis import given
     import pytest_pafot as pafot
@@ -33,9 +33,9 @@ from pytest_pafot.model.scenario import (
 
 
 def _register() -> None:
-    """Hypothesis calls this entry point when it is imported, so that types alone give strategies.
+    """Register strategies for types, so that hypothesis can infer them; hypothesis calls this when it is imported.
 
-    It stands before the import of hypothesis, which may be the one that calls it.
+    It is defined before the import of hypothesis below, because that import may already call it.
     """
     from hypothesis import strategies  # noqa: PLC0415
 
@@ -52,20 +52,20 @@ _STEPS = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
 _SLOTS = [
     step / SLOT_STEPS_PER_SECOND for step in sorted(range(-_STEPS, _STEPS + 1), key=lambda step: (abs(step), -step))
 ]
-"""All slots, those near the ego first, since examples shrink towards the beginning of a list."""
+"""All slots, sorted by distance to the ego, since examples shrink towards the beginning of a list."""
 
 
 def position_instructions(
     *, cells: Iterable[int] = tuple(Cell), min_speed: float = 0.0, max_speed: float = PAPER_SPEED_LIMIT
 ) -> SearchStrategy[PositionInstruction]:
-    """Single genes.
+    """Return a strategy for single genes.
 
     Args:
-        cells: to choose from, 1 to 8.
+        cells: the cells to choose from, 1 to 8.
         min_speed, max_speed: bounds of the target speed [m/s]; speeds are multiples of 0.1.
 
     Raises:
-        ValueError: for a cell outside 1 to 8 or bounds that leave no speed.
+        ValueError: for a cell outside 1 to 8, or bounds that leave no speed.
     """
     return st.builds(PositionInstruction, st.sampled_from(_cells(cells)), _speeds(min_speed, max_speed))
 
@@ -78,15 +78,15 @@ def chromosomes(
     min_genes: int = 1,
     max_genes: int = 6,
 ) -> SearchStrategy[Chromosome]:
-    """One NPC's chain: each cell equals the one before or is its ring neighbour.
+    """Return a strategy for one NPC's chain: each cell equals the previous one or is its neighbour on the ring.
 
     Args:
-        cells: that the chain may visit; steps to others are not taken.
+        cells: the cells that the chain may visit.
         min_speed, max_speed: bounds of the target speeds [m/s].
         min_genes, max_genes: bounds of the length.
 
     Raises:
-        ValueError: for bounds that leave nothing to draw.
+        ValueError: for bounds that leave no chain.
     """
     allowed, speeds, lengths = _cells(cells), _speeds(min_speed, max_speed), _bounds("genes", min_genes, max_genes)
 
@@ -112,22 +112,22 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     gene_seconds: float = GENE_SECONDS,
     traffic: str | Traffic = "hostile",
 ) -> SearchStrategy[Scenario]:
-    """Whole scenarios: chains in which no two NPCs hold the same cell in the same gene.
+    """Return a strategy for whole scenarios: no two NPCs are in the same cell in the same gene.
 
     Args:
-        cells: that the chains may visit.
+        cells: the cells that the chains may visit.
         min_speed, max_speed: bounds of the target speeds [m/s].
-        min_genes, max_genes: bounds of the length of the chains, which all have the same.
+        min_genes, max_genes: bounds of the length of the chains, which is the same for all chains.
         min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8.
-        lanes: of the road; every NPC starts in a cell whose lane exists.
-        ego_lane: the ego's first lane, 0 at the left; None draws it.
-        ego_speed: everybody's first speed [m/s].
-        gene_seconds: duration of one gene [s].
-        traffic: how the NPCs drive beside what their instructions ask for, a style or a whole
+        lanes: the number of lanes; every NPC starts in a cell whose lane exists.
+        ego_lane: the ego's first lane, 0 at the left; None for a random one.
+        ego_speed: the first speed of all vehicles [m/s].
+        gene_seconds: the duration of one gene [s].
+        traffic: how the NPCs drive apart from their instructions, as a style or a whole
             :class:`~pytest_pafot.Traffic`; target speeds are at least its share of the highest one.
 
     Raises:
-        ValueError: for bounds that leave nothing to draw.
+        ValueError: for bounds that leave no scenario.
     """
     style = Traffic.of(traffic)
     allowed, speeds = _cells(cells), _speeds(max(min_speed, style.least_speed(max_speed)), max_speed)
@@ -135,7 +135,7 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     if lanes < 1 or (ego_lane is not None and not 0 <= ego_lane < lanes):
         raise ValueError(f"ego_lane: expected a lane from 0 to {lanes - 1}, received {ego_lane}")
     starts = {lane: [cell for cell in allowed if 0 <= lane + cell.column < lanes] for lane in range(lanes)}
-    # Examples shrink to the first lane, which is to be the one next to the leftmost.
+    # Examples shrink to the first lane of the list, which should be the one next to the leftmost.
     ordered = sorted(range(lanes), key=lambda lane: (lane != min(1, lanes - 1), lane))
     usable = [lane for lane in ordered if ego_lane in (None, lane) and len(starts[lane]) >= max_npcs]
     if not usable:
@@ -165,28 +165,30 @@ def scenarios_in(
     acts: Iterable[Act] = ("pass", "hold", "stop"),
     traffic: str | Traffic = "hostile",
 ) -> SearchStrategy[Scenario]:
-    """Whole scenarios that fit a world: its lanes, its speeds, and NPCs that cross where its ways do.
+    """Return a strategy for whole scenarios that fit a world: its lanes, its speeds, and NPCs on its crossing ways.
 
     Args:
-        world: such as ``pafot.World("intersection-v0")``.
+        world: the world, such as ``pafot.World("intersection-v0")``.
         min_genes, max_genes: bounds of the length of the chains on the grid.
-        min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8; where two that cross would be in one place at once,
-            one of them is left out.
-        acts: of those that cross, of ``pass``, ``hold``, ``stop`` and ``late``.
-        traffic: how the NPCs drive beside what their instructions ask for.
+        min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8; if two crossing NPCs would be in the same place at the
+            same time, one of them is left out.
+        acts: the acts of crossing NPCs to choose from: ``pass``, ``hold``, ``stop`` and ``late``.
+        traffic: how the NPCs drive apart from their instructions.
 
     Raises:
-        ValueError: for bounds that leave nothing to draw.
+        ValueError: for bounds that leave no scenario.
         WorldError: for a world that cannot be built.
     """
-    from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and seldom needed)
+    from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and rarely needed)
     from pytest_pafot.world.protocol import crossings, most_on_grid, road_start  # noqa: PLC0415
 
     space = space_on(world, {"traffic": traffic, "acts": tuple(acts), "crossings": crossings(world)}, road_start(world))
     crossing, starts, room = space.crossing_traffic, _starts(world, space.ego_lane), most_on_grid(world)
     usable = [lane for lane, cells in starts.items() if crossing is not None or min(len(cells), room) >= max_npcs]
     if not usable:
-        raise ValueError(f"max_npcs: expected one cell to start in for each, received {max_npcs}; use fewer NPCs")
+        raise ValueError(
+            f"max_npcs: expected at most one NPC per cell that exists at the start, received {max_npcs}; use fewer NPCs"
+        )
     lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
     speeds = _speeds(space.low_step / SPEED_STEPS_PER_MPS, space.top_step / SPEED_STEPS_PER_MPS)
     ways = (
@@ -218,8 +220,8 @@ def scenarios_in(
 
 
 def _starts(world: Any, ego_lane: int) -> dict[int, list[Cell]]:
-    """The cells in which NPCs may start, by the ego's first lane; where a road bends, each is repaired to one there."""
-    from pytest_pafot.world.protocol import straight_road  # noqa: PLC0415  (slow to import, and seldom needed)
+    """Return the cells in which NPCs may start, by the ego's first lane; on a bent road, the repair moves them."""
+    from pytest_pafot.world.protocol import straight_road  # noqa: PLC0415  (slow to import, and rarely needed)
 
     road = straight_road(world)
     if road is None:
@@ -237,17 +239,18 @@ def _chains(
     allowed: list[Cell],
     speeds: SearchStrategy[float],
 ) -> tuple[Chromosome, ...]:
-    """Chains that start in, and stay within, given cells.
+    """Draw chains that start in and stay within given cells.
 
-    No strategy of its own: hypothesis reads the source of one when it is made, which would be at each draw.
+    This is a plain function because hypothesis reads the source of a strategy when it is made, which would be slow at
+    each draw.
     """
     held: list[Cell] = []
     for _ in range(npcs):
         held.append(draw(st.sampled_from([cell for cell in starts if cell not in held])))
     rows = [list(held)]
     for _ in range(genes - 1):
-        # One NPC after the other moves to a cell that nobody holds, so that "stay" is always open to it. In
-        # which order decides who can follow whom along the ring.
+        # One NPC after the other moves to a free cell, so that "stay" is always possible. The order decides which NPC
+        # can follow which along the ring.
         order = range(npcs) if npcs == 1 or not draw(st.booleans()) else reversed(range(npcs))
         for npc in order:
             moves = [held[npc], *(c for c in held[npc].neighbours if c in allowed and c not in held)]
@@ -265,7 +268,7 @@ def _speeds(low: float, high: float) -> SearchStrategy[float]:
         whole = -(-step // SPEED_STEPS_PER_MPS) * SPEED_STEPS_PER_MPS
         return (step if exact or whole > last else whole) / SPEED_STEPS_PER_MPS
 
-    return st.builds(speed, st.integers(first, last), st.booleans())  # of one shape, so that each shrinks to round ones
+    return st.builds(speed, st.integers(first, last), st.booleans())  # not two strategies, so that speeds shrink
 
 
 def _cells(cells: Iterable[int]) -> list[Cell]:

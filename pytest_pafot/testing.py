@@ -1,4 +1,4 @@
-"""What a world promises to a search, checked: for the tests of whoever writes a world of their own."""
+"""Checks of the requirements that a search has for a world, for the tests of a user's own world."""
 
 from __future__ import annotations
 
@@ -29,38 +29,38 @@ ROUNDING = 1e-6
 def check_world(
     world: Any, *, seed: int = 0, runs: int = 8, ads: Ads = lambda: lambda observation: (0.0, 0.0), **space: Any
 ) -> None:
-    """Check that a world keeps what a search builds on, by random scenarios.
+    """Check with random scenarios that a world meets the requirements of a search.
 
-    - It has what a search needs, and plain data that a file can hold.
-    - Traces have the form that oracles and reports read, also of NPCs that cross where it has ways for them.
+    - It has all attributes that a search needs, and plain data that a file can store.
+    - Traces have the form that oracles and reports expect, also for crossing NPCs if the world has ways for them.
     - The same scenario gives the same trace to the last bit, whatever ran before.
-    - What was executed runs to the same trace.
-    - NPCs keep its ``limits``, where these are a :class:`pytest_pafot.NpcLimits`.
-    - An ADS that raises, returns no action or hangs ends its own run and harms no other; hanging is tried where the
-      world's ``hang_limit`` is one second at most.
-    - ``from_dict`` gives the same world again, where its class has that or a file can describe it.
+    - The scenario as executed gives the same trace.
+    - NPCs stay within its ``limits``, if these are a :class:`pytest_pafot.NpcLimits`.
+    - An ADS that raises, returns no action or hangs ends its own run and does not affect others; hanging is tried only
+      if the world's ``hang_limit`` is at most one second.
+    - ``from_dict`` gives the same world again, if its class has that method or if a file can describe the world.
 
     Args:
-        world: to check.
-        seed: of the scenarios.
-        runs: number of scenarios.
-        ads: factory of an ADS that drives in this world without errors and remembers nothing of other runs; without
-            one, it drives in SI units and neither accelerates nor steers.
-        space: what scenarios have in common, as in :func:`pytest_pafot.search`: ``npcs``, ``genes``, ``ego_lane`` ...
+        world: the world to check.
+        seed: the seed of the scenarios.
+        runs: the number of scenarios.
+        ads: the factory of an ADS that drives in this world without errors and does not depend on earlier runs; the
+            default answers in SI units and neither accelerates nor steers.
+        space: properties of all scenarios, as in :func:`pytest_pafot.search`: ``npcs``, ``genes``, ``ego_lane`` ...
 
     Raises:
-        AssertionError: naming the promise that is broken.
+        AssertionError: names the requirement that is not met.
     """
-    _promise(not (lacking := missing(world)), "a world has what a search needs", f"no {', '.join(lacking)}")
+    _promise(not (lacking := missing(world)), "a world has all that a search needs", f"no {', '.join(lacking)}")
     ways = {} if (found := crossings(world)) is None else {"crossings": found}
     random, within = np.random.default_rng(seed), space_on(world, {**ways, **space}, road_start(world))
     done = [(scenario, _rollout(world, scenario, ads)) for scenario in (sample(within, random) for _ in range(runs))]
     for scenario, trace in done:
         _check_form(world, scenario, trace)
         _check_limits(world, trace)
-    for scenario, trace in done[::-1]:  # another order than before
+    for scenario, trace in done[::-1]:  # in a different order than before
         _check_same(trace, _rollout(world, scenario, ads), "the same scenario gives the same trace")
-        _check_same(trace, _rollout(world, trace.executed, ads), "what was executed runs to the same trace")
+        _check_same(trace, _rollout(world, trace.executed, ads), "the scenario as executed gives the same trace")
     _check_faults(world, *done[0], ads)
     _check_round_trip(world, *done[0], ads)
 
@@ -89,13 +89,13 @@ def _check_same(first: Trace, second: Trace, promise: str) -> None:
     names = {field.name for field in fields(Trace) if field.init} - {
         "scenario",
         "max_decision_seconds",
-    }  # those may be others
+    }  # these two may differ
     differ = [name for name in sorted(names) if not _is_same(getattr(first, name), getattr(second, name))]
-    _promise(not differ, promise, f"another {', '.join(differ)} of {first.scenario!r}")
+    _promise(not differ, promise, f"a different {', '.join(differ)} for {first.scenario!r}")
 
 
 def _is_same(first: Any, second: Any) -> bool:
-    """Whether two values are the same to the last bit."""
+    """Return whether two values are the same to the last bit."""
     if isinstance(first, np.ndarray):
         return isinstance(second, np.ndarray) and (first.shape, first.tobytes()) == (second.shape, second.tobytes())
     if isinstance(first, tuple) and isinstance(second, tuple):
@@ -104,8 +104,8 @@ def _is_same(first: Any, second: Any) -> bool:
 
 
 def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
-    """What oracles, measures and pages read of a trace."""
-    _promise(trace.error is None, "the ADS of the check drives in this world", f"{trace.error}; give another by ads=")
+    """Check the parts of a trace that oracles, measures and pages read."""
+    _promise(trace.error is None, "the ADS of the check drives in this world", f"{trace.error}; give a different ads=")
     states, start = trace.states, trace.states[0]
     _promise(states.shape[1] == len(scenario.npcs) + 1, "states are of the ego and each NPC", f"shape {states.shape}")
     ways = [None if told is None else told.zone for told in scenario.crossings]
@@ -114,24 +114,24 @@ def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
     track = np.zeros((1, len(crossing), 1)) if trace.track is None else trace.track[:, 1:]
     boxes = [Box(*row[:3], *size) for row, size in zip(start.tolist(), trace.sizes.tolist(), strict=True)]
     promises = {
-        "trace.scenario is what was asked for": trace.scenario == scenario,
+        "trace.scenario is the requested scenario": trace.scenario == scenario,
         "states are finite": np.isfinite(states).all(),
         "vehicles have a length and a width": (trace.sizes > 0).all(),
         "the column lane is an index of lanes, or -1": np.isin(states[..., LANE], range(-1, len(trace.lanes))).all(),
         "ads_hz divides physics_hz": trace.physics_hz % trace.ads_hz == 0,
         "no run is longer than longest_run": trace.duration <= world.longest_run + trace.dt,
-        "a collision is there where the outcome says so": (trace.outcome is Outcome.COLLISION) == bool(trace.collision),
+        "there is a collision if the outcome says so": (trace.outcome is Outcome.COLLISION) == bool(trace.collision),
         "the ego starts as fast as the scenario says": abs(start[0, SPEED] - scenario.ego_speed) < ROUNDING,
         "acceleration and steering of the first row are 0": not start[:, [ACCELERATION, STEERING]].any(),
         "zones are those of the instructions": [None if zone is None else zone.way for zone in trace.zones] == ways,
-        "on_way has the places of who crosses, and NaN of others": (np.isfinite(on_way) == crossing).all(),
-        "track is recorded where somebody crosses": trace.track is not None or not crossing.any(),
-        "track has no NaN but of who crosses": not np.isnan(track[:, ~crossing]).any(),
-        "nobody touches anybody at the start": not any(overlap(a, b) for a, b in combinations(boxes, 2)),
+        "on_way has the places of crossing NPCs, and NaN for others": (np.isfinite(on_way) == crossing).all(),
+        "track is recorded if an NPC crosses": trace.track is not None or not crossing.any(),
+        "track has NaN only for crossing NPCs": not np.isnan(track[:, ~crossing]).any(),
+        "no vehicles touch at the start": not any(overlap(a, b) for a, b in combinations(boxes, 2)),
     }
     for promise, is_kept in promises.items():
-        _promise(bool(is_kept), promise, f"otherwise in {trace!r}")
-    with _no_error("Run(trace).explain() tells what happened"):
+        _promise(bool(is_kept), promise, f"something else in {trace!r}")
+    with _no_error("Run(trace).explain() describes the run"):
         Run(trace).explain()
 
 
@@ -169,11 +169,11 @@ def _check_faults(world: Any, scenario: Scenario, healthy: Trace, ads: Ads) -> N
         trace = _rollout(world, scenario, partial(_failing_ads, ads, fault))
         is_kept = trace.outcome is outcome and trace.error is not None
         _promise(is_kept, f"an ADS that {name} ends its run as {outcome}", f"{trace.outcome}, {trace.error}")
-        _check_same(healthy, _rollout(world, scenario, ads), f"an ADS that {name} leaves the next run alone")
+        _check_same(healthy, _rollout(world, scenario, ads), f"an ADS that {name} does not affect the next run")
 
 
 def _failing_ads(factory: Ads, fault: Callable[[], Any]) -> Callable[[Any], Any]:
-    """An ADS that fails in its second decision."""
+    """Return an ADS that fails in its second decision."""
     decisions: Iterator[Callable[[Any], Any]] = chain([factory()], repeat(lambda observation: fault()))
 
     def decide(observation: Any) -> Any:
@@ -185,10 +185,10 @@ def _failing_ads(factory: Ads, fault: Callable[[], Any]) -> Callable[[Any], Any]
 def _check_round_trip(world: Any, scenario: Scenario, trace: Trace, ads: Ads) -> None:
     data, cls = described(world), type(world)
     if data["kind"] == OWN:
-        _promise("data" in data, "to_dict gives plain data that a file can hold", f"{world.to_dict()!r:.200}")
+        _promise("data" in data, "to_dict returns plain data that a file can store", f"{world.to_dict()!r:.200}")
     if is_code(data) and not (data["kind"] == OWN and hasattr(cls, "from_dict")):
         return
-    with _no_error("from_dict takes what to_dict gives"):
+    with _no_error("from_dict accepts the data of to_dict"):
         again = cls.from_dict(world.to_dict()) if data["kind"] == OWN else from_dict(data)
     _promise(described(again) == data, "from_dict(to_dict()) has the same data", f"{described(again)} for {data}")
     _check_same(trace, _rollout(again, scenario, ads), "from_dict(to_dict()) gives the same traces")

@@ -1,6 +1,6 @@
-"""Failures to learn from: an environment whose episodes are scenarios, and ordinary traffic beside them.
+"""A training environment whose episodes are scenarios, such as failures, mixed with ordinary traffic.
 
-Importing this module registers it with gymnasium as ``pafot/Scenarios-v0``.
+Importing this module registers the environment with gymnasium as ``pafot/Scenarios-v0``.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from pytest_pafot.world.gym_environment import GymEnvironment
 from pytest_pafot.world.protocol import road_start
 from pytest_pafot.world.run_config import Rules
 
-# A scenario as an episode that is given its actions: the run of ``World.rollout``, the reward of the environment.
+# A scenario as an episode: it receives actions, runs as in ``World.rollout``, and has the environment's reward.
 
 
 class ScenarioSteps:
-    """One scenario, which fits the rules, in an environment that has no steps of its own."""
+    """The steps of one scenario, which must fit the rules, in an environment without its own ``step``."""
 
     def __init__(self, environment: GymEnvironment, rules: Rules, scenario: Scenario) -> None:
         self._run = begin(environment, rules, scenario, HangGuard(rules.hang_limit), None)
@@ -47,19 +47,19 @@ class ScenarioSteps:
 
     @property
     def trace(self) -> Trace | None:
-        """Of the run, once that is over."""
+        """The trace of the run; None until it is over."""
         return self._run.trace
 
     def reset(self) -> tuple[Any, dict[str, Any]]:
-        """What the reset of the environment returns."""
+        """Return the first observation and info, as the environment's ``reset`` does."""
         seen = self._run.observe()
         return seen, self._env._info(seen, self._env.action_space.sample())
 
     def step(self, action: Any) -> Step:
-        """What the step of the environment returns, of an action that it has.
+        """Drive with an action of the action space; return the same as the environment's ``step``.
 
-        The run is over at the tick of first contact, and then the ego counts as crashed: highway-env, which is asked
-        for the reward, does not look for contact itself here. A run that is over in another way is truncated.
+        The run ends at the tick of first contact. The ego is then marked as crashed for the reward, because highway-env
+        does not check for contact here. A run that ends in a different way is truncated.
         """
         run, env = self._run, self._env
         run.take(action, 0.0)
@@ -77,25 +77,25 @@ Scenarios = str | os.PathLike[str] | Sequence[Scenario] | Sampler | None
 
 
 class TrainingEnv(gymnasium.Env[Any, Any]):
-    """See :func:`training_env`, whose arguments it takes.
+    """The training environment of :func:`training_env`, which has the same arguments.
 
     Attributes:
-        trace: of the scenario that was driven last, once its run is over; None in an episode, and in ordinary traffic.
+        trace: the trace of the last scenario after its run is over; None during an episode, and in ordinary traffic.
     """
 
     def __init__(self, world: World, scenarios: Scenarios = None, share: float = 0.5) -> None:
         if not isinstance(world, World):
-            expected = 'an environment, such as pafot.World("highway-fast-v0"), whose reward there is to learn from'
+            expected = 'an environment with a reward, such as pafot.World("highway-fast-v0")'
             raise WorldError(field="world", expected=expected, received=f"{world!r:.200}")
         if world.wrappers is not None:
             expected, fix = "a world without wrappers", "put them around the training environment instead"
             raise WorldError(field="world.wrappers", expected=expected, received=f"{world.wrappers!r:.200}", fix=fix)
         world.check()
         if not world.environment.has_ordinary_steps:
-            expected = "an environment that highway-env steps, with the NPCs in place of its traffic"
-            received = f"{world.env_id!r}, whose class has steps of its own"
+            expected = "an environment that highway-env steps, so that the NPCs can replace its traffic"
+            received = f"{world.env_id!r}, whose class has its own step"
             raise WorldError(field="world", expected=expected, received=received)
-        share = checked_number(share, "share", "that of scenarios among the episodes, 0 to 1", least=0.0, most=1.0)
+        share = checked_number(share, "share", "the share of scenarios among the episodes, 0 to 1", least=0.0, most=1.0)
         self.trace: Trace | None = None
         self.observation_space = copy.deepcopy(world.observation_space)
         self.action_space = copy.deepcopy(world.action_space)
@@ -106,10 +106,10 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         self._steps: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin a scenario, or an episode of ordinary traffic; all chance follows from the seeds that were given.
+        """Begin a scenario or an episode of ordinary traffic; all random choices follow from the given seeds.
 
         Raises:
-            ScenarioError: when the sampler draws a scenario that does not fit the world.
+            ScenarioError: if the sampler returns a scenario that does not fit the world.
         """
         super().reset(seed=seed)
         self.trace, rng = None, self.np_random
@@ -129,11 +129,11 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         """Drive with an action up to the next decision, or to the end of the episode.
 
         Raises:
-            BadAction: when the action space does not have the action.
-            gymnasium.error.ResetNeeded: when no episode is under way.
+            BadAction: if the action is not in the action space.
+            gymnasium.error.ResetNeeded: if no episode has begun.
         """
         if self._steps is None:
-            raise ResetNeeded("step: expected an episode that is under way, received none; call reset() first")
+            raise ResetNeeded("step: expected an episode that has begun, received none; call reset() first")
         seen, reward, terminated, truncated, info = self._steps.step(checked_action(action, self.action_space))
         if terminated or truncated:
             self.trace = None if self._scenario is None else self._steps.trace
@@ -150,38 +150,38 @@ gymnasium.register(id="pafot/Scenarios-v0", entry_point=f"{__name__}:TrainingEnv
 
 
 def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) -> TrainingEnv:
-    """An environment of gymnasium to train a policy in: what was found to fail, and ordinary traffic.
+    """Return a gymnasium environment to train a policy in scenarios, such as its failures, and in ordinary traffic.
 
-    Observations, actions and reward are those of the world's environment. An episode is either a scenario, then it is
-    the run that the world's ``rollout`` makes of the same actions, to the last bit, and ends at the first contact of
-    the ego; or it is one of the environment's own random traffic, as it is without this package, but compiled where
-    :mod:`pytest_pafot.episodes.compiled_traffic` can do so.
+    Observations, actions and reward are those of the world's environment. An episode is either a scenario or ordinary
+    traffic. A scenario is the same run, to the last bit, as the world's ``rollout`` with the same actions, and ends at
+    the first contact of the ego. Ordinary traffic is the environment's own random traffic as without this package, but
+    compiled if :mod:`pytest_pafot.episodes.compiled_traffic` supports it.
 
-    Beside what the environment tells, ``info`` has ``is_scenario``, ``scenario`` (the id; empty in ordinary traffic)
-    and ``responsible`` (once the ego has crashed in a scenario ``ego``, ``npc``, ``both`` or ``none``; else empty).
+    In addition to the environment's own values, ``info`` has ``is_scenario``, ``scenario`` (the id; empty in ordinary
+    traffic) and ``responsible`` (``ego``, ``npc``, ``both`` or ``none`` after a crash in a scenario; otherwise empty).
 
     Args:
-        world: with an environment that takes no steps of its own, and without wrappers: these go around the result.
-        scenarios: a folder with saved scenarios, in it or below; scenarios; or a function of a numpy ``Generator`` that
-            draws one. By default random ones, as a search of this world begins with.
-        share: of the episodes that are scenarios, 0 to 1.
+        world: the world. Its environment must not have its own ``step``, nor wrappers: put these around the result.
+        scenarios: a folder, in or below which there are saved scenarios; a sequence of scenarios; or a function that
+            samples one with a numpy ``Generator``. By default random ones, like the first ones of a search.
+        share: the share of scenarios among the episodes, 0 to 1.
 
     Raises:
-        WorldError: when the world has no environment that can be trained in.
-        ValueError: when the share is out of range, there is no scenario, or what is given is none.
-        ScenarioError: when a scenario does not fit the world.
-        CorpusError: when a file cannot be used.
+        WorldError: if the world has no environment for training.
+        ValueError: if the share is out of range, there is no scenario, or an object is not a scenario.
+        ScenarioError: if a scenario does not fit the world.
+        CorpusError: if a file cannot be used.
     """
     return TrainingEnv(world, scenarios, share)
 
 
 def random_scenarios(world: Any) -> Sampler:
-    """What draws scenarios of the kind that a search of a world begins with, where nothing else is asked for."""
+    """Return a sampler of scenarios like the first ones of a search in a world with default settings."""
     return partial(sample, space_on(world, drawn_space(world, {}), road_start(world)))
 
 
 def _sampler(world: World, scenarios: Scenarios) -> Sampler:
-    """What draws a scenario."""
+    """Return a function that samples a scenario."""
     if scenarios is None:
         return random_scenarios(world)
     if isinstance(scenarios, str | os.PathLike):
@@ -191,7 +191,7 @@ def _sampler(world: World, scenarios: Scenarios) -> Sampler:
     known = tuple(scenarios) if isinstance(scenarios, Iterable) else (scenarios,)
     if not all(isinstance(each, Scenario) for each in known):
         expected = (
-            "a folder with saved scenarios, several pafot.Scenario, or a function of a numpy Generator that draws"
+            "a folder with saved scenarios, several pafot.Scenario, or a function of a numpy Generator that samples"
         )
         raise ValueError(
             f"scenarios: expected {expected} one, received {scenarios!r:.200}; leave it out for random ones"
@@ -204,11 +204,11 @@ def _sampler(world: World, scenarios: Scenarios) -> Sampler:
 
 
 def _saved_in(folder: Path, world: World) -> list[Scenario]:
-    """The scenarios of all corpus files of a folder and those below it, by path."""
+    """Return the scenarios of all corpus files in and below a folder, sorted by path."""
     files = files_below(folder)
     if not files:
-        received = f"{folder}, {'which has none' if folder.is_dir() else 'which is no folder'}"
-        fix = "a search saves them, as that of a test with @pafot.search, or pafot.explore(..., corpus=...)"
+        received = f"{folder}, {'which has none' if folder.is_dir() else 'which is not a folder'}"
+        fix = "a search saves them, such as a test with @pafot.search, or pafot.explore(..., corpus=...)"
         raise ValueError(f"scenarios: expected a folder with saved scenarios, *{SUFFIX}, received {received}; {fix}")
     scenarios = []
     for file in files:

@@ -504,7 +504,9 @@ def test_keeping_up_with_traffic_that_stands_asks_for_nothing():
 
 @table("speed", [[1.0, 2.0], -1.0, np.nan, np.inf, "2", True])
 def test_keeping_up_with_what_is_no_speed_is_refused(speed):
-    with pytest.raises(ValueError, match=r"expected a finite speed of at least 0 as a number or one a tick, received"):
+    with pytest.raises(
+        ValueError, match=r"expected a finite speed of at least 0, as a number or one number per tick, received"
+    ):
         properties.keeps_up(pafot.Run(trace_of(driven(0.0), driven(-FARTHER))), speed=speed)
 
 
@@ -530,7 +532,7 @@ def test_what_is_no_finite_number_of_at_least_0_is_refused_whatever_the_run(hold
 
 
 def test_rules_of_another_kind_are_refused():
-    with pytest.raises(TypeError, match=r"expected rules= as RssRules\(\.\.\.\) of criticality, received 2\.0"):
+    with pytest.raises(TypeError, match=r"expected rules= as criticality.RssRules\(\.\.\.\), received 2\.0"):
         properties.rss_distance(pafot.Run(following(100.0)), rules=2.0)
 
 

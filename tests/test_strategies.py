@@ -160,5 +160,7 @@ def test_every_kind_of_traffic_at_a_junction_is_drawn(kind):
 
 
 def test_more_npcs_than_cells_are_refused_where_nobody_crosses():
-    with pytest.raises(ValueError, match="max_npcs: expected one cell to start in for each, received 8; use fewer"):
+    with pytest.raises(
+        ValueError, match="max_npcs: expected at most one NPC per cell that exists at the start, received 8; use fewer"
+    ):
         strategies.scenarios_in(World("merge-v0"), max_npcs=8)

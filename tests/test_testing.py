@@ -103,9 +103,9 @@ def test_an_environment_in_which_npcs_cross_passes():
     ("env_id", "change", "promise"),
     [
         ("intersection-v0", {"zones": ()}, "zones are those of the instructions"),
-        ("intersection-v0", {"on_way": None}, "on_way has the places of who crosses"),
-        ("intersection-v0", {"track": None}, "track is recorded where somebody crosses"),
-        ("merge-v0", {"track": np.full((46, 3, 5), np.nan)}, "track has no NaN but of who crosses"),
+        ("intersection-v0", {"on_way": None}, "on_way has the places of crossing NPCs"),
+        ("intersection-v0", {"track": None}, "track is recorded if an NPC crosses"),
+        ("merge-v0", {"track": np.full((46, 3, 5), np.nan)}, "track has NaN only for crossing NPCs"),
     ],
 )
 def test_who_crosses_and_nobody_else_must_be_recorded_as_crossing(env_id, change, promise):
@@ -215,14 +215,14 @@ def lost(self, trace):
 
 BROKEN = [
     (Random, "the same scenario gives the same trace"),
-    (Forgets, "what was executed runs to the same trace"),
+    (Forgets, "the scenario as executed gives the same trace"),
     (Throws, "a run ends in a trace, whatever the ADS does"),
     (Swallows, "an ADS that raises ends its run as ads_error"),
-    (Harmed, "an ADS that raises leaves the next run alone"),
+    (Harmed, "an ADS that raises does not affect the next run"),
     (Hangs, "an ADS that hangs ends its run as hang"),
     (NoTrace, "rollout returns a pafot.Trace"),
-    (Unwritable, "to_dict gives plain data that a file can hold"),
-    (Takes, "from_dict takes what to_dict gives"),
+    (Unwritable, "to_dict returns plain data that a file can store"),
+    (Takes, "from_dict accepts the data of to_dict"),
     (Changed, r"from_dict\(to_dict\(\)\) has the same data"),
     (Different, r"from_dict\(to_dict\(\)\) gives the same traces"),
     (type("Lost", (Own,), {"changed": lost}), "states are of the ego and each NPC"),
@@ -232,16 +232,19 @@ BROKEN = [
     (type("Slow", (Own,), {"limits": NpcLimits(overspeed=1.0), "speed_limit": 15.0}), "the speed of NPCs is from"),
     (type("Straight", (Own,), {"limits": NpcLimits(heading=0.01)}), "the heading of NPCs is from"),
     (type("Stiff", (Own,), {"limits": NpcLimits(lateral_acceleration=0.1)}), "the lateral acceleration of NPCs is"),
-    (changing("Renamed", scenario=Scenario(npcs=[[PositionInstruction(1, 9.0)]])), "trace.scenario is what was asked"),
+    (
+        changing("Renamed", scenario=Scenario(npcs=[[PositionInstruction(1, 9.0)]])),
+        "trace.scenario is the requested scenario",
+    ),
     (changing("Odd", ads_hz=7), "ads_hz divides physics_hz"),
-    (changing("Collides", outcome=Outcome.COLLISION), "a collision is there where the outcome says so"),
+    (changing("Collides", outcome=Outcome.COLLISION), "there is a collision if the outcome says so"),
     (changing("Pointlike", sizes=np.zeros((3, 2))), "vehicles have a length and a width"),
-    (changing("Mute", arrivals=5), r"Run\(trace\).explain\(\) tells what happened"),
+    (changing("Mute", arrivals=5), r"Run\(trace\).explain\(\) describes the run"),
     (moving("Holey", put(-1, 0, X, value=np.nan)), "states are finite"),
     (moving("Laneless", put(-1, 0, LANE, value=9)), "the column lane is an index of lanes, or -1"),
     (moving("Fast", put(0, 0, SPEED, value=9)), "the ego starts as fast as the scenario says"),
     (moving("Pushed", put(0, 0, ACCELERATION, value=1)), "acceleration and steering of the first row are 0"),
-    (moving("Crowded", lambda states: np.copyto(states[0], states[0, :1])), "nobody touches anybody at the start"),
+    (moving("Crowded", lambda states: np.copyto(states[0], states[0, :1])), "no vehicles touch at the start"),
 ]
 
 
@@ -254,12 +257,16 @@ def test_a_world_that_breaks_a_promise_is_refused_with_the_promise(broken, promi
 @table("name", ["rollout", "to_dict", "speed_limit", "longest_run"])
 def test_a_world_without_what_a_search_needs_is_refused(name):
     parts = {each: getattr(Own, each) for each in ("rollout", "to_dict", "speed_limit", "longest_run") if each != name}
-    with pytest.raises(AssertionError, match=f"^expected that a world has what a search needs, received no {name}$"):
+    with pytest.raises(
+        AssertionError, match=f"^expected that a world has all that a search needs, received no {name}$"
+    ):
         check_world(type("Lacking", (), parts)())
 
 
 def test_an_ads_that_does_not_drive_in_the_world_is_told_from_a_fault_of_the_world():
-    with pytest.raises(AssertionError, match=r"the ADS of the check drives in this world, received .*; give another"):
+    with pytest.raises(
+        AssertionError, match=r"the ADS of the check drives in this world, received .*; give a different ads="
+    ):
         check_world(World("highway-v0", duration=4.0), runs=1, **SHORT)
 
 

@@ -155,15 +155,15 @@ NOWHERE = Scenario(npcs=BRAKING.npcs, ego_lane=5)
 @table(
     ("arguments", "error", "message"),
     [
-        ({"world": pafot.Highway()}, pafot.WorldError, "whose reward there is to learn from"),
+        ({"world": pafot.Highway()}, pafot.WorldError, "an environment with a reward"),
         ({"world": pafot.World("highway-v0", wrappers=[])}, pafot.WorldError, "around the training environment"),
-        ({"world": pafot.World("intersection-v0")}, pafot.WorldError, "'intersection-v0', whose class has steps"),
+        ({"world": pafot.World("intersection-v0")}, pafot.WorldError, "'intersection-v0', whose class has its own"),
         ({"share": 1.5}, ValueError, "share: .* 0 to 1, received 1.5"),
         ({"share": True}, ValueError, "share: .* received True"),
         ({"scenarios": []}, ValueError, "scenarios: expected at least one, received none"),
         ({"scenarios": 3}, ValueError, "scenarios: expected a folder .* received 3; leave it out for random ones"),
         ({"scenarios": [BRAKING, "x"]}, ValueError, "scenarios: expected a folder .*'x'"),
-        ({"scenarios": "nowhere"}, ValueError, "received nowhere, which is no folder; a search saves them"),
+        ({"scenarios": "nowhere"}, ValueError, "received nowhere, which is not a folder; a search saves them"),
         ({"scenarios": [NOWHERE]}, ScenarioError, "ego_lane"),
     ],
 )

@@ -66,7 +66,7 @@ def test_an_output_that_cannot_be_written_is_a_line_and_one_that_has_read_enough
             assert main(["corpus", "list", str(folder)]) == 2
         assert capsys.readouterr().err == (
             "corpus: expected a standard output that can be written, received No space left on device; "
-            "free some space on the disk, or send it to another place\n"
+            "free some space on the disk, or redirect it\n"
         )
 
 
