@@ -268,7 +268,7 @@ def _speeds(low: float, high: float) -> SearchStrategy[float]:
         whole = -(-step // SPEED_STEPS_PER_MPS) * SPEED_STEPS_PER_MPS
         return (step if exact or whole > last else whole) / SPEED_STEPS_PER_MPS
 
-    return st.builds(speed, st.integers(first, last), st.booleans())  # not two strategies, so that speeds shrink
+    return st.builds(speed, st.integers(first, last), st.booleans())  # one shape: all shrink to round speeds
 
 
 def _cells(cells: Iterable[int]) -> list[Cell]:

@@ -107,7 +107,7 @@ def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
     """Check the parts of a trace that oracles, measures and pages read."""
     _promise(trace.error is None, "the ADS of the check drives in this world", f"{trace.error}; give a different ads=")
     states, start = trace.states, trace.states[0]
-    _promise(states.shape[1] == len(scenario.npcs) + 1, "states are of the ego and each NPC", f"shape {states.shape}")
+    _promise(states.shape[1] == len(scenario.npcs) + 1, "states contain the ego and each NPC", f"shape {states.shape}")
     ways = [None if told is None else told.zone for told in scenario.crossings]
     crossing = np.array([isinstance(chain[0], CrossingInstruction) for chain in scenario.npcs])
     on_way = np.full((len(states), len(scenario.npcs)), np.nan) if trace.on_way is None else trace.on_way

@@ -225,7 +225,7 @@ BROKEN = [
     (Takes, "from_dict accepts the data of to_dict"),
     (Changed, r"from_dict\(to_dict\(\)\) has the same data"),
     (Different, r"from_dict\(to_dict\(\)\) gives the same traces"),
-    (type("Lost", (Own,), {"changed": lost}), "states are of the ego and each NPC"),
+    (type("Lost", (Own,), {"changed": lost}), "states contain the ego and each NPC"),
     (type("Longer", (Own,), {"longest_run": 3.0}), "no run is longer than longest_run"),
     (type("Lazy", (Own,), {"limits": NpcLimits(acceleration=0.1, braking=0.1)}), "the acceleration of NPCs is from"),
     (type("Gentle", (Own,), {"limits": NpcLimits(jerk=0.1)}), "the jerk of NPCs is from"),

@@ -216,7 +216,7 @@ class Replays:
 
 
 def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
-    """Return what happened in a replay, in the terms in which the file describes its failure."""
+    """Return what happened in a replay, in the same form as the file describes its failure."""
     if failure is not None and failure.check is not None:
         when = "" if failure.check.time is None else f" at {failure.check.time:.1f} s"
         return f"{failure.check.name} failed{when}"

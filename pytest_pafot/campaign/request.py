@@ -32,7 +32,7 @@ MOST_CROSSING = 3
 """The largest random number of NPCs if ways of other traffic meet the ego's: enough to hide one NPC behind a
 second. An ego that waits for one of many NPCs meets the others at other times than their slots, so more show less."""
 GENE_DURATIONS = (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
-"""The durations from which the one of a scenario's genes is sampled [s]."""
+"""The durations from which the gene duration of a scenario is sampled [s]."""
 SLOWEST_START = 12.0
 """The lowest random start speed of the ego [m/s]; half the limit if that is lower."""
 BLAMES = ("any", "ego", "preventable")

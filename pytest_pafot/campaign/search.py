@@ -232,7 +232,7 @@ class Search:
         )
 
     def _retried(self, leftover: Leftover) -> Retried:
-        """Run the scenarios again in which a process died, in the world of that process; return the result.
+        """Run the scenarios of a process that died again, in the world of that process; return the result.
 
         If that world cannot be made, only report it.
         """

@@ -174,7 +174,7 @@ def collision_in_short(run: Run) -> str:
         place = f" on the {place}" if hit.cell in (Cell.LEFT, Cell.RIGHT) else f" {place}"
     else:
         place = "" if zone is None else f" {zone.whence}"
-    who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "nobody")
+    who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "neither")
     return f"collision after {hit.time:.1f} s at {hit.closing_speed:.1f} m/s: NPC {hit.npc}{place}, {who} at fault"
 
 

@@ -42,7 +42,7 @@ class DecisionCache:
     :class:`~pytest_pafot.searching.evaluation_cache.EvaluationCache`: the chains as driven, or the requested chains and
     the seed. The seed is always included with Lane-Instructions, since the start of these NPCs may depend on it.
 
-    The cache is valid only for an ADS that decides from its observation alone.
+    The cache is valid only for an ADS that decides only from its observation.
 
     Args:
         decisions: the largest number of cached decisions; the oldest runs are removed first.

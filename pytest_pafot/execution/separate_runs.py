@@ -130,7 +130,7 @@ def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Tr
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Retried:
-    """The result of running the scenarios again in which a process died."""
+    """The result of running the scenarios of a process that died again."""
 
     notes: tuple[str, ...] = ()
     """Notes on scenarios that are not the cause."""

@@ -63,7 +63,7 @@ def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | Non
     now = replay_label(found, run, failure, {})
     if failure is not None:
         is_same = now == "still failing" or of_failure(run, failure) == finding.signature
-        return (False if is_same else None), f"{'' if is_same else 'another failure: '}{headline(run, verdict)}"
+        return (False if is_same else None), f"{'' if is_same else 'a different failure: '}{headline(run, verdict)}"
     why = unhandled(finding, run)
     is_tested = now == "fixed" or finding.expect.is_crash or (why and not missed(finding.expect.situation, run))
     return (True if is_tested else None), why or ending(run)

@@ -87,7 +87,7 @@ def _check_function(item: pytest.Item) -> None:
     if inspect.iscoroutinefunction(item.obj) or inspect.isasyncgenfunction(item.obj):
         raise RequestError(
             "expected a plain function, received an async one, whose assertions would never run; "
-            "write `def` in place of `async def`"
+            "write `def` instead of `async def`"
         )
 
 

@@ -56,7 +56,9 @@ class Merging:
                 if len(tests) == 1:
                     config.stash[MERGES].setdefault(tests[0], []).append(folder)
                     continue
-                why = f"it may be of {' or '.join(tests)}; give the folder above" if tests else "no test was collected"
+                why = (
+                    f"it matches {' and '.join(tests)}; give the folder above it" if tests else "no test was collected"
+                )
                 config.stash[UNRUN].unmerged[relative(folder, config.rootpath)] = why
 
 

@@ -131,7 +131,7 @@ class Tables:
     def _fail(self, error: OSError) -> None:
         from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
-        self._problem = f"{error.strerror or error}; {way_out(error, 'or name another file')}"
+        self._problem = f"{error.strerror or error}; {way_out(error, 'or name a different file')}"
 
 
 def _text(rows: list[list[Any]]) -> str:

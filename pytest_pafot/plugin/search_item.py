@@ -50,7 +50,7 @@ TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in several processes already"
 
 DRAWS = (
-    "; the ADS probably draws random numbers: seed it in its factory, or let a model take its best action (of "
+    "; the ADS probably draws random numbers: seed it in its factory, or let a model take its best action (with "
     "Stable-Baselines3: predict(..., deterministic=True))"
 )
 
@@ -101,7 +101,7 @@ def _checked_executor(given: object) -> Executor | None:
         return given
     raise RequestError(
         f"expected the fixture {EXECUTOR_FIXTURE!r} to give a concurrent.futures.Executor or None, received "
-        f"{given!r:.100}; of a client of Dask, give `client.get_executor()`"
+        f"{given!r:.100}; for a Dask client, return `client.get_executor()`"
     )
 
 

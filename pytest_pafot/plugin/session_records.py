@@ -99,7 +99,7 @@ class Records:
                 with Path(path).open("a", encoding="utf-8") as file:
                     file.write(text)
             except OSError as error:
-                fix = way_out(error, "or name another file")
+                fix = way_out(error, "or name a different file")
                 self._lines.problems.append(f"{SUMMARY}={path}: not written: {error.strerror or error}; {fix}")
 
     def _take(self, node_id: str, message: messages.Message) -> None:
@@ -215,7 +215,7 @@ class Records:
             write_whole(path, to_text(self._record(code)))
         except OSError as error:
             if code is not None:  # reported once, at the end
-                fix = way_out(error, "or name another file")
+                fix = way_out(error, "or name a different file")
                 self._lines.problems.append(f"{JSON.flag}={self._file}: not written: {error.strerror or error}; {fix}")
             return
         if code is not None:
