@@ -91,8 +91,8 @@ class Request:
     algorithm: AlgorithmClass
     ads: str | Callable[..., Any]  # the name of the fixture that returns the factory, or the factory itself
     arg: str = "run"  # the parameter of the test function that receives the run
-    # ``any``; ``ego`` to call the function unless only an NPC is responsible for a collision; ``preventable`` to also
-    # count its failures only if a reference driver would have prevented them
+    # ``any`` calls the function for every run; ``ego`` not for collisions for which only an NPC is responsible;
+    # ``preventable`` neither, and counts its failures only if a reference driver would have prevented them
     blame: str = "any"
     decision_limit: float | None = None  # the longest decision of the ADS that is not a finding [s]
     fitness: str | Weights | Callable[[Trace], float] = "default"

@@ -102,8 +102,8 @@ class Simplification:
     Attributes:
         loop: the loop of the search.
         tell: receives the current phase, often.
-        plain: the default start of the ego, to which shrinking returns.
-        plain_seconds: the default duration of a gene, to which shrinking returns [s].
+        plain: the default start of the ego, which shrinking prefers.
+        plain_seconds: the default duration of a gene, which shrinking prefers [s].
         answers: the results of attempts in this session or an earlier one, by the id of the finding.
         clock: returns the seconds since some fixed moment.
         until: the moment at which it must end [s], or infinity.

@@ -37,7 +37,7 @@ _SIGNATURE = b', "signature": "'
 
 
 class KeyFolderError(OSError):
-    """The key that signs records cannot be used."""
+    """A key for signing records that cannot be used."""
 
 
 class CrashRecordError(Exception):

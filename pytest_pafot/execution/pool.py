@@ -410,7 +410,7 @@ def _serve(
     gc.freeze()  # Otherwise a garbage collection would touch, and so copy, all of the session's memory.
     for other in inherited:
         other.close()  # Otherwise the end of the session or of a different process would go unnoticed.
-    multiprocessing.current_process().daemon = False  # An ADS may have processes of its own.
+    multiprocessing.current_process().daemon = False  # Daemons may have no children, but an ADS may start processes.
     # Ctrl-C must not interrupt this process, since the session ends it. A function and not SIG_IGN: children would
     # inherit SIG_IGN, but must be interrupted.
     signal.signal(signal.SIGINT, lambda number, frame: None)

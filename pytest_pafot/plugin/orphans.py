@@ -76,10 +76,10 @@ UNRUN = pytest.StashKey[Unrun]()
 class Collected:
     """The items and corpora of a session, before tests are selected."""
 
-    rootpath: Path  # of the session
+    rootpath: Path  # the rootdir of the session
     asked_for: list[Path] = field(default_factory=list)  # the folders given on the command line
     folders: dict[Path, str] = field(default_factory=dict)  # corpus folders of the items, with the ids of their tests
-    saved: Mapping[Path, Collection[Saved]] = field(default_factory=dict)  # in these folders
+    saved: Mapping[Path, Collection[Saved]] = field(default_factory=dict)  # the saved scenarios in these folders
     roots: dict[Path, Path] = field(default_factory=dict)  # corpora, each with the folder of its test files
     # node ids of the classes that exist in collected modules and classes
     classes: set[str] = field(default_factory=set)

@@ -68,7 +68,7 @@ class Pages:
             report.extras = [*getattr(report, "extras", ()), row]  # type: ignore[attr-defined]
 
     def pytest_sessionfinish(self, exitstatus: int) -> None:
-        """Write the pages, also when the session was interrupted."""
+        """Write the pages, even if the session was interrupted."""
         lines = self._config.stash[SUMMARY_LINES]
         for path, draft in self._drafts.items():
             with lines.faults(f"--pafot-report={draft.target}: not written"):

@@ -45,7 +45,7 @@ class Shared:
     """Values that the controller chooses and every worker uses; the defaults are those of a session that begins now."""
 
     fresh_seed: int = field(default_factory=lambda: int.from_bytes(os.urandom(4), "big"))  # base seed if none is given
-    progress_seconds: float = field(default_factory=lambda: LOG_SECONDS)  # between two reports of progress
+    progress_seconds: float = field(default_factory=lambda: LOG_SECONDS)  # interval between reports of progress [s]
     width: int = field(default_factory=terminal_width)  # of the terminal, which a worker cannot query [columns]
     began: float = field(default_factory=time.monotonic)  # start of the session, by the clock of this process [s]
     # the day with which the last days of accepted failures are compared, as a text that can be sent to workers

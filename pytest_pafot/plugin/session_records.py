@@ -61,7 +61,7 @@ class Records:
         self._config = config
         self._file: str | None = config.getoption(JSON.key)
         self._lines = config.stash[SUMMARY_LINES]
-        self._searches: dict[str, SearchRecord] = {}  # by node id, as findings
+        self._searches: dict[str, SearchRecord] = {}  # by node id, like the findings
         self._findings: dict[str, FindingRecord] = {}
         self._runs: dict[str, int] = {}
         self._results: dict[str, list[str]] = {}

@@ -54,7 +54,7 @@ class LiveTerminal:
         """True if the line of progress can be overwritten: on a terminal, with one item at a time."""
         if self._writer is None or self.is_parallel:
             return False
-        is_terminal = self._writer.isatty  # A value in earlier versions of pytest, a method in later ones.
+        is_terminal = self._writer.isatty  # a value in earlier versions of pytest, a method in later ones
         return bool(is_terminal() if callable(is_terminal) else is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
@@ -80,7 +80,7 @@ class LiveTerminal:
         self._has_line = False
 
     def write(self, lines: Iterable[str]) -> None:
-        """Write lines that stay."""
+        """Write permanent lines."""
         if self._writer is None:
             return
         with uncaptured(self._config):
@@ -253,7 +253,7 @@ class Reporter:
                 self._session.testscollected += 1
             for phase in (_phase(report, "setup"), report, _phase(report, "teardown")):
                 if node is not None:
-                    phase.__dict__["node"] = node  # As pytest-xdist marks reports of its workers.
+                    phase.__dict__["node"] = node  # as pytest-xdist does for reports of its workers
                 self._config.hook.pytest_runtest_logreport(report=phase)
 
     def _relative(self, path: Path) -> str:
