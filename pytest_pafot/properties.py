@@ -316,7 +316,6 @@ def _change(signal: Signal, seconds: float) -> Signal:
     hz = signal.hz or 1
     ticks = round(seconds * hz)
     before = np.concatenate((np.full(ticks, signal[0]), signal))[: len(signal)]
-    change: Signal = (signal - before) / (
-        ticks / hz
-    )  # not seconds: half a second is not a whole number of ticks at 15 Hz
+    # ticks / hz and not seconds, since half a second is not a whole number of ticks at 15 Hz
+    change: Signal = (signal - before) / (ticks / hz)
     return change
