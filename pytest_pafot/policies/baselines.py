@@ -179,7 +179,7 @@ class BaselineAds:
     """An ADS that drives one run.
 
     Attributes:
-        pure: whether it decides from its observation alone.
+        pure: whether it decides only from its observation.
     """
 
     def __init__(self, model: BaselineModel) -> None:

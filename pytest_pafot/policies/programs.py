@@ -306,7 +306,8 @@ class Program:
         how = f"closed its {closed}" if code is None else f"ended with exit code {code}"
         if code is not None and code < 0:
             how = f"was ended by signal {-code}, {signal.strsignal(-code)},"
-        error = ProgramEnded(f"{self._name} {how} instead of answering")
+        # The text is part of the signature of saved findings: other words would make known failures new ones.
+        error = ProgramEnded(f"{self._name} {how} in the place of an answer")
         self._read_rest()
         if self._words:
             words = self._words[-LAST_WORDS:].decode("utf-8", "replace")

@@ -281,7 +281,7 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
         f'<div class="columns">{_counts("Runs by outcome", view.outcomes, view.simulated)}'
         f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div>"
         "<h4>Coverage: instructions requested, driven and reached</h4>"
-        '<p class="note">Requested: in the scenarios that the search requested. Driven: as far as the runs came, '
+        '<p class="note">Requested: in the scenarios that the search requested. Driven: as far as the runs got, '
         f"after repair. Reached: the NPC arrived in its cell{' or its zone' if view.zones else ''}.</p>"
         f'<div class="columns">{_coverage("Cells", "cell", view.cells) if is_on_grid else ""}'
         f"{_coverage('Target speeds', 'speed', view.speeds)}"

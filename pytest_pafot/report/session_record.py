@@ -36,7 +36,7 @@ class FindingRecord:
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
         id: name of its file without the suffix.
         test: node id of its test.
-        status: `new`; the label of its replay; or `error` where it could not be read or run.
+        status: `new`; the label of its replay; or `error` if it could not be read or run.
         result: result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.
         file: path relative to the rootdir; null if it was not saved.
         replay: the command that replays it.

@@ -106,7 +106,7 @@ def run_campaign(  # noqa: PLR0913  (each parameter is an independent choice)
         CheckpointError: for a checkpoint of a different campaign, before anything runs.
     """
     if generations is None and runs is None:
-        raise ValueError("generations, runs: expected a number of either, received none")
+        raise ValueError("generations, runs: expected at least one of them, received neither")
     for name, value, least in (("generations", generations, 1), ("runs", runs, 1), ("seed", seed, 0)):
         if value is not None and value < least:
             raise ValueError(f"{name}: expected a whole number, at least {least}, received {value!r}")

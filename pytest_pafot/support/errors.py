@@ -16,7 +16,7 @@ class FieldError(ValueError):
     """A value that breaks a rule. The message is one line: values, keys and paths in it may be from a stranger's file.
 
     Attributes:
-        field: path of the value, such as ``npcs[0][2].speed``; empty where it has none.
+        field: path of the value, such as ``npcs[0][2].speed``; empty if it has none.
         expected, received: what should be there, and what is there; empty if the text already says it.
         fix: the way out; empty if it is obvious.
     """

@@ -224,7 +224,7 @@ def standing():
 @pytest.mark.usefixtures("undrawn")
 def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
     assert compare(tmp_path, "--algorithms", "random") == 0
-    assert "One algorithm alone" in (tmp_path / "report.md").read_text()
+    assert "There is only one algorithm" in (tmp_path / "report.md").read_text()
 
 
 @pytest.mark.parametrize(
@@ -307,7 +307,7 @@ def test_interrupted_while_it_draws_it_goes_on_with_the_same_command(tmp_path, c
     monkeypatch.setattr("pytest_pafot.comparison.figures.draw_all", interrupted)
     assert compare(tmp_path, "--algorithms", "random", "--runs", "1", "--generations", "1") == 130
     assert capsys.readouterr().err.endswith(
-        "interrupted; finished runs are saved, the same command continues with the rest\n"
+        "interrupted; finished runs are saved, and the same command continues with the rest\n"
     )
 
 
@@ -366,7 +366,7 @@ def test_a_planner_that_is_given_an_environment_is_told_to_leave_it_out(tmp_path
     error = capsys.readouterr().err
     assert "received BadAction: expected a whole number from 0 to 4, received (0.0, 0.0)" in error
     assert "The ADS was given an array of shape (5, 5) and type float32" in error
-    assert "a planner in SI units needs the road that is there without --env.\n" in error
+    assert "a planner in SI units needs the road without --env.\n" in error
 
 
 @pytest.mark.filterwarnings("error")

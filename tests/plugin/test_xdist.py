@@ -66,7 +66,7 @@ def test_workers_report_orphans_once_and_prune_them(project):
     project.run_once("-x")
     project.write("@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
     result = project.run("-n2", "--pafot-prune", generations=0)
-    assert result.stdout.str().count("of no test in pafot_corpus/test_it/test_first") == 1
+    assert result.stdout.str().count("without a test in pafot_corpus/test_it/test_first") == 1
     assert project.files == []
 
 
@@ -102,7 +102,7 @@ def test_ordinary(number):
     id_ = found.rpartition("/")[2].removesuffix(".pafot.yaml")
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_dies[[]saved-{id_}[]]*"])
     assert "Different tests were collected" not in result.stdout.str()
-    result.stdout.fnmatch_lines(["*ended before its time*", "*problem: a process (pid *) died while test_it.py::*"])
+    result.stdout.fnmatch_lines(["*ended early; its findings*", "*problem: a process (pid *) died while test_it.py::*"])
 
 
 def test_the_hash_seed_changes_nothing(project, monkeypatch):

@@ -141,9 +141,9 @@ def test_two_runs_at_once_have_a_program_each(tmp_path):
 @pytest.mark.parametrize(
     ("body", "kind", "message"),
     [
-        ("sys.exit(3)", "ProgramEnded", r"ended with exit code 3 instead of answering"),
-        ("os.kill(os.getpid(), 11)", "ProgramEnded", r"was ended by signal 11, Segmentation fault, instead of"),
-        ("os.close(1); time.sleep(60)", "ProgramEnded", r"closed its output instead of answering"),
+        ("sys.exit(3)", "ProgramEnded", r"ended with exit code 3 in the place of an answer"),
+        ("os.kill(os.getpid(), 11)", "ProgramEnded", r"was ended by signal 11, Segmentation fault, in the place"),
+        ("os.close(1); time.sleep(60)", "ProgramEnded", r"closed its output in the place of an answer"),
         ("print('hello', flush=True)", "BadAction", r"expected a line of JSON with .*received 'hello'"),
         ("answer(acceleration=1.0)", "BadAction", r"expected a line of JSON with"),
         ("answer(acceleration='fast', steering=0)", "BadAction", r"expected \(acceleration \[m/s\^2\], steering"),
@@ -203,8 +203,8 @@ STARTS_ANOTHER = """
     ("ending", "message"),
     [
         ("answer(acceleration=0.0, steering=0.0)", "no error"),
-        ("os._exit(3)", "ended with exit code 3 instead of answering"),
-        ("os.abort()", "was ended by signal 6, Aborted, instead of answering"),
+        ("os._exit(3)", "ended with exit code 3 in the place of an answer"),
+        ("os.abort()", "was ended by signal 6, Aborted, in the place of an answer"),
     ],
 )
 def test_what_a_program_has_started_ends_with_it(ending, message, tmp_path):

@@ -51,7 +51,7 @@ class AvFuzzerState:
 
 @dataclass(frozen=True, slots=True)
 class AvFuzzerSearch:
-    """AV-Fuzzer. Its released numbers are the defaults, but for the length of a slice.
+    """AV-Fuzzer. Its released numbers are the defaults, except for the length of a slice.
 
     Attributes:
         space: space of the scenarios; its NPCs, speed limit and start are used. Its genes together last as long as all
@@ -209,7 +209,7 @@ def swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenari
 
 
 def mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Give a random manoeuvre of a random NPC another speed or another action, or leave it, with equal probability.
+    """Give a random manoeuvre of a random NPC a different speed or action, or leave it, with equal probability.
 
     Speeds are sampled as for the first scenarios of the space.
     """
