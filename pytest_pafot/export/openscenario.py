@@ -42,7 +42,7 @@ def road_file(name: str, trace: Trace) -> bytes:
 
 
 def _are_one(lanes: Sequence[Lane]) -> bool:
-    """Return whether lanes are straight, start and end on one line, and each touches the right edge of the last."""
+    """Return whether lanes are straight, start and end on one line, and each touches the right edge of the previous one."""
     first = lanes[0]
     widths = np.array([lane.width for lane in lanes])
     right = np.cumsum(widths) - widths / 2 - widths[0] / 2

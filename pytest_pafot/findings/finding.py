@@ -246,7 +246,7 @@ class Perceived:
 
     @property
     def sentence(self) -> str:
-        """The result in words, such as ``only with 0.3 s of latency``."""
+        """The sight that the failure needs in words, such as ``only with 0.3 s of latency``."""
         if self.needed is None:
             return f"found with {self.sight.described()}"
         return f"only with {self.sight.described(self.needed)}" if self.needed else "fails also with perfect sight"

@@ -316,7 +316,7 @@ def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
 
 
 def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
-    """Give genes the duration of a search with a fixed one, with the same instructions at the same times.
+    """Give genes the preferred duration, with the same instructions at the same times.
 
     If all NPCs cross, the duration has no effect, so try the usual one.
     """

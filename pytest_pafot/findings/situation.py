@@ -257,7 +257,7 @@ class ZoneSituation:
 
 
 def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
-    """Return at each tick when the ego and a crossing NPC would arrive at the beginning of their zone [s from then]."""
+    """Return at each tick the time until the ego and a crossing NPC would arrive at the start of their zone [s]."""
     zone, on_way = trace.zones[npc], trace.on_way
     assert zone is not None and on_way is not None, "the NPC crosses"  # noqa: S101, PT018
     ego = zone.ego[0] - trace.track_of(0)[:, ALONG], trace.states[:, 0, SPEEDS]

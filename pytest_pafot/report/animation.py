@@ -13,7 +13,7 @@ MAX_SECONDS = 8.0
 """The longest part of a run that is shown [s]."""
 
 AFTER = 2.0
-"""Time that is shown after the moment that a finding is about [s]. A collision ends its run, so it has none."""
+"""Time that is shown after the moment that a finding is about [s]. A collision ends its run, so nothing follows it."""
 
 HOLD_MILLISECONDS = 2500
 """Time for which the last frame stays [ms]."""

@@ -1,4 +1,4 @@
-"""Pictures of a finding, drawn with Pillow. Only this module uses Pillow, and it is imported only for a picture."""
+"""Pictures of a finding, drawn with Pillow. This module is imported only if a picture is requested."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
 
 
 def grid_poses(trace: Trace, ticks: Sequence[int], road: RoadView) -> tuple[tuple[Pose | None, ...], ...]:
-    """Return the poses of the eight cells at some ticks: x [m], y [m], direction [rad]; None for one without a lane."""
+    """Return the poses of the eight cells at some ticks: x [m], y [m], direction [rad]; None without a lane."""
     other = float(trace.sizes[min(1, len(trace.sizes) - 1), 0])
     row = (float(trace.sizes[0, 0]) + other) / 2
     parts = []

@@ -255,7 +255,7 @@ ENDS = {
 
 
 def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) -> str:
-    """Describe one search in an article that can be folded: its figures, a place for its fitness curve, coverage."""
+    """Describe one search in a foldable article: its figures, a place for its fitness curve, and its coverage."""
     finished, end = len(view.generations), ENDS.get(view.reason, view.reason)
     figures = (
         ("algorithm", view.algorithm),

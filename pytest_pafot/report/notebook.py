@@ -54,7 +54,7 @@ def animate(value: object) -> bytes:
 
 
 def report_of(value: object) -> Report:
-    """Return the report on a value that its page shows."""
+    """Return the report that the page of a value shows."""
     if isinstance(value, Exploration):
         views = tuple(_told_view(told, value) for told in value.told)
         title = f"{plural(len(views), 'finding')} in {plural(value.summary.runs, 'run')}"
@@ -73,7 +73,7 @@ def report_of(value: object) -> Report:
 
 
 def _finding_view(finding: Finding) -> FindingView:
-    """Return the view of a finding by itself, for which the number of similar runs and the command are unknown."""
+    """Return the view of a finding by itself, without a number of similar runs and without a command."""
     headline = _event(finding.expect) if finding.trace is None else ""
     view = finding_view(finding.trace, finding, node_id=finding.test, headline=headline)
     return replace(view, runs=0, command="")

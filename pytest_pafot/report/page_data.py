@@ -26,7 +26,7 @@ NEW = "new"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneView:
-    """A lane of a road that is not straight: its centre line in world coordinates, and its width [m]."""
+    """A lane of a bent road: its centre line in world coordinates, and its width [m]."""
 
     points: tuple[tuple[float, float], ...]
     width: float
@@ -217,7 +217,7 @@ class DriveView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChanceView:
-    """The last time at which a reference driver in the ego's place would have stayed free of fault, in words too."""
+    """The last time at which a reference driver in the ego's place would have stayed free of fault, and its sentence."""
 
     time: float
     sentence: str

@@ -309,5 +309,5 @@ def command_for(what: str, *options: str) -> str:
 
 
 def worst(results: Iterable[str]) -> str:
-    """Return an item's result, the worst result of its phases."""
+    """Return an item's result, which is the worst result of its phases."""
     return max(results, key=RESULTS.index, default="")

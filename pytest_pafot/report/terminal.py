@@ -135,7 +135,7 @@ def find_section(
 
 
 def simplified_lines(finding: Finding) -> list[str]:
-    """Describe a new finding's size before and after, the reference drivers that prevent it, when, with what sight."""
+    """Describe how a new finding shrank, which reference drivers prevent it, until when, and what sight it needs."""
     lines: list[str] = []
     if finding.shrunk is not None:
         longest = finding.longest_run

@@ -152,7 +152,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 
     @abstractmethod
     def propose(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, Iterable[Scenario]]:
-        """Return the state afterwards, and the next generation's scenarios, which may be sampled as they are read."""
+        """Return the next state, and the scenarios of the next generation, which may be sampled as they are read."""
 
     def learn(self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng) -> GenerationStateT:
         """Return the state with what a generation's runs show; its best and its generation are updated elsewhere."""
@@ -193,7 +193,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         return learnt, (finished, NewBest(generation=state.generation, local_generation=0, evaluation=new))
 
     def kept(self, state: GenerationStateT) -> Sequence[Evaluation]:
-        """Return the evaluations that pass into the requested generation unchanged."""
+        """Return the evaluations that pass unchanged into the requested generation."""
         return ()
 
 

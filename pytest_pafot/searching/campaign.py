@@ -1,4 +1,4 @@
-"""A campaign: generation after generation, an algorithm asks, scenarios are evaluated, the algorithm is told."""
+"""The loop of a search: in each generation an algorithm proposes scenarios, and learns from their evaluations."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class Evaluated:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationFinished:
-    """All scenarios of a generation were evaluated, or the last of the runs was inside it."""
+    """All scenarios of a generation were evaluated, or the limit on runs was reached inside it."""
 
     generation: int
     local_generation: int

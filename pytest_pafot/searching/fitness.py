@@ -341,7 +341,7 @@ def _name(function: object) -> str:
 
 
 def _time_to_collision(trace: Trace) -> float:
-    """Return ET [s]: the time to the collision, or the planned duration if that is shorter or there is none."""
+    """Return ET [s]: the time to the collision, or the planned duration if there is none or that is shorter."""
     planned = planned_duration(trace)
     return min(execution_time(trace), planned) if trace.outcome == Outcome.COLLISION else planned
 
@@ -351,7 +351,7 @@ def _never_nan(value: float) -> float:
 
 
 def _bounded(value: float) -> float:
-    """Return the increasing f / (1 + |f|), from -1 to 1, but minus infinity for itself and for NaN."""
+    """Return the increasing f / (1 + |f|), from -1 to 1; minus infinity does not change, and NaN becomes it."""
     if math.isnan(value) or value == WORST_RANK:
         return WORST_RANK
     return 1.0 if value == math.inf else value / (1 + abs(value))

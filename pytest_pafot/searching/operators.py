@@ -38,7 +38,7 @@ def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scena
 
 
 def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
-    """Return only the first child of :func:`crossover`, with the same random numbers: repair of the other is slow."""
+    """Return only the first child of :func:`crossover`, with equal random numbers, because repairing two is slow."""
     (in_a, for_a), _ = _swapped(a, b, rng)
     child = _child(a, with_chain(a.npcs, in_a, for_a), rng)
     fresh_seed(rng)
@@ -56,7 +56,7 @@ def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[tuple[int, Chrom
 
 
 def _taken(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
-    """Return an NPC's chain as a different scenario can use it, in genes of that scenario's duration and number."""
+    """Return an NPC's chain in genes as long as a different scenario's, and cut to that scenario's number of genes."""
     chain = scenario.npcs[npc]
     if scenario.gene_seconds == other.gene_seconds:
         return chain

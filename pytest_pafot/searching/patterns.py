@@ -92,7 +92,7 @@ WALKING = ((1.0, -2.0), (1.0, 3.0))
 def chain_of_patterns(
     genes: int, ego_speed: float, bounds: tuple[int, int], rng: Generator
 ) -> list[PositionInstruction]:
-    """Return a chain of so many genes: one pattern after the other, with the steps between them on the ring.
+    """Return a chain of a number of genes: one pattern after the other, with the steps between them on the ring.
 
     Speeds depend on the ego's first speed [m/s], and are within ``bounds``, in steps of 0.1 m/s.
     """

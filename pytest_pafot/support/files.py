@@ -34,7 +34,7 @@ def hold(descriptor: int, *, is_inherited: bool = True) -> bool:
     """Lock a new file; return False if another session found it unlocked before that and took it for abandoned.
 
     Forked processes inherit the lock and hold it even after this process has ended, unless ``is_inherited`` is False.
-    Then this process must open the file only once, because closing it a second time would release the lock.
+    Then this process must open the file only once, because closing any of its descriptors would release the lock.
     """
     try:
         _lock(descriptor) if is_inherited else _lock_here(descriptor)

@@ -209,7 +209,7 @@ def swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenari
 
 
 def mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Give a random manoeuvre of a random NPC a different speed or action, or leave it, with equal probability.
+    """Give a random manoeuvre of a random NPC a new speed, a new action or no change, with equal probability.
 
     Speeds are sampled as for the first scenarios of the space.
     """

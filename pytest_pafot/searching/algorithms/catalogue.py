@@ -1,4 +1,4 @@
-"""The search algorithms by name, and users' own by class: the properties that are known before one runs."""
+"""The search algorithms by name, users' own algorithms by class, and the checks before a search begins."""
 
 from __future__ import annotations
 
