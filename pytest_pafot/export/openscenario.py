@@ -42,7 +42,7 @@ def road_file(name: str, trace: Trace) -> bytes:
 
 
 def _are_one(lanes: Sequence[Lane]) -> bool:
-    """Return whether lanes are straight, start and end on one line, and each touches the right edge of the previous one."""
+    """Return whether lanes are straight, start and end on one line, and each touches the previous one's right edge."""
     first = lanes[0]
     widths = np.array([lane.width for lane in lanes])
     right = np.cumsum(widths) - widths / 2 - widths[0] / 2

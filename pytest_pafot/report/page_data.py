@@ -217,7 +217,7 @@ class DriveView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChanceView:
-    """The last time at which a reference driver in the ego's place would have stayed free of fault, and its sentence."""
+    """The last time at which a reference driver in the ego's place stays free of fault, and a sentence on it."""
 
     time: float
     sentence: str
