@@ -328,5 +328,5 @@ def test_what_a_wrapper_raises_is_a_failure_of_the_ads_at_the_decision_that_it_w
 
 def test_a_wrapper_that_does_not_step_the_environment_is_told_and_not_waited_for():
     world = World("highway-v0", duration=5.0, wrappers=[partial(TimeLimit, max_episode_steps=2), Autoreset])
-    with pytest.raises(WorldError, match=r"received one that did not, at 2.0 s; leave out what .* resets episodes"):
+    with pytest.raises(WorldError, match=r"received one that did not, at 2.0 s; leave out wrappers .* reset episodes"):
         world.rollout(SCENARIO, lambda: lambda seen: 1)
