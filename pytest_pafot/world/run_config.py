@@ -186,7 +186,7 @@ class Rules:
 
     def ticks(self, scenario: Scenario) -> int:
         """Return the number of physics ticks of a run that nothing ends early."""
-        return int(min(self.duration, scenario.seconds) * self.physics_hz + 1e-9)
+        return int(min(self.duration, scenario.seconds) * self.physics_hz + 1e-9)  # rounding must not lose a tick
 
 
 def ego_start(headway: float, clearance: float) -> float:

@@ -107,6 +107,7 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
         least = []
         for number, (points, share) in enumerate(self._outlines):
             away = float(np.hypot(points[:, 0] - x, points[:, 1] - y).min())
+            # Any point of the square is nearer by at most half its diagonal, any of the lane by at most one step.
             least.append((share * max(away - SQUARE * math.sqrt(0.5) - OUTLINE_STEP, 0.0), number))
         return sorted(least)
 

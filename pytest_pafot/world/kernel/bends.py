@@ -121,7 +121,7 @@ class Bends:
         """Return the metres driven per metre along the road: more than 1 on the outside of a bend, less inside."""
         index = self._between(along)
         bend = (self._heading[index + 1] - self._heading[index]) / STEP
-        return max(1.0 - bend * across, 0.2)
+        return max(1.0 - bend * across, 0.2)  # beyond the centre of a bend it would be zero or negative
 
     def _refer(self, along: float) -> None:
         """Set x, y and direction of the line at a place; it goes straight on beyond its ends."""
@@ -140,7 +140,7 @@ class Bends:
     def locate(self, x: float, y: float, heading: float, near: float) -> None:
         """Find a vehicle on the road near a place along it, because roads may cross themselves."""
         along = near
-        for _ in range(4):
+        for _ in range(4):  # each step projects onto the tangent at the last place; this converges in bends, too
             self._refer(along)
             cos, sin = math.cos(self._direction0), math.sin(self._direction0)
             ahead = (x - self._x0) * cos + (y - self._y0) * sin

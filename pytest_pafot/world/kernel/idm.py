@@ -59,7 +59,7 @@ class IdmEgo(Body):
         self._changes_lanes = changes_lanes
         self._closest = self._goal = self._lanes.closest(x, y, heading)
         self._target_speed = speed
-        self._timer = ((x + y) * math.pi) % self._delay
+        self._timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that not all vehicles decide at once
 
     def act(self, others: list[Body]) -> None:
         """Decide on acceleration and steering."""

@@ -142,7 +142,7 @@ def _sampled(pieces: Sequence[Piece]) -> tuple[FloatArray, FloatArray]:
         count = max(2, math.ceil((piece.end - piece.begin) / STEP) + 1)
         for longitudinal in np.linspace(piece.begin, piece.end, count):
             point = np.asarray(piece.lane.position(float(longitudinal), 0), dtype=float)
-            if rows and np.hypot(*(point - rows[-1])) < STEP / 10:
+            if rows and np.hypot(*(point - rows[-1])) < STEP / 10:  # the last piece ends where this one begins
                 owners[-1] = number
             else:
                 rows.append(point)
