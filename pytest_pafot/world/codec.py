@@ -219,7 +219,7 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapp
 
 
 def cuts(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str]:
-    """Describe the duration that :func:`within` changes for the run of a file; empty if it is not cut."""
+    """Describe how :func:`within` shortens the run of a file; empty if it does not."""
     longest = within(data, scenario, own).get("duration")
     return [] if longest == data.get("duration") else differences("world", data, {**data, "duration": longest})
 

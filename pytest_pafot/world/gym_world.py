@@ -143,7 +143,7 @@ class World(BuiltInWorld):
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
-        """The kinds of meeting roads on which no vehicle drives, as far as that is known.
+        """The kinds of meetings with other roads on which no vehicle drives, as far as that is known.
 
         In a user-defined environment that overrides ``step``, any vehicle may drive there.
         """

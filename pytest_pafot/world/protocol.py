@@ -143,7 +143,7 @@ def road_start(world: Any) -> RoadStart | None:
 
 
 def unused_roads(world: Any) -> frozenset[Meeting]:
-    """Return the kinds of meeting roads on which no NPC drives, if the world's own class states them.
+    """Return the kinds of meetings with roads on which no NPC drives, if the world's own class states them.
 
     An inherited property does not count: in a derived class any vehicle may drive on these roads.
     """

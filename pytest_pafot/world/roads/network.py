@@ -27,7 +27,7 @@ from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
 from pytest_pafot.world.roads.straight import StraightRoad
 
 Meeting = Literal["crosses", "joins", "oncoming"]
-"""The manner in which a road meets the ego's way; a road that only leaves it does not count."""
+"""The kind of meeting between a road and the ego's way; a road that only leaves the way does not count."""
 
 BEND_SHARE = 0.8
 """The share of the lateral acceleration available for following a bend; the rest is reserved for control."""
@@ -248,7 +248,7 @@ class NetworkRoad:
 
     @cached_property
     def unused(self) -> frozenset[Meeting]:
-        """The manners in which other lanes meet the ego's way. NPCs on the grid never drive on them."""
+        """The kinds of meetings with other lanes. NPCs on the grid never drive on these lanes."""
         own_lanes = len(self.lanes) - len(self.others)
         ways = zip(self.others, self.lanes[own_lanes:], strict=True)
         return frozenset(filter(None, (self._meeting(index[:2], lane) for index, lane in ways)))

@@ -174,7 +174,7 @@ def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
         for before, rank in pairwise(way_out):
             apart = abs(found[rank][0] - found[before][0])
             width = float(found[rank][2].width_at(found[rank][3]) + found[before][2].width_at(found[before][3])) / 2
-            if not 0.6 * width < apart < 1.5 * width:  # neither overlapping, as in a merge, nor separated
+            if not 0.6 * width < apart < 1.5 * width:  # neither overlapping nor separated
                 break
             yield rank, found[rank]
 
