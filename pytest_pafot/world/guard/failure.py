@@ -37,7 +37,7 @@ def exits() -> tuple[type[BaseException], ...]:
 
 
 def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
-    """Return whether an exception interrupts the session, a debugger or a test, and is no failure of the user's code.
+    """Return whether an exception ends the session, a debugger or a test's time, and is no failure of the user's code.
 
     Every other exception counts as the user's code's own failure, whatever its class: a panic of a native library, a
     cancelled task, or ``pytest.skip()``, which would otherwise go unnoticed. A test function may call
