@@ -1,1 +1,1 @@
-"""Driving without a search: how often a policy crashes in an environment's own traffic, and episodes to train in."""
+"""Driving without a search: crash rates in an environment's own traffic, and comparisons of two policies."""

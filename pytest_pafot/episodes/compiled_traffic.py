@@ -1,7 +1,7 @@
-"""An episode on a straight road whose vehicles are highway-env's IDM and MOBIL, with the traffic compiled.
+"""An episode on a straight road among highway-env's IDM and MOBIL vehicles, with the traffic compiled.
 
-The environment still makes the start, what a policy sees, what its actions mean, and says when the episode is over; its
-vehicles are brought to where the compiled ones are whenever one of these is asked for.
+The environment still creates the start and the observations, interprets actions, and decides when the episode is over.
+Before each of these, its vehicles are moved to the places of the compiled ones.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pytest_pafot.world.roads.straight import StraightRoad
 
 
 def why_not(start: Start) -> str:
-    """Why the traffic of an episode cannot be compiled; empty where it can."""
+    """Return why the traffic of an episode cannot be compiled; empty if it can."""
     return next(chain(_of_the_environment(start), _of_the_vehicles(start)), "")
 
 
@@ -43,7 +43,7 @@ def _of_the_environment(start: Start) -> Iterator[str]:
     if inner is not env:
         yield f"the environment is wrapped in {type(inner).__name__}"
     if type(road) is not Road or cls.step is not AbstractEnv.step or cls._simulate is not AbstractEnv._simulate:
-        yield f"{cls.__name__} has steps of its own"
+        yield f"{cls.__name__} has its own steps"
     if start.road is None or len({lane.speed_limit for lane in start.road.lanes}) > 1:
         yield "the road is not straight, or its lanes differ"
     if road.objects or any(lane.forbidden for lane in road.network.lanes_list()):
@@ -54,20 +54,20 @@ def _of_the_vehicles(start: Start) -> Iterator[str]:
     env, road, ego = start.env, start.env.road, start.env.vehicle
     for each in road.vehicles:
         if each is not ego and (idm_model(type(each)) is None or each.route):
-            yield f"the traffic has a {type(each).__name__}, not IDM and MOBIL alone"
+            yield f"the traffic has a {type(each).__name__}, not only IDM and MOBIL"
         if (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
-            yield f"a {type(each).__name__} has limits of speed of its own"
+            yield f"a {type(each).__name__} has its own speed limits"
     if start.kind == "vehicle" and not isinstance(ego, ControlledVehicle) and hasattr(ego, "target_speed"):
-        yield f"{type(ego).__name__} wants a speed and no lane"
-    has_range = getattr(env.action_type, "speed_range", None) is not None  # to which actions limit the ego's speed
+        yield f"{type(ego).__name__} has a target speed and no target lane"
+    has_range = getattr(env.action_type, "speed_range", None) is not None  # actions limit the ego's speed to it
     if start.kind == "policy" and (type(ego) not in (MDPVehicle, Vehicle) or has_range):
-        yield f"the actions drive a {type(ego).__name__} with limits of its own"
+        yield f"the actions drive a {type(ego).__name__} with its own limits"
     if road.vehicles[0] is not ego:
         yield "the ego is not the first on its road"
 
 
 def compiled(start: Start, seed: int, *, is_recorded: bool) -> Episode:
-    """The episode that begins so, where nothing is against it."""
+    """Drive the episode from its start with compiled traffic, after :func:`why_not` has found nothing against it."""
     road, record = start.straight, start.record()
     traffic, mirror = _compiled(start, record)
     pilot: Pilot
@@ -90,9 +90,9 @@ def compiled(start: Start, seed: int, *, is_recorded: bool) -> Episode:
 
 
 class CompiledSteps:
-    """An episode that is given its actions, where nothing is against it, as by ``env.step``.
+    """An episode that receives its actions one by one, as ``env.step`` does; for starts that can be compiled.
 
-    It is cut at the tick at which the ego is flagged as crashed.
+    It ends at the tick at which the ego is flagged as crashed.
     """
 
     def __init__(self, start: Start) -> None:
@@ -101,7 +101,7 @@ class CompiledSteps:
         self._pilot = _PolicyPilot(start, self._mirror)
 
     def step(self, action: Any) -> Step:
-        """What the step of the environment returns, of an action that it has."""
+        """Take one step with an action of the environment, and return what ``env.step`` would."""
         start, env, traffic = self._start, self._start.env, self._traffic
         env.time += 1 / env.config["policy_frequency"]
         self._pilot.apply(action)
@@ -116,13 +116,13 @@ class CompiledSteps:
 
 
 def _compiled(start: Start, record: array[float]) -> tuple[OrdinaryTraffic, _Mirror]:
-    """The compiled traffic of an episode, which fills the record, and what shows it to the environment."""
+    """Return the compiled traffic of an episode, which fills the record, and its mirror in the environment."""
     bodies = [_body(each, start.straight) for each in start.vehicles]
     return OrdinaryTraffic(bodies, record, 1 / start.physics_hz), _Mirror(start, bodies, start.straight)
 
 
 def _drive(start: Start, traffic: OrdinaryTraffic, pilot: Pilot, mirror: _Mirror) -> AdsError | None:
-    """Drive until the ego is flagged as crashed, the environment says that it is over, or the ADS does not decide."""
+    """Drive until the ego is flagged as crashed, the environment ends the episode, or the ADS does not decide."""
     env, time = start.env, 0.0
     while traffic.tick < start.ticks:
         tick = traffic.tick
@@ -143,7 +143,7 @@ def _drive(start: Start, traffic: OrdinaryTraffic, pilot: Pilot, mirror: _Mirror
 
 
 class _Mirror:
-    """The environment's vehicles, which are brought to where the compiled ones are."""
+    """A mirror of the compiled vehicles in the environment's vehicles."""
 
     def __init__(self, start: Start, bodies: list[TrafficVehicle], road: StraightRoad) -> None:
         self.ego = bodies[0]
@@ -153,7 +153,7 @@ class _Mirror:
         self._x, self._y, _ = road.position(0.0, 0)
 
     def show(self) -> None:
-        """Bring them there."""
+        """Move the environment's vehicles to the places of the compiled ones."""
         for vehicle, body in self._pairs:
             x, y, vehicle.heading, vehicle.speed, lane, goal = body.seen()
             vehicle.position = np.array([x + self._x, y + self._y])
@@ -165,7 +165,7 @@ class _Mirror:
 
 
 class _PolicyPilot(Pilot):
-    """A policy that sees the environment's observation; the environment says what its action means."""
+    """A policy that receives the environment's observation; the environment interprets its actions."""
 
     def __init__(self, start: Start, mirror: _Mirror) -> None:
         super().__init__(start.every)
@@ -174,7 +174,7 @@ class _PolicyPilot(Pilot):
         self.observe = observer(start.env) if start.eyes is None else start.env.observation_type.observe
 
     def decide(self, tick: int) -> AdsError | None:
-        """Observe, ask under guard, check and apply; or what went wrong."""
+        """Observe, call the policy under guard, check and apply its action; return the error, if any."""
         start = self._start
         start.env.steps = tick
         seen = start.seen if tick == 0 else self.observe()
@@ -186,7 +186,7 @@ class _PolicyPilot(Pilot):
         return None
 
     def apply(self, action: Any) -> None:
-        """Have the environment say what an action means for the ego."""
+        """Let the environment interpret an action for the ego."""
         env, body = self._start.env, self._mirror.ego
         env.action_type.act(action)
         ego = env.vehicle
@@ -196,14 +196,14 @@ class _PolicyPilot(Pilot):
             body.acceleration, body.steering = float(ego.action["acceleration"]), float(ego.action["steering"])
 
     def actuate(self) -> None:
-        """What was decided is held; where the policy sees late, it is remembered where everybody is."""
+        """Hold the last action; if the policy sees with a delay, record the places of all vehicles."""
         if self._start.eyes is not None:
             self._mirror.show()
             self._start.eyes.note()
 
 
 class _VehiclePilot(Pilot):
-    """An ego of a class with code of its own, which acts and moves among the environment's vehicles."""
+    """An ego of a class with its own code, which acts and moves among the environment's vehicles."""
 
     def __init__(self, start: Start, mirror: _Mirror) -> None:
         super().__init__(1)
@@ -212,7 +212,7 @@ class _VehiclePilot(Pilot):
         self._ego = start.env.vehicle
 
     def decide(self, tick: int) -> AdsError | None:
-        """Act and move under guard; or what went wrong."""
+        """Act and move under guard; return the error, if any."""
         start, ego, body = self._start, self._ego, self._mirror.ego
         self._mirror.show()
         start.env.steps = tick
@@ -230,7 +230,7 @@ class _VehiclePilot(Pilot):
 
 
 def _body(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
-    """The compiled form of one of the environment's vehicles."""
+    """Return the compiled form of one of the environment's vehicles."""
     constants = {name: getattr(vehicle, name, getattr(IDMVehicle, name)) for name in (*CONSTANTS, "KP_A")}
     body = TrafficVehicle(
         constants,
@@ -238,7 +238,7 @@ def _body(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
         road.speed_limit,
         has_goal=isinstance(vehicle, ControlledVehicle),
         drives_itself=idm_model(type(vehicle)) is not None,
-        # highway-env's IDM takes a vehicle that wants no speed for one that wants to stand still.
+        # highway-env's IDM treats a vehicle without a target speed as one that wants to stand still.
         taken_for=math.nan if hasattr(vehicle, "target_speed") else 0.0,
     )
     pose = road.project(float(vehicle.position[0]), float(vehicle.position[1]), float(vehicle.heading))

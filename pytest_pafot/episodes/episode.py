@@ -1,4 +1,4 @@
-"""An episode of an environment as it is, with its own random traffic: how it starts, and what is told of it."""
+"""An episode of an environment with its own random traffic: its start and its result."""
 
 from __future__ import annotations
 
@@ -26,28 +26,29 @@ from pytest_pafot.world.kernel.observation import COLUMNS, Observer
 from pytest_pafot.world.roads.straight import StraightRoad
 
 POINT_STEP = 2.0
-"""Distance of the points of a lane that is not straight [m]."""
+"""The distance between the points of a lane that is not straight [m]."""
 LONGEST = 3600.0
-"""Of an episode whose environment does not say how long it lasts [s]."""
+"""The longest episode of an environment that does not specify a duration [s]."""
 PLANNER_HZ = 5
-"""So often a planner decides, as in a Highway; at every tick where there are fewer."""
+"""The decisions of a planner per second, as in a Highway; one per tick if there are fewer ticks."""
 
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
-"""What ``env.step`` returns: observation, reward, terminated, truncated, info."""
+"""The result of ``env.step``: observation, reward, terminated, truncated, info."""
 
 Kind = Literal["policy", "vehicle", "planner"]
-"""Of an ADS: in the environment's observations and actions, a class that drives itself, or in SI units."""
+"""The kinds of an ADS: with the environment's observations and actions, a vehicle class that drives itself, or in SI
+units."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeRecording:
-    """Where everybody was in an episode.
+    """The recorded places of all vehicles in an episode.
 
     Attributes:
-        states: x [m], y [m], heading [rad] and speed [m/s], shape [ticks + 1, vehicles, 4], the ego first; NaN where a
+        states: x [m], y [m], heading [rad] and speed [m/s], shape [ticks + 1, vehicles, 4], the ego first; NaN if a
             vehicle was not there.
         sizes: length and width [m], shape [vehicles, 2].
-        lanes: of the road; those that are not straight have points.
+        lanes: lanes of the road; those that are not straight have points.
         physics_hz: ticks per second.
     """
 
@@ -59,15 +60,16 @@ class EpisodeRecording:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Episode:
-    """How an episode went.
+    """The result of an episode.
 
     Attributes:
-        outcome: ``collision`` where highway-env flagged the ego as crashed, ``ads_error`` or ``hang`` where the ADS did
-            not decide, else ``safe``.
-        seconds: driven until the flag, the error or the end [s].
-        error: what the ADS did instead of deciding.
-        steps: why the environment took its own steps; empty where the traffic was compiled.
-        recording: where one was asked for.
+        seed: seed of the episode.
+        outcome: ``collision`` if highway-env flagged the ego as crashed, ``ads_error`` or ``hang`` if the ADS did not
+            decide, else ``safe``.
+        seconds: time driven until the flag, the error or the end [s].
+        error: error of the ADS, if it did not decide.
+        steps: why the environment took its own steps; empty if the traffic was compiled.
+        recording: recording, if requested.
     """
 
     seed: int
@@ -83,16 +85,19 @@ class Start:
     """An environment after its reset, with an ADS for its ego.
 
     Attributes:
-        outer: the environment in its wrappers.
-        seen: what the reset returned.
-        kind: of the ADS.
-        guard: of its decisions.
-        view: what a planner that simulates inside of the environment is shown.
-        sight: of the ADS, where that is imperfect, with what is drawn by the seed of the episode.
-        eyes: of a policy with a sight.
-        ticks: after which an episode ends in any case.
-        every: ticks of a step of the environment.
-        road: None where it is not straight.
+        outer: environment in its wrappers.
+        seen: observation that the reset returned.
+        ads: ADS that drives the ego.
+        kind: kind of the ADS.
+        guard: guard of its decisions.
+        view: view of the environment for a planner that simulates inside it.
+        seed: seed of the episode, also for the errors of an imperfect sight.
+        sight: sight of the ADS, if imperfect.
+        eyes: imperfect observations of a policy with a sight.
+        physics_hz: ticks per second.
+        ticks: ticks after which an episode ends at the latest.
+        every: ticks per step of the environment.
+        road: road; None if it is not straight.
     """
 
     outer: Any
@@ -115,7 +120,7 @@ class Start:
         self.every = int(config["simulation_frequency"] // config["policy_frequency"])
         longest = min(float(config.get("duration", LONGEST)), LONGEST)
         self.ticks = math.ceil(longest * self.physics_hz) + self.every
-        steps = getattr(self.outer.spec, "max_episode_steps", None)  # which a wrapper of gymnasium's counts
+        steps = getattr(self.outer.spec, "max_episode_steps", None)  # counted by a wrapper of gymnasium
         if steps is not None:
             self.ticks = min(self.ticks, steps * self.every)
         self.road = straight_road(self.env.road.network)
@@ -124,11 +129,11 @@ class Start:
             if self.sight is not None:
                 self.eyes = PolicySight(self.env, self.sight, self.seed)
                 self.eyes.observe_through()
-                self.seen, _ = self.outer.reset(seed=self.seed)  # once more, to see it so
+                self.seen, _ = self.outer.reset(seed=self.seed)  # reset again, to observe it with this sight
             return
         if self.kind == "planner":
-            _ = self.straight  # refuses any other road now
-        # A vehicle of the wanted class takes the place of the environment's own ego.
+            _ = self.straight  # raises now if the road is not straight
+        # A vehicle of the given class replaces the environment's own ego.
         env, old, vehicle_class = self.env, self.env.vehicle, self.ads if self.kind == "vehicle" else StockVehicle
         ego = vehicle_class(env.road, old.position, old.heading, old.speed)
         give_route(ego, getattr(old, "route", None))
@@ -141,48 +146,48 @@ class Start:
 
     @property
     def straight(self) -> StraightRoad:
-        """The road, where it is straight.
+        """The straight road.
 
         Raises:
-            WorldError: where it is not, so that it is no road for a planner.
+            WorldError: if the road is not straight, so that no planner can drive on it.
         """
         if self.road is None:
             raise WorldError(
-                f"world: expected a straight road for a planner in SI units, received that of "
-                f"{type(self.env).__name__}; give a policy in the environment's own observations and actions, or a "
+                f"world: expected a straight road for a planner in SI units, received the road of "
+                f"{type(self.env).__name__}; give a policy with the environment's own observations and actions, or a "
                 "vehicle class"
             )
         return self.road
 
     def unfit(self, error: Exception) -> WorldError:
-        """What to say of an environment that raises by itself, as it may with another vehicle than its own."""
+        """Return the error for an environment that raises by itself, as it may with a different vehicle class."""
         name, ego = type(self.env).__name__, type(self.env.vehicle).__name__
         return WorldError(
             f"world: expected an environment whose steps work with an ego of the class {ego}, received {name}, "
-            f"which raised {type(error).__name__}: {error}; rate a policy that answers with the environment's own "
-            "actions, or another environment"
+            f"which raised {type(error).__name__}: {error}; rate a policy that returns the environment's own "
+            "actions, or use a different environment"
         )
 
     @property
     def env(self) -> Any:
-        """Without wrappers."""
+        """The environment without wrappers."""
         return self.outer.unwrapped
 
     @property
     def vehicles(self) -> list[Any]:
-        """Of the environment, the ego first."""
+        """The vehicles of the environment, the ego first."""
         ego = self.env.vehicle
         return [ego, *(each for each in self.env.road.vehicles if each is not ego)]
 
     @property
     def lanes(self) -> tuple[Lane, ...]:
-        """Of the road, as a recording has them."""
+        """The lanes of the road, as in a recording."""
         if self.road is not None:
             return self.road.lanes
         return tuple(map(_bent, self.env.road.network.lanes_list()))
 
     def guarded(self, call: Callable[..., Any], *arguments: Any) -> Any:
-        """What code of the user's returns, which may not take too long."""
+        """Call the user's code under the time limit and return its result."""
         self.guard.decision_starts()
         try:
             return call(*arguments)
@@ -190,18 +195,18 @@ class Start:
             self.guard.decision_ends()
 
     def action(self, seen: Any, tick: int) -> Any:
-        """What a policy decides; raises whatever it raises, and :class:`BadAction` for what is no action."""
+        """Return a policy's action; raise what the policy raises, and :class:`BadAction` if it returns no action."""
         if self.view is not None:
             with nullcontext() if self.eyes is None else self.eyes.shown():
                 self.view.show(tick)
         return checked_action(self.guarded(self.ads, seen), self.outer.action_space)
 
     def record(self) -> array[float]:
-        """Room for rows of all vehicles at all ticks."""
+        """Return an empty record for all vehicles at all ticks."""
         return array("d", bytes(8 * (self.ticks + 1) * len(self.vehicles) * COLUMNS))
 
     def pilot(self, body: Body, record: array[float]) -> PlannerPilot:
-        """Who asks a planner what a body is to do, and shows it the record."""
+        """Return the pilot that shows a planner the record and applies its decisions to a body."""
         road = self.straight
         sizes = [(each.LENGTH, each.WIDTH) for each in self.vehicles]
         every = max(1, self.physics_hz // PLANNER_HZ)
@@ -220,7 +225,7 @@ class Start:
         steps: str = "",
         recording: EpisodeRecording | None = None,
     ) -> Episode:
-        """The episode, which ended at a tick, with a crash where the ego is flagged."""
+        """Return the result of an episode that ended at a tick; a flagged ego has crashed."""
         outcome = Outcome.COLLISION if self.env.vehicle.crashed else Outcome.SAFE
         if error is not None:
             outcome = Outcome.HANG if error.interrupted else Outcome.ADS_ERROR

@@ -1,7 +1,7 @@
-"""Episodes of an environment as it is: its own start, its own random traffic, and its own flag for crashes.
+"""Episodes of an unchanged environment: its own start, its own random traffic, and its own flag for crashes.
 
-The start is what ``env.reset`` makes of the seed. From there the traffic is compiled where it can be, else the
-environment takes its own steps. The two agree on the tick and the outcome, and on positions within 1e-9 m.
+The start is the result of ``env.reset`` with the seed. From there the traffic is compiled if possible; else the
+environment takes its own steps. Both agree on the tick and the outcome, and on positions within 1e-9 m.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_k
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import COLUMNS
 
-# An episode by the steps of the environment itself, which any environment and any ADS can take.
+# An episode by the environment's own steps, which works for any environment and any ADS.
 
 
 def stepped(start: Start, seed: int, reason: str, *, is_recorded: bool) -> Episode:
-    """The episode that begins so; for a reason that the episode tells."""
+    """Drive the episode from its start by the environment's own steps, for a reason that its result states."""
     steps = _Steps(start, is_recorded=is_recorded)
     try:
         steps.run()
     finally:
-        for name in ("_reward", "_info"):  # the environment may have further episodes
+        for name in ("_reward", "_info"):  # the environment may be used for more episodes
             vars(start.env).pop(name, None)
     tick = steps.tick if steps.crashed_at is None else steps.crashed_at
     if steps.error is not None:
@@ -45,12 +45,12 @@ def stepped(start: Start, seed: int, reason: str, *, is_recorded: bool) -> Episo
 
 
 class _Steps:
-    """The steps of an environment, whose road tells of each tick.
+    """The steps of an environment whose road reports each tick.
 
     Attributes:
-        tick: how far the episode has come.
-        crashed_at: the tick at which the ego was flagged; the environment goes on to the end of its step.
-        error: what the ADS did instead of deciding.
+        tick: current tick of the episode.
+        crashed_at: tick at which the ego was flagged; the environment continues to the end of its step.
+        error: error of the ADS, if it did not decide.
     """
 
     def __init__(self, start: Start, *, is_recorded: bool) -> None:
@@ -70,7 +70,8 @@ class _Steps:
                 self.crashed_at = self.tick
             self._note()
 
-        # Plain functions, which a copy of a vehicle with its road shares, and does not copy with what they hold.
+        # Plain functions, because a copy of a vehicle with its road shares them. It would copy a method with its
+        # object.
         road.step = step_and_note
         if start.eyes is not None:
             note = start.eyes.note
@@ -82,13 +83,13 @@ class _Steps:
             road.act = note_and_act
         if not is_policy:
             road.act = lambda: self._guarded(act)
-            env.observation_type.observe = env._reward = lambda *_: 0.0  # nobody looks at them
+            env.observation_type.observe = env._reward = lambda *_: 0.0  # nothing reads them
             env._info = lambda *_, **__: {}
         if start.kind == "planner":
             env.vehicle.act = self._planner()
 
     def run(self) -> None:
-        """Go on until the episode is over."""
+        """Take steps until the episode is over."""
         start, seen, is_over = self._start, self._start.seen, False
         outer, ask = (start.outer, start.action) if start.kind == "policy" else (start.env, lambda *_: None)
         while not (is_over or self.error or self.crashed_at or self.tick >= start.ticks):
@@ -105,12 +106,12 @@ class _Steps:
             is_over = bool(is_terminated or is_truncated)
             if self.tick == before:
                 raise WorldError(
-                    "wrappers: expected that a step through them steps the environment, received one that did not, at "
+                    "wrappers: expected a step through them to step the environment, received one that did not, at "
                     f"{before / start.physics_hz:.1f} s of an episode"
                 )
 
     def _guarded(self, call: Callable[..., None], *arguments: float) -> None:
-        """Let everybody act or move where the ego's class is the user's; nobody once that has failed."""
+        """Let all vehicles act or move under guard, because the ego's class is the user's; nothing after an error."""
         if self.error is None:
             try:
                 self._start.guarded(call, *arguments)
@@ -118,7 +119,7 @@ class _Steps:
                 self.error = error_of(error, self.tick, self._start.guard)
 
     def _planner(self) -> Callable[..., None]:
-        """The ``act`` of an ego with a planner at its wheel."""
+        """Return the ``act`` of an ego that a planner drives."""
         start, ego, count = self._start, self._start.env.vehicle, len(self._start.vehicles)
         record, body = start.record(), Body(ego.LENGTH, ego.WIDTH)
         pilot = start.pilot(body, record)
@@ -143,7 +144,7 @@ class _Steps:
             self._frames.append(poses)
 
     def recording(self) -> EpisodeRecording:
-        """What was recorded."""
+        """Return what was recorded."""
         frames = self._frames or []
         vehicles, gone = list(dict.fromkeys(each for frame in frames for each in frame)), (math.nan,) * 4
         return EpisodeRecording(
@@ -164,20 +165,20 @@ def drive(
     may_compile: bool = True,
     is_recorded: bool = False,
 ) -> Episode:
-    """One episode with a fresh ADS.
+    """Drive one episode with a fresh ADS.
 
     Args:
-        environment: is reset with the seed.
-        factory: of the ADS, of any kind.
-        seed: of the episode.
+        environment: environment, which is reset with the seed.
+        factory: factory of an ADS of any kind.
+        seed: seed of the episode.
         hang_limit: longest decision [s].
-        is_planner: whether the ADS sees an :class:`pytest_pafot.Observation` and returns acceleration and steering.
+        is_planner: whether the ADS receives an :class:`pytest_pafot.Observation` and returns acceleration and steering.
         may_compile: whether the traffic may be compiled; else the environment takes its own steps.
-        is_recorded: whether the episode comes with a recording.
+        is_recorded: whether to record the episode.
 
     Raises:
-        AdsFactoryError: when the factory gives nothing that drives.
-        WorldError: when the environment cannot be used, or has no road for a planner.
+        AdsFactoryError: if the factory returns nothing that drives.
+        WorldError: if the environment cannot be used, or has no road for a planner.
     """
     with vehicle_classes_kept(), HangGuard(hang_limit) as guard:
         outer = environment.with_traffic()
@@ -199,7 +200,7 @@ def drive(
             start = Start(outer=outer, seen=seen, ads=ads, kind=kind, guard=guard, view=view, seed=seed, sight=sight)
             if start.eyes is not None:
                 at_the_end.callback(start.eyes.close)
-            reason = why_not(start) if may_compile else "that was asked for"
+            reason = why_not(start) if may_compile else "that was requested"
             if reason:
                 return stepped(start, seed, reason, is_recorded=is_recorded)
             return compiled(start, seed, is_recorded=is_recorded)

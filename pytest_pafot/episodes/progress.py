@@ -1,4 +1,4 @@
-"""Which of two versions of a policy is better: what both did in the same situations, as values and in words."""
+"""Comparison of two versions of a policy: what both did in the same situations, as values and in words."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from pytest_pafot.support.text import ascii_text, markdown_table, plural
 
 LEVEL = 0.01
 """The largest adjusted p with which a line claims a difference. Policies are compared after each change: with 0.05, one
-of twenty changes that matter to nobody might be called better or worse."""
+of twenty changes without an effect might be called better or worse."""
 APART = "not told apart"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """What one policy did in a situation."""
+    """The result of one policy in a situation."""
 
-    failed: bool | None = None  # where its run says nothing of it
-    impact: float | None = None  # closing speed of a collision that it failed by [m/s]
+    failed: bool | None = None  # None if its run is not valid
+    impact: float | None = None  # closing speed of the collision that made it fail [m/s]
     margins: Mapping[str, float] = field(default_factory=dict)  # the worst of each check with a bound, of a whole run
 
     @classmethod
     def of(cls, run: Run, verdict: Verdict) -> Self:
-        """Return what a verdict says of a run."""
+        """Return the result of a run by its verdict."""
         bounded = {each.name for each in verdict.checks if set(each.bounds.values()) != {None}}
         is_whole = run.collision is None and run.ads_error is None and run.outcome != "off_road"  # nothing cut it short
         margins = {name: worst for name, worst in worst_margins(verdict) if name in bounded and math.isfinite(worst)}
@@ -44,49 +44,49 @@ class Result:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairRow:
-    """Both policies in one situation: a random scenario, an episode, a saved scenario, or one that a search found."""
+    """The results of both policies in one situation: a random scenario, an episode, a saved or a found scenario."""
 
     part: str  # ``scenarios``, ``episodes``, ``saved`` or ``alone``
     name: str  # a number, a seed, or the id of a finding
     old: Result
     new: Result
     told: str = ""  # an error in an episode, the label of a saved scenario, the headline of a finding
-    worse: str = ""  # by how much the failure of a saved scenario became worse
+    worse: str = ""  # how much worse the failure of a saved scenario became
 
     @classmethod
     def of_data(cls, data: Mapping[str, Any]) -> Self:
-        """Return the row that ``dataclasses.asdict`` has made data of."""
+        """Return the row from the data that ``dataclasses.asdict`` made of it."""
         return cls(**{**data, "old": Result(**data["old"]), "new": Result(**data["new"])})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparedLine:
-    """Numbers of both policies, compared pair by pair: a line of the table."""
+    """A line of the table: numbers of both policies, compared pair by pair."""
 
-    what: str  # that is compared
-    words: tuple[str, str]  # for it where the new policy is better, and where it is worse
-    old: float  # in how many pairs, or the median where there is a unit
+    what: str  # quantity that is compared
+    words: tuple[str, str]  # words for it if the new policy is better, and if it is worse
+    old: float  # number of pairs, or the median if there is a unit
     new: float
     better: int  # pairs in which the new policy is better
     worse: int
     pairs: int
     unit: str | None = None
-    p: float = 1.0  # of the sign test, of failures McNemar's: two-sided, exact, adjusted for the number of lines
+    p: float = 1.0  # sign test, for failures McNemar's: two-sided, exact, adjusted for the number of lines
 
     @property
     def verdict(self) -> str:
-        """Return whether the new policy is ``better`` or ``worse`` by this line, or not told apart."""
+        """The verdict of this line on the new policy: ``better``, ``worse`` or ``not told apart``."""
         return APART if self.p > LEVEL else "better" if self.better > self.worse else "worse"
 
     @property
     def interval(self) -> str:
-        """Return by how many points more pairs count for the new policy, with 95 %; empty for medians."""
+        """The 95 % interval of how many points more pairs count for the new policy; empty for medians."""
         low, high = difference(self.worse, self.better, self.pairs)
         return f"{100 * low:+.1f} to {100 * high:+.1f} points" if self.unit is None else ""
 
     @property
     def sentence(self) -> str:
-        """Return what the line claims, or between which numbers it claims nothing."""
+        """The claim of the line, or the numbers between which it claims nothing."""
         of = f" of {self.pairs}" if self.unit is None else f"{self.unit} in the median of {self.pairs}"
         old, new = (f"{value:.4g}" if self.unit is not None else str(value) for value in (self.old, self.new))
         if self.verdict == APART:
@@ -111,9 +111,9 @@ def _line(
 
 
 def lines_of(rows: Iterable[PairRow]) -> list[ComparedLine]:
-    """Compare two policies by all that there are pairs of.
+    """Compare two policies in all quantities of which there are pairs.
 
-    What was saved, and what a search finds, was chosen since one of the two fails in it: it compares nothing.
+    Saved scenarios, and those that a search found, do not count: they were chosen because one of the two fails.
     """
     both = [row for row in rows if row.old.failed is not None and row.new.failed is not None]
     drawn = [row for row in both if row.part == "scenarios"]
@@ -143,7 +143,7 @@ def verdict_of(lines: Iterable[ComparedLine]) -> str:
 
 
 def sentence_of(old: str, new: str, lines: Sequence[ComparedLine]) -> str:
-    """Say which of two policies is better, by what, and by what they are not told apart."""
+    """Return a sentence on which of two policies is better and in what, and in what they do not differ measurably."""
     claims = [line.sentence for line in lines if line.verdict != APART]
     others = ", ".join(line.sentence for line in lines if line.verdict == APART)
     if not claims:
@@ -153,7 +153,7 @@ def sentence_of(old: str, new: str, lines: Sequence[ComparedLine]) -> str:
 
 
 def text_of(old: str, new: str, rows: Sequence[PairRow]) -> str:
-    """Return the sentence on two policies, the table and what is known beside it, as Markdown."""
+    """Return the sentence on two policies, the table and the notes, as Markdown."""
     lines = lines_of(rows)
     head = ["", "old", "new", "new better in", "new worse in", "of", "new - old, 95 %", "p, Holm", ""]
     table = [

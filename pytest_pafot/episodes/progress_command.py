@@ -1,4 +1,4 @@
-"""``python -m pytest_pafot progress``, which asks whether the new version of a policy is better than the old one."""
+"""``python -m pytest_pafot progress``: compare the new version of a policy with the old one."""
 
 from __future__ import annotations
 
@@ -45,30 +45,30 @@ from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import first_decision, reference_world, road_start
 
 FIRST = 10
-"""So many scenarios show that a policy does not drive at all; the first in which it does shows that it does."""
+"""The number of scenarios after which a policy that failed in all of them is said not to drive at all."""
 HOW_TO_READ = f"""
 A line compares both policies in the same situations, pair by pair, and claims a difference where p, adjusted for the
-number of lines, is at most {LEVEL:g}. What is not told apart may differ all the same: more situations tell. Failures of
-its own are those of random scenarios that the ego answers for. Saved scenarios, and what a search found, were chosen
-since one of the two fails in them, and are no part of the verdict: `introduced` fails with the new policy alone,
-`fixed` with the old one alone, `common` with both.
+number of lines, is at most {LEVEL:g}. Policies that are not told apart may still differ: compare more situations to
+find out. Failures of its own are those in random scenarios that the ego is responsible for. Saved scenarios, and those
+that a search found, were chosen because one of the two fails in them, so they do not count for the verdict:
+`introduced` fails only with the new policy, `fixed` only with the old one, `common` with both.
 """
 
 
 def never_at_fault_in_a_collision(run: Run) -> None:
-    """Assert what the command ``search`` does where no check is given."""
+    """Assert what the command ``search`` asserts if no check is given."""
     assert not run.collision, run.explain()  # noqa: S101  (the function of a test)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProgressPlan:
-    """What is compared, and by what. Every row is a function of this value and its name alone."""
+    """The policies to compare, and the situations. Every row depends only on this value and its name."""
 
-    old: str  # as ``rate`` has it, with ``@planner`` behind it for a planner in SI units beside an environment
+    old: str  # as in ``rate``; a planner in SI units with an environment has ``@planner`` after its name
     new: str
-    env_id: str = ""  # of the environment of ordinary traffic, in which policies also have their scenarios
+    env_id: str = ""  # environment of ordinary traffic, which policies also use for scenarios
     config: Mapping[str, Any] | None = None
-    scenarios: int = 200  # random ones; as many runs has each search for what one policy fails alone
+    scenarios: int = 200  # random ones; also the runs of each search for what only one policy fails
     episodes: int = 300
     saved: tuple[Path, ...] = ()
     check: str | None = None  # a function of a run, as ``module:function``; None for no collision
@@ -76,22 +76,22 @@ class ProgressPlan:
 
     @cached_property
     def traffic(self) -> World:
-        """Return the environment that has ordinary traffic, where there is one."""
+        """The environment of ordinary traffic, if there is one."""
         return World(self.env_id, None if self.config is None else dict(self.config))
 
     @property
     def world(self) -> Highway | World:
-        """Return the world of scenarios."""
+        """The world of the scenarios."""
         return self.traffic if self.env_id and not self.new.endswith(PLANNER) else Highway()
 
     @property
     def holds(self) -> Callable[[Run], Any]:
-        """Return the function that judges runs."""
+        """The function that checks runs."""
         return never_at_fault_in_a_collision if self.check is None else ads_factory(self.check)
 
     @property
     def test(self) -> str:
-        """Return the node id of the test that ``search`` would run, by which the same seed finds the same."""
+        """The node id of the test that ``search`` would run, so that the same seed finds the same failures."""
         name = never_at_fault_in_a_collision.__name__ if self.check is None else self.check.split(":")[-1]
         return f"test_safety.py::{name if name.startswith('test') else f'test_{name}'}"
 
@@ -100,7 +100,7 @@ class ProgressPlan:
         return ads_factory(getattr(self, side).removesuffix(PLANNER))
 
     def judged(self, side: str, numbers: range) -> Iterator[tuple[Run, Verdict]]:
-        """Run random scenarios with a policy, each of which depends on the seed and its number alone."""
+        """Run random scenarios with a policy; each scenario depends only on the seed and its number."""
         world = self.world
         space = space_on(world, drawn_space(world, {}), road_start(world))
         scenarios = [sample(space, np.random.default_rng((self.seed, number))) for number in numbers]
@@ -112,7 +112,7 @@ class ProgressPlan:
 
     @property
     def job(self) -> ResumableJob:
-        """Return the tasks, each of a part, a number of situations and the first of them."""
+        """The tasks, each with its part, its number of situations and the first of them."""
         sizes = {
             (f"{part}-{min(CHUNK, total - first)}", first): 2 * min(CHUNK, total - first)
             for part, total in (("scenarios", self.scenarios), ("episodes", self.episodes if self.env_id else 0))
@@ -131,15 +131,15 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
 
     Raises:
         PlanError: naming the first thing that is wrong.
-        WorldError: when the environment cannot be used.
+        WorldError: if the environment cannot be used.
     """
     are_planners = [name.endswith(PLANNER) for name in (plan.old, plan.new)]
     for is_wrong, problem in (
         (plan.scenarios < 1, f"--scenarios: expected a whole number, at least 1, received {plan.scenarios}"),
         (plan.episodes < 0, f"--episodes: expected a whole number, at least 0, received {plan.episodes}"),
         (plan.seed < 0, f"--seed: expected a whole number, at least 0, received {plan.seed}"),
-        (plan.new == plan.old, f"NEW: expected another version than OLD, received {plan.new!r} again"),
-        (any(are_planners) and not all(are_planners), f"NEW: expected {PLANNER} behind both names or none"),
+        (plan.new == plan.old, f"NEW: expected a different version than OLD, received {plan.new!r} again"),
+        (any(are_planners) and not all(are_planners), f"NEW: expected {PLANNER} after both names or none"),
         (plan.config is not None and not plan.env_id, "--config: expected an environment, received none; give --world"),
     ):
         if is_wrong:
@@ -152,7 +152,7 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
 
 
 def _check_set_up(plan: ProgressPlan, side: str) -> None:
-    """Refuse a policy that cannot drive, and a check that cannot judge, whatever happens in a run."""
+    """Refuse a policy that never drives, and a check that fails whatever happens in a run."""
     first = FirstGeneration()
     try:
         for each in plan.judged(side, range(min(FIRST, plan.scenarios))):
@@ -168,7 +168,7 @@ def _check_set_up(plan: ProgressPlan, side: str) -> None:
         raise PlanError(
             f"{side.upper()}: expected a policy that drives, {received}, at its first decision. "
             f"{'' if asked is None else asked.text} A policy of an environment needs --world, and the --config that it "
-            f"was trained with; a planner in SI units needs no --world, or with it {PLANNER} behind its name"
+            f"was trained with; a planner in SI units needs no --world, or {PLANNER} after its name"
         ) from None
 
 
@@ -217,7 +217,7 @@ def _saved(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
 
 
 def _alone(side: str, plan: ProgressPlan, _: range, tick: Tick) -> Iterator[PairRow]:
-    """Yield what a search finds that one of the two fails, and the other passes."""
+    """Yield the scenarios of a search that one of the two policies fails and the other passes."""
     runs = count(1)
     found = explore(
         plan.factory(side), against=plan.factory("new" if side == "old" else "old"), holds=plan.holds, world=plan.world,
@@ -241,37 +241,43 @@ _ROWS: Mapping[str, Callable[[ProgressPlan, range, Tick], Iterator[PairRow]]] = 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     of_whom = "module:factory or module:factory:argument such as policy:make:old.zip; a class is a factory, too"
-    parser.add_argument("old", metavar="OLD", help=f"the policy of before: {of_whom}")
-    parser.add_argument("new", metavar="NEW", help="the policy of now, likewise")
+    parser.add_argument("old", metavar="OLD", help=f"the old policy: {of_whom}")
+    parser.add_argument("new", metavar="NEW", help="the new policy, in the same form")
     of_world = "a highway-env environment, for its policies, and for its ordinary traffic; a planner in SI units "
-    of_world += f"needs {PLANNER} behind its name then (default: a highway in SI units, without ordinary traffic)"
+    of_world += f"then needs {PLANNER} after its name (default: a highway in SI units, without ordinary traffic)"
     parser.add_argument("--world", default="", metavar="ID", help=of_world)
     parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
-    of_scenarios = "random scenarios, and runs of each search for what one fails alone (default: %(default)s)"
+    of_scenarios = "random scenarios, and runs of each search for what only one fails (default: %(default)s)"
     parser.add_argument("--scenarios", type=int, default=200, metavar="N", help=of_scenarios)
-    of_episodes = "of ordinary traffic, with --world (default: %(default)s)"
+    of_episodes = "episodes of ordinary traffic, with --world (default: %(default)s)"
     parser.add_argument("--episodes", type=int, default=300, metavar="N", help=of_episodes)
-    of_corpus = f"saved scenarios to replay (default: {CORPUS}, where it is here)"
+    of_corpus = f"saved scenarios to replay (default: {CORPUS}, if it exists here)"
     parser.add_argument("--corpus", type=Path, metavar="FOLDER", help=of_corpus)
-    of_check = "a function of a run that asserts what must hold, in place of that there is no collision"
+    of_check = "a function of a run that asserts what must hold (default: no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="(default: %(default)s)")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="seed of the scenarios, and of the first episode (default: %(default)s)",
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures for programs")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write a page, in Markdown")
-    of_exit = "exit with 1 where anything is worse, or unless the new one is better (default: for no verdict)"
+    of_exit = "exit with 1 if anything is worse, or unless the new one is better (default: never)"
     parser.add_argument("--fail-on", choices=("worse", "not-better"), help=of_exit)
-    parser.epilog = "A module of before: git show main:planner.py > planner_before.py"
+    parser.epilog = "To get the old module: git show main:planner.py > planner_before.py"
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Compare the policies, say which is better, and write what was asked for; the exit code."""
-    sys.path.insert(0, str(Path.cwd()))  # The policies are where the command is run, as with pytest.
+    """Compare the policies, print which is better, write the requested files, and return the exit code."""
+    sys.path.insert(0, str(Path.cwd()))  # as with pytest, policies are in the folder where the command is run
     given, files = arguments, [path for path in (arguments.json, arguments.report) if path is not None]
     try:
         for path in files:  # before anything is driven
             if not path.parent.is_dir() or path.is_dir():
-                raise PlanError(f"expected a file in a folder that is there, received {path}; give another one")
+                raise PlanError(f"expected a file in a folder that exists, received {path}; give a different one")
         if given.corpus is not None and not given.corpus.is_dir():
             raise PlanError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
         saved, config = files_below((given.corpus or Path(CORPUS)).resolve()), config_of(given.config)
@@ -308,7 +314,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def _hint(plan: ProgressPlan, rows: Sequence[PairRow]) -> str:
-    """Return the command that saves and explains what the new policy fails alone, where there is such a thing."""
+    """Return the command that saves and explains what only the new policy fails; empty if there is nothing."""
     if not any(row.part == "alone" and row.new.failed for row in rows) or plan.config is not None:
         return ""
     old, new = (name.removesuffix(PLANNER) for name in (plan.old, plan.new))

@@ -1,4 +1,4 @@
-"""What came of episodes, as values: crashes per episode and per hour, and two policies on the same seeds."""
+"""Results of episodes: crashes per episode and per hour, and two policies on the same seeds."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pytest_pafot.support.text import csv_text, plural
 
 SECONDS_PER_HOUR = 3600.0
 UNDECIDED = (Outcome.ADS_ERROR, Outcome.HANG)
-"""Of episodes in which the ADS did not decide."""
+"""The outcomes of episodes in which the ADS did not decide."""
 SHOWN = 10
-"""So many seeds are told in a line."""
+"""The most seeds in a line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeRow:
-    """One episode."""
+    """The result of one episode, a row of ``results.csv``."""
 
     ads: str  # the policy, as it was given
-    seed: int  # that the environment was reset with
-    outcome: str  # ``collision``, ``safe``, or where the ADS did not decide ``ads_error`` or ``hang``
-    seconds: float  # driven until then
-    error: str  # what the ADS did instead of deciding; empty without
-    steps: str  # why the environment took its own steps; empty where the traffic was compiled
+    seed: int  # seed of the reset
+    outcome: str  # ``collision``, ``safe``, or, if the ADS did not decide, ``ads_error`` or ``hang``
+    seconds: float  # time driven until the end
+    error: str  # error of the ADS, if it did not decide; else empty
+    steps: str  # why the environment took its own steps; empty if the traffic was compiled
 
 
 COLUMNS = tuple(field.name for field in fields(EpisodeRow))
@@ -35,11 +35,11 @@ COLUMNS = tuple(field.name for field in fields(EpisodeRow))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rate:
-    """How often a policy crashed.
+    """The crash rate of a policy.
 
     Attributes:
-        ads: the policy, as it was given.
-        rows: of all episodes, by seed.
+        ads: policy, as it was given.
+        rows: results of all episodes, by seed.
     """
 
     ads: str
@@ -50,45 +50,45 @@ class Rate:
 
     @property
     def episodes(self) -> int:
-        """Those that were driven: without those in which the ADS did not decide."""
+        """The number of episodes that were driven, without those in which the ADS did not decide."""
         return len(self.rows) - len(self.failed)
 
     @property
     def crashed(self) -> tuple[int, ...]:
-        """Seeds of the episodes in which it crashed."""
+        """The seeds of the episodes in which the policy crashed."""
         return tuple(row.seed for row in self.rows if row.outcome == Outcome.COLLISION)
 
     @property
     def failed(self) -> tuple[EpisodeRow, ...]:
-        """Episodes in which the ADS raised, hung or returned no action; no crash, and no drive either."""
+        """The episodes in which the ADS raised, hung or returned no action, which are neither crashes nor drives."""
         return tuple(row for row in self.rows if row.outcome in UNDECIDED)
 
     @property
     def share(self) -> float:
-        """Crashes per episode; NaN where none was driven."""
+        """The crashes per episode; NaN if no episode was driven."""
         return len(self.crashed) / self.episodes if self.episodes else float("nan")
 
     @property
     def hours(self) -> float:
-        """Of driving, in the episodes that were driven."""
+        """The hours of driving, in the episodes that were driven."""
         return sum(row.seconds for row in self.rows if row.outcome not in UNDECIDED) / SECONDS_PER_HOUR
 
     @property
     def per_hour(self) -> float:
-        """Crashes per hour of driving."""
+        """The crashes per hour of driving."""
         return len(self.crashed) / self.hours if self.hours else float("nan")
 
     def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """The Clopper-Pearson interval of the share of crashes."""
+        """Return the Clopper-Pearson interval of the share of crashes."""
         return interval(len(self.crashed), self.episodes, confidence)
 
     def upper_bound(self, confidence: float = CONFIDENCE) -> float:
-        """What the true share of crashes exceeds with at most ``1 - confidence``."""
+        """Return the bound that the true share of crashes exceeds with a probability of at most ``1 - confidence``."""
         return upper_bound(len(self.crashed), self.episodes, confidence)
 
     @property
     def sentence(self) -> str:
-        """``38 of 1000 episodes crashed, 3.8 % (95 %: 2.7 to 5.2 %); 4.9 an hour in 7.8 h of driving``."""
+        """The sentence ``38 of 1000 episodes crashed, 3.8 % (95 %: 2.7 to 5.2 %); 4.9 an hour in 7.8 h of driving``."""
         if not self.episodes:
             return f"no episode of {len(self.rows)} was driven to its end"
         share = interval_text(len(self.crashed), self.episodes)
@@ -100,7 +100,7 @@ class Rate:
 
     @property
     def notes(self) -> list[str]:
-        """What else must be known, a line each: seeds of crashes, failures of the ADS, what was not compiled."""
+        """Notes, one per line: seeds of crashes, failures of the ADS, and why traffic was not compiled."""
         lines = []
         if self.crashed:
             lines.append(f"seeds of the crashes: {shown(self.crashed)}")
@@ -118,9 +118,10 @@ class Rate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """Two policies on the same seeds, of which those count that both drove.
+    """Two policies on the same seeds; only seeds that both drove count.
 
     Attributes:
+        first, second: policies.
         both, first_only, second_only, neither: seeds at which they crashed.
     """
 
@@ -133,7 +134,7 @@ class Pair:
 
     @classmethod
     def of(cls, first: Rate, second: Rate) -> Pair:
-        """Of two rates."""
+        """Make a pair of two rates."""
         left_out = {row.seed for rate in (first, second) for row in rate.failed}
         seeds = [row.seed for row in first.rows if row.seed not in left_out]
         a, b = set(first.crashed), set(second.crashed)
@@ -148,42 +149,42 @@ class Pair:
 
     @property
     def p(self) -> float:
-        """Of McNemar's exact test, two-sided."""
+        """The p-value of McNemar's exact test, two-sided."""
         return mcnemar(len(self.first_only), len(self.second_only))
 
     @property
     def sentence(self) -> str:
-        """How many seeds tell the two apart, and how likely that is where both crash equally often."""
+        """A sentence on how many seeds separate the two, and how likely that is if both crash equally often."""
         return (
-            f"on the same seeds {len(self.first_only)} crashed with {self.first} alone, {len(self.second_only)} with "
-            f"{self.second} alone, {len(self.both)} with both, {len(self.neither)} with neither: p {p_text(self.p)} "
+            f"on the same seeds {len(self.first_only)} crashed only with {self.first}, {len(self.second_only)} only "
+            f"with {self.second}, {len(self.both)} with both, {len(self.neither)} with neither: p {p_text(self.p)} "
             "(McNemar, exact, two-sided)"
         )
 
 
 def number(value: float) -> str:
-    """With two digits that count."""
+    """Return a number with two significant digits."""
     return f"{value:.0f}" if value >= 100 else f"{value:.2g}"
 
 
 def p_text(p: float) -> str:
-    """A p-value."""
+    """Return a p-value with its relation."""
     return "< 0.0001" if p < 1e-4 else f"= {p:.2g}"
 
 
 def shown(seeds: Sequence[int]) -> str:
-    """The first of them in a line."""
+    """Return the first seeds in a line."""
     more = f" and {len(seeds) - SHOWN} more" if len(seeds) > SHOWN else ""
     return ", ".join(map(str, seeds[:SHOWN])) + more
 
 
 def text_of(rows: Iterable[EpisodeRow]) -> str:
-    """As CSV."""
+    """Return rows as CSV."""
     return csv_text(COLUMNS, map(astuple, rows))
 
 
 def rows_of(text: str) -> list[EpisodeRow]:
-    """The inverse of :func:`text_of`."""
+    """Return the rows of a CSV text, the inverse of :func:`text_of`."""
     return [
         EpisodeRow(**{**row, "seed": int(row["seed"]), "seconds": float(row["seconds"])})  # type: ignore[arg-type]
         for row in csv.DictReader(io.StringIO(text))

@@ -1,4 +1,4 @@
-"""``python -m pytest_pafot rate``: how often a policy crashes by itself, and its page."""
+"""``python -m pytest_pafot rate``: the crash rate of a policy in ordinary traffic, and its page."""
 
 from __future__ import annotations
 
@@ -27,36 +27,40 @@ if TYPE_CHECKING:
     from pytest_pafot.episodes.episode import Episode
 
 
-NOTHING_DRIVEN = 1  # exit code where the ADS failed in every episode, so that nothing is known of it
+NOTHING_DRIVEN = 1  # exit code if the ADS failed in every episode, so that there is no rate
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    of_whom = "a module of example_ads, module:factory, or module:factory:argument, with @planner behind it for a "
+    of_whom = "a module of example_ads, module:factory, or module:factory:argument, with @planner after it for a "
     of_whom += "planner in SI units"
     parser.add_argument("--ads", required=True, metavar="ADS", help=f"the policy: {of_whom}")
-    parser.add_argument("--against", metavar="ADS", help="another one, on the same seeds")
+    parser.add_argument("--against", metavar="ADS", help="a second policy, on the same seeds")
     parser.add_argument(
         "--world", required=True, metavar="ID", help="a highway-env environment such as highway-fast-v0"
     )
     parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
-    parser.add_argument("--episodes", type=int, default=1000, metavar="N", help="(default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first episode (default: %(default)s)")
     parser.add_argument(
-        "--episode", type=int, metavar="SEED", help="drive the one with this seed alone, with a picture"
+        "--episodes", type=int, default=1000, metavar="N", help="episodes to drive (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of the first episode (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--episode", type=int, metavar="SEED", help="drive only the episode with this seed, and draw its end"
     )
     parser.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
-        help="where rows, page and pictures go (default: nowhere; of --episode: here)",
+        help="folder for rows, page and pictures (default: none; with --episode: here)",
     )
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Rate the policies, and write the page where there is a place for it; the exit code."""
-    sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
+    """Rate the policies, write the page if there is a folder for it, and return the exit code."""
+    sys.path.insert(0, str(Path.cwd()))  # as with pytest, policies are in the folder where the command is run
     try:
         plan = checked(_plan_of(arguments))
         workers = worker_count(arguments.workers)
@@ -80,15 +84,15 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         sys.stderr.write(f"rate: {error}\n")
         return BAD_USE
     except KeyboardInterrupt:
-        kept = "what is finished is kept, the same command goes on with the rest"
-        lost = "nothing is kept without --out"
+        kept = "finished episodes are saved, and the same command continues with the rest"
+        lost = "nothing is saved without --out"
         sys.stderr.write(f"\nrate: interrupted; {lost if arguments.out is None else kept}\n")
         return 130
     return 0 if all(rate.episodes for rate in rates) else NOTHING_DRIVEN
 
 
 def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, str]:
-    """The name of the picture of the first crash of each policy; without the library for it none, which is told."""
+    """Draw the first crash of each policy and return the names of the pictures; warn if the library is missing."""
     try:
         return {
             rate.ads: _drawn(_episode(plan, rate.ads, rate.crashed[0]), rate.ads, folder, AGAIN)
@@ -104,7 +108,7 @@ def config_of(text: str | None) -> dict[str, Any] | None:
     """Return the options of an environment that ``--config`` gives.
 
     Raises:
-        PlanError: for what is no JSON of options.
+        PlanError: if the text is no JSON of options.
     """
     if text is None:
         return None
@@ -135,7 +139,7 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
         notes = [*rate.notes, *filter(None, [hint])]
         lines += [f"{rate.ads} in {plan.env_id}: {rate.sentence}", *(f"  {note}" for note in notes)]
         if not rate.episodes and "@" not in rate.ads:
-            lines.append(f"  a planner in SI units, as for pafot.Highway, is --ads {rate.ads}@planner")
+            lines.append(f"  for a planner in SI units, as for pafot.Highway, use --ads {rate.ads}@planner")
     if len(rates) == 2:
         lines.append(Pair.of(*rates).sentence)
     crashed = next((rate for rate in rates if rate.crashed), None)
@@ -147,7 +151,7 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
 
 
 def _replay(plan: RatePlan, seed: int, folder: Path) -> int:
-    """Drive one episode of each policy again, and draw its end."""
+    """Drive one episode of each policy again and draw its end."""
     with written_into(folder):  # before anything is driven
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
@@ -156,7 +160,7 @@ def _replay(plan: RatePlan, seed: int, folder: Path) -> int:
         how = {Outcome.COLLISION: "crashed", Outcome.SAFE: "ended without a crash"}.get(episode.outcome, "failed")
         error = "" if episode.error is None else f": {told(episode.error)}"
         sys.stdout.write(f"{name} in {plan.env_id}, seed {seed}: {how} after {episode.seconds:.1f} s{error}\n")
-        if episode.recording is not None:  # else the ADS could not be made
+        if episode.recording is not None:  # there is none if the ADS could not be made
             sys.stdout.write(f"{folder / _drawn(episode, name, folder)}\n")
     return 0
 
@@ -170,7 +174,7 @@ def _episode(plan: RatePlan, name: str, seed: int) -> Episode:
 
 
 def _drawn(episode: Episode, name: str, folder: Path, elsewhere: str = "or give another folder") -> str:
-    """The name of the picture of an episode, in the folder."""
+    """Draw an episode into the folder and return the name of the picture."""
     path = folder / f"{''.join(each if each.isalnum() or each in '-_' else '-' for each in name)}-{episode.seed}.png"
     drawn = picture(episode, f"{name}, seed {episode.seed}")
     with written_into(folder, elsewhere):

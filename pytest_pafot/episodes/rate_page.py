@@ -1,4 +1,4 @@
-"""The page of a rate, as Markdown."""
+"""The report of a rate: its page in Markdown, and pictures of crashes."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from pytest_pafot.support.versions import installed_versions
 if TYPE_CHECKING:  # it imports highway-env
     from pytest_pafot.episodes.episode import Episode, EpisodeRecording
 
-# The end of an episode as an animated picture, drawn as the pictures of findings are.
+# The end of an episode as an animated picture, in the style of the pictures of findings.
 
 NEAREST = 7
-"""So many other vehicles are drawn, those that are nearest to the ego at the end."""
+"""The number of other vehicles in a picture: those nearest to the ego at the end."""
 CELLS = 8
 
 
 def picture(episode: Episode, headline: str) -> bytes:
-    """An APNG of the last seconds of an episode, which must be recorded.
+    """Return an APNG of the last seconds of a recorded episode.
 
     Raises:
         AnimationError: without Pillow.
@@ -42,7 +42,7 @@ def picture(episode: Episode, headline: str) -> bytes:
     last = len(states) - 1
     ticks = sorted({*range(0, last + 1, max(1, round(hz / FRAMES_PER_SECOND))), last})
     distance = np.hypot(*(states[-1, 1:, :2] - states[-1, 0, :2]).T)
-    shown = [0, *(np.argsort(distance, kind="stable")[:NEAREST] + 1)]  # NaN, who has gone, comes last
+    shown = [0, *(np.argsort(distance, kind="stable")[:NEAREST] + 1)]  # NaN, a vehicle that has left, is sorted last
     view = FindingView(
         id=f"seed-{episode.seed}",
         node_id="",
@@ -88,18 +88,19 @@ def _vehicle(recording: EpisodeRecording, index: int, ticks: list[int]) -> Vehic
 HOW_TO_READ = """
 ## How to read this
 
-- An episode begins as `env.reset(seed=...)` of the environment makes it and goes on in its own random traffic; no
-  search has chosen it. It crashed where highway-env flagged the ego, up to a tick before boxes touch, and is cut there.
+- An episode starts with `env.reset(seed=...)` of the environment and continues in its own random traffic; no search has
+  chosen it. It crashed if highway-env flagged the ego, up to a tick before boxes touch, and ends there.
 - The interval is Clopper and Pearson's: it covers the true share of episodes with at least 95 %, whatever that is.
-  Where nothing crashed, its upper end is what can be said. Half as wide takes four times as many episodes.
-- Episodes in which the policy raised, hung or returned no action are no crashes, and no rate counts them.
-- This says how often a policy crashes in such traffic, not who is to blame, and nothing of traffic that is rarer.
+  If nothing crashed, only its upper end is known. An interval half as wide needs four times as many episodes.
+- Episodes in which the policy raised, hung or returned no action are no crashes, and the rate ignores them.
+- This says how often a policy crashes in such traffic. It does not say who is to blame, nor anything about rarer
+  traffic.
 - `results.csv` has a row for each episode. Equal arguments and versions give equal rows on any number of workers.
 """
 
 
 def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures: Mapping[str, str]) -> str:
-    """The whole text, with the command that made it, and the file name of the picture of a crash of a policy."""
+    """Return the page, with the command that made it and, by policy, the file name of the picture of a crash."""
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
     config = "" if plan.config is None else f" with `{json.dumps(dict(plan.config))}`"
     rows = []
@@ -120,9 +121,8 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
         pair = Pair.of(*rates)
         sentence = f"{pair.sentence[0].upper()}{pair.sentence[1:]}."
         alone = ((pair.first, pair.first_only), (pair.second, pair.second_only))
-        parts.append(
-            " ".join([sentence, *(f"Seeds of {name} alone: {shown(seeds)}." for name, seeds in alone if seeds)])
-        )
+        only = [f"Seeds of crashes only with {name}: {shown(seeds)}." for name, seeds in alone if seeds]
+        parts.append(" ".join([sentence, *only]))
     for rate in rates:
         parts.append("\n".join([f"## {rate.ads}\n", *(f"- {note}" for note in rate.notes or ["no crash"])]))
         if rate.ads in pictures:

@@ -1,4 +1,4 @@
-"""What is rated: one policy or two, an environment, and the seeds of the episodes."""
+"""The plan of a rate: one policy or two, an environment, and the seeds of the episodes."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ from pytest_pafot.world.driving.ads import AdsFactory
 
 QUESTION = "rate.json"
 CHUNK = 25
-"""So many episodes are one task, and kept when the command is interrupted."""
+"""The number of episodes in a task; finished tasks are saved when the command is interrupted."""
 PLANNER = "@planner"
-"""What stands behind the name of a policy that speaks SI units."""
+"""The suffix of the name of a planner in SI units."""
 SIDES = ("ads", "against")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RatePlan:
-    """A rate, or two. Every episode is a function of this value and its seed alone.
+    """A plan for one rate or two. Every episode depends only on this value and its seed.
 
     Attributes:
-        ads: the policy, as ``compare`` has it, with ``@planner`` behind it where it speaks SI units.
-        against: a second one on the same seeds, or None.
-        env_id, config: of the environment, as in :class:`pytest_pafot.World`.
-        episodes: with the seeds from ``seed`` on.
+        ads: policy, in the form of the command ``compare``, with ``@planner`` after it for a planner in SI units.
+        against: second policy on the same seeds, or None.
+        env_id, config: environment, as in :class:`pytest_pafot.World`.
+        episodes: number of episodes, with the seeds from ``seed`` on.
+        seed: seed of the first episode.
     """
 
     ads: str
@@ -44,18 +45,18 @@ class RatePlan:
 
     @cached_property
     def world(self) -> World:
-        """The environment."""
+        """The environment of the episodes."""
         return World(self.env_id, None if self.config is None else dict(self.config))
 
     @property
     def policies(self) -> dict[str, str]:
-        """The policy of each side."""
+        """The name of the policy of each side."""
         given = (self.ads, self.against)
         return {side: name for side, name in zip(SIDES, given, strict=True) if name is not None}
 
     @property
     def job(self) -> ResumableJob:
-        """Its tasks: a side with a number of episodes, and the first seed."""
+        """The job, whose tasks are a side with a number of episodes, and the first seed."""
         firsts = range(self.seed, self.seed + self.episodes, CHUNK)
         sizes = {
             (f"{side}-{count}", first): count
@@ -82,18 +83,18 @@ class RatePlan:
 
 
 def checked(plan: RatePlan) -> RatePlan:
-    """The plan, if it can be run.
+    """Return the plan, if it can be run.
 
     Raises:
         PlanError: naming the first thing that is wrong.
-        WorldError: when the environment cannot be used.
+        WorldError: if the environment cannot be used.
     """
     if plan.episodes < 1:
         raise PlanError(f"--episodes: expected a whole number, at least 1, received {plan.episodes}")
     if plan.seed < 0:
         raise PlanError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
     if plan.against == plan.ads:
-        raise PlanError(f"--against: expected another policy than --ads, received {plan.ads!r} again")
+        raise PlanError(f"--against: expected a different policy than --ads, received {plan.ads!r} again")
     for name in plan.policies.values():
         factory_of(name)
     plan.world.environment.with_traffic()
@@ -101,16 +102,16 @@ def checked(plan: RatePlan) -> RatePlan:
 
 
 def factory_of(name: str) -> tuple[AdsFactory, bool]:
-    """The factory that a name stands for, and whether it gives a planner in SI units.
+    """Return the factory with a name, and whether it makes a planner in SI units.
 
     Raises:
-        PlanError: when there is none.
+        PlanError: if there is no such factory.
     """
     return ads_factory(name.removesuffix(PLANNER)), name.endswith(PLANNER)
 
 
 def driven(world: World, name: str, factory: AdsFactory, seed: int, *, is_planner: bool) -> EpisodeRow:
-    """The row of one episode."""
+    """Drive one episode and return its row."""
     from pytest_pafot.episodes.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
 
     episode = drive(world.environment, factory, seed, hang_limit=world.hang_limit, is_planner=is_planner)
@@ -125,7 +126,7 @@ def driven(world: World, name: str, factory: AdsFactory, seed: int, *, is_planne
 
 
 def told(error: AdsError) -> str:
-    """What an ADS did instead of deciding, in a line."""
+    """Return the error of an ADS in a line."""
     prefix = "" if error.message.startswith(error.kind) else f"{error.kind}: "
     return f"{prefix}{error.message}"
 

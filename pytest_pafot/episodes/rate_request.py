@@ -1,4 +1,4 @@
-"""What ``@pafot.rate`` asks for, checked; the episodes that it takes, and whether their crashes are few enough."""
+"""The checked request of ``@pafot.rate``, the episodes that it drives, and whether their crashes are few enough."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from pytest_pafot.world import World
 from pytest_pafot.world.driving.ads import preload
 
 EPISODES = 300
-"""Unless the mark says how many."""
+"""The default number of episodes."""
 
 
 class RateArguments(TypedDict, total=False):
-    """What :func:`pytest_pafot.rate` accepts, for type checkers and for the check of names."""
+    """The arguments of :func:`pytest_pafot.rate`, for type checkers and for the check of names."""
 
     at_most: Required[float]
     world: Required[World | str]
@@ -37,15 +37,17 @@ class RateArguments(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RateRequest:
-    """A checked request.
+    """A checked request for a rate.
 
     Attributes:
-        at_most: crashes per episode.
-        world: whose own traffic it is.
-        ads: the factory, or the name of the fixture that gives it.
-        episodes: with the seeds from ``seed`` on.
-        confidence: with which the rate must be shown to be at most that; None where those counted are to be no more.
-        planner: whether the ADS speaks SI units.
+        at_most: largest allowed number of crashes per episode.
+        world: world whose own traffic is used.
+        ads: factory, or the name of the fixture that returns it.
+        episodes: number of episodes, with the seeds from ``seed`` on.
+        seed: seed of the first episode.
+        confidence: confidence with which the rate must be shown to be at most ``at_most``; None to compare only the
+            counted crashes with it.
+        planner: whether the ADS is a planner in SI units.
     """
 
     at_most: float
@@ -57,11 +59,11 @@ class RateRequest:
     planner: bool = False
 
     def measured(self, factory: Callable[..., Any], workers: int = 1, *, isolate: bool = False) -> Rate:
-        """Drive the episodes, in so many processes where they can be forked; with ``isolate`` none in this one.
+        """Drive the episodes, in several processes if they can be forked; with ``isolate`` none in this process.
 
         Raises:
-            ProcessLostError: where one of them does not come back.
-            RequestError: with ``isolate``, where they cannot be forked, and the factory cannot be pickled.
+            ProcessLostError: if a process does not return.
+            RequestError: with ``isolate``, if processes cannot be forked and the factory cannot be pickled.
         """
         name = self.ads if isinstance(self.ads, str) else getattr(factory, "__name__", repr(factory))
         seeds, work = range(self.seed, self.seed + self.episodes), partial(_row, self, name, factory)
@@ -84,7 +86,7 @@ class RateRequest:
         return Rate(ads=name, rows=tuple(rows))
 
     def objection(self, rate: Rate) -> str:
-        """Why the rate is too high, in lines; empty where it is not."""
+        """Return why the rate is too high, in lines; empty if it is not."""
         told = "\n".join([rate.sentence, *rate.notes])
         if rate.failed:
             speaks = "" if rate.episodes or self.planner else "; planner=True says that it is a planner in SI units"
@@ -102,16 +104,16 @@ class RateRequest:
 
 
 def _row(request: RateRequest, name: str, factory: Callable[..., Any], seed: int, *_: object) -> EpisodeRow:
-    """One episode; the pool tells more than is asked for."""
+    """Drive one episode; the pool passes more arguments than are needed."""
     return driven(request.world, name, factory, seed, is_planner=request.planner)
 
 
 def checked_rate(arguments: Mapping[str, Any], positional: Sequence[object] = ()) -> RateRequest:
-    """The request that arguments of a mark make; those given by position are refused.
+    """Return the request of a mark's arguments; positional arguments are refused.
 
     Raises:
-        RequestError: on the first wrong argument.
-        WorldError: for an environment that cannot be used.
+        RequestError: for the first wrong argument.
+        WorldError: if the environment cannot be used.
     """
     _check_names(arguments, positional)
     for name, example in (("at_most", "at_most=0.02"), ("world", 'world="highway-fast-v0"')):
@@ -152,7 +154,7 @@ def _check_names(arguments: Mapping[str, Any], positional: Sequence[object]) -> 
 
 
 def _problems(given: Mapping[str, Any]) -> Mapping[str, str]:
-    """What is wrong with each argument; empty where nothing is."""
+    """Return the problem of each argument; empty if there is none."""
     ads, confidence = given.get("ads"), given.get("confidence")
     share, likely = plain_number(given["at_most"]), plain_number(confidence)
     episodes, seed = plain_whole(given.get("episodes", 1)), plain_whole(given.get("seed", 0))
@@ -162,7 +164,7 @@ def _problems(given: Mapping[str, Any]) -> Mapping[str, str]:
         else "expected a share of the episodes, from 0 to less than 1",
         "world": ""
         if isinstance(given["world"], World)
-        else "expected an environment with traffic of its own, pafot.World(...) or its id",
+        else "expected an environment with its own traffic, pafot.World(...) or its id",
         "ads": "" if isinstance(ads, str) or callable(ads) else "expected a factory, or the name of a fixture",
         "episodes": "" if episodes is not None and episodes >= 1 else "expected a whole number, at least 1",
         "seed": "" if seed is not None and seed >= 0 else "expected a whole number, at least 0",

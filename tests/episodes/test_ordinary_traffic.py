@@ -78,7 +78,7 @@ def test_compiled_an_episode_is_that_of_the_environments_own_steps(world, factor
     options = {"seed": 0, "is_recorded": True, **options}  # with seed 3 others think of moving ahead of the ego
     compiled = driven(world, factory, **options)
     stepped = driven(world, factory, may_compile=False, **options)
-    assert (compiled.steps, stepped.steps) == ("", "that was asked for")
+    assert (compiled.steps, stepped.steps) == ("", "that was requested")
     assert difference(compiled, stepped) <= WITHIN
     assert len(compiled.recording.states) == 1 + round(compiled.seconds * compiled.recording.physics_hz)
 
@@ -95,8 +95,8 @@ def test_other_traffic_roads_and_wrappers_go_through_the_environments_steps_and_
     assert "the road is not straight" in merge.steps
     ranged = {**SWERVING, "action": {"type": "ContinuousAction", "speed_range": [0.0, 22.0]}, "duration": 2}
     fast = type("Fast", (IDMVehicle,), {"MAX_SPEED": 50.0})
-    assert "limits of speed of its own" in driven(CONTINUOUS, lambda: fast, 0).steps
-    assert "limits of its own" in driven(pafot.World("highway-fast-v0", ranged), swerving, 0).steps
+    assert "its own speed limits" in driven(CONTINUOUS, lambda: fast, 0).steps
+    assert "its own limits" in driven(pafot.World("highway-fast-v0", ranged), swerving, 0).steps
     linear = driven(LINEAR, constant_speed.make, 0, is_planner=True)
     assert "LinearVehicle" in linear.steps
     wrapped = pafot.World("highway-fast-v0", {**SHORT, "duration": 3}, wrappers=[gymnasium.wrappers.FlattenObservation])
@@ -117,7 +117,7 @@ def test_an_environment_with_steps_of_its_own_takes_them():
     gymnasium.register("own-highway-v0", entry_point=HighwayOfOurOwn)
     try:
         world = pafot.World("own-highway-v0", {"vehicles_count": 3, "duration": 6})
-        assert driven(world, undecided, 0).steps == "HighwayOfOurOwn has steps of its own"
+        assert driven(world, undecided, 0).steps == "HighwayOfOurOwn has its own steps"
         seconds = {driven(world, factory, 3).seconds for factory in (undecided, lambda: lambda seen: 1)}
         assert len(seconds) == 1
     finally:

@@ -137,13 +137,13 @@ def test_the_same_seed_says_the_same_with_any_number_of_workers(here, capsys):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["Blind"], "NEW: expected another version than OLD, received 'versions:Blind' again"),
+        (["Blind"], "NEW: expected a different version than OLD, received 'versions:Blind' again"),
         (["Blind", "--scenarios", "0"], "--scenarios: expected a whole number, at least 1, received 0"),
         (["Blind", "--episodes", "-1"], "--episodes: expected a whole number, at least 0, received -1"),
         (["Blind", "--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
         (["Careful", "--workers", "0"], "--workers: expected at least 1, received 0"),
         (["Careful", "--config", "{}"], "--config: expected an environment, received none; give --world"),
-        (["Careful@planner"], "NEW: expected @planner behind both names or none"),
+        (["Careful@planner"], "NEW: expected @planner after both names or none"),
         (["Careful", "--world", "highway-v7"], "expected a registered environment, received 'highway-v7'"),
         (["Nobody"], "OLD, NEW or --check: expected a factory in versions, received 'versions:Nobody'"),
         (["Broken"], "NEW: expected a policy that drives, received AttributeError: "),
@@ -152,7 +152,7 @@ def test_the_same_seed_says_the_same_with_any_number_of_workers(here, capsys):
             "--check: expected a function of a run that asserts, received At",
         ),
         (["Careful", "--corpus", "absent"], "--corpus: expected a folder, received absent; give one that exists"),
-        (["Careful", "--json", "absent/p.json"], "expected a file in a folder that is there, received absent/p.json"),
+        (["Careful", "--json", "absent/p.json"], "expected a file in a folder that exists, received absent/p.json"),
     ],
 )
 def test_what_cannot_be_compared_is_told_before_anything_is_driven(here, capsys, arguments, told):

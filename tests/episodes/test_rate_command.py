@@ -40,7 +40,7 @@ def test_it_tells_the_share_its_interval_the_crashes_per_hour_and_their_seeds(tm
     out, told = capsys.readouterr()
     assert re.search(r"^constant_speed@planner in highway-fast-v0: \d of 10 episodes crashed, [\d.]+ % \(95 %: ", out)
     assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 30.8 %); none in " in out
-    assert "0 with idm_mobil alone, 0 with both" in out
+    assert "0 only with idm_mobil, 0 with both" in out
     assert "rate: 20 of 20 episodes, 100 %, after " in told
     rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
     assert [int(row["seed"]) for row in rows] == [*range(10), *range(10)]
@@ -65,7 +65,7 @@ def test_interrupted_it_goes_on_and_more_episodes_are_added_later(tmp_path, caps
     monkeypatch.setattr(rate_plan, "driven", driven)
     for episodes in ("50", "50", "60"):
         rate("--ads", "idm_mobil", "--episodes", episodes, "--out", str(tmp_path / "parts"))
-    assert "rate: interrupted; what is finished is kept" in capsys.readouterr().err
+    assert "rate: interrupted; finished episodes are saved" in capsys.readouterr().err
     assert seeds == [*range(31), *range(25, 60)]
     assert rate("--ads", "idm_mobil", "--episodes", "60", "--out", str(whole)) == 0
     assert (tmp_path / "parts" / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
@@ -144,7 +144,7 @@ def test_a_policy_that_fails_is_counted_and_named_and_a_planner_told_how_it_is_g
     assert (
         "the ADS failed in 2 episodes, which no rate counts; seeds 0, 1; the first: BadAction: expected a whole" in out
     )
-    assert "a planner in SI units, as for pafot.Highway, is --ads constant_speed@planner" in out
+    assert "for a planner in SI units, as for pafot.Highway, use --ads constant_speed@planner" in out
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_a_policy_that_fails_is_counted_and_named_and_a_planner_told_how_it_is_g
     [
         (["--world", "highway-fast-v1"], "expected a registered environment, received 'highway-fast-v1'"),
         (["--episodes", "0"], "--episodes: expected a whole number, at least 1, received 0"),
-        (["--against", "idm_mobil"], "--against: expected another policy than --ads"),
+        (["--against", "idm_mobil"], "--against: expected a different policy than --ads"),
         (["--ads", "idm_mobile"], "did you mean 'idm_mobil'?"),
         (["--config", "{count: 3}"], "--config: expected JSON such as"),
         (["--config", '{"vehicle_count": 3}'], "did you mean 'vehicles_count'?"),
@@ -235,4 +235,4 @@ def test_two_policies_are_told_apart_by_the_seeds_that_one_alone_crashes_at():
     second = rated("b", s2="collision", s9="collision")
     pair = Pair.of(first, second)
     assert (pair.first_only, pair.second_only, pair.both, len(pair.neither)) == ((0, 1), (), (2,), 6)
-    assert "2 crashed with a alone, 0 with b alone, 1 with both, 6 with neither: p = 0.5" in pair.sentence
+    assert "2 crashed only with a, 0 only with b, 1 with both, 6 with neither: p = 0.5" in pair.sentence
