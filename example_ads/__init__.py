@@ -1,5 +1,5 @@
-"""Driving policies to search: careful ones, ones that are flawed on purpose, and published ones behind adapters.
+"""Driving policies to search: careful ones, intentionally flawed ones, and published ones behind adapters.
 
 Each module has a factory ``make()`` that returns a fresh ADS (or, for highway-env's own drivers, the vehicle class).
-An installed pytest-pafot has them as ``pytest_pafot.example_ads``.
+An installed pytest-pafot provides them as ``pytest_pafot.example_ads``.
 """

@@ -1,8 +1,8 @@
-"""Flawed on purpose: changes lanes every eight seconds without looking.
+"""An intentionally flawed driver, which changes lanes every eight seconds without looking.
 
 Kind (a), for ``pafot.Highway``. Within its lane it is careful: it follows the vehicle ahead by the Intelligent Driver
-Model (Treiber, Hennecke, Helbing 2000). But its lane changes depend on time alone: to the right until the road ends,
-then to the left, and so on. It never looks whether the lane that it enters is free.
+Model (Treiber, Hennecke, Helbing 2000). But its lane changes depend only on time: to the right up to the last lane,
+then to the left, and so on. It never checks whether the lane that it enters is free.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MAX_STEERING = 0.4
 
 
 class BlindLaneChange:
-    """Drives at the speed limit, and into the next lane when its time has come."""
+    """A driver at the speed limit that changes to the next lane every eight seconds."""
 
     def __init__(self) -> None:
         self._lane: int | None = None
@@ -35,7 +35,7 @@ class BlindLaneChange:
         self._changes = 0
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Acceleration [m/s^2] and steering angle [rad]."""
+        """Return acceleration [m/s^2] and steering angle [rad]."""
         if self._lane is None:
             self._lane = observation.ego.lane
         if observation.time >= (self._changes + 1) * SECONDS_PER_LANE:
@@ -50,7 +50,7 @@ class BlindLaneChange:
 
 
 def acceleration(observation: Observation) -> float:
-    """The Intelligent Driver Model behind the next vehicle in the ego's lane [m/s^2]."""
+    """Return the acceleration of the Intelligent Driver Model behind the next vehicle in the ego's lane [m/s^2]."""
     ego = observation.ego
     free = 1 - (max(ego.speed, 0.0) / observation.speed_limit) ** 4
     ahead = [other for other in observation.others if other.lane == ego.lane and other.x > ego.x]
@@ -74,5 +74,5 @@ def steering(observation: Observation, target_y: float) -> float:
 
 
 def make() -> BlindLaneChange:
-    """A fresh driver, about to wait eight seconds."""
+    """Return a fresh driver, at the start of its first eight seconds."""
     return BlindLaneChange()

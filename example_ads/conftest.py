@@ -1,4 +1,4 @@
-"""The policies under test, as the factories that ``@pafot.search`` asks for."""
+"""Fixtures with the policies under test, as the factories that ``@pafot.search`` requires."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from example_ads import constant_speed, idm_mobil
 
 @pytest.fixture(params=["constant-speed", "idm-mobil"])
 def ads(request: pytest.FixtureRequest) -> Callable[..., Any]:
-    """Makes one fresh ADS per scenario; each policy becomes a test of its own."""
+    """Return a factory that makes a fresh ADS for each scenario; each policy becomes its own test."""
     return constant_speed.make if request.param == "constant-speed" else idm_mobil.make
 
 
 @pytest.fixture
 def fiss() -> Callable[..., Any]:
-    """Makes one fresh FISS+ planner per scenario, where the extra is installed."""
+    """Return a factory that makes a fresh FISS+ planner for each scenario; needs the extra ``fiss``."""
     pytest.importorskip("fiss_planner", reason='needs pip install "pytest-pafot[fiss]"')
     from example_ads import fiss as module  # noqa: PLC0415
 

@@ -1,7 +1,7 @@
-"""Flawed on purpose: keeps its first speed and its lane whatever happens, and looks at nothing.
+"""An intentionally flawed driver, which keeps its first speed and its lane whatever happens, and looks at nothing.
 
-Kind (a), for ``pafot.Highway``. It runs into whoever is slower ahead of it, so that five generations find it at fault
-with nearly every seed. It is the shortest ADS that there is.
+Kind (a), for ``pafot.Highway``. It runs into any slower vehicle ahead, so five generations find it at fault with nearly
+every seed. It is the shortest possible ADS.
 """
 
 from __future__ import annotations
@@ -14,5 +14,5 @@ if TYPE_CHECKING:
 
 
 def make() -> Callable[[Observation], tuple[float, float]]:
-    """A policy that neither accelerates [m/s^2] nor steers [rad]."""
+    """Return a policy that neither accelerates [m/s^2] nor steers [rad]."""
     return lambda observation: (0.0, 0.0)

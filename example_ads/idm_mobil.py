@@ -1,7 +1,7 @@
-"""highway-env's own careful driver: it follows by IDM and changes lanes by MOBIL.
+"""The careful driver of highway-env, which follows by IDM and changes lanes by MOBIL.
 
 Kind (c): the ADS is a vehicle class that drives itself, and the class is its own factory. It keeps its distance and
-looks before it changes lanes, so that most collisions in which it ends are others' fault. IDM does assume that nobody
+looks before it changes lanes, so most of its collisions are the fault of others. IDM does assume that no vehicle
 cuts in close ahead and brakes hard.
 """
 
@@ -11,7 +11,7 @@ from typing import Any
 
 
 def make() -> type[Any]:
-    """The class ``highway_env.vehicle.behavior.IDMVehicle``; give it to the world as it is."""
+    """Return the class ``highway_env.vehicle.behavior.IDMVehicle``; pass it to the world unchanged."""
     from highway_env.vehicle.behavior import IDMVehicle  # noqa: PLC0415 - highway-env takes a second to import
 
     vehicle: type[Any] = IDMVehicle

@@ -1,8 +1,8 @@
 """A policy for ``pafot.World("intersection-v0")`` in the environment's own terms: three actions, one decision a second.
 
-Kind (b). It turns left, as the environment asks for, and knows the map. Of each action it imagines what follows for six
-seconds. It goes ahead where nobody comes near who drives straight on; otherwise where it can still stop at the line
-afterwards; and in either case where it could stop behind whoever brakes hard. If none of that is possible it brakes.
+Kind (b). It turns left, as the environment requires, and knows the map. For each action it predicts the next six
+seconds, in which the others drive straight on. It takes an action if no vehicle comes near, or if it can still stop at
+the line afterwards; in both cases only if it could stop behind vehicles that brake hard. Otherwise it brakes.
 """
 
 from __future__ import annotations
@@ -13,31 +13,32 @@ from typing import Any
 
 SLOWER, IDLE, FASTER = 0, 1, 2
 SPEEDS = (0.0, 4.5, 9.0)
-"""Of the environment's meta-actions [m/s]."""
+"""The speeds of the environment's meta-actions [m/s]."""
 STEP, HORIZON, DECISION = 0.2, 6.0, 1.0
-"""[s]."""
+"""The step and the length of a prediction, and the time between decisions [s]."""
 SETTLING = 0.6
-"""Within which a meta-action brings the speed nearer to its own by a factor of e [s]."""
+"""The time in which a meta-action brings the speed closer to its own by a factor of e [s]."""
 NEAR = 5.5
-"""Distance of two centres that is too small [m], and by how much more of it is kept for each second to come."""
+"""The distance between two centres below which they are too near [m]."""
 DOUBT = 0.4
-"""[m/s]."""
+"""The additional distance for each second of prediction [m/s]."""
 HARD = 8.0
-"""[m/s^2]."""
+"""The hard braking of others [m/s^2]."""
 INTO_TURN, RADIUS, LANE = 11.0, 13.0, 2.0
-"""The turn begins so far from the middle, with this radius; lanes are so far from the middle of their road [m]."""
+"""The distance from the middle at which the turn begins, its radius, and the offset of a lane from its road's middle
+[m]."""
 LINE = INTO_TURN + 4.0
-"""Where the ego waits [m]."""
+"""The distance from the middle at which the ego waits [m]."""
 
 
 class LookAhead:
-    """Decides by what it imagines."""
+    """A policy that decides by predicting the result of each action."""
 
     def __init__(self) -> None:
-        self.level = 2  # the ego starts with 10 m/s, which highway-env takes for its highest speed
+        self.level = 2  # the ego starts with 10 m/s, which highway-env rounds to its highest speed
 
     def __call__(self, observation: Any) -> int:
-        """The number of an action."""
+        """Return the number of an action."""
         _, x, y, vx, vy, *_ = observation[0]
         place, speed = along(100 * x, 100 * y), 20 * math.hypot(vx, vy)
         others = [(100 * x, 100 * y, 20 * vx, 20 * vy) for present, x, y, vx, vy, *_ in observation[1:] if present]
@@ -46,7 +47,7 @@ class LookAhead:
         return action
 
     def is_safe(self, action: int, place: float, speed: float, others: Sequence[tuple[float, ...]]) -> bool:
-        """Whether an action leaves a way out: ahead of or behind everybody, or a stop at the line."""
+        """Return whether an action leaves a way out: passing before or after all others, or a stop at the line."""
         level = after(self.level, action)
         stop = list(imagined(place, speed, level, SLOWER))
         if meets(stop, others, braking=HARD):
@@ -55,12 +56,12 @@ class LookAhead:
 
 
 def after(level: int, action: int) -> int:
-    """The number of the speed that is driven after an action."""
+    """Return the index of the speed after an action."""
     return min(max(level + action - IDLE, 0), len(SPEEDS) - 1)
 
 
 def imagined(place: float, speed: float, level: int, later: int) -> Iterator[tuple[float, float]]:
-    """Times and places of the ego: one decision at the speed of a level, and the same action in all later ones."""
+    """Yield predicted times and places of the ego: one decision at a level's speed, then always the same action."""
     for tick in range(round(HORIZON / STEP)):
         if tick and tick % round(DECISION / STEP) == 0:
             level = after(level, later)
@@ -70,7 +71,7 @@ def imagined(place: float, speed: float, level: int, later: int) -> Iterator[tup
 
 
 def meets(way: Iterable[tuple[float, float]], others: Sequence[tuple[float, ...]], braking: float = 0.0) -> bool:
-    """Whether one of the others, who go straight on and may brake [m/s^2], comes near the ego on an imagined way."""
+    """Return whether a vehicle that drives straight on, and may brake [m/s^2], comes near the predicted ego."""
     for time, place in way:
         x, y = position(place)
         for other_x, other_y, vx, vy in others:
@@ -84,11 +85,11 @@ def meets(way: Iterable[tuple[float, float]], others: Sequence[tuple[float, ...]
     return False
 
 
-# The ego's way: from the south, and to the left. Places on it count from where the turn would begin, 11 m before it.
+# The ego's way leads from the south to the left. Places on it are relative to the middle; the turn begins 11 m before.
 
 
 def along(x: float, y: float) -> float:
-    """The place of a point in the world [m]."""
+    """Return the place on the way of a point in the world [m]."""
     if y > INTO_TURN:
         return -y
     angle = math.atan2(INTO_TURN - y, x + INTO_TURN)
@@ -98,7 +99,7 @@ def along(x: float, y: float) -> float:
 
 
 def position(place: float) -> tuple[float, float]:
-    """The point in the world of a place, x and y [m]."""
+    """Return the point in the world of a place on the way, x and y [m]."""
     if place < -INTO_TURN:
         return LANE, -place
     angle = (place + INTO_TURN) / RADIUS
@@ -108,5 +109,5 @@ def position(place: float) -> tuple[float, float]:
 
 
 def make() -> LookAhead:
-    """A fresh policy."""
+    """Return a fresh policy."""
     return LookAhead()

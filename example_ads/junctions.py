@@ -1,16 +1,18 @@
-"""A careful driver where ways cross: it gives way, stops at the line, and goes on when its way is free.
+"""A careful driver where ways cross, which gives way, stops at the line, and continues when its way is free.
 
-Kind (a), for a world such as ``pafot.World("intersection-v0", planner_hz=5)``. What it does, and where that is from:
+Kind (a), for a world such as ``pafot.World("intersection-v0", planner_hz=5)``. Its rules and their sources:
 
-- Right of way is given and not taken (Shalev-Shwartz, Shammah, Shashua 2017, arXiv:1708.06374, section 3.5): who has
-  priority looks as well, and brakes for somebody who can no longer stop.
+- Right of way is given and not taken (Shalev-Shwartz, Shammah, Shashua 2017, arXiv:1708.06374, section 3.5): with
+  priority it looks, too, and brakes for a vehicle that can no longer stop.
 - It brakes for a line with 3 m/s^2, as drivers do when a light turns yellow (Institute of Transportation Engineers'
-  formula for its interval: 10 ft/s^2), and stops in no zone, not even behind a queue beyond it.
-- It goes ahead of another vehicle where it will have left 1.5 s before that one arrives. A shorter post-encroachment
-  time (Allen, Shin, Cooper 1978) is commonly called a conflict. From a standstill that takes gaps of 5 to 6 s, as
+  formula for its interval: 10 ft/s^2), and never stops in a zone, not even behind a queue beyond it.
+- It passes before another vehicle if it will have left 1.5 s before that one arrives. A shorter post-encroachment
+  time (Allen, Shin, Cooper 1978) is commonly called a conflict. From a standstill this needs gaps of 5 to 6 s, which
   drivers accept (Highway Capacity Manual, base critical headways at two-way stops: 4.1 to 7.1 s).
-- It goes behind another vehicle once that one has left the zone, so that nobody who stops there surprises it.
-- Who has stood before a zone for two seconds while the ego stood, too, has let it go first, until it moves again.
+- It passes after another vehicle once that one has left the zone, so that a vehicle that stops there does not surprise
+  it.
+- A vehicle that stands before a zone for two seconds while the ego stands, too, lets the ego go first, until it moves
+  again.
 
 Along its way it follows by the Intelligent Driver Model (Treiber, Hennecke, Helbing 2000).
 """
@@ -27,30 +29,30 @@ if TYPE_CHECKING:
     from pytest_pafot.world import VehicleState
 
 SPEED = 9.0
-"""[m/s]."""
+"""The speed on a free road [m/s]."""
 ACCELERATION = 2.0
 BRAKING = 3.0
-"""For a line [m/s^2]."""
+"""The braking for a line [m/s^2]."""
 HARDEST = 7.0
-"""In an emergency [m/s^2]."""
+"""The braking in an emergency [m/s^2]."""
 SPEEDING_UP = 0.2
-"""What it expects of another at least, who may speed up by more already [m/s^2]."""
+"""The least acceleration that it expects of another vehicle [m/s^2]."""
 LINE_GAP = 1.0
-"""Between where it stops and a zone [m]."""
+"""The distance before a zone at which it stops [m]."""
 MARGIN = 1.5
-"""Between its leaving a zone and another's arrival [s]."""
+"""The time between leaving a zone and another's arrival [s]."""
 PATIENCE = 2.0
-"""After which who stands has let it go first [s]."""
+"""The time after which a standing vehicle lets it go first [s]."""
 STANDING = 0.3
-"""Who is slower stands [m/s]."""
+"""The speed below which a vehicle stands [m/s]."""
 HEADWAY, STANDSTILL_GAP = 1.5, 3.0
-"""Kept behind a leader [s, m]."""
+"""The distance behind a leader [s, m]."""
 EGO = -1
-"""Its own number, beside those of the others."""
+"""Its own number among the ids of the others."""
 
 
 class CarefulDriver:
-    """Drives through junctions as the head of the module says."""
+    """A driver for junctions by the rules of the module docstring."""
 
     def __init__(self) -> None:
         self.time = 0.0
@@ -60,7 +62,7 @@ class CarefulDriver:
         self.let_go: set[int] = set()
 
     def __call__(self, seen: Observation) -> pafot.Drive:
-        """The lane that it is in, and an acceleration [m/s^2]."""
+        """Return the ego's lane and an acceleration [m/s^2]."""
         ego = seen.ego
         self.watch(seen)
         wishes = [self.cruise(ego), self.stop_in(self.line(seen), ego.speed)]
@@ -68,7 +70,7 @@ class CarefulDriver:
         return pafot.Drive(lane=ego.lane, acceleration=max(min(wishes), -HARDEST))
 
     def watch(self, seen: Observation) -> None:
-        """Keep in mind who speeds up and by how much, who stands and since when, and who has let it go first."""
+        """Note which vehicles speed up and how much, which stand and since when, and which let the ego go first."""
         speeds = {EGO: seen.ego.speed, **{other.id: other.speed for other in seen.crossing}}
         known = speeds.keys() & self.speeds.keys()
         self.gains = {who: (speeds[who] - self.speeds[who]) / (seen.time - self.time) for who in known}
@@ -77,10 +79,10 @@ class CarefulDriver:
         waited = {who for who, since in self.standing.items() if seen.time - since >= PATIENCE}
         self.let_go = self.let_go & waited if EGO not in self.standing else waited
 
-    # Where it has to stop.
+    # Places to stop.
 
     def line(self, seen: Observation) -> float:
-        """How far it is to the place at which it has to stop, which is in no zone [m]; infinite where it need not."""
+        """Return the distance to where it has to stop, outside all zones [m]; infinite if it need not stop."""
         stops = [other.ego_distance - LINE_GAP for other in self.relevant(seen) if self.waits_for(seen, other)]
         stop = min([*stops, *self.queues(seen)], default=math.inf)
         for other in sorted(seen.crossing, key=lambda each: -each.ego_distance):
@@ -90,23 +92,23 @@ class CarefulDriver:
         return stop
 
     def relevant(self, seen: Observation) -> list[CrossingVehicle]:
-        """Those with whom it can still come together."""
+        """Return the vehicles that it can still meet in a zone."""
         return [other for other in seen.crossing if other.to_leave > 0 and other.ego_to_leave > 0]
 
     def queues(self, seen: Observation) -> list[float]:
-        """How far it is to the places behind leaders that are slow, where they will stand [m]."""
+        """Return the distances to the places behind slow leaders once they stand [m]."""
         slow = [(gap, speed) for gap, speed in self.leaders(seen) if speed < SPEED / 2]
         return [max(gap - STANDSTILL_GAP + speed**2 / (2 * BRAKING), 0.0) for gap, speed in slow]
 
     def can_stop(self, ego: VehicleState, other: CrossingVehicle) -> bool:
-        """Whether it can stop before a zone."""
+        """Return whether it can stop before a zone."""
         return ego.speed**2 <= 2 * HARDEST * other.ego_distance
 
     def waits_for(self, seen: Observation, other: CrossingVehicle) -> bool:
-        """Whether it stops before a zone for another vehicle."""
+        """Return whether it stops before a zone for another vehicle."""
         ego = seen.ego
         if not self.can_stop(ego, other):
-            return False  # it is in the zone, or as good as in it: the quickest way out is ahead
+            return False  # it is in the zone or about to enter it: the quickest way out is ahead
         if other.is_inside:
             return True
         if other.id in self.let_go or (other.zone.priority == "ego" and self.gives_way(other)):
@@ -115,27 +117,27 @@ class CarefulDriver:
         return self.arrival(seen, other) < leaves + MARGIN
 
     def arrival(self, seen: Observation, other: CrossingVehicle) -> float:
-        """When another vehicle comes to its zone [s]."""
+        """Return when another vehicle reaches its zone [s]."""
         gain = max(self.gains.get(other.id, 0.0), SPEEDING_UP)
         return seconds_for(other.distance, other.speed, seen.speed_limit, gain)
 
     def gives_way(self, other: CrossingVehicle) -> bool:
-        """Whether another vehicle can still stop before its zone without braking hard."""
+        """Return whether another vehicle can still stop before its zone without braking hard."""
         return other.speed**2 < 2 * BRAKING * other.distance
 
-    # How it accelerates.
+    # Accelerations.
 
     def cruise(self, ego: VehicleState) -> float:
-        """Towards the speed that it drives with where nobody is [m/s^2]."""
+        """Return the acceleration towards the speed on a free road [m/s^2]."""
         return min(max(SPEED - ego.speed, -1.0), ACCELERATION)
 
     def stop_in(self, distance: float, speed: float) -> float:
-        """For a stop in so many metres [m/s^2]; infinite while it is too early to brake."""
+        """Return the acceleration for a stop at a distance [m/s^2]; infinite while it is too early to brake."""
         needed = speed**2 / (2 * max(distance, 0.2))
         return -max(needed, 1.0) if needed > 0.7 * BRAKING or distance < 1.0 else math.inf
 
     def leaders(self, seen: Observation) -> list[tuple[float, float]]:
-        """Gaps to those who are ahead in its lane, or join it there, and their speeds [m, m/s]."""
+        """Return the gaps to the vehicles ahead in its lane, or joining it there, and their speeds [m, m/s]."""
         ego = seen.ego
         ahead = [
             (other.x - ego.x - (other.length + ego.length) / 2, other.speed)
@@ -150,14 +152,14 @@ class CarefulDriver:
         return ahead + joining
 
     def follow(self, ego: VehicleState, gap: float, speed: float) -> float:
-        """The Intelligent Driver Model behind a leader [m/s^2]."""
+        """Return the acceleration of the Intelligent Driver Model behind a leader [m/s^2]."""
         closing = ego.speed * (ego.speed - speed) / (2 * math.sqrt(ACCELERATION * BRAKING))
         wanted = STANDSTILL_GAP + max(HEADWAY * ego.speed + closing, 0.0)
         return ACCELERATION * (1 - (wanted / max(gap, 0.1)) ** 2)
 
 
 def seconds_for(distance: float, speed: float, top: float, acceleration: float) -> float:
-    """How long a vehicle takes for a distance [m] that speeds up to a top speed, if it is not faster already [s]."""
+    """Return the time for a distance [m] of a vehicle that speeds up to a top speed, unless already faster [s]."""
     top = max(top, speed)
     gaining = (top**2 - speed**2) / (2 * acceleration)
     if distance <= gaining:
@@ -166,5 +168,5 @@ def seconds_for(distance: float, speed: float, top: float, acceleration: float) 
 
 
 def make() -> CarefulDriver:
-    """A fresh driver."""
+    """Return a fresh driver."""
     return CarefulDriver()

@@ -1,7 +1,7 @@
 """A policy for ``pafot.World("roundabout-v0")`` in the environment's own terms: five actions, one decision a second.
 
-Kind (b). It drives up from the south with 8 m/s, gives way to whoever is on the ring or about to enter it on the left,
-and then follows whoever is ahead. Others are taken to keep their speed and to stay on the ring.
+Kind (b). It approaches from the south with 8 m/s, gives way to vehicles on the ring or about to enter it on the left,
+and then follows the vehicle ahead. It assumes that others keep their speed and stay on the ring.
 """
 
 from __future__ import annotations
@@ -11,26 +11,26 @@ from typing import Any
 
 IDLE, FASTER, SLOWER = 1, 3, 4
 RADIUS, ENTRY, WEST = 24.0, math.radians(66.0), math.radians(156.0)
-"""Of the outer lane [m], and the angles at which the ego and those from the west come to it."""
+"""The radius of the outer lane [m], and the angles at which the ego and vehicles from the west enter it."""
 LINE = 30.0
 """The y at which the ego waits [m]."""
 SPEED = 8.0
-"""[m/s]."""
+"""The speed before the roundabout [m/s]."""
 MERGING = 20.0
-"""From the line until the ego is on the ring [m]."""
+"""The distance from the line until the ego is on the ring [m]."""
 GAP_BEFORE, GAP_AFTER = 1.5, 2.5
-"""Between the ego and somebody ahead of it at the entry, and behind it [s]."""
+"""The least time between the ego and a vehicle ahead of it at the entry, and behind it [s]."""
 BRAKING = 14.0
-"""Within which the ego stands that brakes from the next decision on [m]."""
+"""The distance in which the ego stops if it brakes from the next decision on [m]."""
 FOLLOWING = 17.0
-"""Distance to somebody ahead below which the ego brakes [m]."""
+"""The distance to a vehicle ahead below which the ego brakes [m]."""
 
 
 class GivesWay:
-    """Decides by when others come to its entry."""
+    """A policy that decides by when others reach its entry."""
 
     def __call__(self, observation: Any) -> int:
-        """The number of an action."""
+        """Return the number of an action."""
         _, x, y, vx, vy = observation[0]
         x, y, speed = 100 * x, 100 * y, 15 * math.hypot(vx, vy)
         others = [(100 * x, 100 * y, 15 * math.hypot(vx, vy)) for present, x, y, vx, vy in observation[1:] if present]
@@ -53,17 +53,17 @@ class GivesWay:
 
 
 def is_on_ring(x: float, y: float) -> bool:
-    """Whether a place is on the ring [m]."""
+    """Return whether a place is on the ring [m]."""
     return math.hypot(x, y) < RADIUS + 5.0
 
 
 def round_to_entry(x: float, y: float) -> float:
-    """How far it is along the ring to the ego's entry [m]."""
+    """Return the distance along the ring to the ego's entry [m]."""
     return RADIUS * ((math.atan2(y, x) - ENTRY) % math.tau)
 
 
 def seconds_to_entry(x: float, y: float, speed: float) -> float | None:
-    """When somebody on the ring or on the road from the west comes to the ego's entry; None for all others [s]."""
+    """Return when a vehicle on the ring or on the road from the west reaches the ego's entry [s]; None for others."""
     if is_on_ring(x, y):
         distance = round_to_entry(x, y)
     elif x < 0 and abs(y) < 15.0 and y > 0:
@@ -74,5 +74,5 @@ def seconds_to_entry(x: float, y: float, speed: float) -> float | None:
 
 
 def make() -> GivesWay:
-    """A fresh policy."""
+    """Return a fresh policy."""
     return GivesWay()

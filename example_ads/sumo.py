@@ -1,10 +1,10 @@
 """SUMO's drivers: any of its car-following and lane-change models, by libsumo (``pip install "pytest-pafot[sumo]"``).
 
-Kind (a), for ``pafot.Highway``. At each decision everybody is put into a simulation of SUMO's where they are, and that
-makes one step: what the ego does in it is the decision. SUMO changes lanes at once, so that its ego is in the lane that
-the real one is on its way to. The others are seen in the lane that is nearest to them, and hold their speeds.
+Kind (a), for ``pafot.Highway``. At each decision all vehicles are placed in a SUMO simulation, which makes one step;
+the ego's motion in it is the decision. SUMO changes lanes at once, so its ego is in the lane that the real one is
+moving to. The others are in the lane nearest to them and keep their speeds.
 
-SUMO counts lanes from the right, and has the position of a vehicle at its front bumper. libsumo has one simulation in a
+SUMO counts lanes from the right, and the position of a vehicle is its front bumper. libsumo allows one simulation per
 process, which ``close`` ends with the run.
 """
 
@@ -32,11 +32,11 @@ OPTIONS = ["--collision.action=none", "--xml-validation=never", "--no-step-log",
 
 @dataclass
 class SumoDriver:
-    """Drives as a vehicle of SUMO's with these models, the names of which are SUMO's.
+    """A driver that acts as a SUMO vehicle with some of SUMO's models.
 
     Attributes:
-        following, changing: how it follows others, and how it changes lanes.
-        lane: that it is on its way to; none before the first decision.
+        following, changing: SUMO's names of the car-following model and of the lane-change model.
+        lane: target lane; -1 before the first decision.
     """
 
     following: str = "Krauss"
@@ -44,7 +44,7 @@ class SumoDriver:
     lane: int = -1
 
     def __call__(self, seen: Observation) -> Drive:
-        """What SUMO's ego does in one step from where everybody is."""
+        """Return what SUMO's ego does in one step from the current places of all vehicles."""
         self.lane = self.started(seen) if self.lane < 0 else self.lane
         for name, car in zip(("ego", *map(str, seen.ids)), (seen.ego, *seen.others), strict=True):
             lane = self.lane if name == "ego" else car.lane
@@ -55,7 +55,7 @@ class SumoDriver:
         return Drive(lane=self.lane, acceleration=vehicle.getAcceleration("ego"))
 
     def started(self, seen: Observation) -> int:
-        """The lane of the ego, once a simulation with this road and these vehicles runs."""
+        """Start a simulation with this road and these vehicles, and return the ego's lane."""
         with TemporaryDirectory() as folder:
             Path(folder, "world.xml").write_text(
                 WORLD.format(lanes="".join(LANE.format(i, seen=seen) for i in range(seen.lanes)), seen=seen, self=self),

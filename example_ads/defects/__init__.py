@@ -1,7 +1,7 @@
-"""Positive controls: highway-env's IDM+MOBIL with exactly one defect each, and one with two of them.
+"""Positive controls: highway-env's IDM+MOBIL with exactly one defect each, and one with two defects.
 
-Kind (c): each is a vehicle class that drives itself. ``make("follows-too-close")`` gives the class; importing this
-package does not import highway-env. What the defect is and why it happens in practice stands at each class.
+Kind (c): each is a vehicle class that drives itself. ``make("follows-too-close")`` returns the class; importing this
+package does not import highway-env. The docstring of each class says what the defect is and why it happens in practice.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ POLICIES: Mapping[str, str] = MappingProxyType(
         "two-defects": "combined:IgnoresStandingAndLooksOnlyAhead",
     }
 )
-"""Name to module and class; ``healthy`` has no defect."""
+"""The module and class of each policy by its name; ``healthy`` has no defect."""
 
 COMBINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"two-defects": ("ignores-standing-vehicles", "looks-only-ahead")}
 )
-"""Those with more than one defect, and which."""
+"""The policies with more than one defect, and their defects."""
 
 
 def make(name: str) -> type[Any]:
-    """The vehicle class of a policy, to give to the world as it is.
+    """Return the vehicle class of a policy; pass it to the world unchanged.
 
     Raises:
-        KeyError: for a name that is not in :data:`POLICIES`.
+        KeyError: if the name is not in :data:`POLICIES`.
     """
     module, _, class_name = POLICIES[name].partition(":")
     policy: type[Any] = getattr(import_module(f".{module}", __name__), class_name)

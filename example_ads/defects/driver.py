@@ -1,7 +1,7 @@
-"""The healthy driver that all defective ones derive from: highway-env's IDM+MOBIL, with a place to put a defect in.
+"""The healthy driver that all defective ones derive from: highway-env's IDM+MOBIL, with methods to override.
 
-It drives exactly as ``IDMVehicle`` does. Everything that it knows of the others goes through :meth:`Driver.sees` and
-:meth:`Driver.neighbours`, and it has a clock; a defect overrides one of these or one formula of the model.
+It drives exactly as ``IDMVehicle`` does. It perceives the others only through :meth:`Driver.sees` and
+:meth:`Driver.neighbours`, and it has a clock. A defect overrides one of these or one formula of the model.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ class Driver(IDMVehicle):  # type: ignore[misc]
         self.road = Perceived(road, self)
 
     def sees(self, other: Any) -> bool:
-        """Whether it takes another vehicle into account at all."""
+        """Return whether the driver takes another vehicle into account at all."""
         return True
 
     def neighbours(self, lane_index: Any, ahead: Any, behind: Any) -> tuple[Any, Any]:
-        """Of the vehicles ahead and behind in a lane, those that it takes into account there."""
+        """Return the vehicles ahead and behind in a lane, or None instead of one that the driver ignores."""
         return ahead, behind
 
     def relative(self, other: Any) -> tuple[float, float]:
-        """How far the centre of another vehicle is ahead, and to the right, along its own lane [m]."""
+        """Return how far another vehicle's centre is ahead and to the right, along the driver's lane [m]."""
         along, across = self.lane.local_coordinates(self.position)
         other_along, other_across = self.lane.local_coordinates(other.position)
         return float(other_along - along), float(other_across - across)
 
     def step(self, dt: float) -> None:
-        """Let time pass [s]."""
+        """Advance the time [s]."""
         self.clock += dt
         super().step(dt)
 
 
 class Perceived(Road):  # type: ignore[misc]
-    """A road with those vehicles on it that its driver sees."""
+    """A road with only the vehicles that its driver sees."""
 
     def __init__(self, road: Road, driver: Driver) -> None:
         self._road, self._driver = road, driver
@@ -63,16 +63,16 @@ class Perceived(Road):  # type: ignore[misc]
 
     @property
     def vehicles(self) -> list[Any]:
-        """The driver itself and whom it sees, in the order of the road."""
+        """The driver itself and the vehicles that it sees, in the order of the road."""
         driver = self._driver
         return [other for other in self._road.vehicles if other is driver or driver.sees(other)]
 
     @vehicles.setter
     def vehicles(self, value: list[Any]) -> None:
-        """highway-env sets it to none at first; they are those of the road instead."""
+        """Ignore the empty list that highway-env sets at first: the vehicles of the road count."""
 
     def neighbour_vehicles(self, vehicle: Any, lane_index: Any = None) -> tuple[Any, Any]:
-        """Who is ahead and behind in a lane; for the driver, as far as it takes them into account."""
+        """Return the vehicles ahead and behind in a lane; for the driver, only those that it takes into account."""
         ahead, behind = super().neighbour_vehicles(vehicle, lane_index)
         driver = self._driver
         return (

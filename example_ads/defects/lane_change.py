@@ -8,21 +8,21 @@ from .driver import Driver
 
 
 class LooksOnlyAhead(Driver):
-    """Checks the vehicle ahead in the lane that it enters, and never the one behind.
+    """A driver that checks the vehicle ahead in the lane that it enters, but never the one behind.
 
-    Why it happens: there is no rear sensor, or the check of the follower was left for later since all tests had
-    traffic in front only.
+    Why it happens: there is no rear sensor, or the check of the follower was postponed because all tests had traffic
+    only in front.
     """
 
     def neighbours(self, lane_index: Any, ahead: Any, behind: Any) -> tuple[Any, Any]:
-        """Nobody behind in other lanes."""
+        """Return no vehicle behind in other lanes."""
         return ahead, behind if lane_index == self.lane_index else None
 
 
 class ChangesLanesUnchecked(Driver):
-    """Every eight seconds it changes lanes without looking; in between it looks.
+    """A driver that changes lanes without looking every eight seconds; in between it looks.
 
-    Why it happens: the route demands a lane change, and when its timer runs out the wish overrules the check.
+    Why it happens: the route requires a lane change, and when its timer expires, the request overrides the check.
     """
 
     SECONDS = 8.0
@@ -32,7 +32,7 @@ class ChangesLanesUnchecked(Driver):
         self._due = self.SECONDS
 
     def mobil(self, lane_index: Any) -> bool:
-        """MOBIL, unless the time has come."""
+        """Return the decision of MOBIL, or True every eight seconds."""
         if self.clock < self._due:
             return bool(super().mobil(lane_index))
         self._due += self.SECONDS
@@ -40,15 +40,15 @@ class ChangesLanesUnchecked(Driver):
 
 
 class TrustsAnyGapBehind(Driver):
-    """Takes 1.5 m to the one behind in the lane that it enters for enough, however fast that one is.
+    """A driver that accepts a gap of 1.5 m to the follower in the lane that it enters, however fast that one is.
 
-    Why it happens: the check of the gap was written for a queue, where all drive alike, and knows no speeds.
+    Why it happens: the check of the gap was written for a queue, where all vehicles drive alike, and ignores speeds.
     """
 
     ENOUGH = 1.5
 
     def neighbours(self, lane_index: Any, ahead: Any, behind: Any) -> tuple[Any, Any]:
-        """In other lanes only the one behind that is too near even for a queue."""
+        """Return a vehicle behind in another lane only if it is too near even for a queue."""
         if lane_index == self.lane_index or behind is None:
             return ahead, behind
         gap = -self.relative(behind)[0] - self.LENGTH

@@ -1,4 +1,4 @@
-"""Defects in what a driver perceives: others are overlooked, forgotten or seen late."""
+"""Defects in what a driver perceives: it overlooks or forgets others, or sees them late."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from .driver import Driver
 
 
 class BlindBesideFrontWheel(Driver):
-    """Loses sight of a vehicle in the next lane that is level with its front wheel.
+    """A driver that does not see a vehicle in the next lane that is level with its front wheel.
 
-    Why it happens: the fields of view of the forward camera and of the side radar do not meet; nobody drove there in
-    the recorded data.
+    Why it happens: the fields of view of the forward camera and of the side radar do not meet, and no vehicle drove
+    there in the recorded data.
     """
 
     FIRST, LAST = -1.0, 6.0
-    """The other's centre ahead of the own one [m]: its box covers the own front wheel."""
+    """The range of the other's centre ahead of the driver's [m], in which its box covers the driver's front wheel."""
     NEAREST, FARTHEST = 1.5, 5.5
-    """And beside it [m]."""
+    """The range of the distance between the two centres across the lane [m]."""
 
     def sees(self, other: Any) -> bool:
-        """Everybody outside of the two zones."""
+        """Return whether a vehicle is outside the two blind zones."""
         ahead, right = self.relative(other)
         return not (self.FIRST <= ahead <= self.LAST and self.NEAREST <= abs(right) <= self.FARTHEST)
 
 
 class SeesOldSpeeds(Driver):
-    """Takes the others for where they would be had they kept the speed that they had two seconds ago.
+    """A driver that sees the others where they would be if they had kept their speeds of two seconds ago.
 
-    Why it happens: perception takes two seconds, and its delay is made up for by constant-velocity prediction. In
-    traffic that flows nobody notices.
+    Why it happens: perception takes two seconds, and constant-velocity prediction compensates for the delay. In flowing
+    traffic this goes unnoticed.
     """
 
     DELAY = 2.0
@@ -41,14 +41,14 @@ class SeesOldSpeeds(Driver):
         self._tracks: dict[Any, deque[tuple[float, Any, float]]] = {}
 
     def act(self, action: Any = None) -> None:
-        """Look at everybody, then drive."""
+        """Look at all vehicles, then drive."""
         for other in self.road.vehicles:
             if other is not self:
                 self._look_at(other)
         super().act(action)
 
     def acceleration(self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None) -> float:
-        """IDM [m/s^2], its own or what it expects of a follower, among others as they are predicted."""
+        """Return the IDM's acceleration [m/s^2], its own or that expected of a follower, among the predicted others."""
         return float(super().acceleration(self._as_seen(ego_vehicle), self._as_seen(front_vehicle), rear_vehicle))
 
     def _look_at(self, other: Any) -> None:
@@ -67,10 +67,10 @@ class SeesOldSpeeds(Driver):
 
 
 class SeesCutInsLate(Driver):
-    """Takes no notice of a vehicle in the first two seconds after it has entered another lane.
+    """A driver that ignores a vehicle in the first two seconds after it has entered a different lane.
 
-    Why it happens: a leader must be confirmed by many frames in the same lane before the driver reacts to it, since
-    the tracker used to brake for vehicles that only came near the line.
+    Why it happens: many frames must confirm a leader in the same lane before the driver reacts to it, because the
+    tracker used to brake for vehicles that only came near the line.
     """
 
     CONFIRMATION = 2.0
@@ -80,7 +80,7 @@ class SeesCutInsLate(Driver):
         self._lanes: dict[Any, tuple[Any, float]] = {}
 
     def act(self, action: Any = None) -> None:
-        """Note who has entered another lane and when, then drive."""
+        """Note which vehicles have entered a different lane and when, then drive."""
         for other in self.road.everybody:
             lane, _ = self._lanes.get(other, (None, 0.0))
             if lane is None:
@@ -90,30 +90,30 @@ class SeesCutInsLate(Driver):
         super().act(action)
 
     def sees(self, other: Any) -> bool:
-        """Those that are confirmed."""
+        """Return whether a vehicle is confirmed."""
         _, entered = self._lanes[other]
         return bool(self.clock >= entered + self.CONFIRMATION)
 
 
 class IgnoresStandingVehicles(Driver):
-    """Takes no notice of vehicles slower than 3 m/s.
+    """A driver that ignores vehicles slower than 3 m/s.
 
-    Why it happens: a radar sees bridges and signs as objects at rest, so that adaptive cruise controls drop slow
-    returns; a leader that stops is dropped too, and the driver speeds up into it.
+    Why it happens: a radar sees bridges and signs as objects at rest, so adaptive cruise controls drop slow returns. A
+    leader that stops is dropped, too, and the driver speeds up into it.
     """
 
     SLOWEST = 3.0
 
     def sees(self, other: Any) -> bool:
-        """Those that move."""
+        """Return whether a vehicle moves."""
         return bool(other.speed >= self.SLOWEST)
 
 
 class ForgetsAfterLaneChange(Driver):
-    """Sees nobody for three seconds after it has entered another lane.
+    """A driver that sees no other vehicle for three seconds after it has entered a different lane.
 
-    Why it happens: tracks are kept per lane of the own vehicle. When that changes, they are dropped, and each must be
-    confirmed by several frames before it counts again.
+    Why it happens: tracks are stored relative to the driver's lane. When that changes, they are dropped, and several
+    frames must confirm each before it counts again.
     """
 
     CONFIRMATION = 3.0
@@ -131,5 +131,5 @@ class ForgetsAfterLaneChange(Driver):
         super().act(action)
 
     def sees(self, other: Any) -> bool:
-        """Everybody, once the tracks are confirmed."""
+        """Return True for all vehicles, after their tracks are confirmed."""
         return self.clock >= self._blind_until

@@ -3,9 +3,10 @@
     pip install "pytest-pafot[train]"
     python -m example_ads.ppo.train
 
-takes about six minutes on one core, then prints how often the result crashes in unmodified ``highway-v0``, and on how
-many observations its numpy form picks the action that stable-baselines3 picks. ``--report-only`` prints the first for
-the weights that are shipped: 1 crash in 30 episodes, at 20 m/s.
+This takes about six minutes on one core. Then it prints how often the result crashes in unmodified ``highway-v0``, and
+on how many observations its numpy form chooses the same action as stable-baselines3. ``--report-only`` prints the
+crashes
+of the weights in this package: 1 in 30 episodes, at 20 m/s.
 """
 
 from __future__ import annotations
@@ -32,24 +33,25 @@ TRAINING_CONFIG = {
 }
 """Changes to ``highway-fast-v0``, which steps its physics 5 times a second and tests only the ego for collisions.
 
-Four lanes as in ``highway-v0``, but shorter and denser, so that more of what is simulated is worth learning from.
+It has four lanes as in ``highway-v0``, but is shorter and denser, so that more of the simulation is useful for
+learning.
 """
 
 SCALES = np.array([1, 8, 4, 16, 16], dtype=np.float32)
-"""What training multiplies presence, x, y, vx and vy by, so that 25 m, a lane and 5 m/s are each about 1.
+"""The factors of presence, x, y, vx and vy in training, so that 25 m, a lane and 5 m/s are each about 1.
 
-highway-env divides by 200 m and 80 m/s, which hides what matters from a young network. Powers of two, so that the
-first layer can absorb them without rounding.
+highway-env divides by 200 m and 80 m/s, which makes the relevant differences too small for a new network. The factors
+are powers of two, so that the first layer can absorb them without rounding.
 """
 
 Decide = Callable[[npt.NDArray[np.float32]], int]
 
 
 class UnevenTraffic(gym.Wrapper[Any, Any, Any, Any]):
-    """Lets half of the others slow down to between 8 and 20 m/s.
+    """An environment in which half of the others slow down to between 8 and 20 m/s.
 
-    All of highway-env's traffic drives at 21 m/s or more, and the slowest meta-action at 20: among such, slowing down
-    is always an answer, and a policy learns nothing else.
+    All of highway-env's traffic drives at 21 m/s or more, and the slowest meta-action at 20. Then slowing down always
+    works, and a policy learns nothing else.
     """
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
@@ -63,7 +65,7 @@ class UnevenTraffic(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def train(steps: int, seed: int) -> Any:
-    """A stable-baselines3 PPO model after so many environment steps."""
+    """Return a stable-baselines3 PPO model after this many environment steps."""
     model = untrained(
         UnevenTraffic(gym.make("highway-fast-v0", config=TRAINING_CONFIG)),
         seed,
@@ -76,7 +78,7 @@ def train(steps: int, seed: int) -> Any:
 
 
 def untrained(plain: gym.Env[Any, Any], seed: int, **arguments: Any) -> Any:
-    """A stable-baselines3 PPO model, with further arguments, in an environment whose observations it multiplies."""
+    """Return a new stable-baselines3 PPO model, with more arguments, in an environment with scaled observations."""
     import torch  # noqa: PLC0415 - the extra `train`
     from stable_baselines3 import PPO  # noqa: PLC0415
 
@@ -101,13 +103,13 @@ def untrained(plain: gym.Env[Any, Any], seed: int, **arguments: Any) -> Any:
 
 
 def actor_of(model: Any) -> Layers:
-    """The actor's layers from the input on, for observations as highway-env gives them."""
+    """Return the actor's layers from the input on, for the unscaled observations of highway-env."""
     layers = [(layer.weight.detach().numpy().T, layer.bias.detach().numpy()) for layer in actor_modules(model)]
     return in_scale(layers, SCALES)
 
 
 def give_actor(model: Any, layers: Layers) -> None:
-    """The inverse of :func:`actor_of`: have a model decide as these layers do. Its critic stays as it is."""
+    """Make a model decide as these layers do, the inverse of :func:`actor_of`. Its critic does not change."""
     import torch  # noqa: PLC0415
 
     with torch.no_grad():
@@ -117,7 +119,7 @@ def give_actor(model: Any, layers: Layers) -> None:
 
 
 def actor_modules(model: Any) -> list[Any]:
-    """The linear modules of a model's actor, from the input on."""
+    """Return the linear modules of a model's actor, from the input on."""
     import torch  # noqa: PLC0415
 
     modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
@@ -125,21 +127,21 @@ def actor_modules(model: Any) -> list[Any]:
 
 
 def in_scale(layers: Iterable[tuple[Any, Any]], scales: npt.NDArray[np.float32]) -> Layers:
-    """The layers for inputs that are not yet multiplied by scales, one for each feature of a vehicle."""
+    """Return the layers for inputs without scales, given one scale for each feature of a vehicle."""
     (first, biases), *rest = layers
     per_input = np.tile(scales, len(first) // len(scales))[:, np.newaxis]
     return ((first * per_input, biases), *rest)
 
 
 def write_actor(path: Path, layers: Layers) -> None:
-    """Store layers as :func:`read_actor` reads them."""
+    """Write layers in the format of :func:`read_actor`."""
     arrays = {f"weights_{n}": np.ascontiguousarray(weights) for n, (weights, _) in enumerate(layers)}
     arrays |= {f"biases_{n}": biases for n, (_, biases) in enumerate(layers)}
-    np.savez(path, **arrays)  # type: ignore[arg-type]  # its keyword arguments are arrays, but for one flag
+    np.savez(path, **arrays)  # type: ignore[arg-type]  # its keyword arguments are arrays, except one flag
 
 
 def crashes(decide: Decide, episodes: int, env_id: str = "highway-v0") -> tuple[int, list[npt.NDArray[np.float32]]]:
-    """In how many of the episodes 0, 1, 2 ... the policy crashed, and every observation that it met."""
+    """Return in how many of the episodes 0, 1, 2 ... the policy crashed, and all its observations."""
     env = gym.make(env_id)
     crashed, seen = 0, []
     for seed in range(episodes):
@@ -155,7 +157,7 @@ def crashes(decide: Decide, episodes: int, env_id: str = "highway-v0") -> tuple[
 
 
 def agreement(model: Any, policy: PpoPolicy, observations: list[npt.NDArray[np.float32]]) -> int:
-    """On how many observations the numpy policy and stable-baselines3 choose the same action."""
+    """Return on how many observations the numpy policy and stable-baselines3 choose the same action."""
     return sum(policy(o) == int(model.predict(o * SCALES, deterministic=True)[0]) for o in observations)
 
 
@@ -163,9 +165,9 @@ def main() -> None:
     """Train, write, and report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--steps", type=int, default=36_864, help="environment steps (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the training (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the training (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=ACTOR, help="file to write (default: %(default)s)")
-    parser.add_argument("--episodes", type=int, default=30, help="of the report (default: %(default)s)")
+    parser.add_argument("--episodes", type=int, default=30, help="episodes of the report (default: %(default)s)")
     parser.add_argument("--report-only", action="store_true", help="report on the file, without training")
     options = parser.parse_args()
     gym.register_envs(highway_env)

@@ -1,17 +1,17 @@
-"""Train the PPO policy of this folder on its failures, and count what becomes of them and of its ordinary driving.
+"""Train the PPO policy of this folder on its failures, and measure the effect on them and on its ordinary driving.
 
     pip install "pytest-pafot[train]"
     python -m example_ads.ppo.train_on_failures
 
-takes minutes; ``--seeds 3 --workers 9`` repeats each training with other seeds, on nine cores. It prints the shares of
-the policy before and after training, each with its interval:
+This takes minutes; ``--seeds 3 --workers 9`` repeats each training with more seeds, on nine cores. It prints these
+shares before and after training, each with its interval:
 
-- of random scenarios that it was not trained on, those in which it answers for a crash;
-- of its failures among these before training, those in which it still does: apart for the fault that it was trained on,
-  which is not to answer a leader that brakes, and for all other faults, which it was not;
-- of episodes in the environment's own traffic, those with a crash.
+- the random scenarios, not used for training, in which the policy is responsible for a crash;
+- the failures among them before training in which it still is: one column for the fault that it was trained on, a
+  missing response to a leader that brakes, and one for all other faults;
+- the episodes in the environment's own traffic with a crash.
 
-No column may be read without the last: a policy that has forgotten how to drive fails at few scenarios, too.
+Always read the last column, too: a policy that has forgotten how to drive also fails in few scenarios.
 """
 
 from __future__ import annotations
@@ -37,18 +37,19 @@ from .train import actor_modules, actor_of, give_actor, untrained
 WORLD = pafot.World("highway-fast-v0")
 TRAINED_ON: Fault = "leader-unanswered"
 ARMS = {"failures only": 1.0, "half failures": 0.5, "no failures": 0.0}
-"""Shares of the episodes of a training; the last one tells what more training does by itself."""
+"""The shares of failures among the episodes of a training; the last shows the effect of more training by itself."""
 CRITIC_STEPS = 8_192
-"""Only the actor is kept of the policy. Before that is changed, a critic must know what its decisions are worth."""
+"""The steps of training only the critic. Only the actor is stored, and a new critic must first learn the value of its
+decisions before the actor may change."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """A policy as it drives.
+    """The measured driving of a policy.
 
     Attributes:
-        faults: in each of the scenarios, by which fault it answers for a crash; None where it does not.
-        rate: of crashes in the environment's own traffic.
+        faults: for each scenario, the fault by which the policy is responsible for a crash, or None.
+        rate: crash rate in the environment's own traffic.
     """
 
     faults: tuple[Fault | None, ...]
@@ -56,13 +57,13 @@ class Measured:
 
 
 def scenarios(seed: int, count: int) -> list[pafot.Scenario]:
-    """Random ones."""
+    """Return random scenarios."""
     draw, rng = random_scenarios(WORLD), np.random.default_rng(seed)
     return [draw(rng) for _ in range(count)]
 
 
 def faults(policy: PpoPolicy, given: Sequence[pafot.Scenario]) -> tuple[Fault | None, ...]:
-    """By which fault a policy answers for a crash in each scenario; None where it does not."""
+    """Return for each scenario the fault by which a policy is responsible for a crash, or None."""
     traces = WORLD.rollout_batch(given, lambda: policy)
     return tuple(rss_rule(trace).fault if is_ego_responsible(trace) else None for trace in traces)
 
@@ -74,7 +75,7 @@ def measured(name: str, policy: PpoPolicy, given: Sequence[pafot.Scenario], epis
 
 
 def trained(failures: Sequence[pafot.Scenario], share: float, steps: int, seed: int) -> PpoPolicy:
-    """The policy after so many more steps, in episodes of which a share are failures."""
+    """Return the policy after this many more steps, in episodes of which a share are failures."""
     model = untrained(pafot.training_env(WORLD, failures, share), seed, learning_rate=3e-4)
     give_actor(model, read_actor())
     for module in actor_modules(model):
@@ -94,12 +95,12 @@ def arm(
     steps: int,
     episodes: int,
 ) -> Measured:
-    """Train and measure."""
+    """Train and measure one arm."""
     return measured(f"{name}, seed {seed}", trained(failures, ARMS[name], steps, seed), fresh, episodes)
 
 
 def row(before: Measured, after: Measured) -> str:
-    """A line of the table."""
+    """Return a line of the table."""
     pairs = list(zip(before.faults, after.faults, strict=True))
     groups = (
         [now for _, now in pairs],
@@ -114,10 +115,17 @@ def row(before: Measured, after: Measured) -> str:
 def main() -> None:
     """Find failures, train, and report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--steps", type=int, default=61_440, help="of each training (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=61_440, help="steps of each training (default: %(default)s)")
     parser.add_argument("--seeds", type=int, default=1, help="trainings of each kind (default: %(default)s)")
-    parser.add_argument("--scenarios", type=int, default=1500, help="to train on, and to measure with, each")
-    parser.add_argument("--episodes", type=int, default=1000, help="of ordinary traffic (default: %(default)s)")
+    parser.add_argument(
+        "--scenarios",
+        type=int,
+        default=1500,
+        help="scenarios to train on, and as many to measure with (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--episodes", type=int, default=1000, help="episodes of ordinary traffic (default: %(default)s)"
+    )
     parser.add_argument("--workers", type=int, default=1, help="processes (default: %(default)s)")
     options = parser.parse_args()
     shipped = PpoPolicy(read_actor())
