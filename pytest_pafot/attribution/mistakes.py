@@ -15,8 +15,7 @@ from pytest_pafot.attribution.responsibility import Attribution, Fault, frame_of
 from pytest_pafot.model.crossings import Origin
 from pytest_pafot.model.trace import ACROSS, LANE, Trace, X, Y
 
-# The manoeuvre of a vehicle shortly before an event, in the few words that distinguish one kind of failure from
-# another.
+# The manoeuvre of a vehicle shortly before an event, in a few words that distinguish kinds of failures.
 
 Manoeuvre = Literal["lane-change", "lane-keeping"]
 

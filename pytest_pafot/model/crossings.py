@@ -2,7 +2,7 @@
 
 A world provides them, a search samples from them, and the rules of attribution read them. Places are those of a
 vehicle's centre, along its way [m]. A stretch ``(enters, leaves)`` is where the boxes of two vehicles on the two ways
-can touch, so a vehicle that waits before ``enters`` blocks nobody.
+can touch, so a vehicle that waits before ``enters`` blocks no vehicle.
 """
 
 from __future__ import annotations

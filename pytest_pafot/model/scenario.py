@@ -384,7 +384,7 @@ class Scenario:
         )
 
     def rechained(self, npcs: Sequence[Sequence[Gene]], gene_seconds: float | None = None) -> Scenario:
-        """Return the same scenario with other chains, repaired, and if given with another duration of genes [s]."""
+        """Return the same scenario with other chains, repaired, and with a different duration of genes if given [s]."""
         return Scenario.repaired(
             npcs,
             seed=self.seed,
@@ -508,7 +508,7 @@ def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> t
 
 
 def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
-    """Return genes of another duration that request the same at the same times, as nearly as possible [s, s].
+    """Return genes of a different duration that request the same at the same times, as nearly as possible [s, s].
 
     Each new gene is the old one that was active at its middle. Longer genes may skip a cell, so the chain then needs
     repair. A Crossing-Instruction has no duration.

@@ -468,7 +468,7 @@ class Run(Drawn):
         return lines
 
     def _hardest_brake(self) -> str:
-        """Return how hard the ego braked and when; if the verdict says that it did not, why that is no answer."""
+        """Return how hard the ego braked and when; if the verdict says that it did not, why that is no response."""
         text = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
         if self.hardest_brake < 0.05:
             return text
@@ -478,7 +478,7 @@ class Run(Drawn):
         due = [each.time_s for each in self.attribution.facts if each.what in unanswered and not each.vehicle]
         if not due:
             return text
-        return f"{text}, {'before an answer was due' if time <= due[0] else 'too little to be an answer'}"
+        return f"{text}, {'before a response was due' if time <= due[0] else 'too little to be a response'}"
 
 
 def _no_world(name: str, argument: str) -> NoReferenceDriversError:
@@ -507,19 +507,19 @@ def _crossing_lines(trace: Trace) -> list[str]:
 
 
 def _passed(passage: Passage | None) -> str:
-    """Return how an NPC passed its zone, in words: ``; came 0.1 s after it (5.6 s)``."""
+    """Return how an NPC passed its zone, in words: ``; arrived 0.1 s after it (5.6 s)``."""
     if passage is None:
         return ""
     if passage.npc_enters == math.inf:
-        return "; never came"
+        return "; never arrived"
     if passage.ego_enters == math.inf:
-        return f"; came at {passage.npc_enters:.1f} s"
+        return f"; arrived at {passage.npc_enters:.1f} s"
     gap = passage.post_encroachment_time
     if gap and passage.npc_leaves <= passage.ego_enters:
         return f"; left {gap:.1f} s before it ({passage.npc_leaves:.1f} s)"
     if not gap:
         return f"; there with it from {max(passage.npc_enters, passage.ego_enters):.1f} s"
-    return f"; came {gap:.1f} s after it ({passage.npc_enters:.1f} s)"
+    return f"; arrived {gap:.1f} s after it ({passage.npc_enters:.1f} s)"
 
 
 def _gene_table(trace: Trace, room: int) -> list[str]:

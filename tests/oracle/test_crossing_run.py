@@ -67,10 +67,10 @@ def test_the_moments_of_a_run_are_found_with_who_crosses():
 @table(
     ("npc", "came"),
     [
-        ((CROSSES, 0.0), "; came 0.1 s after it (5.6 s)"),
+        ((CROSSES, 0.0), "; arrived 0.1 s after it (5.6 s)"),
         ((CROSSES, 10.0), "; there with it from 4.6 s"),
         ((CROSSES, 25.0), "; left 0.6 s before it (4.0 s)"),
-        ((CROSSES, -60.0), "; never came"),
+        ((CROSSES, -60.0), "; never arrived"),
     ],
 )
 def test_an_explanation_says_what_who_crosses_was_told_and_when_it_came(npc, came):
@@ -79,7 +79,7 @@ def test_an_explanation_says_what_who_crosses_was_told_and_when_it_came(npc, cam
 
 
 def test_who_comes_to_a_zone_that_the_ego_never_reaches_has_its_time_alone():
-    assert lines_of((CROSSES, 0.0), ego_speed=2.0)[-2].endswith("10.0 m/s; came at 5.6 s")
+    assert lines_of((CROSSES, 0.0), ego_speed=2.0)[-2].endswith("10.0 m/s; arrived at 5.6 s")
 
 
 def test_npcs_on_the_grid_keep_their_table_beside_those_that_cross():

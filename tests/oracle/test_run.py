@@ -158,8 +158,8 @@ def test_an_explanation_tells_what_happened_whose_fault_and_what_the_npcs_were_t
 @pytest.mark.parametrize(
     ("tick", "braking", "told"),
     [
-        (3, 3.3, "3.3 m/s^2 at 0.2 s, before an answer was due"),
-        (29, 0.4, "0.4 m/s^2 at 1.9 s, too little to be an answer"),
+        (3, 3.3, "3.3 m/s^2 at 0.2 s, before a response was due"),
+        (29, 0.4, "0.4 m/s^2 at 1.9 s, too little to be a response"),
         (29, 3.3, "3.3 m/s^2 at 1.9 s"),
     ],
 )
@@ -170,7 +170,7 @@ def test_hardest_braking_has_its_time_and_never_contradicts_the_reason(tick, bra
     ego[tick, ACCELERATION], ego[tick:, SPEED] = -braking, 20.0 - braking / 15
     text = Run(trace_of(ego, npc, outcome=Outcome.COLLISION)).explain()
     assert f"hardest brake of the ego: {told}\n" in text
-    assert (" s but did not." in text) is ("answer" in told)
+    assert (" s but did not." in text) is ("response" in told)
 
 
 def test_an_explanation_names_the_error_of_the_ads():
