@@ -17,6 +17,7 @@ from typing import Any
 from pytest_pafot.campaign.saved_scenario import load
 from pytest_pafot.commands.history import History, HistoryError, halved, inside
 from pytest_pafot.commands.policy_reference import BAD_USE
+from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.text import one_line, plural, visible
 
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     rest = "--good REV [--bad REV] --policy PATH... [--copy PATH...] [--any-pass] [--timeout S]"
     parser.usage = f"%(prog)s FILE {rest}"  # argparse would put FILE last, where it reads it as one more PATH
-    parser.add_argument("file", metavar="FILE", help="a saved scenario that fails now")
+    parser.add_argument("file", metavar="FILE", help="a saved scenario that fails now: its file, or its id")
     parser.add_argument("--good", required=True, metavar="REV", help="a commit in which it passed")
     of_bad = "a later commit in which it fails (default: %(default)s)"
     parser.add_argument("--bad", default="HEAD", metavar="REV", help=of_bad)
@@ -56,9 +57,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 def _bisect(arguments: argparse.Namespace) -> int:
     here = Path(os.path.realpath(Path.cwd()))
-    test = load(arguments.file).finding.test.partition("::")[0]
+    found = named_file(arguments.file)
+    test = load(found).finding.test.partition("::")[0]
     history = History.of(arguments.policy, here)
-    file = inside(history.root, here, arguments.file, "FILE")
+    file = inside(history.root, here, str(found), "FILE")
     extra = [inside(history.root, here, path, "--copy").as_posix() for path in arguments.copy]
     lost = [path for path in extra if not (history.root / path).exists()]
     if lost:

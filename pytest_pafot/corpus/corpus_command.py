@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.corpus.file_format import text_of
-from pytest_pafot.corpus.layout import SUFFIX, files_in, folders_below, link_below
+from pytest_pafot.corpus.layout import files_in, folders_below, link_below
 from pytest_pafot.corpus.reader import content_of, parsed
-from pytest_pafot.corpus.saved import Saved, of_one_kind, read_saved_file, refusal
+from pytest_pafot.corpus.saved import Saved, named_file, of_one_kind, read_saved_file, refusal
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import size_of, sort_key
 from pytest_pafot.support.errors import CorpusError
@@ -48,9 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     joining.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "accept the failure of a saved scenario, so that it is expected to fail, for good or up to a day"
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
-    accepting.add_argument("id", metavar="ID", help="id of a scenario saved here or below, or its file")
+    accepting.add_argument("id", metavar="ID", help="a saved scenario: its file, or its id")
     accepting.add_argument("--reason", required=True, metavar="TEXT", help="why, such as the number of an issue")
-    accepting.add_argument("--until", type=_day, metavar="YYYY-MM-DD", help="the last day (default: for good)")
+    accepting.add_argument(
+        "--until", type=_day, metavar="YYYY-MM-DD", help="the last day, from today on (default: for good)"
+    )
     accepting.set_defaults(folders=[Path()])
 
 
@@ -75,7 +77,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         return int(any(failed for _, failed in joined))
     files = [file for folder in sorted(below.values()) for file in files_in(folder)]  # each once
     if arguments.what == "accept":
-        return _accept(files, arguments)
+        return _accept(arguments)
     rows = [_row(read_saved_file(file)) for file in files]
     shown: Any = rows if arguments.what == "list" else _counts(rows)
     lines = [quiet_json(json.dumps(shown, indent=2))] if arguments.json else _lines(shown)
@@ -127,19 +129,16 @@ def _day(text: str) -> date:
     day = day_of(text)
     if day is None:
         raise argparse.ArgumentTypeError(f"expected a day such as 2027-01-31, received {text!r:.50}")
+    if day < date.today():
+        raise argparse.ArgumentTypeError(f"expected today or a later day, received {text}, which is over")
     return day
 
 
-def _accept(files: Sequence[Path], arguments: argparse.Namespace) -> int:
+def _accept(arguments: argparse.Namespace) -> int:
     """Write the line that accepts the failure of one file; the rest of the file is unchanged."""
-    asked = Path(arguments.id)
-    named = [asked] if asked.is_file() else [each for each in files if each.name == f"{asked.name}{SUFFIX}"]
     try:
-        if len(named) != 1:
-            received = f"{len(named)} of this name: {', '.join(map(str, named))}" if named else "none"
-            fix = "`corpus list` prints the names; give the path of the file if two have the same name"
-            raise ValueError(f"expected one saved scenario {asked.name}, received {received}; {fix}")
-        path, content = named[0], content_of(named[0])
+        path = named_file(arguments.id)
+        content = content_of(path)
         finding = replace(parsed(path, content), xfail=arguments.reason, xfail_until=arguments.until)
         line = text_of(finding).rstrip().rpartition("\n")[2].encode()
         is_there = XFAIL_LINE.search(content) is not None

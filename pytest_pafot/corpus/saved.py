@@ -7,7 +7,7 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from pytest_pafot.corpus.layout import SUFFIX, files_in
+from pytest_pafot.corpus.layout import SUFFIX, files_below, files_in
 from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:  # sessions without saved scenarios do not import findings
@@ -60,6 +60,32 @@ def read_saved_file(path: Path) -> Saved:
         return Saved(path=path, finding=load(path))
     except (CorpusError, OSError) as error:
         return Saved(path=path, error=str(error))
+
+
+def named_file(given: str) -> Path:
+    """Return the file of a saved scenario, of its path, its id, or the name of its test as pytest prints it.
+
+    Raises:
+        CorpusError: where there is no such file below the current folder, or more than one.
+    """
+    import difflib  # noqa: PLC0415  (of a command)
+
+    from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415
+
+    if (path := Path(given)).is_file():
+        return path
+    name = given.rpartition("[")[2].removesuffix("]").removeprefix("saved-").removesuffix(SUFFIX)
+    files = {file: file.name.removesuffix(SUFFIX) for file in files_below(Path())}
+    found = [file for file, other in files.items() if other == name]
+    if len(found) == 1:
+        return found[0]
+    expected = "a saved scenario, by its file or the id of one below the current folder"
+    if found:
+        fix = f"give one of the files: {', '.join(map(str, found))}"
+        raise CorpusError(path, expected, f"an id that {len(found)} files have", fix)
+    near = [each for each in files.values() if name in each] or difflib.get_close_matches(name, files.values())
+    fix = f"did you mean {' or '.join(near[:3])}?" if near else "`python -m pytest_pafot corpus list` lists the files"
+    raise CorpusError(path, expected, "no such file or id", fix)
 
 
 def saved_in(folder: Path) -> list[Saved]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from pytest_pafot.campaign.saved_scenario import load
 from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory
 from pytest_pafot.commands.resumable import written_into
-from pytest_pafot.corpus.layout import SUFFIX, files_below
+from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.export.exporter import BUILT_IN, GROUP, ExportError, exporter
 from pytest_pafot.findings.replay import ending
 from pytest_pafot.model.scenario import ScenarioError
@@ -21,7 +21,7 @@ from pytest_pafot.support.files import write_whole
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
     names = ", ".join(entry.name for entry in BUILT_IN)
-    parser.add_argument("finding", metavar="FILE|FINDING", help="a saved scenario, or the id of one below this folder")
+    parser.add_argument("finding", metavar="FILE|FINDING", help="a saved scenario: its file, or its id")
     parser.add_argument(
         "--to", required=True, metavar="FORMAT", help=f"the format: {names}, or one that a package registers in {GROUP}"
     )
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Drive the scenario of a finding and write the run in a format; return the exit code."""
     sys.path.insert(0, str(Path.cwd()))  # The policy is in the current folder, as with pytest.
     try:
-        export, saved = exporter(arguments.to), load(_file_of(arguments.finding))
+        export, saved = exporter(arguments.to), load(named_file(arguments.finding))
         if arguments.ads is None:
             expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
             received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
@@ -60,20 +60,3 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             "Is this the policy of its test?\n"
         )
     return 0
-
-
-def _file_of(given: str) -> Path:
-    """Return the file that a path or an id stands for.
-
-    Raises:
-        ExportError: if there is no such file, or more than one.
-    """
-    if (path := Path(given)).is_file():
-        return path
-    files = [file for file in files_below(Path()) if file.name == f"{given}{SUFFIX}"]
-    if len(files) == 1:
-        return files[0]
-    expected = f"a saved scenario, or the name of one below {Path.cwd()} without its {SUFFIX}"
-    told = ", ".join(str(file) for file in files)
-    received = f"{given!r}, which {len(files)} files have: {told}" if files else f"{given!r}, which no file has"
-    raise ExportError(field="FILE|FINDING", expected=expected, received=received, fix="give the path of the file")

@@ -174,8 +174,8 @@ def test_an_accepted_failure_is_one_changed_line_that_the_list_tells(folder, cap
     file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
     before = file.read_text().replace("scenario:", "# ours\nscenario:")
     file.write_text(before)
-    assert accept("a-111111", "--until", "2027-01-31") == 0
-    line = 'xfail: {reason: "TICKET-7", until: 2027-01-31}'
+    assert accept("a-111111", "--until", "2999-01-31") == 0
+    line = 'xfail: {reason: "TICKET-7", until: 2999-01-31}'
     assert file.read_text() == before.replace('# xfail: "reason"', line)
     assert accept(str(file)) == 0
     assert file.read_text() == before.replace('# xfail: "reason"', 'xfail: "TICKET-7"')
@@ -199,17 +199,47 @@ def test_without_the_hint_it_is_written_at_the_end_and_over_lines_left_to_a_pers
     assert file.read_text() == over_lines
 
 
-def test_a_day_that_is_none_is_told(capsys):
+@pytest.mark.parametrize(
+    ("day", "told"),
+    [
+        ("soon", "expected a day such as 2027-01-31, received 'soon'"),
+        ("2026-01-31", "expected today or a later day, received 2026-01-31, which is over"),
+    ],
+)
+def test_a_day_that_is_none_or_over_is_told(folder, capsys, monkeypatch, day, told):
+    monkeypatch.chdir(folder)
     with pytest.raises(SystemExit, match="2"):
-        accept("a-111111", "--until", "soon")
-    assert "expected a day such as 2027-01-31, received 'soon'" in capsys.readouterr().err
+        accept("a-111111", "--until", day)
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("form", ["{}", "saved-{}", "test_it.py::test_x[saved-{}]", "{}.pafot.yaml"])
+def test_an_id_is_that_which_pytest_prints(folder, capsys, monkeypatch, form):
+    monkeypatch.chdir(folder)
+    assert accept(form.format("a-111111")) == 0
+    assert capsys.readouterr().out == "test_it/test_x/a-111111.pafot.yaml: accepted for good: TICKET-7\n"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "fix"),
+    [
+        ("111111", "did you mean a-111111?"),
+        ("b-222", "did you mean b-222222?"),
+        ("other", "`python -m pytest_pafot corpus list` lists the files"),
+    ],
+)
+def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, monkeypatch, wrong, fix):
+    monkeypatch.chdir(folder)
+    assert accept(wrong) == 1
+    assert capsys.readouterr().err == (
+        f"corpus: {wrong}: expected a saved scenario, by its file or the id of one below the current folder, received "
+        f"no such file or id; {fix}\n"
+    )
 
 
 def test_of_two_files_of_one_name_the_one_that_is_given_is_accepted(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))
     assert accept("a-111111") == 1
-    assert "received 2 of this name" in capsys.readouterr().err
+    assert "received an id that 2 files have; give one of the files: test_it/test_x/" in capsys.readouterr().err
     assert accept("test_it/test_y/a-111111.pafot.yaml") == 0
-    assert accept("c-333333") == 1
-    assert "expected one saved scenario c-333333, received none" in capsys.readouterr().err

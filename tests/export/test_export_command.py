@@ -42,7 +42,7 @@ def test_a_finding_is_found_by_its_name_below_the_folder_of_the_command(tmp_path
     shutil.copy(FILE, tmp_path / "other")
     assert export("collision-xfail", "--to", "csv", "--ads", "constant_speed") == 2
     told = capsys.readouterr().err
-    assert "received 'collision-xfail', which 2 files have: other/collision-xfail.pafot.yaml, tests/corpus/" in told
+    assert "received an id that 2 files have; give one of the files: other/collision-xfail.pafot.yaml, tests/" in told
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_a_run_that_is_not_the_saved_one_is_written_and_told(tmp_path, capsys):
          "test_golden.py::test_never_at_fault, such as --ads module:factory, received none; a file contains the NPCs'"),
         ((FILE, "--to", "xslx", "--ads", "constant_speed"), "--to: expected one of commonroad, csv, mcap, xosc, "
          "received 'xslx'; a package that registers it may not be installed here"),
-        (("no-such", "--to", "csv", "--ads", "constant_speed"), "received 'no-such', which no file has; give the path"),
+        (("no-such", "--to", "csv", "--ads", "constant_speed"), "received no such file or id; `python -m"),
         ((FILE, "--to", "csv", "--ads", "no_such_policy"), "--ads: expected one of "),
         ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "one in which a process died"),
         ((FILE, "--to", "csv", "--ads", "constant_speed", "--out", FILE), "export: "),
