@@ -21,7 +21,8 @@ COLUMNS: Mapping[str, str] = {
     "generation": "number of the generation, from 0",
     "local_generation": "number of the generation in a local search, from 1; 0 outside of a local search",
     "scenario": "id of the scenario, six hexadecimal digits",
-    "reused": "True if the result of an earlier run was reused, so the scenario was not simulated",
+    "reused": "True if the result of an earlier run was reused, so the scenario was not simulated; `verdict`, "
+    "`responsibility`, `fault` and the measures are then empty",
     "ego_lane": "the ego's first lane, from 0 at the left",
     "ego_speed": "the ego's first speed [m/s]",
     "npcs": "number of NPCs",
@@ -107,7 +108,7 @@ class RunTable:
                 "side": hit.side,
                 "closing_speed": hit.closing_speed,
             }
-        return row | self._judged.get(scenario.id, {})
+        return row | self._judged.get(evaluation.executed.id, {})  # a run knows its scenario as it was driven
 
 
 def _of_run(event: Judged) -> Row:

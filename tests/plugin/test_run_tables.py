@@ -4,6 +4,7 @@ import csv
 
 import pytest
 
+import pytest_pafot as pafot
 from pytest_pafot.campaign.run_table import COLUMNS
 from tests.plugin.test_session_records import IS_CUT, TWO
 
@@ -25,6 +26,19 @@ def test_each_run_is_a_row_whatever_became_of_it(failing):
         assert (row["outcome"] == "collision") == bool(row["responsibility"])
         assert (row["verdict"] == "failed") == (row["failing"] == "True") == bool(row["kind"])
         assert float(row["least_gap"]) >= 0.0
+
+
+def test_a_run_whose_scenario_was_repaired_has_its_verdict_too():
+    def holds(run):
+        assert not run.collision
+
+    found = pafot.explore(
+        lambda: lambda observation: (0.0, 0.0), holds=holds, blame="ego", runs=24, seed=1, shrink_rollouts=0
+    )
+    simulated = [row for row in found.runs if not row["reused"]]
+    assert len(simulated) == 24
+    assert [row["scenario"] for row in simulated if row["verdict"] is None] == []
+    assert all((row["verdict"] == "failed") == row["failing"] == bool(row["fault"]) for row in simulated)
 
 
 @pytest.mark.processes
