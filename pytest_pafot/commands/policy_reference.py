@@ -6,12 +6,15 @@ import difflib
 import functools
 import hashlib
 import importlib
+import keyword
 import pkgutil
+import traceback
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from pytest_pafot.support.text import one_line
 from pytest_pafot.world.driving.ads import weights_digest
 
 BAD_USE = 2
@@ -24,12 +27,21 @@ OF_FILE = "file:"
 """The prefix of the identity of a policy that has no hash of its weights."""
 
 
+MOST_NAMES = 8
+"""The number of names of a module that an error lists."""
+
+
 class PlanError(ValueError):
     """Wrong arguments of a command; the message says what was expected and what to do."""
 
 
-def ads_factory(reference: str) -> Callable[..., Any]:
+def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") -> Callable[..., Any]:
     """Return the factory with a name.
+
+    Args:
+        reference: the name.
+        option: the name of the argument, for errors.
+        what: description of the expected function, for errors.
 
     Raises:
         PlanError: if there is none.
@@ -37,12 +49,12 @@ def ads_factory(reference: str) -> Callable[..., Any]:
     parts = reference.split(":")
     if len(parts) > 3 or not all(parts):
         raise PlanError(
-            f"--ads: expected the name of a module in {EXAMPLES}, module:factory or module:factory:argument, "
+            f"{option}: expected the name of a module in {EXAMPLES}, module:factory or module:factory:argument, "
             f"received {reference!r}"
         )
     module_name = _module_name(reference)
     try:
-        factory = getattr(_imported(module_name), parts[1] if len(parts) > 1 else "make", None)
+        module = _imported(module_name)
     except ModuleNotFoundError as error:
         if len(parts) == 1 and EXAMPLES in (error.name or ""):
             names = (each.name for each in pkgutil.iter_modules(_imported(EXAMPLES).__path__))
@@ -51,16 +63,44 @@ def ads_factory(reference: str) -> Callable[..., Any]:
             near = difflib.get_close_matches(reference, policies, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise PlanError(
-                f"--ads: expected one of {', '.join(policies)}, or module:factory for your own policy, received "
-                f"{reference!r}{hint}"
+                f"{option}: expected one of {', '.join(policies)}, or module:factory for your own policy, "
+                f"received {reference!r}{hint}"
             ) from None
+        is_file = module_name.endswith(".py")
+        dotted = reference.replace(module_name, module_name.removesuffix(".py").replace("/", "."))
         raise PlanError(
-            f"--ads: expected a module that can be imported, received {reference!r} ({error}); run the command in the "
-            f"folder of the module, or give module:factory"
+            f"{option}: expected a module that can be imported, received {reference!r} ({error}); "
+            + (f"give {dotted}" if is_file else "run the command in the folder of the module, or give module:factory")
         ) from None
+    except Exception as error:
+        received = f"{reference!r}, which raises {described(error)}"
+        raise PlanError(f"{option}: expected a module that can be imported, received {received}; correct it") from error
+    factory = getattr(module, parts[1] if len(parts) > 1 else "make", None)
     if not callable(factory):
-        raise PlanError(f"--ads: expected a factory in {module_name}, received {reference!r}, which cannot be called")
+        own = [name for name, each in vars(module).items() if getattr(each, "__module__", "") == module_name]
+        fix = f"; it has {', '.join(own[:MOST_NAMES])}" if own else ""
+        raise PlanError(f"{option}: expected {what} in {module_name}, received {reference!r}, which is none{fix}")
     return functools.partial(factory, parts[2]) if len(parts) == 3 else factory
+
+
+def check_function(reference: str) -> Callable[..., Any]:
+    """Return the function of a run that ``--check`` names.
+
+    Raises:
+        PlanError: if there is none.
+    """
+    parts = reference.split(":")
+    if len(parts) != 2 or not parts[1].isidentifier() or keyword.iskeyword(parts[1]):
+        raise PlanError(f"--check: expected module:function of a function of a run, received {reference!r}")
+    return ads_factory(reference, "--check", "a function of a run")
+
+
+def described(error: BaseException) -> str:
+    """Return the kind, the message and the place of an exception of the user's code, in one line."""
+    frames = traceback.extract_tb(error.__traceback__)
+    text = one_line("".join(traceback.format_exception_only(error)))
+    has_place = isinstance(error, SyntaxError) or not frames  # the message of a SyntaxError names the place
+    return text if has_place else f"{text} ({frames[-1].filename}:{frames[-1].lineno})"
 
 
 def identity(reference: str) -> str:

@@ -7,7 +7,6 @@ these files would find them, so they become regression tests.
 from __future__ import annotations
 
 import argparse
-import keyword
 import shlex
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pytest_pafot.campaign.request import BLAMES
-from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory, module_of
+from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory, check_function, module_of
 from pytest_pafot.corpus.layout import CORPUS
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
@@ -53,7 +52,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if arguments.write_test:
             return _written(here, files)
     except PlanError as error:
-        sys.stderr.write(f"search: {str(error).replace('--ads', 'ADS')}\n")
+        sys.stderr.write(f"search: {error}\n")
         return BAD_USE
     given = {"--pafot-runs": arguments.runs, "--pafot-seed": arguments.seed, "--pafot-report": arguments.report}
     options = [f"{name}={value}" for name, value in given.items() if value is not None]
@@ -86,7 +85,7 @@ def _written(here: Path, files: dict[str, str]) -> int:
 
 def _conftest(arguments: argparse.Namespace) -> str:
     """Return the file with the fixture of the policy."""
-    ads_factory(arguments.ads)
+    ads_factory(arguments.ads, "ADS")
     _, name, *argument = f"{arguments.ads}{'' if ':' in arguments.ads else ':make'}".split(":")
     made = f"lambda: {name}({argument[0]!r})" if argument else name
     return (
@@ -103,14 +102,8 @@ def _test(arguments: argparse.Namespace) -> str:
     if arguments.blame != "ego":
         name = "never_in_a_collision"
     if arguments.check is not None:
-        try:
-            ads_factory(arguments.check)
-        except PlanError as error:
-            raise PlanError(str(error).replace("--ads", "--check")) from None
-        _, _, function = arguments.check.partition(":")
-        if not function.isidentifier() or keyword.iskeyword(function):
-            expected = "expected module:function for a function that receives a run"
-            raise PlanError(f"--check: {expected}, received {arguments.check!r}")
+        check_function(arguments.check)
+        function = arguments.check.partition(":")[2]
         name, holds, imports = function, f"{function}(run)", _import(module_of(arguments.check), function)
     name = name if name.startswith("test") else f"test_{name}"
     return (

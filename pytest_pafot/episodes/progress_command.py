@@ -25,7 +25,7 @@ from pytest_pafot.campaign.harness import source_file
 from pytest_pafot.campaign.request import RequestError, drawn_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, judge
-from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory
+from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory, check_function, described
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.corpus.saved import read_saved_file
@@ -53,6 +53,10 @@ find out. Failures of its own are those in random scenarios that the ego is resp
 that a search found, were chosen because one of the two fails in them, so they do not count for the verdict:
 `introduced` fails only with the new policy, `fixed` only with the old one, `common` with both.
 """
+
+
+OTHER_VERSION = "run `git show main:planner.py > planner_before.py` and give planner_before:Planner"
+"""How to get another version of a policy."""
 
 
 def never_at_fault_in_a_collision(run: Run) -> None:
@@ -87,7 +91,7 @@ class ProgressPlan:
     @property
     def holds(self) -> Callable[[Run], Any]:
         """The function that checks runs."""
-        return never_at_fault_in_a_collision if self.check is None else ads_factory(self.check)
+        return never_at_fault_in_a_collision if self.check is None else check_function(self.check)
 
     @property
     def test(self) -> str:
@@ -97,7 +101,7 @@ class ProgressPlan:
 
     def factory(self, side: str) -> Callable[..., Any]:
         """Return the factory of the ``old`` or the ``new`` policy."""
-        return ads_factory(getattr(self, side).removesuffix(PLANNER))
+        return ads_factory(getattr(self, side).removesuffix(PLANNER), side.upper())
 
     def judged(self, side: str, numbers: range) -> Iterator[tuple[Run, Verdict]]:
         """Run random scenarios with a policy; each scenario depends only on the seed and its number."""
@@ -138,7 +142,7 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
         (plan.scenarios < 1, f"--scenarios: expected a whole number, at least 1, received {plan.scenarios}"),
         (plan.episodes < 0, f"--episodes: expected a whole number, at least 0, received {plan.episodes}"),
         (plan.seed < 0, f"--seed: expected a whole number, at least 0, received {plan.seed}"),
-        (plan.new == plan.old, f"NEW: expected a different version than OLD, received {plan.new!r} again"),
+        (plan.new == plan.old, f"NEW: expected another version than OLD, received {plan.new!r} again; {OTHER_VERSION}"),
         (any(are_planners) and not all(are_planners), f"NEW: expected {PLANNER} after both names or none"),
         (plan.config is not None and not plan.env_id, "--config: expected an environment, received none; give --world"),
     ):
@@ -170,6 +174,11 @@ def _check_set_up(plan: ProgressPlan, side: str) -> None:
             f"{'' if asked is None else asked.text} A policy of an environment needs --world, and the --config that it "
             f"was trained with; a planner in SI units needs no --world, or {PLANNER} after its name"
         ) from None
+    except (PlanError, RequestError, WorldError, AdsFactoryError):
+        raise
+    except Exception as error:  # what a policy raises as it drives is part of its run
+        received = f"one that raises {described(error)}"
+        raise PlanError(f"{side.upper()}: expected a factory of a policy, received {received}; correct it") from error
 
 
 def _text(plan: ProgressPlan, task: Task, tick: Tick) -> str:
@@ -267,7 +276,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", type=Path, metavar="FILE", help="write a page, in Markdown")
     of_exit = "exit with 1 if anything is worse, or unless the new one is better (default: never)"
     parser.add_argument("--fail-on", choices=("worse", "not-better"), help=of_exit)
-    parser.epilog = "To get the old module: git show main:planner.py > planner_before.py"
+    parser.epilog = f"For the old version of planner.py, {OTHER_VERSION}."
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
@@ -305,7 +314,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             title = f"# From {plan.old} to {plan.new}\n\n```sh\n{shlex.join(command)}\n```"
             write_whole(given.report, f"{title}\n\n{shown}{HOW_TO_READ}")
     except (PlanError, RequestError, WorldError, AdsFactoryError, ChildProcessError) as error:
-        sys.stderr.write(f"progress: {str(error).replace('--ads', 'OLD, NEW or --check')}\n")
+        sys.stderr.write(f"progress: {error}\n")
         return BAD_USE
     except OSError as error:
         sys.stderr.write(f"progress: {error}; {way_out(error, 'or give another file')}\n")

@@ -36,6 +36,11 @@ class Broken:
         return observation.egos
 
 
+class Unmade:
+    def __init__(self):
+        raise OSError("no weights")
+
+
 def keeps_speed(run):
     assert not run.collision
     pafot.check(run.ego.speed, name="speed", at_most=40.0)
@@ -145,7 +150,9 @@ def test_the_same_seed_says_the_same_with_any_number_of_workers(here, capsys):
         (["Careful", "--config", "{}"], "--config: expected an environment, received none; give --world"),
         (["Careful@planner"], "NEW: expected @planner after both names or none"),
         (["Careful", "--world", "highway-v7"], "expected a registered environment, received 'highway-v7'"),
-        (["Nobody"], "OLD, NEW or --check: expected a factory in versions, received 'versions:Nobody'"),
+        (["Nobody"], "NEW: expected a factory in versions, received 'versions:Nobody', which is none; it has "),
+        (["Unmade"], "NEW: expected a factory of a policy, received one that raises OSError: no weights ("),
+        (["Careful", "--check", "versions"], "--check: expected module:function of a function of a run, received"),
         (["Broken"], "NEW: expected a policy that drives, received AttributeError: "),
         (
             ["Careful", "--check", "versions:misspelt"],

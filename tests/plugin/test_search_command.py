@@ -71,13 +71,23 @@ def test_nothing_found_is_exit_code_0_and_a_world_and_a_check_are_those_asked_fo
     ("arguments", "told"),
     [
         (["a_planner:Nobody"], "search: ADS: expected a factory in a_planner"),
+        (["a_planner:Nobody"], "'a_planner:Nobody', which is none; it has Planner, make, keeps_moving"),
+        (["a_planner.py:Planner"], "search: ADS: expected a module that can be imported"),
+        (["a_planner.py:Planner"], "; give a_planner:Planner"),
+        (["broken:Planner"], "received 'broken:Planner', which raises ValueError: no gpu ("),
+        (["broken:Planner"], "broken.py:1); correct it"),
+        (["a_planner:Planner", "--check", "foo"], "search: --check: expected module:function of a function of a run"),
         (["no_such_module:Nobody"], "search: ADS: expected a module that can be imported"),
-        (["a_planner:Planner", "--check", "a_planner:nothing"], "search: --check: expected a factory"),
+        (
+            ["a_planner:Planner", "--check", "a_planner:nothing"],
+            "search: --check: expected a function of a run in a_planner",
+        ),
         (["a_planner:Planner", "--write-test"], "search: --write-test: expected a folder without conftest.py"),
     ],
 )
 def test_what_cannot_be_searched_is_told_and_nothing_is_written(here, capsys, arguments, told):
     (here / "conftest.py").write_text("# the user's\n")
+    (here / "broken.py").write_text("raise ValueError('no gpu')\n")
     assert main(["search", *arguments]) == 2
     assert told in capsys.readouterr().err
     assert (here / "conftest.py").read_text() == "# the user's\n"
