@@ -19,32 +19,31 @@ def main(arguments: list[str] | None = None) -> int:
     from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
 
     given = sys.argv[1:] if arguments is None else arguments
-    about = "Commands of pytest-pafot, in addition to its options for pytest."
+    about = "Commands of pytest-pafot in addition to pytest."
     parser = argparse.ArgumentParser(prog="python -m pytest_pafot", description=about)
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     search = commands.add_parser(
         "search",
         help="search for traffic in which a policy crashes, without a test",
-        description="Search for traffic in which a policy crashes. Findings are saved, explained and displayed on a "
-        "page, like the findings of a test; --write-test writes such a test.",
+        description="Search for traffic in which a policy crashes. Findings are saved in pafot_corpus/, explained, and "
+        "displayed on a web page.",
     )
     searching.add_arguments(search)
     search.set_defaults(run=searching.run)
     bisect = commands.add_parser(
         "bisect",
-        help="find the commit of a policy that made a saved scenario fail",
-        description="Replay a saved scenario with the policy of earlier commits, in a copy of the repository, and "
-        "print the first commit in which it fails, what that commit changed, and the first decision that differs. All "
-        "files except the policy's stay as they are now. Nothing is changed in this folder.",
+        help="find the commit of a policy since which a saved scenario fails",
+        description="Replay a saved scenario with the policy of earlier commits, in a copy of the repository. Print "
+        "the first commit that fails, what it changed, and the first decision that differs from the commit before. "
+        "Nothing is changed here.",
     )
     bisecting.add_arguments(bisect)
     bisect.set_defaults(run=bisecting.run)
     progress = commands.add_parser(
         "progress",
-        help="find out whether the new version of a policy is better than the old one",
-        description="Run two versions of a policy in the same random scenarios, ordinary traffic and saved scenarios, "
-        "search for scenarios that only one of them fails, and state in a sentence which version is better and how "
-        "sure that is.",
+        help="tell whether the new version of a policy is better than the old one",
+        description="Drive two versions of a policy in the same random scenarios, ordinary traffic and saved "
+        "scenarios, and search for what only one of them fails. Print which is better, and how sure that is.",
     )
     progressing.add_arguments(progress)
     progress.set_defaults(run=progressing.run)
@@ -74,14 +73,17 @@ def main(arguments: list[str] | None = None) -> int:
     export.set_defaults(run=exporting.run)
     of_corpus = commands.add_parser(
         "corpus",
-        help="list, count and join saved scenarios",
-        description="List, count, join or accept the saved scenarios in folders, without running them.",
+        help="list, count, join and accept saved scenarios",
+        description="List, count, join and accept the saved scenarios of folders, without running them.",
     )
     corpus.add_arguments(of_corpus)
     of_corpus.set_defaults(run=corpus.run)
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
     own = given.index("--") if given[:1] == ["search"] and "--" in given else len(given)
-    arguments_given = parser.parse_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))
+    arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))
+    if unknown:  # The parser itself would print the usage of all commands.
+        which = commands.choices[arguments_given.command]
+        which.error(f"unrecognized arguments: {' '.join(unknown)}; {which.prog} --help lists the options")
     try:
         code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
         sys.stdout.flush()

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.saved_scenario import load
 from pytest_pafot.commands.history import History, HistoryError, halved, inside
 from pytest_pafot.commands.policy_reference import BAD_USE
@@ -36,14 +37,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--good", required=True, metavar="REV", help="a commit in which it passed")
     of_bad = "a later commit in which it fails (default: %(default)s)"
     parser.add_argument("--bad", default="HEAD", metavar="REV", help=of_bad)
-    of_policy = "files and folders of the policy, taken from each commit; all other files stay as they are now"
+    of_policy = "the files and folders of the policy, taken from each commit; all other files stay "
+    of_policy += "as they are now"
     parser.add_argument("--policy", required=True, nargs="+", metavar="PATH", help=of_policy)
-    of_copy = "files that git ignores but the test needs, such as weights; no other ignored file is copied"
+    of_copy = "files and folders that the test needs and git ignores, such as weights; no other ignored file is copied"
     parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
-    of_any = "also count a commit as passing if its test passes but the situation of the file does not occur"
+    of_any = "count a commit as passing, too, if its test passes because the situation of the file does not occur"
     parser.add_argument("--any-pass", action="store_true", help=of_any)
-    of_timeout = "seconds after which a commit is abandoned (default: %(default)g)"
-    parser.add_argument("--timeout", type=float, default=300.0, metavar="S", help=of_timeout)
+    of_timeout = "how long the replay of a commit may take [s] (default: %(default)g)"
+    parser.add_argument("--timeout", type=_seconds, default=300.0, metavar="S", help=of_timeout)
+    parser.epilog = "The exit code is 0 if one commit is left, and 1 if several are, because they cannot be tried."
+
+
+def _seconds(text: str) -> float:
+    seconds: float = BY_NAME["max_time"].read(text)
+    if not seconds:
+        raise argparse.ArgumentTypeError(f"expected seconds, more than 0, received {text!r}")
+    return seconds
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
@@ -83,15 +93,17 @@ def _bisect(arguments: argparse.Namespace) -> int:
             history, tree, tree / here.relative_to(history.root), tree / file, arguments.timeout, arguments.any_pass
         )
         if trials.passes(bad) is not False:
-            hint = "commit your changes" if dirty else "try `python -m pytest FILE`, or a different --bad"
-            hint = hint if trials.passes(bad) else f"{hint}; files that git ignores need --copy"
+            hint = "commit your changes" if dirty else "try `python -m pytest FILE`, or another --bad"
+            hint = (
+                hint
+                if trials.passes(bad)
+                else f"{hint}; files that git ignores need --copy, a slow test needs --timeout"
+            )
             raise HistoryError(f"expected --bad to fail as the file describes, received: {trials.why(bad)}; {hint}")
         for start, name in ((good, "--good"), (history.parents(commits[0])[0], "the commit before these")):
             if trials.passes(start) is not True:
                 hint = ", or --any-pass if such a pass is enough" if trials.told(start).get("is_other") else ""
-                raise HistoryError(
-                    f"expected {name} to pass, received: {trials.why(start)}; give a different --good{hint}"
-                )
+                raise HistoryError(f"expected {name} to pass, received: {trials.why(start)}; give another --good{hint}")
         left = first_failing(history, trials, commits)
         return _conclude(history, trials, left)
 

@@ -27,6 +27,15 @@ OF_FILE = "file:"
 """The prefix of the identity of a policy that has no hash of its weights."""
 
 
+ABOUT_POLICIES = (
+    "A factory makes a new policy for each run; a class with the method __call__(self, observation) is one. A policy "
+    "returns (acceleration [m/s^2], steering [rad]). Its observation has time, ego, others, lanes, lane_width and "
+    "speed_limit; the ego and each of the others have x, y, speed, heading, lane, length and width, in SI units. "
+    "Steering, y and lanes grow to the right. With --world, a policy receives and returns what that environment "
+    "defines."
+)
+"""What the help says of policies."""
+
 MOST_NAMES = 8
 """The number of names of a module that an error lists."""
 

@@ -14,32 +14,47 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import BLAMES
-from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory, check_function, module_of
-from pytest_pafot.corpus.layout import CORPUS
+from pytest_pafot.commands.policy_reference import (
+    ABOUT_POLICIES,
+    BAD_USE,
+    PlanError,
+    ads_factory,
+    check_function,
+    module_of,
+)
+from pytest_pafot.corpus.layout import CORPUS, files_below
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
 TESTS_FAILED, USAGE_ERROR = 1, 4
 """Exit codes of pytest, copied because importing pytest would slow down the help of commands."""
+LAST_SECONDS = 30
+"""The time that an interrupted session has for its summary [s]."""
 NO_TESTS = "[pytest]\n"
 """An empty configuration, so that the project's settings do not apply to the session."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    of_whom = "the policy: module:factory or module:factory:argument; a class is a factory, too"
+    of_whom = "the policy: module:factory, such as planner:Planner, or module:factory:argument"
     parser.add_argument("ads", metavar="ADS", help=of_whom)
     parser.add_argument("--world", metavar="ID", help="a highway-env environment (default: a highway, in SI units)")
-    parser.add_argument("--runs", type=int, metavar="N", help="number of runs of the search (default: 40)")
-    parser.add_argument("--seed", type=int, metavar="N", help="base seed (default: a random one, which is printed)")
-    of_blame = "which collisions count, by who is responsible for them (default: %(default)s)"
+    of_runs = "the number of runs (default: 40, or 400 if the variable CI is set)"
+    parser.add_argument("--runs", type=BY_NAME["runs"].read, metavar="N", help=of_runs)
+    of_seed = "the seed of the search (default: a new one, which the output names)"
+    parser.add_argument("--seed", type=BY_NAME["seed"].read, metavar="N", help=of_seed)
+    of_blame = "which collisions are failures: any; those for which the ego is responsible; or, of these, those that a "
+    of_blame += "reference driver prevents (default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
-    of_check = "a function that receives a run and asserts what must hold, instead of the absence of collisions"
+    of_check = "a function of a run, which asserts what must hold (default: that there is no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
-    parser.add_argument("--report", metavar="FILE", default=PAGE, help="the page (default: %(default)s)")
-    of_test = f"write {CONFTEST} and {TEST} here, and do not search; `pytest` then searches"
+    of_report = "the web page of the findings (default: %(default)s)"
+    parser.add_argument("--report", type=BY_NAME["report"].read, metavar="FILE", default=PAGE, help=of_report)
+    of_test = f"do not search, but write {CONFTEST} and {TEST} here, with which `pytest` searches and replays findings"
     parser.add_argument("--write-test", action="store_true", help=of_test)
+    parser.epilog = f"{ABOUT_POLICIES} The exit code is 1 if the search has found something, else 0."
     parser.usage = "%(prog)s ADS [option ...] [-- option of pytest ...]"
 
 
@@ -61,13 +76,26 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             (Path(folder) / name).write_text(text, encoding="utf-8")
         fixed = [f"--rootdir={folder}", f"--pafot-corpus={here / CORPUS}", "-pno:cacheprovider", "-rN"]
         session = [sys.executable, "-m", "pytest", folder, *fixed, *options, *arguments.pytest]
-        code = subprocess.run(session, check=False).returncode  # noqa: S603  (the user's own arguments)
-    if code == TESTS_FAILED:
-        kept = f"and commit {CONFTEST}, {TEST} and {CORPUS}/"
+        code = _code_of(session)
+    if code == TESTS_FAILED and files_below(here / CORPUS):
+        kept = f"and commit {CONFTEST}, {TEST} and {CORPUS}/; `pytest FILE` needs them, too"
         own = command[: command.index("--")] if "--" in command else command
         again = [*own, "--write-test"]
         sys.stdout.write(f"keep it as a test: {shlex.join(again)}, {kept}\n")
     return BAD_USE if code == USAGE_ERROR else code
+
+
+def _code_of(session: Sequence[str]) -> int:
+    """Return the exit code of a pytest session, which ends with its summary and its page after Ctrl-C, too."""
+    with subprocess.Popen(session) as process:  # noqa: S603  (the user's own arguments)
+        try:
+            return process.wait()
+        except KeyboardInterrupt:  # The terminal has interrupted the session as well.
+            try:
+                process.wait(LAST_SECONDS)
+            except subprocess.TimeoutExpired:
+                process.terminate()
+            raise
 
 
 def _written(here: Path, files: dict[str, str]) -> int:

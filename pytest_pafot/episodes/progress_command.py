@@ -25,7 +25,14 @@ from pytest_pafot.campaign.harness import source_file
 from pytest_pafot.campaign.request import RequestError, drawn_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, judge
-from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory, check_function, described
+from pytest_pafot.commands.policy_reference import (
+    ABOUT_POLICIES,
+    BAD_USE,
+    PlanError,
+    ads_factory,
+    check_function,
+    described,
+)
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.corpus.saved import read_saved_file
@@ -249,34 +256,32 @@ _ROWS: Mapping[str, Callable[[ProgressPlan, range, Tick], Iterator[PairRow]]] = 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    of_whom = "module:factory or module:factory:argument such as policy:make:old.zip; a class is a factory, too"
-    parser.add_argument("old", metavar="OLD", help=f"the old policy: {of_whom}")
-    parser.add_argument("new", metavar="NEW", help="the new policy, in the same form")
-    of_world = "a highway-env environment, for its policies, and for its ordinary traffic; a planner in SI units "
-    of_world += f"then needs {PLANNER} after its name (default: a highway in SI units, without ordinary traffic)"
+    of_whom = "module:factory or module:factory:argument, such as policy:make:old.zip"
+    parser.add_argument("old", metavar="OLD", help=f"the old version of the policy: {of_whom}")
+    parser.add_argument("new", metavar="NEW", help="the new version, in the same form")
+    of_world = "a highway-env environment, in which its policies drive; also compare crashes in its ordinary traffic. "
+    of_world += f"Write {PLANNER} after both names if the policies are planners in SI units (default: a highway in SI "
+    of_world += "units, without ordinary traffic)"
     parser.add_argument("--world", default="", metavar="ID", help=of_world)
     parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
-    of_scenarios = "random scenarios, and runs of each search for what only one fails (default: %(default)s)"
+    of_scenarios = "the number of random scenarios, and of runs of each search for what only one version fails "
+    of_scenarios += "(default: %(default)s)"
     parser.add_argument("--scenarios", type=int, default=200, metavar="N", help=of_scenarios)
-    of_episodes = "episodes of ordinary traffic, with --world (default: %(default)s)"
+    of_episodes = "the number of episodes of ordinary traffic, with --world (default: %(default)s)"
     parser.add_argument("--episodes", type=int, default=300, metavar="N", help=of_episodes)
-    of_corpus = f"saved scenarios to replay (default: {CORPUS}, if it exists here)"
+    of_corpus = f"the folder of saved scenarios to replay (default: {CORPUS}, if it exists here)"
     parser.add_argument("--corpus", type=Path, metavar="FOLDER", help=of_corpus)
-    of_check = "a function of a run that asserts what must hold (default: no collision)"
+    of_check = "a function of a run, which asserts what must hold (default: that there is no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
-    parser.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        metavar="N",
-        help="seed of the scenarios, and of the first episode (default: %(default)s)",
-    )
+    of_seed = "the seed of scenarios, episodes and searches (default: %(default)s)"
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help=of_seed)
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures for programs")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write a page, in Markdown")
-    of_exit = "exit with 1 if anything is worse, or unless the new one is better (default: never)"
+    of_exit = "worse: exit with 1 if any line is worse; not-better: exit with 1 unless the new version is better "
+    of_exit += "(default: exit with 0 whatever the verdict)"
     parser.add_argument("--fail-on", choices=("worse", "not-better"), help=of_exit)
-    parser.epilog = f"For the old version of planner.py, {OTHER_VERSION}."
+    parser.epilog = f"{ABOUT_POLICIES} For the old version of planner.py, {OTHER_VERSION}."
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:

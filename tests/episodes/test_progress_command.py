@@ -142,7 +142,7 @@ def test_the_same_seed_says_the_same_with_any_number_of_workers(here, capsys):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["Blind"], "NEW: expected a different version than OLD, received 'versions:Blind' again"),
+        (["Blind"], "NEW: expected another version than OLD, received 'versions:Blind' again"),
         (["Blind", "--scenarios", "0"], "--scenarios: expected a whole number, at least 1, received 0"),
         (["Blind", "--episodes", "-1"], "--episodes: expected a whole number, at least 0, received -1"),
         (["Blind", "--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),

@@ -217,6 +217,13 @@ def test_wrong_arguments_are_told_before_anything_is_tried(commit, tried, capsys
     assert tried == ([OTHER] if "not judged" in told else [])
 
 
+@pytest.mark.parametrize("seconds", ["0", "-1", "soon"])
+def test_a_time_in_which_nothing_can_run_is_refused(commit, tried, capsys, seconds):
+    with pytest.raises(SystemExit, match="2"):
+        bisect("--good", "HEAD", "--timeout", seconds)
+    assert "argument --timeout: expected seconds" in capsys.readouterr().err
+
+
 def test_runs_that_cannot_be_compared_are_told(commit):
     one, none = {"decisions": [1], "speeds": [9.0], "every": 1, "hz": 5, "why": "safe"}, {"why": "no module\x1b"}
     assert parted(one, none) == "decisions cannot be compared: before, safe; now, no module\x1b"

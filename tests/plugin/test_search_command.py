@@ -1,5 +1,7 @@
 """`python -m pytest_pafot search`: a finding without a test file, and the test file for who wants to keep it."""
 
+import os
+import signal
 import subprocess
 import sys
 
@@ -65,6 +67,50 @@ def test_nothing_found_is_exit_code_0_and_a_world_and_a_check_are_those_asked_fo
     assert 'return lambda: make("fast")' in (here / "conftest.py").read_text().replace("'", '"')
     code, told = python("pytest_pafot", "search", "example_ads.idm_mobil:make", "--runs", "2", "--seed", "0")
     assert code == 0, told
+
+
+def test_an_error_is_no_test_to_keep(here):
+    code, told = python("pytest_pafot", "search", "a_planner:keeps_moving", "--runs", "1")
+    assert code == 1
+    assert "signature (run)" in told
+    assert "keep it as a test" not in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["a_planner:Planner", "--runs", "0"], "argument --runs: expected a whole number, at least 1, received '0'"),
+        (["a_planner:Planner", "--report", "x.png"], "argument --report: expected the name of a page FILE.html"),
+        (["a_planner:Planner", "--runz", "3"], "search: error: unrecognized arguments: --runz 3; python -m pytest_pa"),
+    ],
+)
+def test_a_wrong_option_is_told_by_its_name_here(here, capsys, arguments, told):
+    with pytest.raises(SystemExit, match="2"):
+        main(["search", *arguments])
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.startswith("usage: python -m pytest_pafot search ADS")
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(os.name == "nt", reason="a group of processes has no signals there")
+def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
+    command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
+    ) as search:
+        told = ""
+        while "pafot: found" not in told:
+            line = search.stdout.readline()
+            assert line, told
+            told += line
+        os.killpg(search.pid, signal.SIGINT)
+        rest, error = search.communicate(timeout=60)
+    assert search.returncode == 130
+    assert error == "\nsearch: interrupted\n"
+    assert "ended: interrupted" in rest
+    assert "report: pafot.html (1 " in rest  # an error, if the interrupt comes as the finding is drawn
+    assert (here / "pafot.html").exists()
 
 
 @pytest.mark.parametrize(
