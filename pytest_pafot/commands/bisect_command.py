@@ -26,7 +26,7 @@ TOLD = "PYTEST_PAFOT_BISECT"
 """The environment variable with the paths that the session of a commit needs."""
 
 SHOWN = 60  # number of lines of a diff that are printed
-VERDICTS = {True: "passes", False: "fails", None: "not judged"}
+VERDICTS = {True: "passes", False: "fails", None: "no verdict"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--any-pass", action="store_true", help=of_any)
     of_timeout = "how long the replay of a commit may take [s] (default: %(default)g)"
     parser.add_argument("--timeout", type=_seconds, default=300.0, metavar="S", help=of_timeout)
-    parser.epilog = "The exit code is 0 if one commit is left, and 1 if several are, because they cannot be tried."
+    parser.epilog = "The exit code is 0 if one commit is left, and 1 if several are, because some have no verdict."
 
 
 def _seconds(text: str) -> float:
@@ -86,7 +86,7 @@ def _bisect(arguments: argparse.Namespace) -> int:
         )
     dirty = [visible(name) for name in history.uncommitted() if history.is_policy(name)]
     if dirty:
-        _say(f"not committed, so not tried: {', '.join(dirty)}")
+        _say(f"not committed, therefore not tried: {', '.join(dirty)}")
     _say(f"{plural(len(commits), 'commit')} of {', '.join(map(visible, history.paths))} after {good:.10}")
     with history.worktree([*extra, file.as_posix()]) as tree:
         trials = Trials(
@@ -94,12 +94,8 @@ def _bisect(arguments: argparse.Namespace) -> int:
         )
         if trials.passes(bad) is not False:
             hint = "commit your changes" if dirty else "try `python -m pytest FILE`, or another --bad"
-            hint = (
-                hint
-                if trials.passes(bad)
-                else f"{hint}; files that git ignores need --copy, a slow test needs --timeout"
-            )
-            raise HistoryError(f"expected --bad to fail as the file describes, received: {trials.why(bad)}; {hint}")
+            hint = hint if trials.passes(bad) else f"{hint}; files that git ignores need --copy, a slow test --timeout"
+            raise HistoryError(f"expected --bad to fail as the file says, received: {trials.why(bad)}; {hint}")
         for start, name in ((good, "--good"), (history.parents(commits[0])[0], "the commit before these")):
             if trials.passes(start) is not True:
                 hint = ", or --any-pass if such a pass is enough" if trials.told(start).get("is_other") else ""
@@ -244,16 +240,17 @@ def _group(command: Sequence[str], folder: Path, environ: dict[str, str]) -> Ite
         finally:
             if session.poll() is None:
                 os.killpg(session.pid, signal.SIGKILL) if hasattr(os, "killpg") else session.kill()
+                session.wait()  # Popen does not after Ctrl-C, and the worktree would go while the session still runs.
 
 
 def _conclude(history: History, trials: Trials, left: Sequence[str]) -> int:
     """Print the commit, its diff, and the first decision that differs from before; return the exit code."""
     if len(left) > 1:
-        _say(f"one of these {len(left)} commits is the first that fails; all but the last could not be judged:")
+        _say(f"one of these {len(left)} is the first that fails; those before the last have no verdict:")
         _say("\n".join(f"  {history.described(each, '%H %s')}" for each in left))
         return 1
     before = history.parents(left[0])[0]
-    _say(f"{history.described(left[0], '%H is the first that fails, by %an on %aI:')}")
+    _say(f"{history.described(left[0], '%H is the first that fails, by %an at %aI:')}")
     _say(f"  {history.described(left[0], '%s')}\n")
     lines = history.diff(before, left[0])
     more = [f"... and {plural(len(lines) - SHOWN, 'line')} more"] if len(lines) > SHOWN else []
@@ -272,7 +269,7 @@ def parted(before: dict[str, Any], now: dict[str, Any]) -> str:
         return "both decide the same as long as both drive"
     tick, speed = place * now["every"], now["speeds"][place]
     was, became = map(_decision, decisions)
-    when = f"decisions differ from tick {tick} on, after {tick / now['hz']:.1f} s at {speed:.1f} m/s"
+    when = f"the first decision that differs is at tick {tick}, after {tick / now['hz']:.1f} s at {speed:.1f} m/s"
     return f"{when}\n  before: {was}\n  now:    {became}"
 
 

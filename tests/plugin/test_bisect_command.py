@@ -6,13 +6,15 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from pytest_pafot.__main__ import main
-from pytest_pafot.commands.bisect_command import Trials, parted
+from pytest_pafot.commands.bisect_command import Trials, _group, parted
 from pytest_pafot.plugin.bisect_session import TOLD
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide" / "what-broke.md"
@@ -104,12 +106,14 @@ def test_it_tells_the_commit_what_it_changed_and_since_when_it_decides_otherwise
     before = git("status"), git("worktree", "list"), Path(".git/index").read_bytes()
     assert bisect("--good", first[:8]) == 0
     told = capsys.readouterr().out
-    assert f"\n{last} is the first that fails, by Ann on 2026-10-05T09:00:00+00:00:\n  Go \\x1b[31mfaster\n" in told
+    assert f"\n{last} is the first that fails, by Ann at 2026-10-05T09:00:00+00:00:\n" in told
+    assert "+00:00:\n  Go \\x1b[31mfaster\n" in told
     assert "\n-good # 7\n" in told
     assert "\n+bad # \\x1b[31m\n" in told
     assert "\x1b" not in told
     assert told.endswith(
-        "decisions differ from tick 6 on, after 0.4 s at 22.0 m/s\n  before: acceleration -6 m/s^2, steering 0 rad\n"
+        "the first decision that differs is at tick 6, after 0.4 s at 22.0 m/s\n"
+        "  before: acceleration -6 m/s^2, steering 0 rad\n"
         "  now:    acceleration 0.5 m/s^2, steering 0 rad\n"
     )
     assert len(tried) <= 2 + 5
@@ -126,7 +130,7 @@ def test_commits_that_cannot_be_judged_are_passed_over_and_named_where_they_hide
     commit(BAD, "The same again")
     assert bisect("--good", first) == 1
     told = capsys.readouterr().out
-    assert "one of these 4 commits is the first that fails; all but the last could not be judged:\n" in told
+    assert "one of these 4 is the first that fails; those before the last have no verdict:\n" in told
     assert re.findall(r"^  ([0-9a-f]{40}) ", told, re.MULTILINE) == [*hidden, last]
     assert len(tried) == len(set(tried)), "the same policy is tried once"
 
@@ -173,7 +177,7 @@ def test_a_run_that_passes_outside_of_the_situation_passes_where_that_is_asked_f
     first = commit(OTHER)
     last = commit(BAD)
     assert bisect("--good", first) == 2
-    assert "received: not judged: as it says; give a different --good, or --any-pass" in capsys.readouterr().err
+    assert "received: no verdict: as it says; give another --good, or --any-pass" in capsys.readouterr().err
     assert bisect("--good", first, "--any-pass") == 0
     assert f"\n{last} is the first that fails" in capsys.readouterr().out
 
@@ -184,8 +188,8 @@ def test_what_is_not_committed_is_told_and_not_tried(commit, tried, capsys):
     Path("planner.py").write_text(BAD)
     assert bisect("--good", first) == 2
     told = capsys.readouterr()
-    assert "not committed, so not tried: planner.py\n" in told.out
-    assert "expected --bad to fail as the file describes, received: passes: as it says; commit your" in told.err
+    assert "not committed, therefore not tried: planner.py\n" in told.out
+    assert "expected --bad to fail as the file says, received: passes: as it says; commit your" in told.err
     assert tried == [f"{GOOD} # more"]
     assert Path("planner.py").read_text() == BAD
 
@@ -203,10 +207,7 @@ def test_what_is_not_committed_is_told_and_not_tried(commit, tried, capsys):
             "bisect: --policy: expected only paths of the policy, received paths that contain",
         ),
         (["--good", "HEAD~1", "--copy", "absent"], "bisect: --copy: expected files and folders, received absent"),
-        (
-            ["--good", "HEAD~1"],
-            "bisect: expected --bad to fail as the file describes, received: not judged: as it says",
-        ),
+        (["--good", "HEAD~1"], "bisect: expected --bad to fail as the file says, received: no verdict: as it says"),
     ],
 )
 def test_wrong_arguments_are_told_before_anything_is_tried(commit, tried, capsys, arguments, told):
@@ -214,7 +215,7 @@ def test_wrong_arguments_are_told_before_anything_is_tried(commit, tried, capsys
     commit(OTHER)
     assert bisect(*arguments) == 2
     assert capsys.readouterr().err.startswith(told)
-    assert tried == ([OTHER] if "not judged" in told else [])
+    assert tried == ([OTHER] if "no verdict" in told else [])
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "soon"])
@@ -321,7 +322,18 @@ def test_a_session_that_takes_too_long_is_ended_and_not_judged(real, capfd):
     first = real(PLANNER)
     real(f"import time\ntime.sleep(100)\n{PLANNER}")
     assert bisect("--good", first, "--timeout", "0.5") == 2
-    assert "received: not judged: it did not end within 0.5 s; " in capfd.readouterr().err
+    assert "received: no verdict: it did not end within 0.5 s; " in capfd.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="threads have no signals there")
+def test_a_session_has_ended_when_an_interrupt_goes_on(tmp_path):
+    main_thread = threading.main_thread().ident
+    interrupt = threading.Timer(0.5, signal.pthread_kill, [main_thread, signal.SIGINT])
+    command = [sys.executable, "-c", "import time; time.sleep(100)"]
+    with suppress(KeyboardInterrupt), _group(command, tmp_path, dict(os.environ)) as session:
+        interrupt.start()
+        session.communicate(timeout=60)
+    assert session.returncode == -signal.SIGKILL
 
 
 @pytest.mark.processes
