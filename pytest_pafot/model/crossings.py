@@ -271,23 +271,42 @@ class Crossings:
             meetings = tuple((b, a) for a, b in self.meetings.get((second.zone, first.zone), ()))
         if not meetings:
             return False
-        if first.zone.split(">")[0] == second.zone.split(">")[0] and self._crowd(first, second, meetings[0][0][0]):
+        if first.zone.split(">")[0] == second.zone.split(">")[0]:
+            lanes = [((0.0, meetings[0][0][0]), 0.0)]
+        else:
+            found = (self._common_lane(first.zone, second.zone, *stretches) for stretches in meetings)
+            lanes = [lane for lane in found if lane is not None]
+        if any(self._crowd(first, second, *lane) for lane in lanes):
             return True
         windows = ((self.windows(first, one), self.windows(second, other)) for one, other in meetings)
         return any(a[0] < b[1] + APART and b[0] < a[1] + APART for a, b in windows)
 
-    def _crowd(self, first: CrossingInstruction, second: CrossingInstruction, until: float) -> bool:
-        """Return whether two NPCs in one lane up to a place [m] start too close together or overtake each other.
+    def _common_lane(self, first: str, second: str, mine: Stretch, theirs: Stretch) -> tuple[Stretch, float] | None:
+        """Return the stretch of the first way from a meeting to its zone, and how much farther the second one is there.
 
+        None if the two do not come to their zones in one lane, in which both are from the meeting on [m].
+        """
+        zones, farther = (self.ways[first].zone.npc, self.ways[second].zone.npc), theirs[1] - mine[1]
+        is_one = all(abs(other - one - farther) <= 2 * STEP for one, other in zip(*zones, strict=True))
+        return ((mine[1], zones[0][0]), farther) if is_one and mine[1] <= zones[0][0] else None
+
+    def _crowd(self, first: CrossingInstruction, second: CrossingInstruction, lane: Stretch, farther: float) -> bool:
+        """Return whether two NPCs that share a stretch start too close together in it or overtake each other.
+
+        The stretch is on the first NPC's way; on its own way the second NPC is ``farther`` along by this distance [m].
         Their order and their gap in time need a check only at the two ends: the slower one needs longer for any
         stretch, so the gap is extreme there.
         """
-        since = max(0.0, self.start(first), self.start(second))
+        starts = self.start(first), self.start(second) - farther
+        if min(starts) >= lane[0] and abs(starts[0] - starts[1]) < LENGTH:
+            return True  # if one waits at its line, the times say nothing about a start beyond it
+        since = max(lane[0], *starts)
         order = set()
-        for place in (since, max(since, until)):
-            (a, _), (b, _) = (self.windows(each, (place, place)) for each in (first, second))
-            behind = first if a > b else second
-            speed = min(behind.speed, self.ways[behind.zone].speed_at(place))
+        for place in (since, max(since, lane[1])):
+            places = place, place + farther
+            (a, _), (b, _) = (self.windows(each, (at, at)) for each, at in zip((first, second), places, strict=True))
+            behind, at = (first, places[0]) if a > b else (second, places[1])
+            speed = min(behind.speed, self.ways[behind.zone].speed_at(at))
             if abs(a - b) < APART + LENGTH / max(speed, 0.1):
                 return True
             order.add(a > b)

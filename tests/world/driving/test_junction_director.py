@@ -204,6 +204,24 @@ def test_the_one_with_the_higher_number_waits_where_two_npcs_come_at_once():
         assert waits in {0, 1}
 
 
+@table(
+    ("env_id", "slower", "faster", "does_clash"),
+    [
+        ("intersection-v0", ("o1>o2", -3.0, 4.2, "hold"), ("o1>o2", -4.8, 6.5), True),  # they start 4.7 m apart
+        ("roundabout-v0", ("wer>exr", -0.9, 3.8), ("ner>nxr", -3.5, 18.5), True),  # in the circle, 2.5 m apart
+        ("roundabout-v0", ("wer>exr", -1.0, 4.0), ("ner>exr", -2.7, 16.9), True),  # 7.5 m apart, at 4 and 8.8 m/s
+        ("roundabout-v0", ("wer>exr", 1.0, 4.0), ("ner>exr", -2.7, 16.9), False),
+    ],
+)
+def test_npcs_that_start_too_near_in_one_lane_clash_whether_it_is_that_of_their_entry(
+    env_id, slower, faster, does_clash
+):
+    world = world_of(env_id)
+    for npcs in ((slower, faster), (faster, slower)):
+        assert bool(world.crossings.clashes(scenario_of(*npcs, world=world))) is does_clash
+        assert (rollout(*npcs, world=world).outcome is Outcome.INVALID) is does_clash
+
+
 def drawn(rng, world, on_grid=0):
     """A random scenario whose NPCs do not clash."""
     names = sorted(world.crossings.ways)
