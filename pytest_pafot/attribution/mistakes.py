@@ -53,7 +53,7 @@ Mistake = Literal[
 """The mistakes of the ego: it did not keep its distance to a vehicle ahead, which it followed, behind which it changed
 lanes, or which had cut in; it changed lanes into a vehicle next to it, or in front of one behind; it braked hard, or
 stopped, with nothing in its way; it did not give way to a vehicle from the left, from the right, from ahead or from
-behind; it drove with priority into a zone in which another vehicle visibly was."""
+behind; it drove into a zone in which another vehicle visibly was."""
 
 NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
     {

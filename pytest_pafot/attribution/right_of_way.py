@@ -1,8 +1,8 @@
-"""Who failed where the NPC's way meets the ego's: who did not give way, and who entered a zone that was taken.
+"""Right of way where the NPC's way meets the ego's: which vehicle did not give way, and which entered a taken zone.
 
-Rule 9 of docs/explanation/verdicts.md, clause by clause. Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model
-of Safe and Scalable Self-driving Cars", arXiv:1708.06374, definitions 15 to 18, as ad-rss-lib has them; Vienna
-Convention on Road Traffic, Art. 1 and 18.
+This is rule 9 of docs/explanation/verdicts.md, clause by clause. Sources: Shalev-Shwartz, Shammah, Shashua, "On a
+Formal Model of Safe and Scalable Self-driving Cars", arXiv:1708.06374, definitions 15 to 18, as ad-rss-lib has them;
+Vienna Convention on Road Traffic, Art. 1 and 18.
 """
 
 from __future__ import annotations
@@ -20,22 +20,25 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ALONG, HEADING, SPEED, Trace, X, Y
 
 SPARE = 1.0
-"""How far outside of its stretch of a zone a vehicle may still be touched there, or have only backed away a little: the
-stretches are those of vehicles that keep to the middle of their ways [m]."""
+"""The distance outside its stretch of a zone at which a vehicle may still be touched there, or may have backed away a
+little: the stretches assume vehicles in the middle of their ways [m]."""
 STOPS = 1.3
-"""Who slows down by less need not show a brake light (UN R13-H, 5.2.22.4), and only comes more slowly [m/s^2]."""
+"""The deceleration from which on a vehicle brakes to stop; a smaller one needs no brake light (UN R13-H, 5.2.22.4) and
+only means that it arrives later [m/s^2]."""
 LOOK = 0.6
-"""Who is to give way goes by what the other does in so long up to its last chance: one tick tells nothing [s]."""
+"""The time up to its last chance in which a vehicle that has to give way observes the other: one tick is too little
+[s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blame:
-    """Who failed in a zone; vehicle 0 is the ego, ``i + 1`` NPC ``i``.
+    """The vehicles that failed in a zone; vehicle 0 is the ego, ``i + 1`` NPC ``i``.
 
     Attributes:
-        did_not_give_way, entered_taken_zone: each one who did.
-        tick: at which the first of those entered who did not give way; else who entered a zone that was taken.
-        facts: that the reason tells.
+        did_not_give_way, entered_taken_zone: vehicles that did so.
+        tick: tick at which the first vehicle that did not give way entered, or else the first that entered a taken
+            zone.
+        facts: facts that the reason states.
     """
 
     did_not_give_way: tuple[int, ...]
@@ -45,13 +48,13 @@ class Blame:
 
 
 class Passing:
-    """A vehicle that comes to a zone along its way.
+    """A vehicle that approaches a zone along its way.
 
     Attributes:
-        places: along its way, at each tick [m].
-        speeds: along the body, likewise [m/s].
+        places: position along its way at each tick [m].
+        speeds: speed along its body at each tick [m/s].
         begins, ends: its stretch of the zone [m].
-        entry: the tick at which it enters; None where it has not, or is back before it at the last one.
+        entry: tick at which it enters; None if it has not, or is back before the zone at the last tick.
     """
 
     def __init__(self, trace: Trace, vehicle: int, zone: Zone) -> None:
@@ -67,14 +70,14 @@ class Passing:
 
     @property
     def is_inside(self) -> bool:
-        """Whether it is in its stretch of the zone at the last tick, or hardly outside."""
+        """True if it is in its stretch of the zone at the last tick, or hardly outside."""
         return bool(self.begins - SPARE <= self.places[-1] <= self.ends + SPARE)
 
     def entered(self) -> int:
         """Return the tick at which it enters.
 
         Raises:
-            ValueError: where it does not enter.
+            ValueError: if it does not enter.
         """
         if self.entry is None:
             raise ValueError("expected a vehicle that has entered the zone, received one that has not")
@@ -83,23 +86,23 @@ class Passing:
     def last_chance(self) -> int:
         """Return the last tick before it enters at which the proper response stops it before the zone.
 
-        That is the first tick where there is none, because it came too fast.
+        That is the first tick if there is none, because it came too fast.
         """
         return self.last_stop(self.entered(), self.begins) or 0
 
     def last_stop(self, before: int, place: float) -> int | None:
-        """Return the last tick before another at which the proper response stops it short of a place; None without."""
+        """Return the last tick before a tick at which the proper response stops it before a place; None if none."""
         for tick in range(before - 1, -1, -1):
             if place - self.places[tick] >= stopping(float(self.speeds[tick]), HARDEST):
                 return tick
         return None
 
     def look(self, last: int) -> range:
-        """Return the ticks by which it had to see what comes, up to its last chance."""
+        """Return the ticks up to its last chance in which it had to observe the other."""
         return range(max(last - round(LOOK * self.hz), 0), last + 1)
 
     def leaves(self) -> float:
-        """Return when it leaves, after the last tick with its speed of then [s]; infinite where it stands then."""
+        """Return when it leaves, after the last tick with its last speed [s]; infinite if it stands then."""
         passed = (tick for tick in range(self.entered(), len(self.places)) if self.places[tick] >= self.ends)
         tick = next(passed, None)
         if tick is not None:
@@ -108,7 +111,7 @@ class Passing:
         return (len(self.places) - 1) / self.hz + float(self.ends - self.places[-1]) / speed if speed > 0 else math.inf
 
     def foreseen(self, tick: int, time: float) -> tuple[float, float]:
-        """Return place [m] and speed [m/s] that it is foreseen at a tick to have at a time [s]."""
+        """Return the place [m] and speed [m/s] at a time [s] that can be foreseen for it at a tick."""
         speed, seconds = float(self.speeds[tick]), time - tick / self.hz
         if speed <= 0:
             return float(self.places[tick]), 0.0
@@ -119,12 +122,12 @@ class Passing:
         return float(self.places[tick]) + speed * seconds - slowing * seconds**2 / 2, speed - slowing * seconds
 
     def slowest(self, tick: int) -> float:
-        """Return its lowest speed from a tick on for as long as what comes behind may still adapt [m/s]."""
+        """Return its lowest speed from a tick on, for as long as a vehicle behind may still adapt [m/s]."""
         return float(self.speeds[tick : tick + round(HEADWAY * self.hz) + 1].min())
 
 
 def stopping(speed: float, deceleration: float) -> float:
-    """Return how far one drives that begins to respond and stops [m]."""
+    """Return the distance that a vehicle needs to respond and stop [m]."""
     return speed * FOLLOWING.delay + speed**2 / (2 * deceleration)
 
 
@@ -137,17 +140,17 @@ class ZoneConflict:
 
     @property
     def is_in_zone(self) -> bool:
-        """Whether both are in their stretches of the zone at the impact."""
+        """True if both are in their stretches of the zone at the impact."""
         return self.ego.is_inside and self.npc.is_inside
 
     @property
     def has_merged(self) -> bool:
-        """Whether both have come to a zone in which their ways merge."""
+        """True if both have reached a zone in which their ways merge."""
         return self._zone.kind == "merging" and self.ego.entry is not None and self.npc.entry is not None
 
     @property
     def blame(self) -> Blame | None:
-        """Who failed; None where nobody did."""
+        """The vehicles that failed; None if neither did."""
         pairs = ((self.ego, self.npc), (self.npc, self.ego))
         holder = {"ego": self.ego, "npc": self.npc}.get(self._zone.priority)
         without = tuple(own for own, other in pairs if own is not holder and self._did_not_give_way(own, other))
@@ -170,7 +173,7 @@ class ZoneConflict:
         )
 
     def _did_not_give_way(self, own: Passing, other: Passing) -> bool:
-        """Whether the other was foreseen to be in the zone with it, and too near to stop without braking abruptly."""
+        """Return whether the other was foreseen in the zone with it, too near to stop without abrupt braking."""
         enters, leaves = own.entered() / own.hz, own.leaves()
         for tick in own.look(own.last_chance()):
             place, speed = other.foreseen(tick, enters)
@@ -185,7 +188,7 @@ class ZoneConflict:
         return False
 
     def _is_near_in_lane(self, own: Passing, other: Passing, place: float, speed: float) -> bool:
-        """Whether one that merges leaves too small a gap to the other, where that one is foreseen to be."""
+        """Return whether a merging vehicle leaves too small a gap to the foreseen place of the other."""
         enters = own.entered()
         lead = float((other.ends - place) - (own.ends - own.places[enters]))
         gap = abs(lead) - own.half_length - other.half_length
@@ -194,7 +197,7 @@ class ZoneConflict:
         return gap < float(DISTANCES.safe_along(own.speeds[enters], np.asarray(speed), FOLLOWING.delay))
 
     def _seen_taken(self, own: Passing, other: Passing) -> list[int]:
-        """Return the ticks at which the other had visibly entered, would not be gone, and it could still respond."""
+        """Return the ticks at which the other was visibly in the zone to stay and it could still respond."""
         if self._zone.kind == "merging":
             return self._could_slow_down(own, other)
         touched = self._reaches(own, other)
@@ -206,7 +209,7 @@ class ZoneConflict:
         return [tick for tick in ticks if other.foreseen(tick, max(enters, tick / own.hz))[0] < other.ends]
 
     def _reaches(self, own: Passing, other: Passing) -> int:
-        """Return the tick since which its box, at every tick, reaches where the other's box is at the impact."""
+        """Return the tick from which on its box always touches the place of the other's box at the impact."""
         poses = self._trace.states[:, own.vehicle], self._trace.states[-1:, other.vehicle]
         mine, others = (
             Boxes.driving(*rows[:, [X, Y, HEADING, SPEED]].T, *self._trace.sizes[each.vehicle, :, None])
@@ -217,7 +220,7 @@ class ZoneConflict:
 
     @staticmethod
     def _could_slow_down(own: Passing, other: Passing) -> list[int]:
-        """Return the ticks at which the other was merging ahead of it and it could have slowed down to the other."""
+        """Return the ticks at which the other merged ahead of it and it could have slowed down to the other's speed."""
         ticks = range(other.entered(), own.entered())
         leads = {tick: float(own.ends - own.places[tick] - (other.ends - other.places[tick])) for tick in ticks}
         slowest = {tick: float(other.speeds[tick:].min()) for tick in ticks}
