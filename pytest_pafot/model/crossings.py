@@ -41,7 +41,7 @@ BEFORE_LINE, STOPPING = 2.0, 6.0
 WAITING = ("hold", "late")
 """The acts of NPCs that stop at the line."""
 EASY_BRAKING, CREEPING = 2.5, 2.0
-"""How hard an NPC brakes for the line [m/s^2], and how much longer its last metres take than even braking would [s]."""
+"""The braking of an NPC for the line [m/s^2], and the time that its last metres take beyond even braking [s]."""
 EARLIER = 1.0
 """The time for which an NPC that starts late stands at the line before it sets off [s]."""
 SETTING_OFF = 2.0

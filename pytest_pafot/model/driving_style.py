@@ -23,7 +23,7 @@ it."""
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Traffic:
-    """How the NPCs of a scenario drive among others, whatever their instructions say.
+    """The way in which a scenario's NPCs drive among others, whatever their instructions say.
 
     In every style except the paper's, NPCs are *attentive*: behind the ego in its lane, an NPC keeps the same distance
     as behind other NPCs. It responds at once if it moved in itself or if there is a vehicle ahead of the ego. If the

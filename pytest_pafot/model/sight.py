@@ -39,7 +39,7 @@ class Glimpse(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sight:
-    """How an ADS sees the others; perfectly by default.
+    """The sight of an ADS on other vehicles; perfect by default.
 
     Attributes:
         range: largest distance at which others are seen, from centre to centre [m]; None for no limit.
