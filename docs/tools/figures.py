@@ -56,6 +56,11 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
         "planted_defects --seeds {20|1} --runs {2000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
         "docs/comparisons/planted-defects.md",
     ),
+    "planted-junctions": (
+        "planted_junctions --first-seed 10 --seeds {10|1} --runs {400|20} --workers WORKERS --save OUT.jsonl",
+        "docs/comparisons/planted-defects.md",
+    ),
+    "junction-control": ("junction_control --runs {2000|20} --workers WORKERS", None),
     "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", DEFAULT_SEARCH),
     "margins-of-others": (
         "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} --workers WORKERS",

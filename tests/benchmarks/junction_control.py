@@ -1,9 +1,9 @@
 """Does the search blame a careful driver where ways cross? Random scenarios for ``example_ads.junctions``.
 
-    python -m tests.benchmarks.junction_control [--worlds left ...] [--runs 2000] [--seed 0] [--algorithm random]
+    python -m tests.benchmarks.junction_control [--places roundabout ...] [--runs 2000] [--seed 0] [--algorithm random]
         [--workers 1]
 
-Every collision for which the ego is responsible would be a finding, and there should be none. Prints for each world how
+Every collision for which the ego is responsible would be a finding, and there should be none. Prints for each place how
 its runs ended, in how many the ego came through the zones of all NPCs, and each collision that is the ego's with its
 scenario.
 """
@@ -20,10 +20,8 @@ from pytest_pafot.campaign.events import Judged
 from pytest_pafot.model.trace import ALONG
 from pytest_pafot.searching import ALGORITHMS
 from tests.benchmarks.command import in_processes, options
-from tests.benchmarks.planted.junctions import AHEAD, LEFT, RIGHT, RING
+from tests.benchmarks.planted.junctions import PLACES
 from tests.benchmarks.positive_controls import holds
-
-WORLDS = {"left": LEFT, "ahead": AHEAD, "right": RIGHT, "ring": RING}
 
 
 @dataclass
@@ -47,21 +45,21 @@ class Control:
 
 
 def controlled(name: str, seed: int, runs: int, algorithm: str) -> Control:
-    """Search the careful driver in a world."""
+    """Search the careful driver at a place."""
     control = Control()
     pafot.explore(
-        junctions.make, holds=holds, world=WORLDS[name], blame="ego", algorithm=algorithm, runs=runs, seed=seed,
+        junctions.make, holds=holds, world=PLACES[name], blame="ego", algorithm=algorithm, runs=runs, seed=seed,
         shrink_rollouts=0, on_event=control.see,
     )  # fmt: skip
     return control
 
 
 def main() -> None:
-    given = options(__doc__, worlds=WORLDS, runs=2000, seed=0, algorithm="random", workers=1)
+    given = options(__doc__, places=PLACES, runs=2000, seed=0, algorithm="random", workers=1)
     if given.algorithm not in ALGORITHMS:
         raise SystemExit(f"--algorithm: expected one of {', '.join(ALGORITHMS)}, received {given.algorithm}")
     for name, (control,) in in_processes(
-        given.workers, controlled, given.worlds, [given.seed], given.runs, given.algorithm
+        given.workers, controlled, given.places, [given.seed], given.runs, given.algorithm
     ):
         print(f"{name}: {dict(control.counts)}", flush=True)
         print(*control.at_fault, sep="\n", flush=True)

@@ -1,4 +1,4 @@
-"""How soon does the default search find a planted defect where ways cross? Ten drivers that have one each.
+"""How soon does the default search find a planted defect where ways cross? Twelve drivers that have one each.
 
     python -m tests.benchmarks.planted_junctions [--policies NAME ...] [--seeds 10] [--first-seed 0] [--runs 400]
         [--workers 1] [--save FILE] [--twins]
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.benchmarks.command import as_they_end, options, print_head, seeds_of
-from tests.benchmarks.planted.junctions import PLANTED, WORLDS
+from tests.benchmarks.planted.junctions import PLACES, PLANTED, WHERE
 from tests.benchmarks.planted_defects import DEFAULT, Searched, loaded, saved, searched
 
 
@@ -38,14 +38,15 @@ def search(name: str, seed: int, runs: int, twins: bool) -> Searched:
     planted, shown = PLANTED[name], name
     if twins:
         planted, shown = replace(planted, make=planted.twin, twin=lambda: stands), f"{name}, repaired"
-    return searched(shown, DEFAULT, seed, runs, LONGEST, planted, WORLDS[name])
+    return searched(shown, DEFAULT, seed, runs, LONGEST, planted, PLACES[WHERE[name]])
 
 
-def row(name: str, group: list[Searched]) -> str:
+def row(name: str, shown: str, group: list[Searched]) -> str:
     """Return the line of a driver."""
     found = sorted(each.runs for each in group if each.found)
     middle = f"{found[len(found) // 2]} ({found[0]} to {found[-1]})" if found else "-"
-    cells = [name, f"{len(found)} of {len(group)}", middle, str(sum(each.shared for each in group))]
+    what = PLANTED[name].about if shown == name else "nothing is wrong with it"
+    cells = [shown, WHERE[name], what, f"{len(found)} of {len(group)}", middle, str(sum(each.shared for each in group))]
     return f"| {' | '.join(cells)} |"
 
 
@@ -61,9 +62,11 @@ def main() -> None:
     ]
     new = as_they_end(given.workers, search, tasks)
     done += saved(new, given.save) if given.save else new
-    print_head("driver", "found", "in the run (median, least to most)", "failures that the twin shares")
-    for name in shown.values():
-        print(row(name, [each for each in done if each.policy == name]), flush=True)
+    print_head(
+        "driver", "where", "what is wrong", "found", "in the run (median, least to most)", "failures of its twin, too"
+    )
+    for name, title in shown.items():
+        print(row(name, title, [each for each in done if each.policy == title]), flush=True)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import pytest
 from example_ads import junctions
 from pytest_pafot import CrossingInstruction, Outcome, Scenario
 from tests.benchmarks import planted_junctions
-from tests.benchmarks.planted.junctions import PLANTED, RING, WORLDS
+from tests.benchmarks.planted.junctions import PLACES, PLANTED, WHERE
 
 
 def scenario_of(world, *slots):
@@ -16,15 +16,15 @@ def scenario_of(world, *slots):
     return Scenario(npcs=npcs, ego_lane=lane, ego_speed=speed)
 
 
-def test_each_has_a_world_and_two_are_at_a_roundabout():
-    assert PLANTED.keys() == WORLDS.keys()
-    assert len(PLANTED) >= 10
-    assert sum(world is RING for world in WORLDS.values()) == 2
+def test_they_are_at_all_places_and_two_at_a_roundabout():
+    assert len(PLANTED) == 12
+    assert set(WHERE.values()) == set(PLACES)
+    assert list(WHERE.values()).count("roundabout") == 2
 
 
 @pytest.mark.parametrize("name", sorted(PLANTED))
 def test_driver_and_twin_drive_and_the_twin_is_the_careful_one(name):
-    world = WORLDS[name]
+    world = PLACES[WHERE[name]]
     scenario = scenario_of(world, 0.0, 0.5)
     trace, again = (world.rollout(scenario, PLANTED[name].make()) for _ in range(2))
     assert trace.outcome is not Outcome.ADS_ERROR

@@ -150,7 +150,7 @@ def test_a_merge_is_looked_into_and_is_to_blame_itself_where_both_its_parents_pa
     assert bisect("--good", first) == 0
     assert f"\n{guilty} is the first that fails" in capsys.readouterr().out
     assert bisect("--good", guilty, "--bad", "main") == 2
-    assert "expected --good to pass, received: fails: as it says; give a different --good" in capsys.readouterr().err
+    assert "expected --good to pass, received: fails: as it says; give another --good" in capsys.readouterr().err
 
     git("checkout", "-qB", "side", first)
     commit(f"{GOOD} # other side")

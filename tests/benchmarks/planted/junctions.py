@@ -184,27 +184,30 @@ def road_of(other):
     return other.zone.way.partition(">")[0]
 
 
-LEFT, AHEAD, RIGHT = (
-    pafot.World("intersection-v0", config={"destination": destination}, planner_hz=5)
-    for destination in ("o1", "o2", "o3")
+PLACES: Mapping[str, pafot.World] = MappingProxyType(
+    {
+        "turning left": pafot.World("intersection-v0", config={"destination": "o1"}, planner_hz=5),
+        "going ahead": pafot.World("intersection-v0", config={"destination": "o2"}, planner_hz=5),
+        "turning right": pafot.World("intersection-v0", config={"destination": "o3"}, planner_hz=5),
+        "roundabout": pafot.World("roundabout-v0", planner_hz=5),
+    }
 )
-RING = pafot.World("roundabout-v0", planner_hz=5)
-"""Where the ego turns left, goes ahead and turns right at a crossroads, and the entry of a roundabout."""
+"""Where the ego goes: at a crossroads, and into a roundabout."""
 
 POLICIES = {
-    "yields-to-the-left-only": (LeftOnly, 1, AHEAD),
-    "hidden-behind-the-first": (HiddenBehindTheFirst, 2, AHEAD),
-    "rolls-over-the-line": (RollsOverTheLine, 1, LEFT),
-    "decides-once": (DecidesOnce, 2, AHEAD),
-    "short-gap": (ShortGap, 1, AHEAD),
-    "blind-to-oncoming": (BlindToOncoming, 1, LEFT),
-    "trusts-priority": (TrustsPriority, 2, RIGHT),
-    "eyes-on-one": (EyesOnOne, 2, LEFT),
-    "forgets-who-stands": (ForgetsWhoStands, 2, AHEAD),
-    "braking-is-giving-way": (BrakingIsGivingWay, 2, LEFT),
-    "looks-at-the-entry-alone": (EntryAlone, 1, RING),
-    "slow-ones-leave": (SlowOnesLeave, 2, RING),
+    "yields-to-the-left-only": (LeftOnly, 1, "going ahead"),
+    "hidden-behind-the-first": (HiddenBehindTheFirst, 2, "going ahead"),
+    "rolls-over-the-line": (RollsOverTheLine, 1, "turning left"),
+    "decides-once": (DecidesOnce, 2, "going ahead"),
+    "short-gap": (ShortGap, 1, "going ahead"),
+    "blind-to-oncoming": (BlindToOncoming, 1, "turning left"),
+    "trusts-priority": (TrustsPriority, 2, "turning right"),
+    "eyes-on-one": (EyesOnOne, 2, "turning left"),
+    "forgets-who-stands": (ForgetsWhoStands, 2, "going ahead"),
+    "braking-is-giving-way": (BrakingIsGivingWay, 2, "turning left"),
+    "looks-at-the-entry-alone": (EntryAlone, 1, "roundabout"),
+    "slow-ones-leave": (SlowOnesLeave, 2, "roundabout"),
 }
 PLANTED = listed("junction", {name: (policy, conditions) for name, (policy, conditions, _) in POLICIES.items()})
-WORLDS: Mapping[str, pafot.World] = MappingProxyType({name: world for name, (*_, world) in POLICIES.items()})
-"""Name of a policy to where it drives."""
+WHERE: Mapping[str, str] = MappingProxyType({name: place for name, (*_, place) in POLICIES.items()})
+"""Name of a policy to where it goes."""
