@@ -26,7 +26,7 @@ APART = "not told apart"
 class Result:
     """The result of one policy in a situation."""
 
-    failed: bool | None = None  # None if its run is not valid
+    failed: bool | None = None  # None if unknown
     impact: float | None = None  # closing speed of the collision that made it fail [m/s]
     margins: Mapping[str, float] = field(default_factory=dict)  # the worst of each check with a bound, of a whole run
 
@@ -171,7 +171,7 @@ def text_of(old: str, new: str, rows: Sequence[PairRow]) -> str:
         notes += [f"  - worse: {row.name} {row.worse}" for row in saved if row.worse]
     for policy, is_new in ((new, True), (old, False)):
         found = [row for row in rows if row.part == "alone" and row.new.failed is is_new]
-        notes += [f"- a search found {plural(len(found), 'kind')} of failure that {policy} has alone"]
+        notes += [f"- a search found {plural(len(found), 'kind')} of failure that only {policy} has"]
         notes += [f"  - {row.name}: {ascii_text(row.told)}" for row in found]
     errors = [row for row in rows if row.part == "episodes" and row.told]
     if errors:

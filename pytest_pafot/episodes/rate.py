@@ -107,7 +107,7 @@ class Rate:
         if self.failed:
             first = self.failed[0]
             lines.append(
-                f"the ADS failed in {plural(len(self.failed), 'episode')}, which no rate counts; seeds "
+                f"the ADS failed in {plural(len(self.failed), 'episode')}, which the rate ignores; seeds "
                 f"{shown([row.seed for row in self.failed])}; the first: {first.error}"
             )
         reasons = sorted({row.steps for row in self.rows if row.steps})

@@ -142,7 +142,8 @@ def test_a_policy_that_fails_is_counted_and_named_and_a_planner_told_how_it_is_g
     out = capsys.readouterr().out
     assert "no episode of 2 was driven to its end" in out
     assert (
-        "the ADS failed in 2 episodes, which no rate counts; seeds 0, 1; the first: BadAction: expected a whole" in out
+        "the ADS failed in 2 episodes, which the rate ignores; seeds 0, 1; the first: BadAction: expected a whole"
+        in out
     )
     assert "for a planner in SI units, as for pafot.Highway, use --ads constant_speed@planner" in out
 
