@@ -106,7 +106,7 @@ def test_a_policy_that_tells_no_weights_is_gone_on_with_and_that_is_told(tmp_pat
     planner.write_text("def make():\n    return lambda observation: 1\n")
     arguments = ("--ads", "planner_of_mine:make", "--episodes", "1", "--out", "out")
     assert rate(*arguments) == rate(*arguments) == 0
-    told = "rate: 1 of 1 episodes are from before; planner_of_mine:make tells no hash of weights, so that only the file"
+    told = "rate: 1 of 1 episodes are reused from before; planner_of_mine:make provides no hash of weights"
     assert capsys.readouterr().err.count(told) == 1
     planner.write_text(planner.read_text().replace("1", "0"))
     assert rate(*arguments) == 2
@@ -177,7 +177,9 @@ def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, be
     assert error.startswith(
         f"rate: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
     )
-    assert error.endswith("; there is a file where a folder should be: rename or delete it, or give another folder\n")
+    assert error.endswith(
+        "; there is a file where a folder should be: rename or delete it, or give a different folder\n"
+    )
 
 
 def test_an_episode_is_not_driven_where_its_picture_cannot_be_written(tmp_path, capsys):
@@ -192,7 +194,7 @@ def tells_what_is_taken(arguments, taken, capsys):
     assert rate(*arguments) == 2
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.startswith(f"rate: --out: expected a folder that can be written, received {taken}: ")
-    assert told.endswith(": rename or delete it, then give the same command again: what is finished is kept")
+    assert told.endswith(": rename or delete it, then run the same command again: finished tasks are not repeated")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
