@@ -123,7 +123,9 @@ def test_a_scenario_that_ends_another_process_is_saved_with_how_that_ended(proje
     result = replayed(project)
     result.assert_outcomes(failed=2)
     how = "ended with exit code 9" if "exit" in end else "was ended by SIGKILL"
-    result.stdout.fnmatch_lines([f"*died while it ran this scenario, and the one that ran it again {how}: the likely cause is a crash*"])
+    result.stdout.fnmatch_lines(
+        [f"*died while it ran this scenario, and the one that ran it again {how}: the likely cause*"]
+    )
     finding = load(project.only_file)
     assert finding.id.startswith("crash-")
     assert finding.expect.message == f"the process that ran this scenario {how}"
