@@ -225,6 +225,6 @@ def test_two_files_of_one_kind_that_both_fail_are_told_with_the_command(saved):
     result.assert_outcomes(failed=2, skipped=1)
     assert told in result.stdout.lines
     assert json.loads((saved.path / "p.json").read_text())["warnings"] == [told.removeprefix("  warning: ")]
-    assert "will do" not in replay(saved, "-k", first.name[:8]).stdout.str()
+    assert "join them into one" not in replay(saved, "-k", first.name[:8]).stdout.str()
     saved.write(FAILING.replace("< 1", "> 1") + "\n@pytest.mark.pafot_saved('by hand')\ndef test_odd():\n    pass\n")
-    assert "will do" not in replay(saved).stdout.str()
+    assert "join them into one" not in replay(saved).stdout.str()

@@ -370,4 +370,4 @@ def test_no_note_doubts_actions_that_a_planner_may_mean(project):
     project.write(steers(["(6.0, 0.7)", "(-100.0, -0.7)", "(0, 1)"]))
     result = project.run()
     assert sum(result.parseoutcomes().values()) == 3
-    result.stdout.no_fnmatch_line("*the ADS asked for*")
+    result.stdout.no_fnmatch_line("*the ADS requested*")
