@@ -1,4 +1,4 @@
-"""Who drives where at a junction: NPCs that cross the ego's way on ways of their own, beside those on the grid."""
+"""The director of NPCs at a junction: some NPCs cross the ego's way on their own ways, and others are on the grid."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from pytest_pafot.world.roads.junction import EGOS, Junction
 from pytest_pafot.world.roads.network import BEND_SHARE, NetworkRoad
 
 Start = tuple[float, tuple[float, float, float, float]]
-"""Where somebody starts along its way [m], and its x, y, heading and speed in the world there."""
+"""A vehicle's start: the place along its way [m], and its x [m], y [m], heading [rad] and speed [m/s] there."""
 
 
 class JunctionDirector:
-    """Drives the NPCs of one run on a :class:`NetworkRoad` with ways of other traffic.
+    """The director of the NPCs of one run on a :class:`NetworkRoad` with ways of other traffic.
 
     Args:
-        scenario: the instructions, of which some are Crossing-Instructions.
+        scenario: the scenario, with some Crossing-Instructions.
         road: the ego's way.
-        junction: the ways of others.
-        limits: of every NPC.
-        grid: who drives the NPCs on the grid; None without.
-        length, width: of each NPC [m].
+        junction: the ways of other traffic.
+        limits: the limits of every NPC.
+        grid: the director of the NPCs on the grid; None without them.
+        length, width: the size of each NPC [m].
         physics_hz: ticks per second.
 
     Attributes:
-        npcs: one for each chain; their owner puts them where they are before each tick.
+        npcs: one NPC for each chain; the engine updates their places before each tick.
     """
 
     def __init__(
@@ -82,9 +82,9 @@ class JunctionDirector:
         return npc
 
     def _related(self, number: int) -> tuple[list[SharedPlace], list[LeaderAhead]]:
-        """Return where the way of a vehicle meets those of others, and who of them may be ahead in its lane.
+        """Return the places at which a vehicle's way meets others, and the vehicles that may be ahead in its lane.
 
-        Those on the grid see to each other and to the ego by themselves.
+        Pairs of vehicles on the ego's way are left out, because the director of the grid handles them.
         """
         names = [EGOS, *(EGOS if each is None else each.zone for each in self._scenario.crossings)]
         mine, conflicts, leaders = names[number], [], []
@@ -99,7 +99,7 @@ class JunctionDirector:
 
     @property
     def executed(self) -> Scenario:
-        """The scenario with the genes so far as driven, and those to come as requested."""
+        """The scenario with the genes so far as driven, and the later ones as requested."""
         if self._grid is None:
             return self._scenario
         chains = iter(self._grid.executed.npcs)
@@ -111,13 +111,13 @@ class JunctionDirector:
 
     @property
     def driven(self) -> tuple[tuple[Cell, ...], ...]:
-        """Per NPC and started gene, the cell that it drove to, where ``executed`` cannot say so; else nothing."""
+        """The cell that each NPC drove to in each started gene if ``executed`` cannot express it; else empty."""
         rows = () if self._grid is None else self._grid.driven
         return tuple(tuple(row) for row in on_grid(self._scenario.npcs, rows)) if rows else ()
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
-        """Per NPC and started gene, the tick at which the cell was reached, or the zone entered."""
+        """The tick at which each NPC reached the cell of each started gene, or entered its zone; None before it."""
         others = iter(() if self._grid is None else self._grid.arrivals)
         return tuple(
             (npc.entered if npc.entered >= 0 else None,) if isinstance(npc, CrossingNpc) else next(others)
@@ -125,16 +125,16 @@ class JunctionDirector:
         )
 
     def first_cells(self) -> tuple[Cell, ...]:
-        """The cells of the first gene of those on the grid, which say where they start."""
+        """Return the cells of the first gene of NPCs on the grid, in which they start."""
         return () if self._grid is None else self._grid.first_cells()
 
     def starts(self) -> list[Start | None]:
-        """Return where each NPC that crosses starts; None for one on the grid."""
+        """Return the start of each crossing NPC, None for each NPC on the grid."""
         return [self._start(npc) if isinstance(npc, CrossingNpc) else None for npc in self.npcs]
 
     def _start(self, npc: CrossingNpc) -> Start:
         track, along = npc.track, npc.begins
-        turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length  # it lies there as in a bend, and turns
+        turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length  # by the slip left from a bend behind it
         fastest = math.sqrt(self._turning / max(turn, 1e-9))
         return along, (*track.pose(along), min(track.value(npc.speeds, along), fastest))
 
@@ -146,12 +146,12 @@ class JunctionDirector:
         self._crosser.command(ego)
 
     def ceiling(self, npc: Npc) -> float:
-        """The highest speed of an NPC on the grid that leaves those who cross their places [m/s]."""
+        """Return the highest speed of an NPC on the grid that leaves crossing NPCs their places [m/s]."""
         number = self._numbers[npc.index]
         return self._crosser.ceiling(npc, number - 1, *self._relations[number])
 
     def leaves_room(self, npc: Npc, lane: int) -> bool:
-        """Return whether an NPC on the grid may enter a lane as far as those are concerned who have come on to it."""
+        """Return whether NPCs that have come onto the ego's lane leave room for an NPC on the grid to enter it."""
         if lane != self._ego_lane:
             return True
         for leader in self._relations[self._numbers[npc.index]][1]:

@@ -1,8 +1,8 @@
-"""How NPCs cross: on a way of their own, at a time that the ego's arrival gives, past each other and the ego.
+"""The control of crossing NPCs, which drive on their own ways and are timed by the ego's arrival at their zone.
 
-An NPC follows the ego's estimated arrival until some seconds before it enters its zone, and keeps to its plan from then
-on, because an NPC that slows down with the ego hides the ego's failures. What it does besides is what a driver does: it
-stops for an ego that is in its zone already, follows whoever is ahead in its lane, and waits where another NPC comes.
+An NPC follows the ego's estimated arrival until some seconds before it enters its zone, and then keeps to its plan,
+because an NPC that slows down with the ego would hide the ego's failures. Apart from that it acts like a driver: it
+stops for an ego that is already in its zone, follows the vehicle ahead in its lane, and gives way to other NPCs.
 """
 
 from __future__ import annotations
@@ -15,45 +15,46 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver, following_speed, gap_speed, speed_asking_for
 
 STEP = 0.5
-"""Distance of the points of a way [m]."""
+"""The distance between neighbouring points of a way [m]."""
 FREEZE = 3.0
-"""How long before it enters its zone an NPC no longer follows the ego's arrival [s]."""
+"""The time before it enters its zone from which an NPC no longer follows the ego's arrival [s]."""
 SLOWEST, FASTEST = 0.5, 1.3
-"""Shares of its speed between which an NPC follows the ego's arrival. A slower one would wait for an ego that waits."""
+"""The smallest and largest share of its speed with which an NPC follows the ego's arrival. With a smaller share, the
+NPC would wait for an ego that waits."""
 PASS, HOLD, STOP, LATE = range(4)
-"""What an NPC does at its zone."""
+"""The acts of an NPC at its zone, in the order of ``ACTS``."""
 WAITING = 2.0
-"""How far before its zone an NPC holds [m]."""
+"""The distance before its zone at which an NPC holds [m]."""
 MARGIN = 1.0
-"""How far before a stretch an NPC waits until another one, or the ego, has left it [m]."""
+"""The distance before a stretch at which an NPC waits until the ego or another NPC has left it [m]."""
 SETTING_OFF = 1.1
-"""How long a vehicle that holds takes to its zone [s]."""
+"""The time that a holding vehicle needs to reach its zone [s]."""
 RESPONSE, ANSWER = 1.0, 6.0
-"""How late an NPC answers an ego that has entered its zone [s], and how hard it brakes then at most [m/s^2]."""
+"""The reaction time of an NPC to an ego that has entered its zone [s], and its hardest braking then [m/s^2]."""
 BUILDING_UP, BRAKING = 0.4, 5.0
-"""The time in which braking builds up [s] and the braking [m/s^2] with which an NPC counts that may have to wait."""
+"""The time in which braking builds up [s] and the braking [m/s^2] that an NPC assumes when it may have to wait."""
 APART = 0.7
-"""What two NPCs leave between each other that drive through one place [s]."""
+"""The least time between two NPCs that drive through the same place [s]."""
 LEAST_SPEED = 0.5
-"""With which somebody is expected to go on who nearly stands [m/s]."""
+"""The least speed for predictions, because a vehicle that nearly stands may go on [m/s]."""
 ABREAST = 2.0
-"""Who is not farther beside a way is in the way of who drives there [m]."""
+"""The distance from a way within which a vehicle is in the way of others on it [m]."""
 NEVER = -1
 UNENDING, NOWHERE = math.inf, float("nan")
-"""Numbers that are those of C where compiled, which ``math.nan`` is not."""
+"""Infinity and NaN; unlike ``math.inf`` and ``math.nan``, they are C numbers in compiled code."""
 
 
 class Track:
-    """A way as it is driven: its points, and what holds at each of them.
+    """The points of a way, with the values that an NPC needs at each of them.
 
     Args:
-        x, y, heading: of the points [m, m, rad].
-        lean: angle to the way of a vehicle that follows it without error [rad].
+        x, y, heading: position and direction of the points [m, m, rad].
+        lean: the angle to the way of a vehicle that follows it exactly [rad].
         speed: the highest speed of an NPC [m/s].
-        sharpest: largest curvature from a point on, as far as a lane change takes [1/m].
+        sharpest: the largest curvature over the length of a lane change from each point [1/m].
 
     Attributes:
-        along, across, direction: what :meth:`locate` has found.
+        along, across, direction: the result of :meth:`locate` [m, m, rad].
     """
 
     def __init__(
@@ -71,20 +72,20 @@ class Track:
         self.along = self.across = self.direction = 0.0
 
     def __deepcopy__(self, _: object) -> Track:
-        """Itself: highway-env copies vehicles with all that hangs on them to predict them."""
+        """Return itself, because highway-env deep-copies vehicles with their ways to predict them, which is slow."""
         return self
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Ways travel to other processes with their worlds."""
+        """Return the parts for pickling, because worlds send their ways to other processes."""
         x, y, heading, lean = list(self.x), list(self.y), list(self.heading), list(self.lean)
         return Track, (x, y, heading, lean, list(self.speed), list(self.sharpest))
 
     def point(self, along: float) -> int:
-        """The nearest point to a place."""
+        """Return the index of the point that is nearest to a place."""
         return min(max(int(along / STEP + 0.5), 0), self._last)
 
     def locate(self, x: float, y: float, near: float) -> None:
-        """Find how far along and to the right of the way somebody is near a place, and the direction there.
+        """Find a vehicle's place along the way and to the right of it, and the direction there, near a given place.
 
         Beyond its ends the way goes straight on.
         """
@@ -106,7 +107,7 @@ class Track:
         self.along = place
 
     def pose(self, along: float) -> tuple[float, float, float]:
-        """World x [m], y [m] and heading [rad] of a vehicle that follows the way."""
+        """Return world x [m], y [m] and heading [rad] of a vehicle that follows the way."""
         return (
             self.value(self.x, along),
             self.value(self.y, along),
@@ -114,19 +115,19 @@ class Track:
         )
 
     def value(self, values: array[float], along: float) -> float:
-        """One of the lists at a place; as at the ends beyond them."""
+        """Return the interpolated value of one of the lists at a place; beyond the ends it is constant."""
         index = min(max(int(along / STEP), 0), self._last - 1)
         share = min(max(along / STEP - index, 0.0), 1.0)
         return values[index] + share * (values[index + 1] - values[index])
 
 
 class SharedPlace:
-    """Where the way of an NPC meets that of another one.
+    """A place at which the way of an NPC meets the way of another NPC.
 
     Attributes:
-        other: the other one's number among the vehicles.
-        begins, ends: the stretch of the own way [m].
-        its_begins, its_ends: that of the other's [m].
+        other: the other NPC's number among the vehicles.
+        begins, ends: the stretch of the NPC's own way [m].
+        its_begins, its_ends: the stretch of the other NPC's way [m].
     """
 
     def __init__(self, other: int, own: tuple[float, float], its: tuple[float, float]) -> None:
@@ -136,11 +137,11 @@ class SharedPlace:
 
 
 class LeaderAhead:
-    """Who may be ahead of an NPC in its lane.
+    """A vehicle that may be ahead of an NPC in its lane.
 
     Attributes:
-        other: its number among the vehicles.
-        places: where along the own way it is when it is at each point of its own [m], NaN where that is elsewhere.
+        other: the vehicle's number among the vehicles.
+        places: for each point of the vehicle's way, its place along the NPC's way [m]; NaN if it is not on that way.
     """
 
     def __init__(self, other: int, places: array[float]) -> None:
@@ -148,35 +149,36 @@ class LeaderAhead:
         self.places = places
 
     def place(self, along: float) -> float:
-        """Where along the own way it is when it is at a place of its own [m]; NaN where that is elsewhere."""
+        """Return the vehicle's place along the NPC's way from its place on its own [m]; NaN if it is not there."""
         point = int(along / STEP + 0.5)
         return self.places[point] if 0 <= point < len(self.places) else NOWHERE
 
 
 class CrossingNpc(Body):
-    """An NPC on a way of its own: its body has the place along it, the distance to its right and the angle to it.
+    """A crossing NPC; its body has the place along its own way, the distance to its right, and the angle to it.
 
     Args:
         track: its way.
-        speed: of its instruction [m/s].
-        speeds: the highest ones with which its way is driven, at each point [m/s].
-        zone: where it enters and leaves its zone [m].
-        ego_zone: where the ego does, along its own way [m].
-        act: what it does in the zone.
-        middle: where it stands that stops in its zone [m].
+        speed: the speed of its instruction [m/s].
+        speeds: the highest speed at each point of its way [m/s].
+        zone: the places at which it enters and leaves its zone [m].
+        ego_zone: the places at which the ego enters and leaves the zone, along its own way [m].
+        act: its act at the zone.
+        middle: the place at which it stops if it stops in its zone [m].
+        size: its length and width [m].
 
     Attributes:
-        index: in the scenario.
-        slot: as in its instruction [s].
-        begins: where it starts [m].
-        asked: the acceleration asked for in the previous tick [m/s^2].
-        course: direction of motion that the previous tick's steering gave [rad].
+        index: its index in the scenario.
+        slot: the slot of its instruction [s].
+        begins: its start along its way [m].
+        asked: the acceleration in the previous tick [m/s^2].
+        course: the direction of motion after the previous tick's steering [rad].
         wanted: the speed of its instruction [m/s].
-        speeds, times: with which speed it drives at each point [m/s], and when it is there, from the first one on [s].
-        entry: when it is planned to enter its zone [s].
-        entered: the tick at which it did so, -1 before.
-        stands_at: where it will stand for nobody knows how long [m].
-        conflicts, leaders: who may be in its way, and who may be ahead in its lane.
+        speeds, times: its speed at each point [m/s], and its time there since the first point [s].
+        entry: the planned time of entering its zone [s].
+        entered: the tick at which it entered its zone, -1 before it.
+        stands_at: the place at which it will stand for an unknown time [m].
+        conflicts, leaders: the vehicles that may be in its way, and those that may be ahead in its lane.
     """
 
     def __init__(
@@ -219,32 +221,32 @@ class CrossingNpc(Body):
         self.leaders: list[LeaderAhead] = []
 
     def lasts(self, since: float, until: float) -> float:
-        """How long it takes from one place to another at its own speed [s]."""
+        """Return the time that it needs from one place to another at its own speed [s]."""
         track = self.track
         return track.value(self.times, until) - track.value(self.times, since)
 
 
 def stopping_speed(room: float, speed: float) -> float:
-    """The speed to want where one is to stop within some room [m], given the own one [m/s]."""
+    """Return the desired speed of a vehicle that is to stop within some room [m], given its current speed [m/s]."""
     if room <= 0.0:
         return 0.0
     return min(gap_speed(room), speed_asking_for(speed * speed / (2.0 * room), speed))
 
 
 def can_stop(room: float, speed: float) -> bool:
-    """Whether a speed [m/s] can be given up within some room [m]."""
+    """Return whether a vehicle at a speed [m/s] can stop within some room [m]."""
     return room >= BUILDING_UP * speed + speed * speed / (2.0 * BRAKING)
 
 
 class Crosser:
-    """Drives all NPCs of a run that cross.
+    """The director of all crossing NPCs of a run.
 
     Args:
-        npcs: that cross.
-        vehicles: of the run, the ego first; each body has its place along its own way.
-        driver: pedals and wheel.
-        jerk: the limit of theirs [m/s^3].
-        ego_lane: across the road, in the measure of lanes [m], where those on the ego's way are in its lane.
+        npcs: the crossing NPCs.
+        vehicles: all vehicles of the run, the ego first; each body has its place along its own way.
+        driver: the controller of acceleration and steering.
+        jerk: the NPCs' limit of jerk [m/s^3].
+        ego_lane: the nominal position across the road of the ego's lane [m].
         dt: physics tick [s].
     """
 
@@ -267,11 +269,11 @@ class Crosser:
         self._tick = 0
 
     def ceiling(self, mine: Body, index: int, conflicts: list[SharedPlace], leaders: list[LeaderAhead]) -> float:
-        """The highest speed of an NPC on the grid that leaves those who cross their places [m/s]."""
+        """Return the highest speed of an NPC on the grid that leaves crossing NPCs their places [m/s]."""
         return self._following(mine, leaders, self._giving_way(mine, index, conflicts, UNENDING))
 
     def command(self, ego: Body) -> None:
-        """Set acceleration and steering of each NPC that crosses for the coming tick."""
+        """Set acceleration and steering of each crossing NPC for the coming tick."""
         for npc in self._npcs:
             if npc.x >= npc.enters and npc.entered == NEVER:
                 npc.entered = self._tick
@@ -284,12 +286,12 @@ class Crosser:
         self._tick += 1
 
     def _wanted(self, npc: CrossingNpc, ego: Body) -> float:
-        """The speed that an NPC wants for its instruction and the ego [m/s]."""
+        """Return the desired speed of an NPC for its instruction and the ego [m/s]."""
         track = npc.track
         fastest = track.value(track.speed, npc.x)
         wanted = min(npc.wanted, fastest)
         if npc.entered == NEVER and npc.act in (PASS, STOP):
-            gained = max(npc.asked, 0.0) * max(npc.asked, 0.0) / (2.0 * self._jerk)  # while the accelerator is released
+            gained = max(npc.asked, 0.0) * max(npc.asked, 0.0) / (2.0 * self._jerk)  # until the accelerator is released
             wanted = min(wanted * self._share(npc, ego), fastest - gained)
         npc.stands_at = UNENDING
         if npc.act == STOP:
@@ -311,12 +313,12 @@ class Crosser:
         return wanted
 
     def _share(self, npc: CrossingNpc, ego: Body) -> float:
-        """The share of its speed at which an NPC enters its zone when it is to."""
+        """Return the share of its speed with which an NPC enters its zone at the planned time."""
         left = npc.lasts(npc.x, npc.enters)
         return min(max(left / max(self._due(npc, ego), 0.1), SLOWEST), FASTEST)
 
     def _due(self, npc: CrossingNpc, ego: Body) -> float:
-        """In what time an NPC is to enter its zone [s]."""
+        """Return the time until an NPC is to enter its zone [s]."""
         now = self._tick * self._dt
         if not npc.is_frozen:
             speed = max(ego.speed, 0.1)
@@ -334,7 +336,7 @@ class Crosser:
         return npc.entry - now
 
     def _answers(self, npc: CrossingNpc, ego: Body) -> bool:
-        """Whether an NPC answers an ego that is in its zone and will still be there when it comes."""
+        """Return whether an NPC reacts to an ego that is in its zone and will still be there when the NPC arrives."""
         if not npc.ego_enters < ego.x < npc.ego_leaves:
             npc.noticed = 0
             return False
@@ -348,11 +350,11 @@ class Crosser:
         return npc.noticed > self._response
 
     def _slower(self, npc: CrossingNpc) -> float:
-        """How much slower than its own speed an NPC drives now."""
+        """Return the ratio of an NPC's own speed at its place to its current speed."""
         return npc.track.value(npc.speeds, npc.x) / max(npc.speed, LEAST_SPEED)
 
     def _comes(self, vehicle: Body, place: float) -> float:
-        """When somebody will be at a place of its way, driving on as it does now [s]."""
+        """Return the time until a vehicle reaches a place of its way if it drives on as now [s]."""
         if isinstance(vehicle, CrossingNpc):
             npc = vehicle
             if place > npc.stands_at:
@@ -361,9 +363,9 @@ class Crosser:
         return (place - vehicle.x) / max(vehicle.speed, LEAST_SPEED)
 
     def _giving_way(self, mine: Body, index: int, conflicts: list[SharedPlace], wanted: float) -> float:
-        """A wanted speed, cut to what leaves others a place that they come to at the same time [m/s].
+        """Limit a desired speed so that an NPC gives way at places that others reach at the same time [m/s].
 
-        Where both could wait, the one with the higher index does; where one cannot any more, the other.
+        If both can wait, the one with the higher index does. If one can no longer wait, the other one does.
         """
         for conflict in conflicts:
             theirs = self._vehicles[conflict.other]
@@ -386,15 +388,15 @@ class Crosser:
         return wanted
 
     def _is_beside(self, vehicle: Body) -> bool:
-        """Whether somebody on the ego's road drives beside the ego's lane."""
+        """Return whether a vehicle on the ego's road is outside the ego's lane."""
         return not isinstance(vehicle, CrossingNpc) and abs(vehicle.y - self._ego_lane) > ABREAST
 
     def _following(self, mine: Body, leaders: list[LeaderAhead], wanted: float) -> float:
-        """A wanted speed, cut to what leaves room behind whoever is ahead in the own lane [m/s]."""
+        """Limit a desired speed to what leaves room behind the vehicles ahead in the lane [m/s]."""
         for leader in leaders:
             theirs = self._vehicles[leader.other]
             distance = leader.place(theirs.x) - mine.x
-            if not distance > 0.0:  # which NaN is not either
+            if not distance > 0.0:  # also false for NaN
                 continue
             if self._is_beside(theirs):
                 continue

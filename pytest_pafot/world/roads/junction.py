@@ -1,7 +1,7 @@
 """Ways of other traffic through a network, and the zones in which they meet the ego's way and each other.
 
-A way leads from a section that nothing leads on to, through sections that can be driven one after the other, to one
-that leads no further. Ways that start where the ego's does are none: who comes from there drives on the grid.
+A way leads from a section without a predecessor, through consecutive sections, to a section without a successor. Ways
+that start in a section of the ego's way are excluded, because vehicles from there drive on the grid.
 """
 
 from __future__ import annotations
@@ -33,38 +33,39 @@ Flags = npt.NDArray[np.bool_]
 Section = tuple[str, str]
 
 EGOS = ""
-"""The name of the ego's way among those of the others, which have a ``>`` in theirs."""
+"""The name of the ego's way; the names of other ways contain ``>``."""
 WIDER = 1.0
-"""How much wider the boxes of both are taken in a zone [m]: an ego that cuts corners is up to 0.74 m beside its way."""
+"""The extra width of both boxes in a zone [m], because an ego that cuts corners is up to 0.74 m off its way."""
 TOUCHING = 1e-6
-"""Boxes that are so near touch [m]: where roads meet at right angles, rounding would decide it."""
+"""The distance below which boxes touch [m]. Without it, rounding would decide when roads meet at right angles."""
 ONE_LANE, ONE_DIRECTION = 0.5, 0.1
-"""How far apart two ways are that lie in one lane, and their angle, at most [m, rad]."""
+"""The largest distance and angle between two ways in one lane [m, rad]."""
 BESIDE, ALIGNED = 1.0, 0.3
-"""Who is not farther from a way, and at no larger angle to it, is in the way of who drives there [m, rad]."""
+"""The distance from a way and the angle to it within which a vehicle is in the way of others on it [m, rad]."""
 APPROACH = 20.0
-"""How far before the zone both are where the ego sees from where the other comes [m]."""
+"""The distance of both vehicles before the zone at which the direction of approach is determined [m]."""
 OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
-"""Directions of two that come towards each other there differ by more than the first, of two side by side by less than
-the second [rad]. In a roundabout who circulates is turned by three quarters of pi, and comes from the left."""
+"""Limits for the angle between the two directions there [rad]: vehicles come from opposite directions above the first,
+and side by side below the second. In a roundabout the angle is three quarters of pi, and a circulating vehicle comes
+from the left."""
 OFF_WAY = (math.nan, math.nan, math.nan, math.nan, math.nan)
-"""The row of the track of who is not on the ego's way."""
+"""The row in the track for a vehicle that is not on the ego's way."""
 NOT_ON_WAY = 0.5
-"""Who is turned to the ego's way by more is not on it [rad]."""
+"""The angle to the ego's way above which a vehicle is not on it [rad]."""
 STRAIGHTER = 0.2
-"""Who turns by so much less than the other in a merging zone is on the main lane [rad]."""
+"""The difference of turning angles in a merging zone above which the way that turns less is the main lane [rad]."""
 LEAD = 6.0
-"""How long before its first zone an ego starts that keeps its speed, as far as its lane goes back [s]."""
+"""The time before its first zone at which an ego of constant speed starts, if its lane is long enough [s]."""
 MOST_WAYS = 64
-"""Of a network; the shortest ones. A city of blocks has more paths than anybody could count."""
+"""The largest number of ways of a network; the shortest ones are used. A city of blocks has countless paths."""
 COARSE = 4
-"""Points that are looked at together where two ways are compared."""
+"""The number of points that are first treated as one when two ways are compared, which is faster."""
 DRAWN = 4
-"""One point of so many is enough for pictures of a way."""
+"""The step between the points of a way that are used for pictures."""
 
 
 class Course(NamedTuple):
-    """Where the centre of a vehicle that follows a way is [m], and how it is turned [rad], at each point."""
+    """The centre [m] and the heading [rad] of a vehicle that follows a way, at each point."""
 
     x: FloatArray
     y: FloatArray
@@ -75,13 +76,14 @@ class Course(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrossingWay:
-    """A way of other traffic as it is driven.
+    """A way of other traffic with its geometry.
 
     Attributes:
         way: its zone and its speeds.
         line: the points of its centre line, from the entry to the exit.
         column: its lane at each point; ``part`` is the index of the lane in ``Trace.lanes``.
-        middle: where along it is nearest to the ego's in its zone, or in a merging one comes into the ego's lane [m].
+        middle: the place in its zone at which it is nearest to the ego's way, or enters the ego's lane if it merges
+            [m].
     """
 
     way: Way
@@ -91,17 +93,17 @@ class CrossingWay:
 
     @cached_property
     def track(self) -> Track:
-        """The same as a director reads it."""
+        """The same way in plain numbers, for the kernel."""
         line, column = self.line, self.column
         return Track(line.x.tolist(), line.y.tolist(), column.direction, column.lean, column.speed, column.sharpest)
 
     def place(self, x: float, y: float, near: float) -> tuple[float, float, float]:
-        """Return how far along and to the right of the way somebody is near a place, and the direction there."""
+        """Return a vehicle's place along the way and to the right of it, and the direction there, near some place."""
         self.track.locate(x, y, near)
         return self.track.along, self.track.across, self.track.direction
 
     def nearest(self, x: float, y: float) -> float:
-        """Return where along the way its point is that is nearest to somebody [m]."""
+        """Return the place along the way of the point that is nearest to a vehicle [m]."""
         return float(np.hypot(self.line.x - x, self.line.y - y).argmin()) * STEP
 
 
@@ -110,13 +112,13 @@ class Junction:
     """The ways of a network on which other traffic meets the ego's way.
 
     Attributes:
-        crossings: what a search draws from.
-        ways: by their names.
-        meetings: as those of the crossings, and with the ego's way, which is called ``""``.
-        shared: for the names of two ways, where along the first one somebody is who is at each point of the second [m];
-            NaN where that is beside the first one. Ways that share nothing are absent.
-        along_ego: for each way, where along the ego's way its points are that lie near to it and lead where it leads
-            [m]; NaN for all others.
+        crossings: the zones and ways from which a search samples.
+        ways: the ways by name.
+        meetings: the meetings of ``crossings``, and those with the ego's way, whose name is ``""``.
+        shared: for the names of two ways, the place along the first way of each point of the second [m]; NaN for points
+            that are not on the first way. Pairs without a shared place are absent.
+        along_ego: for each way, the place along the ego's way of each of its points [m]; NaN for points that are not
+            near the ego's way or have a different direction.
     """
 
     crossings: Crossings
@@ -126,13 +128,14 @@ class Junction:
     along_ego: Mapping[str, list[float]]
 
     def __deepcopy__(self, _: dict[int, object]) -> Junction:
-        """Itself, as nothing in it changes: highway-env copies vehicles with all that hangs on them to predict them."""
+        """Return itself, because it is immutable and highway-env deep-copies the road to predict vehicles."""
         return self
 
     def spot(self, road: NetworkRoad, way: CrossingWay, along: float, pose: tuple[float, float, float]) -> Spot | None:
-        """Return where on the ego's way somebody is who is so far along another way [m]; None where it is not on it.
+        """Return the place on the ego's way of a vehicle on a different way; None if it is not on the ego's way.
 
-        ``pose`` is its x [m], y [m] and heading [rad]. Before its zone nobody is on the ego's way.
+        ``along`` is its place along its own way [m], ``pose`` its x [m], y [m] and heading [rad]. Before its zone, a
+        vehicle is never on the ego's way.
         """
         zone = way.way.zone
         if along < zone.npc[0]:
@@ -145,20 +148,20 @@ class Junction:
         return spot if road.part(spot) >= 0 and abs(spot.angle) < NOT_ON_WAY else None
 
     def stretches(self, mine: str, theirs: str) -> list[tuple[Stretch, Stretch]]:
-        """Return the stretches of two ways, one of which may be the ego's, in which they meet."""
+        """Return the stretches in which two ways meet; one may be the ego's."""
         if (theirs, mine) in self.meetings:
             return [(own, its) for its, own in self.meetings[theirs, mine]]
         return list(self.meetings.get((mine, theirs), ()))
 
     def places(self, mine: str, theirs: str) -> array[float] | None:
-        """Return where along one way those are who are in its lane, for each point of theirs; None for nowhere."""
+        """Return the places along one way of each point of another way; None if the two share no lane."""
         if mine == theirs and mine != EGOS:
             return array("d", [STEP * point for point in range(len(self.ways[mine].line.x))])
         return self.shared.get((mine, theirs))
 
 
 def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | None:
-    """Return the ways on which other traffic meets the ego's way in an environment; None where there is none."""
+    """Return the ways on which other traffic meets the ego's way in an environment; None if there are none."""
     own = _course(road.line, road.columns[road.ego_lane])
     ways = _ways(env.road.network, road, own, limits)
     if not ways:
@@ -191,7 +194,7 @@ def junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | No
 
 
 def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> dict[str, CrossingWay]:
-    """Return the ways that meet the ego's ahead of where it starts, by their names; the shortest one of each name."""
+    """Return the ways that meet the ego's way ahead of its start, by name; the shortest one for each name."""
     ways: dict[str, CrossingWay] = {}
     for path in _paths(network):
         name = f"{path[0][0]}>{path[-1][1]}"
@@ -211,11 +214,8 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
     return ways
 
 
-# Ways: sections of the network one after the other.
-
-
 def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
-    """Yield all ways through a network as sections, the shortest first, none of which comes twice to a node."""
+    """Yield all ways through a network as sections, the shortest first; no way visits a node twice."""
     follow: dict[Section, list[Section]] = {(a, b): [] for a, ends in network.graph.items() for b in ends}
     for section, following in follow.items():
         lasts = [Piece((*section, 0), lane, 0.0, float(lane.length)) for lane in network.graph[section[0]][section[1]]]
@@ -236,7 +236,7 @@ def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
 
 
 def _pieces(network: Any, path: Sequence[Section]) -> tuple[Piece, ...]:
-    """Return the lanes of a way, of the rightmost lane at its entry on."""
+    """Return the lanes of a way, which begins in the rightmost lane at its entry."""
     (origin, end), *_ = path
     index: LaneIndex = (origin, end, len(network.graph[origin][end]) - 1)
     pieces, _ = way_of(network, index, 0.0, [(*section, None) for section in path], ahead=math.inf, behind=0.0)
@@ -257,7 +257,7 @@ def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
 
 
 def _parts_of_way(road: NetworkRoad, line: Line, points: IntArray) -> list[int]:
-    """Return the index in ``Trace.lanes`` of the lane of the ego's way at some points that lie in one of its lanes."""
+    """Return the index in ``Trace.lanes`` at each of some points that are all in one lane of the ego's way."""
     x, y = line.x[points, None] - road.line.x, line.y[points, None] - road.line.y
     near = (x * x + y * y).argmin(axis=1)
     middle = len(points) // 2
@@ -266,16 +266,13 @@ def _parts_of_way(road: NetworkRoad, line: Line, points: IntArray) -> list[int]:
     return [road.columns[spot.lane].part[int(point)] for point in near]
 
 
-# Where two ways meet.
-
-
 def _course(line: Line, column: Column) -> Course:
     heading = np.array(column.direction) + np.array(column.lean)
     return Course(line.x, line.y, heading, np.cos(heading), np.sin(heading))
 
 
 def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
-    """Return the points of two courses, one of each, at which wide boxes might touch, in the order of the second."""
+    """Return all pairs of points of two courses at which wide boxes might touch, in the order of the second."""
     reach = math.hypot(NPC_LENGTH, NPC_WIDTH + WIDER)
     wide = reach + 2 * STEP * COARSE
     x = a.x[::COARSE, None] - b.x[::COARSE]
@@ -294,7 +291,7 @@ def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
 
 
 def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: float) -> Flags:
-    """Return for pairs of points whether boxes of vehicles there touch, each wider by so much [m] (separating axes)."""
+    """Return for each pair of points whether vehicles' boxes touch, each widened by ``wider`` [m] (separating axes)."""
     i, j = pairs
     length, width = NPC_LENGTH, NPC_WIDTH + wider
     x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
@@ -310,12 +307,12 @@ def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: f
 
 
 class Meeting(NamedTuple):
-    """How two ways meet.
+    """A meeting of two ways.
 
     Attributes:
-        stretches: of both, in which wide boxes can touch [m].
-        closest: the points of both at which they are nearest; in a merging zone the first ones in one lane.
-        merges: whether both lead on in one lane.
+        stretches: the stretches of both ways in which wide boxes can touch [m].
+        closest: the points of both at which they are nearest; in a merging zone the first points in one lane.
+        merges: true if both lead on in one lane.
     """
 
     stretches: tuple[Stretch, Stretch]
@@ -324,11 +321,10 @@ class Meeting(NamedTuple):
 
 
 def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Iterator[Meeting]:
-    """Yield the places at which two ways meet, in the order of the second one.
+    """Yield the places at which two ways meet, in the order of the second way.
 
-    Two ways that lead on in one lane meet up to a vehicle's length after they have come together, and two that part
-    from one lane meet from a vehicle's length before that on. Ways side by side, whose boxes touch only because they
-    are taken wider, do not meet.
+    If two ways merge into one lane, the meeting ends a vehicle's length after that. If they leave one lane, it begins a
+    vehicle's length before that. Ways side by side, whose boxes touch only when widened, do not meet.
     """
     wide = boxes_touch(a, b, pairs, WIDER)
     i, j = pairs[0][wide], pairs[1][wide]
@@ -339,7 +335,7 @@ def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Itera
 
 
 def _places_of_run(i: IntArray, j: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
-    """Yield the pairs of a run along the second way in runs along the first one, too."""
+    """Split the pairs of one run along the second way into runs along the first way."""
     known = np.unique(i)
     for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
         belongs = np.isin(i, own)
@@ -356,7 +352,7 @@ def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
     length = round(NPC_LENGTH / STEP)
     if together.any():
         begins, ends = np.flatnonzero(together)[[0, -1]]
-        if min(int(i[begins]) - first[0], int(j[begins]) - first[1]) > 2:  # they come together
+        if min(int(i[begins]) - first[0], int(j[begins]) - first[1]) > 2:  # they merge
             nearest = int(begins)
             last = int(i[begins]) + length, int(j[begins]) + length
             merges = True
@@ -373,24 +369,24 @@ def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
 
 
 def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float) -> FloatArray:
-    """Return where along one way somebody is who is at each point of another [m].
+    """Return the place along one way of each point of another way [m].
 
-    NaN for points that are farther from the first way, or turned more to it.
+    It is NaN for points that are farther than ``beside`` from the first way [m], or turned more than ``turned`` [rad].
     """
     i, j = pairs
     x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
     ahead, aside = x * cos + y * sin, np.abs(y * cos - x * sin)
     fits = (aside < beside) & (np.abs(wrapped(b.heading[j] - a.heading[i])) < turned) & (np.abs(ahead) <= STEP)
-    order = np.argsort(-np.abs(ahead[fits]), kind="stable")  # the nearest one is written last
+    order = np.argsort(-np.abs(ahead[fits]), kind="stable")  # the nearest is written last and so remains
     places = np.full(len(b.x), np.nan)
     places[j[fits][order]] = (i[fits] * STEP + ahead[fits])[order]
     return places
 
 
 def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
-    """Return with which speeds a vehicle drives along a way that wants to drive so fast at each point [m/s].
+    """Return the speeds at which a vehicle drives along a way, given its desired speed at each point [m/s].
 
-    Its speed control lags behind, before a bend as well as behind it.
+    They differ because the speed control lags behind, both before and after a bend.
     """
     wanted = speeds.tolist()
     driven = wanted[:1]
@@ -402,7 +398,7 @@ def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
 
 
 def _zone(name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], network: Any, met: Meeting) -> Zone:
-    """Return the zone in which a way of so many lanes meets the ego's."""
+    """Return the zone in which a way with the given lanes meets the ego's way."""
     here, there = (max(int((enters - APPROACH) / STEP), 0) for enters, _ in met.stretches)
     origin = _origin(wrapped(float(line.heading[there] - road.line.heading[here])))
     kind: Kind = "merging" if met.merges else "oncoming" if origin == "ahead" else "crossing"
@@ -418,7 +414,7 @@ def _zone(name: str, road: NetworkRoad, line: Line, lanes: Sequence[LaneIndex], 
 
 
 def _origin(turned: float) -> Origin:
-    """Return from where somebody comes whose direction is turned to the right of the ego's by an angle [rad]."""
+    """Return the origin of a vehicle whose direction is turned to the right of the ego's by an angle [rad]."""
     if abs(turned) > OPPOSITE:
         return "ahead"
     if abs(turned) < ALONGSIDE:
@@ -429,10 +425,10 @@ def _origin(turned: float) -> Origin:
 def _holder(
     network: Any, ego: tuple[Line, Sequence[LaneIndex]], npc: tuple[Line, Sequence[LaneIndex]], met: Meeting
 ) -> Holder:
-    """Return who has priority where two ways meet, by the lanes on which they come there.
+    """Return the holder of priority at a meeting of two ways, by the lanes on which they arrive.
 
-    highway-env's priorities count in a network that has some. In others, who circulates has priority over who enters,
-    and in a merging zone who is on the main lane, which turns less, over who joins it.
+    If the network has highway-env's priorities, they decide. Otherwise a circulating vehicle has priority over an
+    entering one, and in a merging zone the main lane, which turns less, has priority over the joining lane.
     """
     own, other = (
         _lane_before(line, lanes, point, {index[:2] for index in others})
@@ -450,7 +446,7 @@ def _holder(
 
 
 def _lane_before(line: Line, lanes: Sequence[LaneIndex], point: int, others: set[Section]) -> LaneIndex:
-    """Return the lane of a way at a point, or the last one before that which the other way does not have."""
+    """Return the lane of a way at a point, or the last lane before it that is not shared with the other way."""
     number = int(line.piece[point])
     while number > 0 and lanes[number][:2] in others:
         number -= 1
@@ -458,7 +454,7 @@ def _lane_before(line: Line, lanes: Sequence[LaneIndex], point: int, others: set
 
 
 def _circulates(network: Any, lane: LaneIndex) -> bool:
-    """Return whether the road leads from the end of a lane back to its beginning."""
+    """Return whether a path leads from the end of a lane back to its beginning."""
     seen, queue = {lane[1]}, deque([lane[1]])
     while queue:
         for end in network.graph.get(queue.popleft(), {}):
@@ -475,16 +471,13 @@ def _turned(line: Line, stretch: Stretch) -> float:
     return abs(float(line.heading[last] - line.heading[first]))
 
 
-# Where the vehicles of one run are, where some of them are not on the ego's way.
-
-
 class JunctionFrame(NetworkFrame):
-    """Follows those on the ego's way along it, and each who crosses along its own way."""
+    """The places of the vehicles on the ego's way, and of crossing NPCs on their own ways, tracked tick by tick."""
 
     def __init__(
         self, road: NetworkRoad, network: Any, starts: Sequence[float], junction: Junction, ways: Sequence[str | None]
     ) -> None:
-        """``starts`` is where along its way each vehicle starts [m], the ego first; ``ways`` are those of the NPCs."""
+        """Start with each vehicle's place along its way [m], the ego first; ``ways`` names the NPCs' ways."""
         names = [None, *ways]
         self._on_grid = [number for number, name in enumerate(names) if name is None]
         self._crossers = [
@@ -495,12 +488,12 @@ class JunctionFrame(NetworkFrame):
         super().__init__(road, network, [starts[number] for number in self._on_grid])
         self._junction = junction
         self._places = list(starts)
-        self._crossing: list[float] = []  # of each who crosses its place on its own way, then its row of the track
+        self._crossing: list[float] = []  # per crossing NPC: its place on its own way, its row of the track
 
     def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
-        """Put bodies where the vehicles are on their ways; the lane of each, and how the run leaves the road.
+        """Place the bodies on their ways, and return each vehicle's lane, and the outcome if the run leaves the road.
 
-        Who crosses has its place along its own way, how far to its right it is, and its angle to it.
+        A crossing NPC's body has the place along its own way, the distance to its right, and the angle to it.
         """
         on_grid, lanes = self._on_grid, [-1] * len(states)
         found, left = super().see([states[number] for number in on_grid], [bodies[number] for number in on_grid])
@@ -518,13 +511,13 @@ class JunctionFrame(NetworkFrame):
         return lanes, left
 
     def _row(self, spot: Spot | None) -> tuple[float, float, float, float, float]:
-        """Return the row of the track of somebody who is at a spot of the ego's way; NaN where it is not on it."""
+        """Return the row in the track for a vehicle at a spot on the ego's way; NaN if it is not on it."""
         if spot is None:
             return OFF_WAY
         return *spot[:3], spot.offset, self._road.stretch(spot.along, spot.across)
 
     def track(self) -> FloatArray:
-        """Return where all were on the ego's way at every tick, as :attr:`pytest_pafot.Trace.track` has it."""
+        """Return the places of all vehicles on the ego's way, with the columns of :attr:`pytest_pafot.Trace.track`."""
         own, others = super().track(), self._recorded
         track = np.empty((len(own), len(self._places), own.shape[2]))
         track[:, self._on_grid] = own
@@ -532,7 +525,7 @@ class JunctionFrame(NetworkFrame):
         return track
 
     def on_way(self) -> FloatArray:
-        """Return where all NPCs were on their own ways, as :attr:`pytest_pafot.Trace.on_way` has it."""
+        """Return the places of all NPCs on their own ways, in the form of :attr:`pytest_pafot.Trace.on_way`."""
         others = self._recorded
         places = np.full((len(others), len(self._places) - 1), np.nan)
         places[:, [number - 1 for number, *_ in self._crossers]] = others[..., 0]
