@@ -42,6 +42,10 @@ class Result:
         return cls(failed=failed, impact=impact, margins=margins if is_whole else {})
 
 
+MEANINGS = {"common": " (both fail)", "introduced": " (only the new fails)", "fixed": " (only the old fails)"}
+"""What the summary adds to labels of saved scenarios."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairRow:
     """The results of both policies in one situation: a random scenario, an episode, a saved or a found scenario."""
@@ -166,7 +170,8 @@ def text_of(old: str, new: str, rows: Sequence[PairRow]) -> str:
     saved, notes = [row for row in rows if row.part == "saved"], []
     if saved:
         labels = Counter(row.told for row in saved).most_common()
-        notes = [f"- {plural(len(saved), 'saved scenario')}: {', '.join(f'{n} {label}' for label, n in labels)}"]
+        told = ", ".join(f"{count} {label}{MEANINGS.get(label, '')}" for label, count in labels)
+        notes = [f"- {plural(len(saved), 'saved scenario')}: {told}"]
         notes += [f"  - introduced: {row.name}" for row in saved if row.told == "introduced"]
         notes += [f"  - worse: {row.name} {row.worse}" for row in saved if row.worse]
     for policy, is_new in ((new, True), (old, False)):

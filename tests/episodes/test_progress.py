@@ -138,7 +138,8 @@ def test_the_text_names_what_was_introduced_became_worse_fails_alone_and_went_wr
     assert text.startswith("now:make is better than before:make: ")
     assert "| failures of its own | 54 | 31 | 31 | 8 | 200 | -20.6 to -1.9 points | 0.00059 | better |\n" in text
     assert text.endswith(
-        "- 3 saved scenarios: 2 common, 1 introduced\n  - introduced: a\n  - worse: b hits at 12.1 m/s, 8.0 before\n"
+        "- 3 saved scenarios: 2 common (both fail), 1 introduced (only the new fails)\n"
+        "  - introduced: a\n  - worse: b hits at 12.1 m/s, 8.0 before\n"
         "- a search found 1 kind of failure that only now:make has\n  - d: collision after 5.4 s\n"
         "- a search found 0 kinds of failure that only before:make has\n"
         "- errors in 1 episode count as crashes; seed 7: BadAction: 9\n"
