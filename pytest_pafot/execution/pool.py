@@ -20,9 +20,10 @@ import traceback
 import warnings
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, Self, TypeAlias, TypeVar
@@ -306,7 +307,7 @@ class _Worker(Generic[TaskT]):
         arguments = (work, end, inherited, self._beats, self.gave_up, grace, memory, idle)
         # A daemon, so that an executor's worker that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _no_interrupts(context.get_start_method()):
             # Python warns about any thread. This module has none, and those of numerical libraries are documented.
             warnings.filterwarnings("ignore", message=".*multi-threaded.*fork", category=DeprecationWarning)
             self.process.start()
@@ -409,11 +410,9 @@ def _serve(
 
     gc.freeze()  # Otherwise a garbage collection would touch, and so copy, all of the session's memory.
     for other in inherited:
-        other.close()  # Otherwise the end of the session or of a different process would go unnoticed.
+        other.close()  # Otherwise the end of the session or of another process would go unnoticed.
     multiprocessing.current_process().daemon = False  # Daemons may have no children, but an ADS may start processes.
-    # Ctrl-C must not interrupt this process, since the session ends it. A function and not SIG_IGN: children would
-    # inherit SIG_IGN, but must be interrupted.
-    signal.signal(signal.SIGINT, lambda number, frame: None)
+    _ignore_interrupts()
     if hasattr(signal, "SIGUSR2"):
         signal.signal(signal.SIGUSR2, beat)
     beat()
@@ -429,6 +428,29 @@ def _serve(
             except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
                 said = pickle.dumps((True, _portable(error)))
             connection.send_bytes(said)
+
+
+def _ignore_interrupts() -> None:
+    # The session ends its processes itself. A function and not SIG_IGN: the processes that they start would inherit
+    # SIG_IGN, but must be interrupted.
+    signal.signal(signal.SIGINT, lambda number, frame: None)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+@contextmanager
+def _no_interrupts(method: str) -> Iterator[None]:
+    """Block SIGINT for a process that starts: it inherits this; without, it could end before it has a handler."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    if method == "spawn":
+        resource_tracker.ensure_running()  # It unblocks SIGINT when it starts.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _sendable(result: object) -> bytes:

@@ -162,6 +162,19 @@ def test_what_is_raised_or_cannot_travel_is_an_answer_that_says_what_and_where()
     assert "a result that can be sent to the session, received one that cannot be pickled" in str(unsendable)
 
 
+def squared(number, tell):
+    return number * number
+
+
+@pytest.mark.processes
+def test_an_interrupt_while_a_process_starts_is_for_the_session_alone_too():
+    with WorkerPool(squared, 1, method="spawn", patience=60.0) as pool:
+        pool.expect([3])
+        (process,) = multiprocessing.active_children()
+        os.kill(process.pid, signal.SIGINT)
+        assert pool.fetch(3) == 9
+
+
 def test_what_is_not_fetched_is_forgotten_with_the_next_tasks(pool_of):
     pool = pool_of(lambda number: time.sleep(0.05))
     pool.expect(TASKS[:4])
