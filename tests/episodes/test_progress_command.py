@@ -97,7 +97,7 @@ def test_what_it_fails_alone_is_what_the_command_saves_that_it_names_and_is_fixe
     labels = re.search(r"^- (\d+) saved scenarios?: (.*)$", capsys.readouterr().out, re.MULTILINE)
     assert labels
     assert int(labels[1]) == len(saved)
-    assert re.fullmatch(r"(\d+ (fixed|drifted)(, )?)+", labels[2])
+    assert re.fullmatch(r"(\d+ (fixed \(only the old fails\)|drifted)(, )?)+", labels[2])
 
 
 def test_of_the_same_policy_by_another_name_nothing_is_claimed(here, capsys):
