@@ -340,7 +340,7 @@ def test_a_policy_that_fails_at_once_in_every_run_is_an_error_of_the_set_up(tmp_
     for part in (
         "received ValueError: unexpected shape ()\n",
         'raise ValueError(f"unexpected shape {shape}")\n',
-        "This happened in all 4 runs of the first generation",
+        "So it was in all 4 runs of the first generation",
         "The ADS was given a pafot.Observation (time, ego,",
         "must return (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive. "
         "A policy of a highway-env environment needs that environment, such as --env highway-v0.\n",

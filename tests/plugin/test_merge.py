@@ -126,7 +126,7 @@ def test_the_last_day_of_a_reason_goes_with_it_and_another_day_is_a_conflict(fai
     result = merge(failing, other)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
-        ["*received 2 (*issue 12, until 2027-02-28*issue 12, until 2027-01-31); write the same*"]
+        ["*received 2 different ones (*issue 12, until 2027-02-28*issue 12, until 2027-01-31); write the same *"]
     )
     assert load(own).accepted == "issue 12, until 2027-02-28"
 
@@ -189,7 +189,9 @@ def test_the_corpora_of_several_folders_are_told_apart_by_what_lies_above(projec
     shutil.copytree(project.path / "a" / "pafot_corpus", there / "a" / "pafot_corpus")
     shutil.rmtree(project.path / "a" / "pafot_corpus")
     both = merge(project, there / "a" / "pafot_corpus", args=["--import-mode=importlib"])
-    both.stdout.fnmatch_lines(["not merged: *: it matches a/test_it.py::* and b/test_it.py::*; give the folder above"])
+    both.stdout.fnmatch_lines(
+        ["not merged: *: it matches a/test_it.py::* and b/test_it.py::*; give the folder above it"]
+    )
     merge(project, there, args=["--import-mode=importlib"]).assert_outcomes(passed=2)
     assert len(list((project.path / "a").rglob("*.pafot.yaml"))) == 1
 
