@@ -79,7 +79,7 @@ def driven(*vehicles, touched=False):
             rows.extend((*state, 0.0, 0.0, lane))
     scenario = scenario_of(len(vehicles) - 1)
     return Record(
-        rules=SimpleNamespace(physics_hz=15, ads_hz=5, road=road),
+        rules=SimpleNamespace(physics_hz=15, ads_hz=5, road=road, crossings=None),
         scenario=scenario,
         director=SimpleNamespace(executed=scenario, arrivals=(), driven=()),
         sizes=[(LENGTH, WIDTH)] * len(vehicles),
