@@ -47,7 +47,7 @@ def stopping_gap(speed, response):
 
 
 @table("speed", [5.0, 15.0, 25.0])
-def test_standing_leaders_are_avoided_from_the_stopping_distance_on(speed):
+def test_standing_leader_is_avoidable_from_stopping_distance_on(speed):
     needed = stopping_gap(speed, CALM)
     assert is_avoided(pursuit(needed, speed, 0.0), 0, CALM)
     assert not is_avoided(pursuit(needed - speed / HZ - 0.1, speed, 0.0), 0, CALM)
@@ -59,13 +59,13 @@ def test_time_lost_counts():
     assert not is_avoided(run, round(0.5 * HZ), CALM)
 
 
-def test_an_answer_that_is_due_at_the_impact_or_later_avoids_nothing():
+def test_reaction_due_at_impact_avoids_nothing():
     run = pursuit(5.0, 20.0, 10.0)
     assert len(run.ahead) <= HZ
     assert not is_avoided(run, 0, CALM)
 
 
-def test_boxes_that_pass_beside_each_other_do_not_touch_up_to_the_end_of_the_recording():
+def test_boxes_passing_side_by_side_do_not_touch():
     beside = pursuit(5.0, 20.0, 10.0, right=3.0, seconds=1.0 + 2 / HZ)
     assert (np.abs(beside.right) > SIZE[1]).all()
     assert not is_avoided(beside, 0, CALM), "after the impact the other is in the responder's lane"
@@ -98,13 +98,13 @@ def test_what_does_not_last_is_not_perceived():
     assert not is_avoided(run, 0, CALM, replace(flash, perception=5.0))
 
 
-def test_a_responder_that_speeds_up_in_the_delay_is_not_excused_by_it():
+def test_speeding_up_during_reaction_delay_excuses_nothing():
     speeding = np.minimum(20.0 + np.arange(30 * HZ + 1) / HZ, 30.0)
     assert is_avoided(pursuit(60.0, 20.0, 0.0), 0, HARD)
     assert is_avoided(pursuit(60.0, speeding, 0.0), 0, HARD)
 
 
-def test_braking_after_the_impact_is_not_the_recorded_driver_s_merit():
+def test_braking_after_impact_does_not_excuse_driver():
     """One that braked with 9 m/s^2 before its answer was due did more than the reference would have."""
     times = np.arange(30 * HZ + 1) / HZ
     braked = pursuit(16.0, np.maximum(20.0 - 9.0 * times, 0.0), 4.0)
@@ -113,7 +113,7 @@ def test_braking_after_the_impact_is_not_the_recorded_driver_s_merit():
 
 
 @pytest.mark.parametrize(("headway", "counted"), [(0.0, 0), (0.5, 4 * HZ)])
-def test_who_mastered_a_cut_in_answers_what_comes_after_from_then_on(headway, counted):
+def test_driver_that_mastered_cut_in_answers_later_braking(headway, counted):
     """It brakes to the leader's speed as the reference does, which restores a headway; then the leader brakes anew."""
     times = np.arange(30 * HZ + 1) / HZ
     own = np.where(times < 1.0, 20.0, np.maximum(20.0 - 6.0 * (times - 1.0 + 1 / HZ), 14.8))
@@ -138,9 +138,7 @@ speeds = st.floats(0, 35)
     own=st.floats(15, 35),
     wobble=st.integers(0, 99),
 )
-def test_whoever_is_at_most_as_fast_as_the_reference_from_when_its_answer_was_due_is_not_told_to_brake(
-    gap, leader, braking, own, wobble
-):
+def test_driver_slower_than_reference_need_not_brake(gap, leader, braking, own, wobble):
     """The reference is stepped through anew: what it drives behind the recorded other."""
     rng, speed, driven = np.random.default_rng(wobble), own, []
     for tick in range(10 * HZ + 1):

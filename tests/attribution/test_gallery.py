@@ -14,7 +14,7 @@ ALL = [situation for group in SITUATIONS.values() for situation in group]
 
 
 @table("situation", ALL)
-def test_the_verdict_is_the_one_that_an_expert_expects(situation):
+def test_verdict_matches_the_one_an_expert_expects(situation):
     found = rss_rule(situation.trace())
     assert (found.responsibility, found.fault) == (situation.responsibility, situation.fault), found.reason
     assert situation.says in found.reason
@@ -28,7 +28,7 @@ def gallery():
 
 
 @pytest.mark.stories
-def test_the_page_and_its_pictures_are_as_the_situations_have_it():
+def test_gallery_page_and_pictures_are_up_to_date():
     module = gallery()
     page = module.PAGE.read_text(encoding="utf-8")
     assert module.written(page) == page, "run: python docs/tools/gallery.py"

@@ -37,7 +37,7 @@ def scanned(trace, chances=(), fault="leader-unanswered", survived=None):
     return last_chance(trace, fault, take_over), tried
 
 
-def test_it_is_the_latest_decision_that_is_a_chance_whatever_earlier_ones_are():
+def test_latest_decision_that_avoids_the_collision_counts():
     chance, tried = scanned(crash(), chances={3, 12})
     assert chance.time == 0.8
     assert tried == [27, 24, 21, 18, 15, 12]
@@ -49,13 +49,13 @@ def test_between_two_decisions_nobody_takes_over():
     assert tried == [27, 24, 21, 18, 15, 12, 9, 6, 3, 0]
 
 
-def test_more_than_ten_seconds_before_the_impact_it_is_not_looked_for():
+def test_search_stops_ten_seconds_before_the_impact():
     chance, tried = scanned(crash(ticks=300), chances={147})
     assert chance is None
     assert (tried[0], tried[-1]) == (297, 150)
 
 
-def test_a_collision_that_the_driver_does_not_answer_for_is_no_fault():
+def test_collision_without_ego_responsibility_counts_as_avoided():
     between = trace_of(
         vehicle(0.0, 4.0, speed=20.0, ticks=30),
         vehicle(20.0 + LENGTH, 4.0, speed=10.0, ticks=30),
@@ -69,7 +69,7 @@ def test_a_collision_that_the_driver_does_not_answer_for_is_no_fault():
 
 
 @pytest.mark.parametrize(("later", "is_escape"), [(0.0, False), (0.5, False), (0.6, True)])
-def test_to_be_hit_by_the_same_npc_at_once_is_no_escape_whoever_is_blamed(monkeypatch, later, is_escape):
+def test_immediate_hit_by_same_npc_is_no_escape(monkeypatch, later, is_escape):
     trace = crash()
     survived = replace(trace, collision=replace(trace.collision, time=2.0 + later))
     monkeypatch.setattr("pytest_pafot.attribution.last_chance.is_ego_responsible", lambda taken: taken is not survived)
@@ -77,7 +77,7 @@ def test_to_be_hit_by_the_same_npc_at_once_is_no_escape_whoever_is_blamed(monkey
     assert (chance is not None) is is_escape
 
 
-def test_a_run_in_which_two_npcs_touch_tells_nothing():
+def test_run_where_two_npcs_touch_is_ignored():
     trace = crash()
     assert scanned(trace, chances={27}, survived=replace(trace, outcome=Outcome.INVALID, collision=None))[0] is None
 
@@ -114,7 +114,7 @@ def braked(hit=None, outcome=Outcome.SAFE, ticks=300):
         (braked(outcome=Outcome.INVALID), True),
     ],
 )
-def test_braking_avoids_it_where_nobody_touches_the_ego_for_twelve_seconds(taken, is_free):
+def test_braking_avoids_only_if_ego_stays_untouched(taken, is_free):
     """Not from behind, either."""
     names = []
 
@@ -128,11 +128,11 @@ def test_braking_avoids_it_where_nobody_touches_the_ego_for_twelve_seconds(taken
 
 
 @table("fault", [None, "entered-lane", "braked-for-nothing", "stopped-for-nothing"])
-def test_braking_is_not_tried_where_the_fault_is_another(fault):
+def test_braking_is_not_tried_for_other_faults(fault):
     assert avoidance(crash(), fault, lambda *_: pytest.fail("simulated")) is None
 
 
-def test_it_tells_what_the_driver_and_the_ego_do_from_there_to_the_next_tick():
+def test_last_chance_reports_driver_and_ego_actions():
     trace = crash()
     states, taken = trace.states.copy(), trace.states.copy()
     states[13, 0, [ACCELERATION, STEERING]] = 0.8, -0.00012
@@ -152,7 +152,7 @@ def test_who_neither_brakes_nor_accelerates_keeps_its_speed():
 
 @pytest.mark.parametrize("engine", ["kernel", "highway-env"])
 @pytest.mark.parametrize("closing", [3.0, 5.0])
-def test_behind_a_slower_leader_it_is_where_full_braking_still_takes_off_the_closing_speed(engine, closing):
+def test_last_chance_is_where_full_braking_still_suffices(engine, closing):
     """The leader has arrived ahead and keeps its speed, so that the distance needed is that of the schoolbook.
 
     Full braking is built up in the driver's mind by then: the time to collision has been below 2 s for 1.43 s.

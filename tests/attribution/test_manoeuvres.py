@@ -22,7 +22,7 @@ def sideways(displacement, *, until, ticks=150):
 
 
 @table(("until", "expected"), [(150, "lane-change"), (100, "lane-change"), (80, "lane-keeping")])
-def test_a_lane_change_counts_while_it_is_less_than_four_seconds_ago(until, expected):
+def test_lane_change_counts_for_less_than_four_seconds(until, expected):
     trace = trace_of(STILL, sideways(4.0, until=until))
     assert manoeuvre_before(trace, 1, 150) == expected
     assert manoeuvre_before(trace, 0, 150) == "lane-keeping"
@@ -44,13 +44,13 @@ def collision(*instructions):
     return run
 
 
-def test_a_cut_in_and_a_braking_leader_are_told_apart():
+def test_cut_in_and_braking_leader_are_distinguished():
     leader, cut_in = (Expect.of(collision(*chain), COLLIDES) for chain in (((2, 5.0),), ((1, 22.0), (2, 5.0))))
     assert (leader.npc_manoeuvre, cut_in.npc_manoeuvre) == ("lane-keeping", "lane-change")
     assert leader.ego_manoeuvre == cut_in.ego_manoeuvre == "lane-keeping"
     assert (leader.side, leader.cell) == (cut_in.side, cut_in.cell)
 
 
-def test_a_file_keeps_the_manoeuvres_so_that_the_signature_can_be_compared():
+def test_saved_expectation_includes_manoeuvres_for_its_signature():
     run = collision((2, 5.0))
     assert Expect.of(run, COLLIDES).signature == of_failure(run, COLLIDES)

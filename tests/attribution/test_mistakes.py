@@ -39,7 +39,7 @@ def test_each_situation_shows_its_mistake(name):
     assert made(TRACES[name]()) == MADE[name]
 
 
-def test_a_mistake_is_made_where_the_ego_answers_for_a_collision_and_nowhere_else():
+def test_mistake_exists_exactly_where_ego_has_fault():
     for make in TRACES.values():
         trace = make()
         verdict = rss_rule(trace)
@@ -47,7 +47,7 @@ def test_a_mistake_is_made_where_the_ego_answers_for_a_collision_and_nowhere_els
         assert mistake(trace, verdict) == BY_FAULT.get(verdict.fault, mistake(trace, verdict))
 
 
-def test_every_fault_but_those_told_by_the_place_of_the_other_tells_the_mistake():
+def test_every_fault_except_those_by_position_names_mistake():
     assert {*BY_FAULT, "entered-lane", "did-not-give-way"} == set(get_args(Fault))
 
 
@@ -61,14 +61,14 @@ def test_every_fault_but_those_told_by_the_place_of_the_other_tells_the_mistake(
         (-2 * LENGTH - 0.1, "moved-in-front"),
     ],
 )
-def test_who_is_up_to_two_metres_ahead_or_level_is_beside(gap, expected):
+def test_npc_within_two_metres_ahead_counts_as_alongside(gap, expected):
     ego, npc = vehicle(0.0, LEFT, ticks=1), vehicle(LENGTH + gap, OWN, ticks=1)
     verdict = Attribution(responsibility="ego", tick=0, time=0.0, fault="entered-lane")
     assert mistake(trace_of(ego, npc, outcome=Outcome.COLLISION), verdict) == expected
 
 
 @given(name=st.sampled_from(sorted(MADE)), shift=st.floats(-500, 500))
-def test_where_on_the_road_it_happens_does_not_matter(name, shift):
+def test_mistake_does_not_depend_on_road_position(name, shift):
     trace = TRACES[name]()
     if trace.track is None:
         states = trace.states.copy()

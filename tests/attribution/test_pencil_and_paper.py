@@ -53,7 +53,7 @@ def collisions(request):
     }
 
 
-def test_a_program_written_from_the_page_alone_comes_to_the_same_verdicts(collisions):
+def test_program_written_from_the_page_gives_same_verdicts(collisions):
     differ = {}
     for name, trace in collisions.items():
         package, page = rss_rule(trace), judge(trace)
@@ -63,7 +63,7 @@ def test_a_program_written_from_the_page_alone_comes_to_the_same_verdicts(collis
     assert differ == {}
 
 
-def test_every_number_of_a_reason_holds_at_the_time_that_it_names(collisions):
+def test_numbers_in_reasons_hold_at_their_times(collisions):
     differ = {}
     for name, trace in collisions.items():
         verdict = rss_rule(trace)

@@ -50,7 +50,7 @@ def reads():
 
 
 @pytest.mark.parametrize("every", mostly_oracle([1, 3], 3))
-def test_readers_defend_the_verdicts_but_for_those_that_are_listed(reads, every):
+def test_readers_accept_all_verdicts_except_the_listed(reads, every):
     assert len(reads) == 1350
     read_again = reads[::every]
     disputed = {read.number for read in read_again if not read.accepts(rss_rule(read.trace).responsibility)}

@@ -27,7 +27,7 @@ LEFT, OWN = 0.0, 4.0
 class TestInOneLane:
     """Who follows has to keep the distance, and to brake with 6 m/s^2 after 1 s where it is gone."""
 
-    def test_an_ego_that_ignores_a_slow_leader_is_responsible_from_when_it_was_too_close(self):
+    def test_ego_too_close_to_slow_leader_is_responsible(self):
         found = rss_rule(crash(driven(0.0), driven(100.0, speed=10.0)))
         assert found.responsibility == "ego"
         assert found.time == pytest.approx((100.0 - 5.0 - 47.1) / 10.0, abs=0.1)
@@ -36,45 +36,45 @@ class TestInOneLane:
             "The ego should have braked from 5.7 s but did not.",
         )
 
-    def test_an_ego_that_does_not_brake_behind_a_braking_leader_is_responsible(self):
+    def test_ego_not_braking_behind_braking_leader_is_responsible(self):
         found = rss_rule(crash(driven(0.0), driven(45.0, brakes=[(2.0, 8.0, 0.0)])))
         assert found.responsibility == "ego"
         assert 2.0 < found.time < 4.0
 
-    def test_an_ego_that_brakes_too_gently_is_responsible_and_the_reason_says_how_it_braked(self):
+    def test_reason_says_that_ego_braked_too_little(self):
         ego = driven(0.0, brakes=[(3.0, 3.0, 0.0)])
         found = rss_rule(crash(ego, driven(45.0, brakes=[(2.0, 8.0, 0.0)])))
         assert found.responsibility == "ego"
         assert found.reason.endswith(" s. It braked too little: up to 3.0 m/s^2 from 3.0 s on.")
 
-    def test_an_ego_that_was_too_close_from_the_start_had_no_time(self):
+    def test_ego_too_close_from_start_had_no_time(self):
         found = rss_rule(crash(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])))
         assert (found.responsibility, found.tick) == ("npc", 0)
         assert found.sentences[1] == "The ego had too little time to respond, by the rules."
 
     @pytest.mark.parametrize(("brakes", "responsible"), [(4.5, "ego"), (8.0, "both")])
-    def test_an_ego_that_was_too_close_from_the_start_and_had_time_is_responsible(self, brakes, responsible):
+    def test_ego_with_time_despite_close_start_is_responsible(self, brakes, responsible):
         """It shares with one that brakes hard for nothing."""
         found = rss_rule(crash(driven(0.0), driven(25.0, brakes=[(8.0, brakes, 0.0)])))
         assert (found.responsibility, found.tick) == (responsible, 0)
 
     @pytest.mark.parametrize(("gap", "responsible"), [(19.9, "both"), (20.1, "ego")])
-    def test_one_second_of_driving_is_all_that_it_needs_to_answer_hard_braking_for_nothing(self, gap, responsible):
+    def test_one_second_suffices_to_answer_hard_braking(self, gap, responsible):
         found = rss_rule(crash(driven(0.0), driven(5.0 + gap, brakes=[(5.0, 8.0, 0.0)])))
         assert (found.responsibility, found.fault) == (responsible, "leader-unanswered")
 
-    def test_an_npc_that_runs_into_the_ego_from_behind_is_responsible(self):
+    def test_npc_hitting_ego_from_behind_is_responsible(self):
         found = rss_rule(crash(driven(0.0), driven(-60.0, speed=26.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "npc"
         assert (
             "NPC 0 was only 55.0 m behind the ego at 0.0 s (safe: 57.3 m). The ego was 6.0 m/s slower." in found.reason
         )
 
-    def test_an_npc_that_runs_into_a_gently_braking_ego_is_responsible(self):
+    def test_npc_hitting_gently_braking_ego_is_responsible(self):
         ego = driven(0.0, brakes=[(2.0, 3.0, 5.0)])
         assert rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR)).responsibility == "npc"
 
-    def test_an_ego_that_brakes_hard_for_nothing_is_responsible_where_the_npc_had_no_chance(self):
+    def test_ego_braking_hard_for_nothing_is_responsible(self):
         ego = driven(0.0, speed=38.0, brakes=[(2.0, 9.8, 0.0)])
         found = rss_rule(crash(ego, driven(-74.0, speed=38.0), side="rear", cell=Cell.REAR))
         assert (found.responsibility, found.fault, found.time) == ("ego", "braked-for-nothing", 2.0)
@@ -83,7 +83,7 @@ class TestInOneLane:
             "NPC 0 had too little time to respond, by the rules.",
         )
 
-    def test_both_are_where_the_npc_could_have_avoided_it(self):
+    def test_both_are_responsible_if_npc_could_avoid_it(self):
         ego = driven(0.0, brakes=[(2.0, 7.0, 5.0)])
         found = rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR))
         assert (found.responsibility, found.fault) == ("both", "braked-for-nothing")
@@ -92,12 +92,12 @@ class TestInOneLane:
     @pytest.mark.parametrize(
         "ahead", [driven(130.0, speed=2.0), driven(40.0, OWN + 4.0, speed=30.0, shifts=[(1.0, OWN, 2.0)])]
     )
-    def test_an_ego_that_brakes_hard_for_somebody_ahead_is_not(self, ahead):
+    def test_braking_hard_for_vehicle_ahead_is_not_faulted(self, ahead):
         ego = driven(0.0, speed=38.0, brakes=[(2.0, 9.8, 0.0)])
         trace = crash(ego, driven(-74.0, speed=38.0), ahead, side="rear", cell=Cell.REAR)
         assert rss_rule(trace).responsibility == "npc"
 
-    def test_a_standing_ego_is_not_responsible_for_less_than_three_seconds(self):
+    def test_ego_standing_under_three_seconds_is_not_responsible(self):
         ego = driven(0.0, brakes=[(1.0, 3.0, 0.0)])
         found = rss_rule(crash(ego, driven(-118.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "npc"
@@ -113,7 +113,7 @@ class TestInOneLane:
         )
 
     @given(gap=st.floats(2, 25), own=st.floats(15, 30), speeds=st.lists(st.floats(0, 25), min_size=4, max_size=4))
-    def test_whoever_drives_as_the_reference_does_is_not_responsible(self, gap, own, speeds):
+    def test_ego_driving_like_the_reference_is_not_responsible(self, gap, own, speeds):
         """Not for a second chance either, however often the one ahead brakes and speeds up again."""
         brakes = [(2.0 * each, 8.0 if speed < 12 else -4.0, speed) for each, speed in enumerate(speeds)]
         npc, ego = driven(5.0 + gap, brakes=brakes), driven(0.0, speed=own)
@@ -125,7 +125,7 @@ class TestInOneLane:
         assert rss_rule(crash(ego, npc)).responsibility == "npc"
 
     @table("speed", [1.0, 10.0, 22.0, 26.8, 36.0])
-    def test_two_seconds_behind_a_leader_of_equal_speed_are_safe_at_any_speed(self, speed):
+    def test_two_seconds_behind_equally_fast_leader_are_safe(self, speed):
         trace = trace_of(vehicle(0.0, speed=speed, ticks=2), vehicle(2 * speed + 5.0, speed=speed, ticks=2))
         assert (rss_longitudinal(trace, DISTANCES) < 2 * speed).all()
 
@@ -134,7 +134,7 @@ class TestStanding:
     """Whoever stands is excused; not who has only just rolled there, and not who stops for nothing."""
 
     @pytest.mark.parametrize(("stood", "responsible"), [(30, "npc"), (2, "ego"), (0, "ego")])
-    def test_an_ego_that_rolls_into_a_standing_vehicle_does_not_stand(self, stood, responsible):
+    def test_ego_rolling_into_standing_vehicle_does_not_stand(self, stood, responsible):
         """It creeps up with 0.4 m/s, and has had 0.05 m/s for so many ticks when they touch."""
         speed = np.concatenate((np.full(180 - stood, 0.4), np.full(stood + 1, 0.05)))
         along = np.concatenate(([0.0], np.cumsum(speed[:-1]) / 15))
@@ -145,7 +145,7 @@ class TestStanding:
         assert found.responsibility == responsible
 
     @pytest.mark.parametrize(("gap", "responsible"), [(4.0, "npc"), (14.0, "both")])
-    def test_a_stop_within_five_metres_of_whoever_stands_is_none_for_nothing(self, gap, responsible):
+    def test_stop_close_behind_standing_vehicle_has_a_reason(self, gap, responsible):
         """The ego creeps at 0.6 m/s and stops with 0.2 m/s^2, so that nothing else is a reason to."""
         ego = driven(0.0, speed=0.6, brakes=[(1.0, 0.2, 0.0)], seconds=30.0)
         ahead, behind = driven(5.0 + 1.5 + gap, speed=0.0, seconds=30.0), driven(-100.0, speed=5.0, seconds=30.0)
@@ -156,7 +156,7 @@ class TestStanding:
 class TestCutIn:
     """Who moves sideways into the other's way owes an answer; who is cut off has to make the best of it."""
 
-    def test_an_npc_that_cuts_in_too_close_and_brakes_is_responsible(self):
+    def test_npc_cutting_in_close_and_braking_is_responsible(self):
         npc = driven(8.0, LEFT, brakes=[(3.5, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0), npc))
         assert found.responsibility == "npc"
@@ -167,18 +167,18 @@ class TestCutIn:
         )
 
     @pytest.mark.parametrize(("brakes", "responsible"), [(4.5, "ego"), (8.0, "both")])
-    def test_an_ego_that_does_not_brake_for_seconds_after_a_cut_in_is_responsible(self, brakes, responsible):
+    def test_ego_not_braking_after_cut_in_is_responsible(self, brakes, responsible):
         """It shares with one that brakes hard for nothing."""
         npc = driven(25.0, LEFT, brakes=[(9.0, brakes, 0.0)], shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0), npc))
         assert found.responsibility == responsible
         assert found.sentences[1] == "The ego should have braked from 3.6 s but did not."
 
-    def test_a_slow_vehicle_that_cuts_in_far_ahead_is_the_ego_s_to_avoid(self):
+    def test_ego_must_avoid_slow_vehicle_cutting_in_far(self):
         npc = driven(70.0, LEFT, speed=8.0, shifts=[(0.5, OWN, 2.0)])
         assert rss_rule(crash(driven(0.0), npc)).responsibility == "ego"
 
-    def test_an_ego_that_cuts_in_just_ahead_of_a_faster_npc_is_responsible(self):
+    def test_cut_in_ahead_of_faster_npc_blames_ego(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(ego, driven(-35.0, speed=28.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "ego"
@@ -187,24 +187,24 @@ class TestCutIn:
             "The ego should have left NPC 0 a gap of 34.1 m.",
         )
 
-    def test_an_ego_that_cuts_in_with_room_for_the_one_behind_is_not(self):
+    def test_cut_in_with_enough_room_blames_npc(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(ego, driven(-45.0, speed=24.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "npc"
         assert "30.3 m ahead of NPC 0. NPC 0 was 4.1 m/s faster." in found.reason
         assert found.sentences[1] == "The ego gave way: it left NPC 0 more than the required 24.3 m."
 
-    def test_so_it_is_where_the_one_behind_comes_into_that_lane_at_the_same_time(self):
+    def test_simultaneous_lane_change_with_enough_room_blames_npc(self):
         ego, npc = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-45.0, 8.0, speed=24.0, shifts=[(2.0, OWN, 2.0)])
         assert rss_rule(crash(ego, npc, side="rear", cell=Cell.REAR)).responsibility == "npc"
 
-    def test_an_ego_that_speeds_up_after_a_cut_in_is_told_so(self):
+    def test_reason_reports_speeding_up_after_cut_in(self):
         npc = driven(25.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0, brakes=[(2.0, -2.0, 30.0)]), npc))
         assert found.responsibility == "ego"
         assert found.reason.endswith(" s. Instead it sped up to 29.1 m/s from 2.2 s on.")
 
-    def test_an_ego_that_changes_lanes_into_a_slower_vehicle_ahead_is_responsible(self):
+    def test_ego_changing_lanes_into_slower_vehicle_is_responsible(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         assert rss_rule(crash(ego, driven(32.0, speed=12.0))).responsibility == "ego"
 
@@ -219,12 +219,12 @@ class TestASecondChance:
         return rss_rule(crash(ego, npc, side="rear", cell=Cell.REAR))
 
     @pytest.mark.parametrize(("ticks", "responsible"), [(10, "ego"), (11, "both")])
-    def test_what_it_gave_away_within_a_second_of_the_moment_does_not_count(self, ticks, responsible):
+    def test_gap_lost_within_a_second_does_not_count(self, ticks, responsible):
         found = self.behind_the_ego((40 / HZ, 8.0, 28.0 - 8.0 * ticks / HZ))
         assert (found.responsibility, found.fault, found.tick) == (responsible, "entered-lane", 36)
 
     @pytest.mark.parametrize(("ticks", "responsible"), [(5, "ego"), (6, "both")])
-    def test_brakes_are_let_go_once_they_have_not_acted_for_six_ticks(self, ticks, responsible):
+    def test_brakes_count_as_released_after_six_idle_ticks(self, ticks, responsible):
         found = self.behind_the_ego((43 / HZ, 8.0, 22.0), ((55 + ticks) / HZ, 0.6, 0.0))
         assert (found.responsibility, found.fault) == (responsible, "entered-lane")
 
@@ -232,12 +232,12 @@ class TestASecondChance:
 class TestSideBySide:
     """The lateral mover is responsible."""
 
-    def test_an_ego_that_moves_into_a_vehicle_beside_it_is_responsible(self):
+    def test_ego_moving_into_vehicle_alongside_is_responsible(self):
         found = rss_rule(crash(driven(0.0, shifts=[(1.0, LEFT, 3.0)]), driven(1.0, LEFT), side="left", cell=Cell.LEFT))
         assert found.responsibility == "ego"
         assert re.fullmatch(r"The ego crossed into lane 0 at \d\.\d s, next to NPC 0\.", found.reason)
 
-    def test_an_npc_that_moves_into_the_ego_beside_it_is_responsible(self):
+    def test_npc_moving_into_ego_alongside_is_responsible(self):
         found = rss_rule(crash(driven(0.0), driven(1.0, LEFT, shifts=[(1.0, OWN, 3.0)]), side="left", cell=Cell.LEFT))
         assert found.responsibility == "npc"
 
@@ -247,7 +247,7 @@ class TestSideBySide:
         assert found.responsibility == "both"
         assert found.reason.endswith("s) moved towards each other and crossed their lane lines.")
 
-    def test_wandering_a_little_in_the_lane_is_no_lane_change(self):
+    def test_swaying_slightly_in_lane_is_no_lane_change(self):
         ego = driven(0.0, shifts=[(1.0, 3.8, 2.0)])
         found = rss_rule(crash(ego, driven(1.0, LEFT, shifts=[(1.0, OWN, 2.0)]), side="left", cell=Cell.LEFT))
         assert found.responsibility == "npc"
@@ -261,7 +261,7 @@ def test_without_a_collision_nobody_is_responsible():
     assert found.reason == "There was no collision."
 
 
-def test_verdicts_are_equal_that_say_the_same_in_any_process():
+def test_equal_verdicts_are_equal_in_any_process():
     found = rss_rule(crash(driven(0.0, speed=25.0), driven(60.0, speed=15.0)))
     (first, *others) = found.facts
     same, other = (replace(found, facts=(first._replace(time_s=first.time_s + s), *others)) for s in (1e-9, 0.1))
@@ -304,7 +304,7 @@ def test_left_and_right_make_no_difference(ahead, lane, speeds, braking, begin, 
 
 
 @given(seed=st.integers(0, 10_000), ticks=st.integers(1, 60), vehicles=st.integers(2, 4))
-def test_any_run_has_a_verdict_with_a_reason_and_a_moment(seed, ticks, vehicles):
+def test_any_collision_gets_verdict_with_reason_and_time(seed, ticks, vehicles):
     states = random_states(np.random.default_rng(seed), ticks + 1, vehicles)
     trace = trace_of(*states.swapaxes(0, 1), outcome=Outcome.COLLISION, collision=collision_at(ticks, npc=vehicles - 2))
     found = rss_rule(trace)
@@ -316,7 +316,7 @@ def test_any_run_has_a_verdict_with_a_reason_and_a_moment(seed, ticks, vehicles)
 
 
 @table("due", [None, 99.9])
-def test_every_fact_is_a_sentence_that_no_line_cuts(due):
+def test_every_fact_is_one_uncut_sentence(due):
     large = {name: 19.9 if "m_per_s" in name else 99.9 for name in Fact._fields if "_" in name and name != "due_s"}
     zone = Zone(way="a>b", kind="crossing", origin="left", ego=(0.0, 1.0), npc=(0.0, 1.0), priority="npc")
     far = {What.CAME_TOO_CLOSE: {"gap_m": -99.9}, What.ENTERED: {"zone": zone, "later_s": 111.1}}
@@ -339,7 +339,7 @@ def test_the_direction_of_the_road_makes_no_difference(angle):
     assert (turned.responsibility, turned.tick) == (rss_rule(trace).responsibility, rss_rule(trace).tick)
 
 
-def test_a_verdict_takes_no_more_calls_for_a_longer_run():
+def test_verdict_costs_no_more_for_a_longer_run():
     def calls(seconds):
         late = driven(4.7 * seconds, speed=14.8, seconds=seconds)
         trace = crash(driven(0.0, seconds=seconds), late, driven(50.0, 8.0, seconds=seconds))
@@ -363,7 +363,7 @@ class TestPositionRule:
         )
 
     @table("cell", [Cell.FRONT_LEFT, Cell.FRONT, Cell.FRONT_RIGHT])
-    def test_the_ego_is_responsible_for_hitting_what_is_ahead(self, cell):
+    def test_position_rule_blames_ego_for_hitting_vehicle_ahead(self, cell):
         assert position_rule(self.crash(cell)) == "ego"
 
     @table("cell", [Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR, Cell.REAR_LEFT, Cell.LEFT])
@@ -379,7 +379,7 @@ class TestPositionRule:
         assert position_rule(self.crash(Cell.FRONT, ego_speed=0.11)) == "ego"
 
 
-def test_braking_is_hard_from_when_it_has_lasted_and_not_by_what_follows():
+def test_braking_counts_as_hard_once_it_has_lasted():
     trace = trace_of(driven(0.0, brakes=[(2.0, 9.0, 0.0)]), driven(100.0))
     begin, enough = 2 * HZ, 2 * HZ + 6  # 0.4 s
     assert hard_braking(trace, 0, 0, enough - 1) is None

@@ -52,7 +52,7 @@ def longer(trace, ticks):
     ("kind", "origin", "priority", "vehicle", "later"),
     list(product(get_args(Kind), get_args(Origin), get_args(Holder), (0, 8), (-88.8, 0.0, 88.8))),
 )
-def test_every_entry_is_a_sentence_that_no_line_cuts(kind, origin, priority, vehicle, later):
+def test_every_zone_entry_is_one_uncut_sentence(kind, origin, priority, vehicle, later):
     zone = Zone(way="o1>o3", kind=kind, origin=origin, ego=(0.0, 1.0), npc=(0.0, 1.0), priority=priority)
     fact = Fact(What.ENTERED, vehicle, 11.1, other=8 - vehicle, later_s=11.1 + later, zone=zone)
     (told,) = sentences((fact,))
@@ -70,28 +70,28 @@ def test_where_the_other_comes_from_tells_the_mistake(origin):
     assert mistake_of(trace) == NOT_GIVEN_WAY[origin]
 
 
-def test_the_order_of_the_sentences_is_what_happened_then_what_was_due():
+def test_reason_says_what_happened_before_what_was_due():
     first, second = rss_rule(ignored()).facts
     assert (first.what, first.vehicle, second.vehicle, second.what) == (What.ENTERED, 0, 0, What.DID_NOT_BRAKE)
     passing = Passing(ignored(), 0, ignored().zones[0])
     assert second.due_s == pytest.approx(passing.last_chance() / 15 + 1.0)
 
 
-def test_a_driver_that_begins_to_brake_a_second_after_its_last_chance_stops_before_the_zone():
+def test_braking_at_last_chance_stops_before_the_zone():
     passing = Passing(ignored(), 0, ignored().zones[0])
     last = passing.last_chance()
     left = [passing.begins - passing.places[tick] for tick in (last, last + 1)]
     assert left[0] >= stopping(8.0, 6.0) > left[1]
 
 
-def test_nobody_answers_for_a_contact_outside_of_the_zone_and_of_the_ways():
+def test_contact_outside_zone_and_ways_blames_neither_vehicle():
     beyond = placed(ignored(), 100.0)
     found = rss_rule(beyond)
     assert (found.responsibility, found.fault, found.tick) == ("none", None, beyond.ticks)
     assert found.reason == "The ego touched NPC 0 at 6.4 s, outside the zone where their ways meet."
 
 
-def test_one_that_started_too_near_to_stop_had_its_last_chance_at_the_first_tick():
+def test_late_start_has_last_chance_at_first_tick():
     trace = ignored(priority="ego")
     late = replace(
         trace,
@@ -102,7 +102,7 @@ def test_one_that_started_too_near_to_stop_had_its_last_chance_at_the_first_tick
     assert Passing(late, 1, late.zones[0]).last_chance() < 75
 
 
-def test_others_that_are_not_on_the_egos_way_do_not_count_as_a_number():
+def test_npc_off_the_way_does_not_change_verdict():
     alone = hit(
         plan("west straight", 6, 12, (4.8, -7.0, 2.0)), plan("grid", 7.2, 12), others=[plan("south straight", 1, 8)]
     )
@@ -111,7 +111,7 @@ def test_others_that_are_not_on_the_egos_way_do_not_count_as_a_number():
     assert rss_rule(alone) == rss_rule(gone)
 
 
-def test_the_rules_of_a_lane_see_a_merged_npc_from_where_it_came_on_the_way():
+def test_lane_rules_apply_from_where_npc_merged():
     trace = hit(plan("join", 8, 8), plan("circle", 6.0, 8, (8.0, -3.0, 0.0)))
     off = np.isnan(trace.track[:, 1, ALONG])
     assert off[0]
@@ -124,7 +124,7 @@ def test_the_rules_of_a_lane_see_a_merged_npc_from_where_it_came_on_the_way():
     assert later.facts[0].time_s == pytest.approx(verdict.facts[0].time_s + 1.0)
 
 
-def test_where_neither_had_priority_the_verdict_is_the_same_from_either_side():
+def test_verdict_without_priority_is_same_from_either_side():
     trace = ignored(priority="none")
     zone = trace.zones[0]
     swapped = replace(
@@ -137,14 +137,14 @@ def test_where_neither_had_priority_the_verdict_is_the_same_from_either_side():
     assert rss_rule(trace).responsibility == rss_rule(swapped).responsibility == "both"
 
 
-def test_an_ego_that_gave_way_and_sets_off_into_one_that_still_merges_is_responsible():
+def test_ego_setting_off_into_merging_npc_is_responsible():
     """The NPC has been in the zone for 4.7 s, but is on the ego's way only in the last 0.2 s before the impact."""
     trace = hit(plan("west straight", 8, 4, (7.0, -4.0, 0.5), (11.8, 4.0, 6.0)), plan("south right", 7, 0.8))
     assert np.isnan(trace.track[:-4, 1, ALONG]).all()
     assert agreed(trace) == ("ego", "entered-taken-zone")
 
 
-def test_one_with_priority_that_rolls_into_an_ego_that_stands_in_the_zone_shares():
+def test_npc_hitting_ego_standing_in_zone_shares_responsibility():
     trace = hit(plan("west straight", 6, 6, (5.6, -6.0, 0.0)), plan("north straight", 7, 1))
     ego, npc = (Passing(trace, vehicle, trace.zones[0]) for vehicle in (0, 1))
     assert npc.last_chance() < ego.entry  # when the ego enters, it can no longer stop before the zone
@@ -152,13 +152,13 @@ def test_one_with_priority_that_rolls_into_an_ego_that_stands_in_the_zone_shares
 
 
 @table(("speed", "expected"), [(3, ("ego", "entered-taken-zone")), (4, ("none", None))])
-def test_an_ego_that_gave_way_still_stops_short_of_one_that_stays_in_the_zone_where_it_can(speed, expected):
+def test_ego_must_stop_short_of_npc_blocking_zone(speed, expected):
     trace = hit(plan("west straight", 6, speed), plan("north straight", 4.2, 6, (4.8, -6.0, 0.0)))
     assert agreed(trace) == expected
 
 
 @table(("side", "expected"), [("front", "ego"), ("left", "npc"), ("right", "npc"), ("rear", "npc")])
-def test_the_second_opinion_on_one_in_no_cell_goes_by_the_side_that_was_hit(side, expected):
+def test_position_rule_without_cell_uses_the_side_hit(side, expected):
     trace = ignored()
     assert trace.collision.cell is None
     assert position_rule(replace(trace, collision=replace(trace.collision, side=side))) == expected
@@ -166,7 +166,7 @@ def test_the_second_opinion_on_one_in_no_cell_goes_by_the_side_that_was_hit(side
     assert position_rule(replace(trace, collision=standing)) == "npc"
 
 
-def test_a_picture_of_the_crossing_mirrored_has_the_same_verdict():
+def test_mirrored_crossing_gets_the_same_verdict():
     trace = ignored()
     states = trace.states.copy()
     states[..., [Y, 2]] *= -1

@@ -35,13 +35,13 @@ POLICY = f"{__name__ if __name__ != '__main__' else 'tests.benchmarks.exports'}:
 TESTS = "tests/export/test_exports.py"
 READERS = {
     "test_a_table_read_back_is_what_was_driven": ("csv", "csv", None),
-    "test_openscenario_has_every_vehicle_where_it_was_at_every_tick": ("xosc", "xml.etree", None),
+    "test_openscenario_has_every_vehicle_at_every_tick": ("xosc", "xml.etree", None),
     "test_asams_checkers_report_no_issue-.xosc": ("xosc", "asam-qc-openscenarioxml", "asam-qc-openscenarioxml"),
     "test_asams_checkers_report_no_issue-.xodr": ("xosc", "asam-qc-opendrive", "asam-qc-opendrive"),
     "test_sumos_netconvert_reads_the_lanes_where_they_are": ("xosc", "netconvert", "eclipse-sumo"),
-    "test_foxglove_has_the_same_numbers_at_the_same_times": ("mcap", "mcap", "mcap"),
+    "test_foxglove_file_has_same_numbers_and_times": ("mcap", "mcap", "mcap"),
     "test_commonroad_reads_the_same_vehicles_and_lanes": ("commonroad", "commonroad-io", "commonroad-io"),
-    "test_commonroads_checker_sees_the_collision_at_the_tick_at_which_it_was": (
+    "test_commonroad_checker_finds_collision_at_the_same_tick": (
         "commonroad",
         "drivability checker",
         "commonroad-drivability-checker",

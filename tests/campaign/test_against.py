@@ -50,7 +50,7 @@ def test_between_a_policy_and_itself_there_is_nothing():
     assert exploration.summary.against == "example_ads.constant_speed:make"
 
 
-def test_what_counts_fails_with_the_policy_and_passes_with_the_reference_and_so_it_stays_while_it_shrinks():
+def test_finding_fails_with_policy_and_passes_with_reference():
     exploration = pafot.explore(constant_speed.make, against=CAREFUL, holds=never_collides, **SHORT)
     assert exploration.findings
     for finding in exploration.findings:
@@ -59,7 +59,7 @@ def test_what_counts_fails_with_the_policy_and_passes_with_the_reference_and_so_
         assert finding.expect.against == "pytest_pafot.world.reference_drivers:IdmAeb"
 
 
-def test_the_reference_runs_where_the_policy_fails_and_nowhere_else():
+def test_reference_runs_only_where_the_policy_fails():
     reference = Counted()
     summary = pafot.explore(
         constant_speed.make, against=reference, holds=never_collides, **SHORT | {"shrink_rollouts": 0}
@@ -70,7 +70,7 @@ def test_the_reference_runs_where_the_policy_fails_and_nowhere_else():
 
 
 @pytest.mark.processes
-def test_what_is_found_is_the_same_in_other_processes():
+def test_findings_are_the_same_in_other_processes():
     here, apart = (
         pafot.explore(
             constant_speed.make,
@@ -85,7 +85,7 @@ def test_what_is_found_is_the_same_in_other_processes():
     assert here == apart != ()
 
 
-def test_a_reference_that_fails_when_it_runs_again_makes_the_find_flaky():
+def test_reference_failing_on_repeat_makes_finding_flaky():
     told = []
     summary = pafot.explore(
         constant_speed.make,
@@ -98,17 +98,17 @@ def test_a_reference_that_fails_when_it_runs_again_makes_the_find_flaky():
 
 
 @table("kind", ["passed", "npc", "unpreventable"])
-def test_a_reference_passes_where_a_test_by_the_same_blame_would(kind):
+def test_reference_passes_wherever_the_test_would_pass(kind):
     assert Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind)).failed
 
 
 @table("kind", ["failed", "rejected", "skipped", "invalid"])
-def test_where_it_fails_or_its_run_says_nothing_the_failure_is_common(kind):
+def test_failing_or_silent_reference_makes_failure_common(kind):
     verdict = Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind))
     assert (verdict.kind, verdict.failed) == ("common", False)
 
 
-def test_a_reference_that_always_fails_by_itself_is_told_with_what_it_raised():
+def test_reference_that_always_fails_is_reported_with_cause():
     exploration = pafot.explore(constant_speed.make, against=Breaks, holds=never_collides, **SHORT)
     assert exploration.findings == ()
     assert "the reference itself failed in all its runs, at first with KeyError: 'lanes'" in "".join(
@@ -116,7 +116,7 @@ def test_a_reference_that_always_fails_by_itself_is_told_with_what_it_raised():
     )
 
 
-def test_an_error_of_the_test_function_is_raised_though_it_is_common():
+def test_test_function_error_is_raised_despite_the_reference():
     def misspelt(run):
         assert not run.colision
 

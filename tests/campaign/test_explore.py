@@ -64,7 +64,7 @@ def test_its_findings_show_what_the_property_forbids(exploration):
         assert run.outcome == finding.expect.outcome
 
 
-def test_its_table_has_a_row_for_each_scenario_that_was_tried(exploration):
+def test_table_has_a_row_for_each_tried_scenario(exploration):
     assert len(exploration.runs) == exploration.summary.runs + exploration.summary.known_runs == 8
     assert sum(row["failing"] for row in exploration.runs if not row["reused"]) == exploration.summary.failing
     for row in exploration.runs:
@@ -73,7 +73,7 @@ def test_its_table_has_a_row_for_each_scenario_that_was_tried(exploration):
         assert row["duration"] <= 20.0
 
 
-def test_its_events_are_those_that_a_listener_hears_but_for_the_runs(exploration, heard):
+def test_events_equal_those_a_listener_hears_except_runs(exploration, heard):
     runs = [event for event in heard if isinstance(event, Judged)]
     assert len(runs) == exploration.summary.runs
     assert list(exploration.events) == [event for event in heard if not isinstance(event, Judged)]
@@ -84,7 +84,7 @@ def test_its_events_are_those_that_a_listener_hears_but_for_the_runs(exploration
     }
 
 
-def test_no_more_than_eight_frames_lie_between_the_loop_of_a_search_and_the_engine_both_included():
+def test_few_frames_separate_search_loop_and_engine():
     class Planner:
         stacks = ()
 
@@ -112,20 +112,20 @@ class Batched:
     [({}, [16, 64]), ({"decision_limit": 60.0}, [16, 16]), ({"population": 4}, [4, 4])],
     ids=["in lock step", "one by one", "as given"],
 )
-def test_generations_are_large_from_the_second_on_where_the_ads_decides_for_many(given, sizes):
+def test_batch_ads_gets_large_generations_after_the_first(given, sizes):
     world = pafot.Highway(duration=2.0)
     searched = pafot.explore(Batched, holds=lambda run: None, world=world, generations=2, seed=1, **given)
     counts = Counter(event.generation for event in searched.events if isinstance(event, Evaluated))
     assert [counts[generation] for generation in sorted(counts)] == sizes
 
 
-def test_without_a_corpus_nothing_is_written_and_the_same_is_found(exploration, tmp_path, monkeypatch):
+def test_search_without_corpus_writes_nothing_but_finds_same(exploration, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert pafot.explore(constant_speed.make, holds=never_collides, seed=5, **SHORT).findings == exploration.findings
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_a_corpus_holds_is_known_to_the_next_search(exploration, corpus, tmp_path, monkeypatch):
+def test_corpus_content_is_known_to_the_next_search(exploration, corpus, tmp_path, monkeypatch):
     files = sorted(corpus.rglob("*.pafot.yaml"))
     assert [pafot.load(file).finding for file in files] == sorted(exploration.findings, key=lambda finding: finding.id)
     shutil.copytree(corpus, tmp_path / "saved")
@@ -135,7 +135,7 @@ def test_what_a_corpus_holds_is_known_to_the_next_search(exploration, corpus, tm
     assert sum(again.summary.known.values()) == again.summary.failing
 
 
-def test_the_property_may_reject_runs_and_the_search_says_so():
+def test_property_may_reject_runs_with_a_warning():
     def judges_nothing(run):
         pafot.reject()
 
@@ -151,7 +151,7 @@ class OwnTraffic(pafot.World):
         return super().rollout(scenario, ads_factory)
 
 
-def test_a_search_says_once_which_traffic_no_scenario_has():
+def test_search_notes_once_which_traffic_is_missing():
     fields = {"holds": lambda run: None, "ads": lambda: lambda observation: 1, "population": 2, "generations": 1}
 
     def notes(world, **more):
@@ -166,7 +166,7 @@ def test_a_search_says_once_which_traffic_no_scenario_has():
     assert notes(pafot.World("intersection-v0", duration=2.0)) == ()
 
 
-def test_an_error_of_the_set_up_is_raised_as_it_is():
+def test_setup_error_is_raised_unchanged():
     def misspelt(run):
         assert not run.colision
 
@@ -175,7 +175,7 @@ def test_an_error_of_the_set_up_is_raised_as_it_is():
     assert "no finding" in raised.value.__notes__[0]
 
 
-def test_a_find_that_a_search_for_preventable_failures_keeps_names_who_would_have_prevented_it(tmp_path):
+def test_preventable_finding_names_the_preventing_drivers(tmp_path):
     arguments = {"holds": never_collides, "seed": 7, "corpus": str(tmp_path), "blame": "preventable", **SHORT}
     found = pafot.explore(constant_speed.make, **arguments).findings
     assert found
@@ -185,7 +185,7 @@ def test_a_find_that_a_search_for_preventable_failures_keeps_names_who_would_hav
     assert pafot.explore(constant_speed.make, **arguments).findings == ()
 
 
-def test_failures_that_no_reference_driver_prevents_are_counted_and_a_search_with_nothing_else_warns():
+def test_unpreventable_failures_are_counted_and_may_warn():
     def holds(run):
         if run.collision:
             pafot.reject()
@@ -196,7 +196,7 @@ def test_failures_that_no_reference_driver_prevents_are_counted_and_a_search_wit
     assert "the test function judged nothing" in summary.warnings[-1]
 
 
-def test_a_check_whose_failure_the_property_catches_finds_nothing_and_the_search_says_so():
+def test_check_whose_failure_is_caught_finds_nothing():
     def holds(run):
         with suppress(AssertionError):
             pafot.check(run.duration, name="shorter", at_most=1.0)
@@ -209,7 +209,7 @@ def test_a_check_whose_failure_the_property_catches_finds_nothing_and_the_search
     assert f"check 'shorter' failed in {passed} of {passed} runs that passed: the test function caught it" in warning
 
 
-def test_of_an_ads_that_fails_no_file_tells_what_reference_drivers_do():
+def test_failing_ads_file_omits_the_reference_drivers():
     class Raises:
         def __call__(self, observation):
             return [(0.0, 0.0)][int(observation.time > 1)]
@@ -244,7 +244,7 @@ def test_the_name_of_a_fixture_is_no_factory():
         pafot.explore("ads", holds=never_collides)
 
 
-def test_a_find_whose_name_another_session_takes_just_then_is_saved_under_the_next(exploration, tmp_path, monkeypatch):
+def test_taken_finding_name_gets_the_next_number(exploration, tmp_path, monkeypatch):
     first = exploration.findings[0]
     other = replace(first, expect=replace(first.expect, failure="Another"))
 
@@ -294,7 +294,7 @@ def signature_of(scenario):
     return of_failure(pafot.Run(SHORT_ROAD.rollout(scenario, ChangesLanesBlindly)), Failure(kind="AssertionError"))
 
 
-def test_each_mistake_of_the_ego_is_a_find_and_shrinking_keeps_it_and_the_name(mistakes):
+def test_each_ego_mistake_is_one_finding_after_shrinking(mistakes):
     findings = mistakes[0].findings
     signatures = [signature_of(finding.scenario) for finding in findings]
     assert sorted(each.mistake for each in signatures) == ["kept-no-distance", "moved-in-front", "moved-into-side"]
@@ -303,7 +303,7 @@ def test_each_mistake_of_the_ego_is_a_find_and_shrinking_keeps_it_and_the_name(m
         assert finding.id == f"{signature.slug}-{finding.original.id}"
 
 
-def test_a_saved_mistake_is_known_to_later_searches_and_no_other_is(mistakes, tmp_path):
+def test_only_the_saved_mistake_is_known_later(mistakes, tmp_path):
     first, folder = mistakes
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     again = mistakes_of_one_who_changes_blindly(seed=2, corpus=str(tmp_path))
@@ -318,7 +318,7 @@ def test_a_saved_mistake_is_known_to_later_searches_and_no_other_is(mistakes, tm
     assert signature_of(found.scenario) == gone_mistake
 
 
-def test_a_find_that_does_not_repeat_is_called_flaky_in_its_file_too(tmp_path):
+def test_finding_that_does_not_repeat_is_flaky(tmp_path):
     made = []
 
     def every_second_one_brakes():

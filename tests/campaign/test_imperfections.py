@@ -24,11 +24,11 @@ def needed(sight, *enough):
     return needed_imperfections(sight, fails), len(tried)
 
 
-def test_a_failure_with_perfect_sight_needs_none_and_one_run():
+def test_failure_with_perfect_sight_needs_no_imperfection():
     assert needed(ALL, ()) == ((), 1)
 
 
-def test_a_single_imperfection_is_needed_where_perfect_sight_passes():
+def test_single_imperfection_is_needed_if_perfect_sight_passes():
     assert needed(Sight(latency=0.3), ("latency",)) == (("latency",), 1)
 
 
@@ -42,7 +42,7 @@ def test_a_single_imperfection_is_needed_where_perfect_sight_passes():
         ([ALL.imperfections], ALL.imperfections),
     ],
 )
-def test_of_several_those_are_needed_none_of_which_can_be_spared(enough, expected):
+def test_only_imperfections_that_cannot_be_spared_are_needed(enough, expected):
     found, runs = needed(ALL, *enough)
     assert found == expected
     assert runs <= 1 + len(ALL.imperfections)
@@ -61,7 +61,7 @@ def no_collision(run):
         (Oblivious, 0, {"latency": 0.3, "occlusion": True}, "fails also with perfect sight"),
     ],
 )
-def test_a_search_tells_what_the_failure_of_a_planner_needs(planner, seed, imperfections, sentence, tmp_path):
+def test_search_names_the_imperfections_a_failure_needs(planner, seed, imperfections, sentence, tmp_path):
     """With seeds that find it within five runs."""
     world = pafot.Highway(duration=30.0)
     common = {"holds": no_collision, "world": world, "blame": "ego", "seed": seed, "runs": 5, "shrink_rollouts": 4}
@@ -81,7 +81,7 @@ def test_a_search_tells_what_the_failure_of_a_planner_needs(planner, seed, imper
 @pytest.mark.parametrize(
     ("sight", "are_reused"), [({"range": 90.0}, True), ({"noise": {"position": 2.0}}, False), ({"dropout": 0.1}, False)]
 )
-def test_a_run_stands_for_one_of_another_seed_only_where_nothing_that_is_seen_is_drawn(sight, are_reused):
+def test_run_is_reused_unless_perception_is_random(sight, are_reused):
     common = {"holds": no_collision, "world": pafot.Highway(duration=3.0), "algorithm": "pafot", "npcs": 1, "genes": 1}
     found = pafot.explore(pafot.Perception(Careful, **sight), **common, seed=9, runs=60 if are_reused else 30)
     assert bool(found.summary.known_runs) is are_reused

@@ -31,33 +31,33 @@ def test_the_simplest_of_each_kind_is_kept():
     assert kept(one, simpler, candidate("c-333333", kind=REAR)) == {"b-222222": 10.0, "c-333333": 20.0}
 
 
-def test_of_two_that_are_equally_simple_the_first_by_id_is_kept():
+def test_equally_simple_findings_are_decided_by_id():
     assert kept(candidate("b-222222"), candidate("a-111111")) == {"a-111111": 20.0}
 
 
-def test_one_that_is_flaky_never_takes_the_place_of_one_that_is_not():
+def test_flaky_finding_never_replaces_a_stable_one():
     assert kept(candidate("a-111111", speed=0.0, flaky="differs"), candidate("b-222222")) == {"b-222222": 20.0}
 
 
-def test_those_that_share_an_id_are_numbered_the_simplest_first_whatever_number_they_had():
+def test_findings_sharing_an_id_are_numbered_simplest_first():
     one, other = candidate("a-111111-2", speed=10.0), candidate("a-111111", kind=REAR)
     assert kept(one, other) == {"a-111111": 10.0, "a-111111-2": 20.0}
     assert kept(one, other, taken=["a-111111"]) == {"a-111111-2": 10.0, "a-111111-3": 20.0}
 
 
-def test_the_reason_to_accept_a_kind_goes_to_the_one_that_is_kept():
+def test_accepting_reason_moves_to_the_remaining_finding():
     (best,) = join([candidate(xfail="issue 12"), candidate("b-222222", speed=10.0)]).kept.values()
     assert (best.finding.id, best.finding.xfail) == ("b-222222", "issue 12")
 
 
-def test_several_reasons_for_one_kind_are_a_conflict_of_which_nothing_is_kept():
+def test_several_reasons_for_one_kind_are_a_conflict():
     two = [candidate("a-111111", xfail="issue 12"), candidate("b-222222", xfail="never mind")]
     joined = join([*two, candidate("a-111111", kind=REAR)])
     assert joined.conflicts == [two]
     assert list(joined.kept) == ["a-111111-2"]
 
 
-def test_one_reason_with_two_last_days_is_a_conflict_too():
+def test_one_reason_with_two_dates_is_conflict():
     two = [candidate(f"{name}-111111", xfail="issue 12", xfail_until=day) for name, day in (("a", DAY), ("b", None))]
     assert join(two).conflicts == [two]
 

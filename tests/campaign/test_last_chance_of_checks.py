@@ -38,7 +38,7 @@ def first(holds):
     return next(told for told in found.told if told.run.responsibility == "ego")
 
 
-def test_it_is_the_last_decision_from_which_the_driver_keeps_the_check():
+def test_last_chance_is_last_decision_that_passes_check():
     told = first(keeps_headway)
     chance, trace = told.finding.expect.last_chance, told.run.trace
     every = trace.physics_hz // trace.ads_hz
@@ -52,14 +52,14 @@ def test_it_is_the_last_decision_from_which_the_driver_keeps_the_check():
 
 
 @pytest.mark.parametrize("holds", [covers_ground, has_headway])
-def test_none_is_told_of_what_has_no_moment_and_of_an_assertion_on_a_measure(holds):
+def test_check_without_moment_has_no_last_chance(holds):
     told = first(holds)
     assert told.run.last_chance is not None
     assert told.finding.expect.last_chance is None
     assert told.finding.expect.avoided_by is None
 
 
-def test_what_avoids_a_collision_is_the_last_decision_from_which_braking_leads_to_no_contact():
+def test_collision_is_avoidable_until_last_successful_braking():
     told = first(is_not_hit)
     avoided, trace = told.finding.expect.avoided_by, told.run.trace
     runs = {tick: WORLD.take_over(trace, tick, "steady-braking") for tick in range(0, trace.ticks, 3)}

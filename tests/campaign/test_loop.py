@@ -115,18 +115,18 @@ def searched(
     return loop, recorder.finds
 
 
-def test_failures_with_one_signature_are_one_find_with_a_count():
+def test_failures_with_one_signature_are_one_finding():
     found, finds = searched(lambda number: failed())
     assert finds == [("AssertionError", 0, 1)]
     assert found.repeats == {"id-1": found.runs - 1}
 
 
-def test_each_signature_is_handed_on_once_with_its_generation():
+def test_each_signature_is_reported_once_with_its_generation():
     _, finds = searched(lambda number: failed("A" if number < 2 else "B"))
     assert finds == [("A", 0, 1), ("B", 1, 3)]
 
 
-def test_a_failure_that_a_saved_scenario_covers_is_counted_as_known():
+def test_failure_covered_by_saved_scenario_counts_as_known():
     run = Run(quiet_trace(sample(SPACE, np.random.default_rng(0))))
     signature = of_failure(run, Failure(kind="AssertionError"))
     found, finds = searched(lambda number: failed(), shown={signature: "saved"})
@@ -141,7 +141,7 @@ def test_other_verdicts_are_counted_by_kind(kind):
     assert found.verdicts == {kind: found.runs}
 
 
-def test_a_scenario_in_which_a_process_died_is_not_run():
+def test_scenario_of_a_dead_process_is_not_run():
     scenarios = []
     everything, _ = searched(
         lambda number: Verdict(kind="passed"), run=lambda scenario: scenarios.append(scenario) or quiet_run(scenario)
@@ -150,7 +150,7 @@ def test_a_scenario_in_which_a_process_died_is_not_run():
     assert found.runs == everything.runs - 1
 
 
-def test_processes_that_die_are_one_find_with_a_count_of_failing_runs():
+def test_dying_processes_are_one_finding_with_count():
     found, finds = searched(lambda number: failed(), run=lost)
     assert finds == [("crash", 0, 1)]
     assert found.repeats == {"id-1": 5}
@@ -158,13 +158,13 @@ def test_processes_that_die_are_one_find_with_a_count_of_failing_runs():
     assert len(found.fatal) == 6
 
 
-def test_a_process_that_hangs_is_another_find_than_one_that_dies():
+def test_hanging_process_differs_from_a_dying_one():
     count = iter(range(10**6))
     _, finds = searched(lambda number: failed(), run=lambda scenario: lost(scenario, is_hang=next(count) > 2))
     assert [kind for kind, *_ in finds] == ["crash", "hang"]
 
 
-def test_where_a_process_dies_and_the_reference_fails_as_well_there_is_no_find():
+def test_process_crash_shared_with_reference_is_no_finding():
     found, finds = searched(lambda number: failed(), run=lost, has_reference=True)
     assert finds == [("crash", 0, 1)]
     assert found.repeats == {"id-1": 2}
@@ -172,7 +172,7 @@ def test_where_a_process_dies_and_the_reference_fails_as_well_there_is_no_find()
     assert found.runs == found.health.simulated == found.health.discarded == 6
 
 
-def test_processes_that_die_are_known_while_a_saved_scenario_says_so():
+def test_dying_processes_are_known_from_saved_scenario():
     lost_run = ProcessLostError(sample(SPACE, np.random.default_rng(0)), pid=7, how="was ended by SIGSEGV")
     signature = expectation(lost_run).signature
     found, finds = searched(lambda number: failed(), run=lost, shown={signature: "saved"})
@@ -180,12 +180,12 @@ def test_processes_that_die_are_known_while_a_saved_scenario_says_so():
     assert found.known == {"saved": 6}
 
 
-def test_a_scenario_whose_process_did_not_come_back_tells_the_search_nothing():
+def test_lost_process_teaches_the_search_nothing():
     found, _ = searched(lambda number: failed(), run=lost)
     assert found.finished.best is None
 
 
-def test_the_seed_of_an_item_is_a_function_of_base_seed_and_node_id():
+def test_search_seed_depends_on_base_seed_and_node():
     assert search_seed(1, "test_it.py::test_a") == search_seed(1, "test_it.py::test_a") == 1662527925
     assert search_seed(1, "test_it.py::test_a") != search_seed(2, "test_it.py::test_a")
     assert search_seed(1, "test_it.py::test_a") != search_seed(1, "test_it.py::test_b")

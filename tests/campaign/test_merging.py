@@ -54,13 +54,13 @@ def folders(tmp_path):
     return tmp_path / "own", tmp_path / "other"
 
 
-def test_names_are_swapped_and_simpler_ones_take_their_places(folders):
+def test_merge_swaps_names_and_replaces_findings_by_simpler(folders):
     assert merge(*folders) == []
     assert contents(folders[0]) == MERGED
 
 
 @pytest.mark.parametrize("number", range(STEPS + 1))
-def test_killed_at_any_write_it_loses_no_finding_and_the_next_merge_does_the_rest(folders, monkeypatch, number):
+def test_killed_merge_loses_nothing_and_can_be_continued(folders, monkeypatch, number):
     calls = [0]
 
     def counted(name):

@@ -61,12 +61,12 @@ def attempts(exploration):
     return Counter(phase[1] for phase in phases if phase[:1] == ["shrinking"])
 
 
-def test_a_search_without_finds_leaves_time_to_confirm_one_and_no_more(clock):
+def test_search_without_findings_leaves_time_to_confirm_one(clock):
     result = searched(clock, lambda run: None, runs=1000, max_time=30)
     assert (result.summary.runs, result.summary.reason) == (26, "--pafot-max-time")
 
 
-def test_a_search_with_a_find_leaves_a_third_of_its_time_to_shrink_it(clock):
+def test_search_with_finding_leaves_third_for_shrinking(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=31)
     assert result.summary.reason == "--pafot-max-time"
     assert result.summary.runs == 21
@@ -74,7 +74,7 @@ def test_a_search_with_a_find_leaves_a_third_of_its_time_to_shrink_it(clock):
     assert clock.now <= 31
 
 
-def test_a_find_in_the_last_third_ends_the_search_at_once(clock):
+def test_finding_in_the_last_third_ends_the_search(clock):
     def fails_late(run):
         assert clock.now < 25
 
@@ -83,7 +83,7 @@ def test_a_find_in_the_last_third_ends_the_search_at_once(clock):
 
 
 @pytest.mark.parametrize("limit", [5, 30, 90])
-def test_several_finds_share_what_is_left_and_none_exceeds_it(clock, limit):
+def test_several_findings_share_the_remaining_time(clock, limit):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=limit, shrink_rollouts=300)
     assert limit - 7 <= clock.now <= limit + 1
     assert all(unshrunk(result))
@@ -93,7 +93,7 @@ def test_several_finds_share_what_is_left_and_none_exceeds_it(clock, limit):
         assert max(shares.values()) - min(shares.values()) <= 5
 
 
-def test_what_one_find_leaves_of_its_share_goes_to_the_others(clock):
+def test_unused_share_of_time_goes_to_other_findings(clock):
     given = {"runs": 20, "max_time": 120, "shrink_rollouts": 40}
     result = searched(clock, fails_in_three_ways, **given)
     assert unshrunk(result) == ["", "", ""]
@@ -101,7 +101,7 @@ def test_what_one_find_leaves_of_its_share_goes_to_the_others(clock):
     assert clock.now < 120
 
 
-def test_a_find_that_is_cut_is_told_so_with_the_way_on(clock):
+def test_unshrunk_finding_says_how_to_continue(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=3)
     assert set(unshrunk(result)) == {"not shrunk: out of time"}
     assert any("ended before" in note and "with --pafot-resume" in note for note in result.summary.notes)
@@ -110,7 +110,7 @@ def test_a_find_that_is_cut_is_told_so_with_the_way_on(clock):
     assert any(note.endswith(": --pafot-resume goes on") for note in going_on.summary.notes)
 
 
-def test_a_find_that_is_cut_while_it_becomes_simpler_is_saved_as_simple_as_it_is(clock, tmp_path):
+def test_finding_with_time_limit_is_saved_partly_shrunk(clock, tmp_path):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=60, shrink_rollouts=300)
     assert set(unshrunk(result)) == {"shrunk in part: out of time"}
     assert all(finding.original is not None for finding in result.findings)
@@ -120,7 +120,7 @@ def test_a_find_that_is_cut_while_it_becomes_simpler_is_saved_as_simple_as_it_is
 
 
 @pytest.mark.parametrize(("holds", "limit"), [(never_collides, 30), (fails_in_three_ways, 30)])
-def test_sessions_that_go_on_leave_the_files_of_one_without_a_limit(clock, tmp_path, holds, limit):
+def test_resumed_sessions_write_the_same_files_as_one(clock, tmp_path, holds, limit):
     given = {"gene_seconds": 5 if holds is never_collides else 2}
     whole = searched(clock, holds, "whole", runs=12, **given)
     assert whole.findings
@@ -136,7 +136,7 @@ def test_sessions_that_go_on_leave_the_files_of_one_without_a_limit(clock, tmp_p
     assert {name: saved[name] for name in expected} == expected
 
 
-def test_a_find_that_is_shrunk_by_now_is_not_told_again(clock):
+def test_shrunk_finding_is_not_reported_again(clock):
     first = searched(clock, fails_in_three_ways, runs=12, max_time=24, resume="states")
     assert any(unshrunk(first))
     second = searched(clock, fails_in_three_ways, runs=1, resume="states")
@@ -145,7 +145,7 @@ def test_a_find_that_is_shrunk_by_now_is_not_told_again(clock):
     assert not third.findings
 
 
-def test_a_session_takes_up_as_many_open_finds_as_it_has_time_for(clock, tmp_path):
+def test_session_continues_open_findings_as_time_allows(clock, tmp_path):
     first = searched(clock, fails_in_three_ways, runs=18, max_time=33, shrink_rollouts=30, resume="states")
     assert len(first.findings) == sum(map(bool, unshrunk(first))) == 3
     began = clock.now
@@ -158,7 +158,7 @@ def test_a_session_takes_up_as_many_open_finds_as_it_has_time_for(clock, tmp_pat
     assert not any(unshrunk(third))
 
 
-def test_a_full_corpus_keeps_no_find_from_being_shrunk_later(clock, tmp_path):
+def test_full_corpus_does_not_prevent_shrinking_later(clock, tmp_path):
     given = {"resume": "states", "max_saved": 3}
     assert all(unshrunk(searched(clock, fails_in_three_ways, runs=20, max_time=45, **given)))
     assert len(files(tmp_path / "corpus")) == 3
@@ -210,7 +210,7 @@ def test_without_a_limit_no_clock_decides_anything(clock, tmp_path, monkeypatch)
     assert files(tmp_path / "usual") == files(tmp_path / "strange") != {}
 
 
-def test_what_was_shrunk_until_the_user_breaks_off_is_not_shrunk_again(clock, tmp_path):
+def test_finished_shrinking_is_not_repeated_after_an_interrupt(clock, tmp_path):
     whole = searched(clock, fails_in_three_ways, "whole", runs=12)
     left = [12 + whole.summary.shrink_runs - 8]
 

@@ -18,7 +18,7 @@ def explored(**arguments):
     )
 
 
-def test_all_scenarios_of_a_random_search_are_counted_that_say_something_of_the_ego():
+def test_random_search_counts_all_valid_scenarios():
     judged = []
     found = explored(
         runs=20, algorithm="random", on_event=lambda event: judged.append(event) if isinstance(event, Judged) else None
@@ -45,7 +45,7 @@ def is_short(run):
 
 
 @pytest.mark.parametrize("holds", [is_smooth, is_short])
-def test_a_failed_check_is_no_fault_of_the_ego_unless_it_caused_a_collision(holds):
+def test_failed_check_without_collision_is_no_ego_fault(holds):
     judged = []
     found = pafot.explore(
         constant_speed.make, holds=holds, seed=5, shrink_rollouts=0, gene_seconds=5.0, genes=2, blame="any", runs=20,
@@ -60,12 +60,12 @@ def test_a_failed_check_is_no_fault_of_the_ego_unless_it_caused_a_collision(hold
     assert told.count(f"; {len(runs) - collided} failed in other ways") == 1
 
 
-def test_a_search_that_ended_for_its_findings_before_it_ran_all_of_them_says_nothing_of_their_share():
+def test_early_stopped_search_gives_no_random_share():
     assert explored(runs=40, algorithm="distinct", stop_after=1).summary.random == (0, 0)
 
 
 @pytest.mark.parametrize(("algorithm", "budget", "most"), [("distinct", 24, 20), ("av-fuzzer", 8, 0)])
-def test_of_other_searches_only_the_random_scenarios_at_their_beginning(algorithm, budget, most):
+def test_random_share_uses_only_initial_random_scenarios(algorithm, budget, most):
     failing, runs = explored(runs=budget, algorithm=algorithm).summary.random
     assert most - 8 <= runs <= most
     assert failing <= runs

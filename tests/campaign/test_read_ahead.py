@@ -34,7 +34,7 @@ def avoids_collisions(run):
         {"fitness": "npcs.ttc", "blame": "ego"},
     ],
 )
-def test_a_search_learns_the_same_from_its_runs_wherever_they_are_read(monkeypatch, settings):
+def test_search_learns_the_same_wherever_runs_are_read(monkeypatch, settings):
     monkeypatch.setattr(prefetching, "DEAR", 0.0)
 
     def learnt(workers):
@@ -48,7 +48,7 @@ def test_a_search_learns_the_same_from_its_runs_wherever_they_are_read(monkeypat
     assert (here, found) == elsewhere
 
 
-def test_what_was_read_ahead_comes_with_the_trace_and_is_not_read_again(monkeypatch):
+def test_evaluation_computed_in_worker_is_not_computed_again(monkeypatch):
     chains = [[PositionInstruction(Cell.FRONT, 12.0)], [PositionInstruction(Cell.REAR, 26.0)]]
     trace = Highway().rollout(Scenario.repaired(chains, gene_seconds=10.0), lambda: brakes_late)
     fitness = resolve("default")

@@ -48,18 +48,18 @@ def shown(xfail=None, **ends):
 
 
 @pytest.mark.parametrize("xfail", [None, "issue 12"])
-def test_a_replay_covers_what_it_shows_now_accepted_or_not_whatever_it_was_saved_for(xfail):
+def test_replay_covers_what_it_shows_now(xfail):
     assert shown(xfail, a=(CRASH, FAILED), b=(OTHER, FAILED)) == {HIT: "a", LEFT: "b"}
 
 
-def test_of_several_that_show_a_failure_the_first_covers_it():
+def test_first_of_several_replays_covers_a_failure():
     assert shown(a=(QUIET, PASSED), b=(CRASH, FAILED), c=(CRASH, FAILED)) == {HIT: "b"}
 
 
-def test_a_failure_whose_files_all_pass_is_new_again():
+def test_failure_is_new_when_all_its_files_pass():
     assert shown(a=(QUIET, PASSED), b=(QUIET, Verdict(kind="npc"))) == {}
 
 
 @pytest.mark.parametrize(("passes", "known"), [(True, {HIT: "a"}), (False, {})])
-def test_what_the_reference_fails_as_well_hides_nothing_that_is_new(passes, known):
+def test_failure_shared_with_reference_hides_nothing_new(passes, known):
     assert shown(a=(CRASH, FAILED, passes)) == known

@@ -37,19 +37,19 @@ def space_of(world, **given):
         (World("roundabout-v0"), {}, (2, 1, 8.0, False)),
     ],
 )
-def test_what_is_drawn_depends_on_the_world_the_algorithm_and_what_is_fixed(world, given, drawn):
+def test_drawn_space_depends_on_world_algorithm_and_arguments(world, given, drawn):
     space = space_of(world, **given)
     assert (space.npcs, space.ego_lanes or space.ego_lane, space.ego_speeds or space.ego_speed, space.patterns) == drawn
 
 
 @pytest.mark.parametrize("world", [Highway(), Highway(lanes=3, speed_limit=15.0)], ids=["default", "slow"])
-def test_scenarios_fit_their_world_and_hardly_any_is_invalid(world):
+def test_scenarios_fit_their_world_and_are_mostly_valid(world):
     space, rng = space_of(world), np.random.default_rng(0)
     outcomes = [world.rollout(sample(space, rng), IDMVehicle).outcome for _ in range(50)]
     assert outcomes.count(Outcome.INVALID) < 5
 
 
-def test_the_plain_start_is_one_that_the_road_allows():
+def test_plain_start_respects_the_speed_limit():
     assert space_of(Highway(speed_limit=10.0)).ego_speed == 10.0
 
 
@@ -63,16 +63,16 @@ def test_the_plain_start_is_one_that_the_road_allows():
         (World("highway-v0", config={"lanes_count": 1}), {"ego_lane": 0}, ()),
     ],
 )
-def test_the_number_of_npcs_is_drawn_up_to_one_cell_less_than_their_lane_has(world, given, most):
+def test_npc_count_is_below_cells_of_its_lane(world, given, most):
     assert space_of(world, **given).most_npcs == most
 
 
-def test_a_lane_that_equals_a_whole_number_is_refused_in_words():
+def test_lane_that_is_a_float_is_refused():
     with pytest.raises(RequestError, match=r"ego_lane=1\.0\): ego_lane: expected a whole number from 0 to 1000"):
         space_of(Highway(), ego_lane=1.0)
 
 
-def test_where_ways_cross_most_npcs_come_from_there_but_in_the_papers_searches():
+def test_most_npcs_cross_where_ways_meet():
     world = World("intersection-v0")
     drawn = space_of(world)
     assert (drawn.crossings, drawn.most_npcs, drawn.most_on_grid) == (world.crossings, (3,), 2)
@@ -84,6 +84,6 @@ def test_where_ways_cross_most_npcs_come_from_there_but_in_the_papers_searches()
     assert space_of(Highway()).crossings is space_of(World("highway-v0")).crossings is None
 
 
-def test_an_act_that_nobody_knows_is_refused_in_words():
+def test_unknown_act_is_refused_in_words():
     with pytest.raises(RequestError, match="acts: expected one or more of pass, hold, stop, late, received"):
         space_of(World("intersection-v0"), acts=("wave",))

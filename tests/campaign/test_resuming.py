@@ -153,9 +153,7 @@ def check_summaries(whole, parts):
 
 
 @pytest.mark.parametrize(("share", "places"), [(0, (2, 6)), (10**9, (5,))], ids=["each border is written", "few are"])
-def test_a_session_that_is_killed_anywhere_goes_on_from_the_last_border(
-    search, tmp_path, monkeypatch, whole, share, places
-):
+def test_killed_session_continues_from_last_state(search, tmp_path, monkeypatch, whole, share, places):
     monkeypatch.setattr(state_file, "SHARE", share)
     (whole, saved), heard = whole, []
 
@@ -182,12 +180,12 @@ def test_a_session_that_is_killed_anywhere_goes_on_from_the_last_border(
     assert {each.id for each in last.findings} <= {each.id for each in whole.findings}
 
 
-def test_a_find_that_was_told_is_told_once_and_one_that_was_cut_off_again(search, first):
+def test_finished_finding_is_reported_only_once(search, first):
     again = search(runs=4)
     assert not {each.id for each in again.findings} & {each.id for each in first.findings}
 
 
-def test_a_find_whose_file_is_gone_is_found_again(search, tmp_path, first):
+def test_finding_with_deleted_file_is_found_again(search, tmp_path, first):
     saved = files(tmp_path / "corpus")
     for path in (tmp_path / "corpus").rglob("*.pafot.yaml"):
         path.unlink()
@@ -195,7 +193,7 @@ def test_a_find_whose_file_is_gone_is_found_again(search, tmp_path, first):
     assert files(tmp_path / "corpus") == saved != {}
 
 
-def test_a_find_beyond_the_limit_is_never_called_known(search):
+def test_finding_beyond_the_limit_is_never_known(search):
     first = search(runs=20, max_saved=1).summary
     assert first.unsaved
     last = search(runs=1, max_saved=1).summary
@@ -211,7 +209,7 @@ def test_a_find_under_another_name_is_there(search, tmp_path, first):
     assert not search(runs=1).findings
 
 
-def test_what_was_saved_before_the_search_began_stays_known(search, tmp_path):
+def test_scenarios_saved_before_the_search_stay_known(search, tmp_path):
     other = search(resume=None, runs=16, seed=3)
     first, second = search(runs=8), search(runs=8)
     ids = {each.id for each in other.findings}
@@ -242,7 +240,7 @@ def refused(search, match, **options):
         ({"decision_limit": 60.0}, "decision_limit None in the file, 60.0 now"),
     ],
 )
-def test_a_state_of_other_settings_is_refused_with_both_named(search, begun, options, match):
+def test_state_of_other_settings_names_both_values(search, begun, options, match):
     before = begun.read_text()
     text = refused(search, match, **options)
     assert text.startswith(str(begun))
@@ -291,7 +289,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_file_that_is_no_state_is_refused_and_left_as_it_is(search, begun, fault):
+def test_invalid_state_is_refused_and_left_unchanged(search, begun, fault):
     change, expected = FAULTS[fault]
     content = change(begun.read_text())
     begun.write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -304,14 +302,14 @@ def test_a_file_that_is_no_state_is_refused_and_left_as_it_is(search, begun, fau
     "secret",
     ['{"version": 2, "HUSH": "HUSH"}', '{"version": "HUSH"}', '"HUSH"', '["HUSH"]', "HUSH=1", '{"a": "\\HUSH"}'],
 )
-def test_nothing_of_a_file_that_is_no_state_is_shown(search, begun, secret):
+def test_content_of_invalid_state_is_never_printed(search, begun, secret):
     begun.write_text(secret)
     assert "HUSH" not in refused(search, "expected")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
 @pytest.mark.parametrize("place", ["state", "lock", "folder", "corpus"])
-def test_no_link_is_followed_for_a_state_or_a_corpus(search, begun, tmp_path, place):
+def test_links_are_not_followed_for_state_or_corpus(search, begun, tmp_path, place):
     secret, folder = tmp_path / "secret", tmp_path / "elsewhere"
     secret.write_text('{"version": "HUSH"}')
     link = {"state": begun, "lock": begun.with_suffix(".lock"), "folder": begun.parent, "corpus": tmp_path / "corpus"}
@@ -331,19 +329,19 @@ def test_no_link_is_followed_for_a_state_or_a_corpus(search, begun, tmp_path, pl
 
 
 @pytest.mark.usefixtures("begun")
-def test_a_file_that_is_too_large_is_refused_unread(search, monkeypatch):
+def test_too_large_state_file_is_refused_unread(search, monkeypatch):
     monkeypatch.setattr(state_file, "MAX_BYTES", 1000)
     refused(search, "expected at most 1000 bytes, received more")
 
 
-def test_a_folder_that_is_none_is_refused_with_the_way_out(search, tmp_path):
+def test_file_instead_of_folder_is_refused_with_hint(search, tmp_path):
     (tmp_path / "states").write_text("a file in the place of the folder")
     assert "there is a file where a folder should be: rename or delete it" in refused(
         search, "expected a file that can be"
     )
 
 
-def test_a_state_that_cannot_be_written_is_told_and_ends_no_search(search, monkeypatch):
+def test_unwritable_state_is_reported_without_ending_the_search(search, monkeypatch):
     def full(path, content):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -353,7 +351,7 @@ def test_a_state_that_cannot_be_written_is_told_and_ends_no_search(search, monke
     assert "expected to write the state of the search, received: No space left on device; free" in summary.notes[0]
 
 
-def test_a_state_that_is_too_large_is_not_written(search, tmp_path, monkeypatch):
+def test_state_that_is_too_large_is_not_written(search, tmp_path, monkeypatch):
     monkeypatch.setattr(state_file, "MAX_BYTES", 100)
     assert "expected a state of at most 100 bytes" in search(runs=4).summary.notes[0]
     assert not list(tmp_path.glob("states/*"))
@@ -387,7 +385,7 @@ class Unstorable(Climbing):
         return {"state": {state.generation}}
 
 
-def test_an_algorithm_that_stores_what_is_no_data_is_refused_before_the_first_run(search, tmp_path):
+def test_algorithm_with_unstorable_state_is_refused_early(search, tmp_path):
     refused(
         search,
         "--pafot-resume: expected the method stored of Unstorable .*, received .*0.*searching",
@@ -415,7 +413,7 @@ def test_reused_scenarios_cost_later_sessions_no_runs(search):
     assert last.notes[0] == "resumed after 2 runs of earlier sessions"
 
 
-def test_a_function_among_the_parameters_of_an_algorithm_is_the_same_in_another_process(search, tmp_path):
+def test_function_parameter_of_algorithm_works_across_processes(search, tmp_path):
     @dataclass(frozen=True)
     class Guided(Climbing):
         guide: Callable = field(default=constant_speed.make, kw_only=True)
@@ -426,7 +424,7 @@ def test_a_function_among_the_parameters_of_an_algorithm_is_the_same_in_another_
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.25])  # that a run takes to be put into words, which is done once
-def test_the_state_is_written_only_when_that_takes_a_small_share_of_the_time(tmp_path, monkeypatch, seconds):
+def test_state_is_written_only_when_it_costs_little(tmp_path, monkeypatch, seconds):
     class Stored:
         def stored(self, state):
             nonlocal now

@@ -51,7 +51,7 @@ def save(tmp_path):
     return saved
 
 
-def test_it_has_the_scenario_the_world_and_what_was_expected(save):
+def test_saved_scenario_has_scenario_world_and_expectation(save):
     finding = finding_in(WORLD)
     saved = save(finding)
     assert (saved.id, saved.scenario, saved.world, saved.expect) == (
@@ -60,7 +60,7 @@ def test_it_has_the_scenario_the_world_and_what_was_expected(save):
     assert repr(saved) == f"<SavedScenario {finding.id}: AssertionError, collision at {finding.expect.time:.1f} s>"
 
 
-def test_a_replay_shows_what_is_expected_until_the_policy_is_mended(save):
+def test_replay_matches_until_the_policy_is_fixed(save):
     saved = save(finding_in(WORLD))
     assert saved.matches(saved.replay(keeps_its_speed))
     assert not saved.matches(saved.replay(brakes))
@@ -72,7 +72,7 @@ def test_a_replay_knows_its_world(save):
     assert run.last_chance.time < run.collision.time
 
 
-def test_a_world_that_is_code_has_to_be_given(save):
+def test_world_made_of_code_must_be_given(save):
     saved = save(finding_in(Walled()))
     with pytest.raises(CorpusError, match=r"expected a world that is data.*replay\(ads, world=") as error:
         saved.replay(keeps_its_speed)
@@ -81,7 +81,7 @@ def test_a_world_that_is_code_has_to_be_given(save):
     assert saved.matches(saved.replay(keeps_its_speed, world=Walled()))
 
 
-def test_a_scenario_that_does_not_fit_its_world_names_its_line(save):
+def test_unfitting_scenario_names_its_line(save):
     finding = finding_in(WORLD)
     saved = save(replace(finding, scenario=replace(finding.scenario, ego_lane=3)))
     with pytest.raises(CorpusError, match=r"yaml:\d+: scenario.ego.lane: expected"):
@@ -92,26 +92,26 @@ def test_a_scenario_that_does_not_fit_its_world_names_its_line(save):
     assert saved.replay(keeps_its_speed, world=pafot.Highway(lanes=4)).trace.ego[0, LANE] == 3
 
 
-def test_a_world_of_an_unknown_kind_names_its_line(save):
+def test_unknown_kind_of_world_names_its_line(save):
     saved = save(replace(finding_in(WORLD), world={"kind": "moon"}))
     with pytest.raises(CorpusError, match=r"yaml:\d+: world.kind: expected one of gym, highway, received 'moon'"):
         saved.world  # noqa: B018
 
 
-def test_a_scenario_in_which_a_process_died_is_left_to_pytest(save):
+def test_scenario_with_a_process_crash_needs_pytest(save):
     finding = finding_in(WORLD)
     saved = save(replace(finding, expect=replace(finding.expect, failure=PROCESS_CRASH)))
     with pytest.raises(CorpusError, match=r"run `python -m pytest .*yaml`"):
         saved.replay(keeps_its_speed)
 
 
-def test_only_its_test_function_knows_whether_a_check_fails(save):
+def test_saved_check_needs_its_test_function(save):
     check = Check(name="jerk", value=30.0, margin=-10.0, at_most=20.0, time=1.0)
     saved = save(finding_in(WORLD, Failure(kind="CheckFailed", assertion="jerk", check=check)))
     with pytest.raises(ValueError, match="the check 'jerk'; call the test function"):
         saved.matches(saved.replay(keeps_its_speed))
 
 
-def test_a_file_that_is_not_there_is_told_by_its_name(tmp_path):
+def test_missing_file_is_reported_by_its_name(tmp_path):
     with pytest.raises(CorpusError, match=r"none.pafot.yaml: expected a file that can be read"):
         pafot.load(tmp_path / "none.pafot.yaml")

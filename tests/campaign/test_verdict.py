@@ -25,13 +25,13 @@ def judged(trace, test, blame, **drivers):
 
 
 @table("blame", ["any", "ego", "preventable"])
-def test_reference_drivers_are_judged_by_the_function_as_the_ego_is(blame):
+def test_reference_drivers_are_evaluated_like_the_ego(blame):
     run = Run(closing(), world=Drivers(**DRIVERS, cut=closing(outcome=Outcome.INVALID)))
     told = dict(reference_outcomes(run, keeps_apart, blame=blame, test_file=""))
     assert told == {"far": "avoids", "near": "fails", "unlucky": "hit", "blind": "at-fault"}
 
 
-def test_a_driver_about_which_the_function_does_not_judge_is_left_out():
+def test_driver_without_verdict_of_function_is_left_out():
     def judges_long_runs(run):
         if run.duration < 1:
             raise Rejected
@@ -41,7 +41,7 @@ def test_a_driver_about_which_the_function_does_not_judge_is_left_out():
     assert dict(told) == {"near": "avoids", "unlucky": "hit", "blind": "at-fault"}
 
 
-def test_what_the_function_allows_is_avoided_even_where_it_is_a_collision():
+def test_collision_that_the_function_allows_counts_as_avoided():
     def stays_on_the_road(run):
         assert not run.off_road
 
@@ -51,19 +51,19 @@ def test_what_the_function_allows_is_avoided_even_where_it_is_a_collision():
     assert dict(reference_outcomes(run, stays_on_the_road, blame="ego", test_file=""))["unlucky"] == "hit"
 
 
-def test_a_preventable_failure_is_one_where_a_reference_driver_is_free_of_fault():
+def test_failure_is_preventable_if_one_driver_is_faultless():
     assert judged(running_into(), never_collides, "preventable", blind=running_into())[0] == "unpreventable"
     assert judged(running_into(), never_collides, "preventable", unlucky=rammed())[0] == "failed"
     assert judged(running_into(), never_collides, "preventable", calm=closing())[0] == "failed"
     assert judged(running_into(), never_collides, "ego", blind=running_into())[0] == "failed"
 
 
-def test_without_a_collision_only_a_driver_with_whom_the_property_holds_would_have_prevented_the_failure():
+def test_driver_prevents_other_failure_only_if_property_holds():
     assert judged(closing(), keeps_apart, "preventable", near=closing(), unlucky=rammed())[0] == "unpreventable"
     assert judged(closing(), keeps_apart, "preventable", far=closing(ticks=3))[0] == "failed"
 
 
-def test_reference_drivers_are_run_only_for_what_would_be_a_find_and_no_more_than_it_takes():
+def test_reference_drivers_run_only_for_possible_findings():
     drivers = {"blind": running_into(), "calm": closing(), "idle": closing()}
     assert judged(closing(), never_collides, "preventable", **drivers) == ("passed", [])
     assert judged(rammed(), never_collides, "preventable", **drivers) == ("npc", [])
@@ -71,7 +71,7 @@ def test_reference_drivers_are_run_only_for_what_would_be_a_find_and_no_more_tha
     assert judged(running_into(), never_collides, "preventable", **drivers) == ("failed", ["blind", "calm"])
 
 
-def test_an_error_of_the_function_or_of_the_ads_counts_whatever_reference_drivers_do():
+def test_errors_count_whatever_the_reference_drivers_do():
     def misspelt(run):
         return run.colision
 

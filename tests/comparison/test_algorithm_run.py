@@ -30,7 +30,7 @@ def again(row):
 @pytest.mark.parametrize(
     "algorithm", mostly_oracle(["pafot", "av-fuzzer", "random", "random-manoeuvre"], "pafot", "random-manoeuvre")
 )
-def test_each_row_can_be_driven_again_and_shows_what_it_says(quick, algorithm):
+def test_each_row_can_be_driven_again_identically(quick, algorithm):
     from example_ads import constant_speed
 
     rows = list(run_rows(quick(generations=4), algorithm, 0))
@@ -54,13 +54,13 @@ def test_the_clock_counts_simulated_scenarios_alone(quick):
         assert row.clock == pytest.approx(seconds)
 
 
-def test_a_budget_of_seconds_ends_with_the_scenario_that_spends_it(quick):
+def test_seconds_budget_ends_with_scenario_that_spends_it(quick):
     rows = list(run_rows(quick(generations=None, seconds=100.0), "pafot", 0))
     assert rows[-1].clock >= 100.0
     assert all(row.clock < 100.0 for row in rows[:-1])
 
 
-def test_a_failure_is_any_collision_or_with_blame_one_of_the_egos(quick):
+def test_failure_depends_on_collision_and_blame(quick):
     egos = {"ego", "both"}
     for blame, blamed in (("any", {"npc"} | egos), ("ego", egos), ("preventable", egos)):
         rows = list(run_rows(quick(blame=blame, generations=6), "pafot", 0))
@@ -69,14 +69,14 @@ def test_a_failure_is_any_collision_or_with_blame_one_of_the_egos(quick):
         assert all(row.failing == (row.responsibility in blamed) for row in hits)
 
 
-def test_what_no_reference_driver_would_have_prevented_is_no_failure_where_blame_asks_for_that():
+def test_unpreventable_collision_is_no_failure_with_that_blame():
     for driver, failing in ((closing, True), (rammed, True), (running_into, False)):
         world = Drivers(one=driver())
         assert evaluated(running_into(), resolve(), "preventable", world).failing == failing
         assert evaluated(running_into(), resolve(), "ego", world).failing
 
 
-def test_blame_steers_the_default_fitness_and_not_av_fuzzers(quick):
+def test_blame_changes_default_fitness_but_not_av_fuzzer(quick):
     steered = list(run_rows(quick(blame="ego", generations=5), "random", 0))
     assert all(row.fitness >= 2 for row in steered if row.responsibility == "ego")
     assert all(row.fitness <= 1 for row in steered if row.responsibility == "npc")
@@ -84,7 +84,7 @@ def test_blame_steers_the_default_fitness_and_not_av_fuzzers(quick):
     assert plain[0] == plain[1]
 
 
-def test_equal_failures_have_equal_signatures_and_safe_runs_none(quick):
+def test_equal_failures_have_equal_signatures(quick):
     rows = list(run_rows(quick(generations=8), "random", 0))
     assert all((row.signature is None) == (row.outcome != "collision") for row in rows)
     signatures = {(row.side, row.cell, row.responsibility): row.signature for row in rows if row.signature}
@@ -101,7 +101,7 @@ def test_rows_are_read_as_they_were_written(quick):
         assert texts["executed"] == row.executed
 
 
-def test_an_ads_that_raises_is_a_failure_with_a_signature(quick):
+def test_raising_ads_is_a_failure_with_a_signature(quick):
     rows = list(run_rows(quick(ads="tests.comparison.test_algorithm_run:raising", generations=1), "random", 0))
     assert {row.outcome for row in rows} == {"ads_error"}
     assert all(row.failing and row.signature.startswith("ads-error") for row in rows)
@@ -124,7 +124,7 @@ def raising():
         *(oracle(name, {"generations": None, "seconds": 50.0}) for name in ALGORITHMS if name != "distinct"),
     ],
 )
-def test_an_ads_that_fails_at_its_first_decision_in_the_whole_first_generation_ends_the_run(quick, algorithm, budget):
+def test_ads_failing_every_first_decision_ends_the_run(quick, algorithm, budget):
     """By simulated seconds too, of which none would ever pass."""
     plan = quick(ads="tests.comparison.test_algorithm_run:failing_at_once", **budget)
     with pytest.raises(PlanError, match=r"in all \d+ runs of the first generation"):
@@ -138,7 +138,7 @@ def failing_at_once():
     return drive
 
 
-def test_where_one_run_of_the_first_generation_was_driven_the_others_are_failures(quick, monkeypatch):
+def test_one_driven_run_makes_the_others_failures(quick, monkeypatch):
     monkeypatch.setattr("tests.comparison.test_algorithm_run.MADE", count())
     rows = list(run_rows(quick(ads="tests.comparison.test_algorithm_run:failing_but_once", generations=2), "random", 0))
     assert [row.outcome for row in rows].count("ads_error") == len(rows) - 1
@@ -158,7 +158,7 @@ def test_a_share_is_told_that_rises_to_one(quick):
     assert told[-1] == 1.0
 
 
-def test_seeds_differ_between_runs_and_algorithms_and_come_from_the_base_seed():
+def test_seeds_differ_by_run_and_algorithm_and_base():
     plan, other = (Plan(ads="x", algorithms=("pafot", "random"), seed=seed) for seed in (0, 1))
     seeds = [each.run_seed(name, run) for each in (plan, other) for name in plan.algorithms for run in range(10)]
     assert len(set(seeds)) == 40
@@ -166,7 +166,7 @@ def test_seeds_differ_between_runs_and_algorithms_and_come_from_the_base_seed():
     assert plan.run_seed("pafot", 0) == Plan(ads="y", algorithms=("pafot",)).run_seed("pafot", 0)
 
 
-def test_runs_of_another_length_are_told_as_other_scenarios(quick):
+def test_runs_of_different_length_are_different_scenarios(quick):
     equal = quick(algorithms=("pafot", "av-fuzzer", "random@paper"))
     assert list(equal.scenarios.values()) == [["pafot", "av-fuzzer", "random@paper"]]
     (_, whole), (shorter, short) = quick(algorithms=("pafot", "av-fuzzer@15", "cma-es")).scenarios.items()

@@ -153,7 +153,7 @@ def test_the_papers_numbers_agree_with_each_other():
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_runs_of_equal_seconds_are_compared_at_these_alone_and_those_of_other_lengths_last_so(tmp_path):
+def test_runs_of_equal_seconds_are_compared_separately(tmp_path):
     arguments = ["--ads", "constant_speed", "--runs", "2", "--seconds", "200", "--duration", "20", "--workers", "1"]
     algorithms = ["--algorithms", "pafot,av-fuzzer@5,random@15"]
     assert main(["compare", *arguments, *algorithms, "--out", str(tmp_path)]) == 0
@@ -167,7 +167,7 @@ def test_runs_of_equal_seconds_are_compared_at_these_alone_and_those_of_other_le
 
 
 @pytest.mark.processes
-def test_the_traffic_of_a_test_is_that_of_all_algorithms_where_one_is_asked_for(tmp_path):
+def test_requested_traffic_applies_to_all_algorithms(tmp_path):
     arguments = ["--algorithms", "distinct,pafot", "--runs", "1", "--generations", "1", "--seed", "3"]
     assert compare(tmp_path, *arguments, "--traffic", "everyday") == 0
     for name in ("distinct", "pafot"):
@@ -176,7 +176,7 @@ def test_the_traffic_of_a_test_is_that_of_all_algorithms_where_one_is_asked_for(
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_each_algorithm_has_the_scenarios_of_a_test_unless_the_papers_are_asked_for(tmp_path, capsys):
+def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsys):
     arguments = ["--algorithms", "distinct,distinct@paper,pafot", "--runs", "1", "--generations", "1", "--seed", "3"]
     assert compare(tmp_path, *arguments) == 0
     drawn = {}
@@ -260,7 +260,7 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
         (["--env", "merge-v1", "--algorithms", "pafot,av-fuzzer"], "expected one of .* on a road that is not straight"),
     ],
 )
-def test_wrong_arguments_are_told_in_one_line_and_leave_nothing(tmp_path, capsys, arguments, message):
+def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, arguments, message):
     assert compare(tmp_path / "out", *arguments) == command.BAD_USE
     error = capsys.readouterr().err
     assert re.match(f"compare: .*{message}", error, re.DOTALL), error
@@ -269,13 +269,13 @@ def test_wrong_arguments_are_told_in_one_line_and_leave_nothing(tmp_path, capsys
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_a_scenario_that_does_not_fit_the_road_is_told_in_one_line(tmp_path, capsys, workers):
+def test_unfitting_scenario_is_reported_in_one_line(tmp_path, capsys, workers):
     assert compare(tmp_path, "--ego-lane", "7", "--workers", workers) == command.BAD_USE
     assert "compare: ego_lane: expected a lane from 0 to 3, received 7" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("below", ["", "deep"])
-def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, below):
+def test_impossible_folder_is_reported_with_the_way_out(tmp_path, capsys, below):
     (tmp_path / "taken").touch()
     assert compare(tmp_path / "taken" / below) == command.BAD_USE
     error = capsys.readouterr().err
@@ -288,7 +288,7 @@ def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, be
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("name", "workers"), [("runs", "1"), ("runs", "2"), ("results.csv", "1"), ("report.md", "1")])
-def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp_path, capsys, name, workers):
+def test_unwritable_result_is_reported_and_command_can_continue(tmp_path, capsys, name, workers):
     taken = tmp_path / name
     taken.touch() if name == "runs" else taken.mkdir()
     arguments = ("--algorithms", "pafot,random", "--runs", "1", "--generations", "2", "--workers", workers)
@@ -300,7 +300,7 @@ def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp
     assert compare(tmp_path, *arguments) == 0
 
 
-def test_interrupted_while_it_draws_it_goes_on_with_the_same_command(tmp_path, capsys, monkeypatch):
+def test_command_interrupted_while_drawing_continues_when_repeated(tmp_path, capsys, monkeypatch):
     def interrupted(measured, folder):
         raise KeyboardInterrupt
 
@@ -317,13 +317,13 @@ def test_two_budgets_are_refused(tmp_path, capsys):
     assert "not allowed with argument" in capsys.readouterr().err
 
 
-def test_without_its_libraries_the_command_tells_how_to_install_them(tmp_path, capsys, monkeypatch):
+def test_missing_libraries_error_says_how_to_install_them(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     assert compare(tmp_path / "out") == command.BAD_USE
     assert "pip install 'pytest-pafot[compare]'" in capsys.readouterr().err
 
 
-def test_a_wrong_policy_is_told_before_libraries_that_are_missing(tmp_path, capsys, monkeypatch):
+def test_wrong_policy_is_reported_before_missing_libraries(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     assert compare(tmp_path / "out", "--ads", "constant_speedd") == command.BAD_USE
     assert "did you mean 'constant_speed'?" in capsys.readouterr().err
@@ -331,7 +331,7 @@ def test_a_wrong_policy_is_told_before_libraries_that_are_missing(tmp_path, caps
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_a_policy_that_fails_at_once_in_every_run_is_an_error_of_the_set_up(tmp_path, capsys, workers):
+def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
     """As one of an environment without --env; the folder is left free for the command that is right."""
     arguments = ["--ads", "tests.comparison.test_command:of_an_environment", "--workers", workers, "--runs", "1"]
     assert compare(tmp_path, *arguments) == command.BAD_USE
@@ -361,7 +361,7 @@ def of_an_environment():
     return drive
 
 
-def test_a_planner_that_is_given_an_environment_is_told_to_leave_it_out(tmp_path, capsys):
+def test_planner_given_an_environment_gets_a_hint(tmp_path, capsys):
     assert compare(tmp_path, "--env", "highway-v0", "--runs", "1") == command.BAD_USE
     error = capsys.readouterr().err
     assert "received BadAction: expected a whole number from 0 to 4, received (0.0, 0.0)" in error
@@ -370,7 +370,7 @@ def test_a_planner_that_is_given_an_environment_is_told_to_leave_it_out(tmp_path
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_policy_that_raises_later_is_reported_as_a_fault_of_the_ads(tmp_path):
+def test_policy_that_raises_later_is_an_ads_fault(tmp_path):
     arguments = ["--ads", "tests.comparison.test_command:raising_later", "--algorithms", "pafot,random"]
     assert compare(tmp_path, *arguments) == 0
     report = (tmp_path / "report.md").read_text()
@@ -399,14 +399,14 @@ def test_the_help_needs_no_library():
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_policy_of_an_environment_is_compared_in_it(tmp_path):
+def test_policy_of_an_environment_is_compared_in_it(tmp_path):
     arguments = ["--ads", "ppo", "--env", "highway-v0", "--algorithms", "random", "--runs", "1", "--generations", "1"]
     assert compare(tmp_path, *arguments) == 0
     assert '"env_id": "highway-v0"' in (tmp_path / "comparison.json").read_text()
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_on_a_road_that_is_not_straight_the_ego_starts_as_its_environment_has_it(tmp_path, monkeypatch):
+def test_ego_on_curved_road_starts_as_in_environment(tmp_path, monkeypatch):
     (tmp_path / "idle.py").write_text("def make():\n    return lambda observation: 1\n")
     arguments = ["--ads", "idle:make", "--env", "merge-v1", "--runs", "1", "--generations", "1", "--workers", "1"]
     monkeypatch.syspath_prepend(tmp_path)
@@ -418,6 +418,6 @@ def test_on_a_road_that_is_not_straight_the_ego_starts_as_its_environment_has_it
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_named_defect_is_a_factory_with_an_argument(tmp_path):
+def test_defect_name_is_an_argument_of_the_factory(tmp_path):
     arguments = ["--ads", "example_ads.defects:make:follows-too-close", "--algorithms", "random", "--runs", "1"]
     assert compare(tmp_path, *arguments, "--generations", "1") == 0

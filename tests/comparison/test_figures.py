@@ -9,14 +9,14 @@ from pytest_pafot.comparison.run_measures import Results
 from pytest_pafot.searching import ALGORITHMS
 
 
-def test_each_algorithm_has_a_colour_a_line_a_marker_and_a_hatch_of_its_own():
+def test_each_algorithm_has_unique_colour_line_and_marker():
     assert len(STYLES) >= len(ALGORITHMS)
     for name in ("colour", "line", "marker", "hatch"):
         assert len({getattr(style, name) for style in STYLES}) == len(STYLES), name
 
 
 @pytest.mark.filterwarnings("error")
-def test_runs_in_which_no_time_passes_are_drawn_without_a_warning(tmp_path, quick, monkeypatch):
+def test_runs_without_duration_are_drawn_without_warning(tmp_path, quick, monkeypatch):
     """Each fails at its first decision, and in two ways, so that it is no fault of the set-up."""
     plan = quick(ads="tests.comparison.test_figures:failing_in_two_ways", algorithms=("random",), runs=1)
     (tmp_path / "results.csv").write_text(text_of(run_rows(plan, "random", 0)))

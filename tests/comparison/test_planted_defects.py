@@ -24,7 +24,7 @@ def plant(monkeypatch):
     return planted
 
 
-def test_a_search_ends_where_only_the_policy_with_the_defect_fails(plant):
+def test_search_ends_when_only_defective_policy_fails(plant):
     plant(SOUND)
     first = searched("nudges", "default", 0, 100, 100.0)
     assert (first.found, first.shared) == (True, 0)
@@ -36,7 +36,7 @@ def test_a_search_ends_where_only_the_policy_with_the_defect_fails(plant):
     assert (less.found, less.runs) == (False, first.runs - 1)
 
 
-def test_failures_that_the_twin_shares_are_counted_and_do_not_end_the_search(plant):
+def test_failures_shared_with_the_twin_do_not_count(plant):
     plant(BROKEN)
     search = searched("nudges", "default", 0, 60, 100.0)
     assert (search.found, search.runs) == (False, 60)
@@ -55,7 +55,7 @@ def test_what_is_saved_is_loaded_once(tmp_path):
     assert loaded([path, path]) == searches
 
 
-def test_ratios_are_of_the_seeds_that_both_were_searched_with():
+def test_ratios_use_only_seeds_of_both_searches():
     searches = [made_up("default", seed, runs) for seed, runs in enumerate([10, 20, 30])]
     searches += [made_up("random", seed, 2 * runs) for seed, runs in enumerate([10, 20, 30, 500])]
     first, second, *_ = overall_rows("tuning", grouped(searches, ["nudges"], ["default", "random"]))

@@ -37,7 +37,7 @@ def whole(tmp_path_factory, quick):
     return contents(folder)
 
 
-def test_it_leaves_one_file_a_run_and_all_rows_in_the_order_of_the_plan(whole):
+def test_comparison_writes_one_file_per_run_in_order(whole):
     assert sorted(whole) == [
         "results.csv", "runs/av-fuzzer-000.csv", "runs/av-fuzzer-001.csv", "runs/pafot-000.csv",
         "runs/pafot-001.csv", "runs/random-000.csv", "runs/random-001.csv",
@@ -53,7 +53,7 @@ def test_two_workers_leave_the_same_bytes_as_one(tmp_path, quick, quiet, whole):
     assert contents(tmp_path) == whole
 
 
-def test_interrupted_anywhere_it_goes_on_with_what_is_missing(tmp_path, quick, quiet, whole, monkeypatch):
+def test_interrupted_comparison_continues_with_the_missing_runs(tmp_path, quick, quiet, whole, monkeypatch):
     begun = []
     rows = algorithm_run.run_rows
 
@@ -100,13 +100,13 @@ class Pool:
         return self.work(task, tick)
 
 
-def test_in_whatever_order_workers_finish_they_leave_the_same_bytes(tmp_path, quick, quiet, whole, monkeypatch):
+def test_worker_order_does_not_change_the_written_bytes(tmp_path, quick, quiet, whole, monkeypatch):
     monkeypatch.setattr(resumable, "WorkerPool", Pool)
     run_all(quick(), tmp_path, workers=2, told=quiet, clock=clock)
     assert contents(tmp_path) == whole
 
 
-def test_what_a_worker_could_not_do_is_raised_with_a_way_out(tmp_path, quick, quiet, monkeypatch):
+def test_worker_failure_is_raised_with_the_way_out(tmp_path, quick, quiet, monkeypatch):
     monkeypatch.setattr(resumable, "WorkerPool", Pool)
     plan = quick(algorithms=("random",), runs=1)
 
@@ -161,7 +161,7 @@ DAMAGE = {
 }
 
 
-def test_results_that_are_not_as_they_were_written_are_made_again(tmp_path, quick, whole):
+def test_damaged_results_are_made_again(tmp_path, quick, whole):
     small = quick(algorithms=("random",))
     run_all(small, tmp_path, workers=1, told=io.StringIO(), clock=clock)
     for name, change in DAMAGE.values():
@@ -175,7 +175,7 @@ def test_results_that_are_not_as_they_were_written_are_made_again(tmp_path, quic
         )
 
 
-def test_results_whose_question_is_gone_or_no_text_are_refused(tmp_path, quick, quiet):
+def test_results_without_readable_question_are_refused(tmp_path, quick, quiet):
     small = quick(runs=1, algorithms=("random",))
     run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
     (question,) = tmp_path.glob("*.json")
@@ -218,14 +218,14 @@ def job_of(tasks, **fields):
 
 
 class TestProgressLine:
-    def test_it_tells_runs_share_and_the_time_that_is_left(self):
+    def test_progress_has_runs_share_and_remaining_time(self):
         now = [100.0]
         progress = ProgressLine(job=job_of(10), done=2, told=io.StringIO(), clock=lambda: now[0])
         now[0] = 160.0
         progress.done = 4
         assert progress.line(0.5, 160.0) == "compare: 4 of 10 runs, 45 %, 2 min left"
 
-    def test_where_a_task_is_many_units_it_counts_those_of_tasks_that_go_on(self):
+    def test_progress_counts_units_of_unfinished_tasks(self):
         job = job_of(4, command="rate", units="episodes", sizes={("pafot", run): 25 for run in range(4)})
         progress = ProgressLine(job=job, done=25, told=io.StringIO(), clock=lambda: 0.0)
         assert progress.line(18 / 25 * 25, 0.0) == "rate: 43 of 100 episodes, 43 %, 0 s left"
@@ -234,7 +234,7 @@ class TestProgressLine:
         progress = ProgressLine(job=job_of(10), done=2, told=io.StringIO(), clock=lambda: 0.0)
         assert progress.line(0.0, 50.0) == "compare: 2 of 10 runs, 20 %"
 
-    def test_where_no_terminal_is_it_tells_a_line_every_ten_seconds_and_each_run(self):
+    def test_progress_without_terminal_prints_every_ten_seconds(self):
         now, told = [0.0], io.StringIO()
         progress = ProgressLine(job=job_of(2), done=0, told=told, clock=lambda: now[0])
         for second in range(25):
@@ -245,7 +245,7 @@ class TestProgressLine:
         assert len(lines) == 4
         assert lines[-1] == "compare: 1 of 2 runs, pafot run 0 done after 24 s"
 
-    def test_where_a_task_is_many_units_all_lines_are_of_one_style(self):
+    def test_progress_lines_of_large_tasks_share_one_style(self):
         now, told = [0.0], io.StringIO()
         sizes = {("ads-25", 0): 25, ("ads-1", 25): 1}
         job = replace(job_of(2), command="rate", units="episodes", tasks=tuple(sizes), sizes=sizes)
@@ -269,7 +269,7 @@ def dying():
 
 
 @pytest.mark.processes
-def test_a_worker_that_is_killed_is_told_with_a_way_out(tmp_path, quick, quiet):
+def test_killed_worker_is_reported_with_the_way_out(tmp_path, quick, quiet):
     plan = quick(ads="tests.comparison.test_resumable:dying", algorithms=("random",), runs=1)
     with pytest.raises(ChildProcessError, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
         run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
@@ -280,7 +280,7 @@ def raising():
 
 
 @pytest.mark.processes
-def test_what_a_worker_raises_is_raised_with_the_place(tmp_path, quick, quiet):
+def test_worker_exception_is_raised_with_its_place(tmp_path, quick, quiet):
     plan = quick(ads="tests.comparison.test_resumable:raising", algorithms=("random",), runs=1)
     with pytest.raises(LookupError, match="no such planner") as raised:
         run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)

@@ -74,26 +74,26 @@ def test_a_run_by_hand(frame):
     assert measures.first_failure == 60 + 10 + 20
 
 
-def test_up_to_a_time_only_what_had_ended_by_then_counts(frame):
+def test_measures_up_to_a_time_ignore_later_runs(frame):
     (measures,) = measured(frame(rows({}, hit(10.0), hit(20.0, "ego"))), 75.0)
     assert (measures.unique, measures.unique_collisions, measures.distinct, measures.seconds) == (2, 1, 0, 75.0)
     assert measures.first_failure == math.inf
 
 
-def test_the_horizon_is_the_time_of_the_shortest_run(frame):
+def test_horizon_is_the_time_of_shortest_run(frame):
     assert (
         run_measures.horizon(frame(rows({}, {}), rows({}, hit(9.0), run=1), rows({}, {}, {}, algorithm="random")))
         == 69.0
     )
 
 
-def test_a_run_without_a_collision_has_no_time_to_one_and_infinite_seconds_for_one(frame):
+def test_run_without_collision_has_no_collision_time(frame):
     (measures,) = measured(frame(rows({}, {})))
     assert math.isnan(measures.collision_time)
     assert (measures.seconds_per_collision, measures.share, measures.distinct) == (math.inf, 0.0, 0)
 
 
-def test_a_first_failure_that_did_not_come_is_censored_at_the_end_of_its_run(frame):
+def test_missing_first_failure_is_censored_at_run_end(frame):
     runs = run_measures.measured(frame(rows({}, hit(8.0, "ego")), rows({}, {}, run=1)))
     assert run_measures.first_failures(runs) == ([68.0, 120.0], [False, True])
     assert statistics.survival(*run_measures.first_failures(runs)).median == 68.0
@@ -113,14 +113,14 @@ def test_faults_of_the_ads_are_counted_among_them(frame):
     assert [run_measures.distinct_in_all(each, "pafot") for each in (data, faults)] == [2, 1]
 
 
-def test_a_signature_that_reads_like_nothing_or_a_number_stays_a_text(frame):
+def test_signature_like_null_or_number_stays_text(frame):
     data = frame(rows(hit(5.0, "ego", "null"), hit(5.0, "ego", "1"), {"scenario": "000012"}))
     assert data["signature"].tolist()[:2] == ["null", "1"]
     assert data["scenario"].tolist()[2] == "000012"
     assert pd.isna(data["signature"].tolist()[2])
 
 
-def test_the_first_algorithm_is_compared_with_each_other_one_at_both_budgets(frame):
+def test_first_algorithm_is_compared_with_each_other_one(frame):
     def runs(name, times):
         return [row for run, time in enumerate(times) for row in rows({}, hit(time, "ego"), algorithm=name, run=run)]
 
@@ -140,7 +140,7 @@ def test_the_first_algorithm_is_compared_with_each_other_one_at_both_budgets(fra
     assert at_equal_seconds == [each for each in found if each.at == "seconds"]
 
 
-def test_the_inverted_distance_is_the_mean_way_from_all_impacts_to_the_nearest_one_of_a_run(frame):
+def test_inverted_distance_is_mean_distance_to_nearest_impact(frame):
     """Three impacts: of the front at 5 m/s and at 25 m/s by an NPC ahead, and at 5 m/s by one that was behind."""
     ahead, fast, behind = hit(10.0), hit(10.0, closing_speed=25.0), hit(10.0, cell=6)
     data = frame(
@@ -156,7 +156,7 @@ def test_the_inverted_distance_is_the_mean_way_from_all_impacts_to_the_nearest_o
     )
 
 
-def test_an_impact_in_a_zone_is_where_the_npc_came_from(frame):
+def test_impact_in_a_zone_uses_origin_of_npc(frame):
     left = hit(10.0, cell=None, zone="crossing from the left")
     data = frame(
         rows(left, hit(10.0)),

@@ -25,18 +25,18 @@ class TestEffect:
         assert a12(x, y) == pytest.approx(u / (len(x) * len(y)))
 
     @given(samples, samples)
-    def test_swapping_the_samples_mirrors_effect_and_interval_and_keeps_p(self, x, y):
+    def test_swapping_samples_mirrors_the_effect_with_same_p(self, x, y):
         there, back = compared(x, y), compared(y, x)
         assert there.a12 == pytest.approx(1 - back.a12)
         assert (there.low, there.high) == pytest.approx((1 - back.high, 1 - back.low), abs=1e-6)
         assert there.p == pytest.approx(back.p)
 
     @given(samples, samples)
-    def test_the_interval_holds_the_estimate_and_stays_in_its_range(self, x, y):
+    def test_interval_contains_the_estimate_and_stays_in_range(self, x, y):
         effect = compared(x, y)
         assert 0 <= effect.low <= effect.a12 <= effect.high <= 1
 
-    def test_the_interval_at_complete_separation_follows_from_its_equation(self):
+    def test_interval_at_complete_separation_follows_its_equation(self):
         """At an estimate of 1: (1 - v) m n = z^2 v (1 + N (1 - v) / (2 - v) + N v / (1 + v)), N = (m + n) / 2 - 1."""
         low, high = a12_interval(1.0, 10, 10)
         spread = 1 + 9 * (1 - low) / (2 - low) + 9 * low / (1 + low)
@@ -44,13 +44,13 @@ class TestEffect:
         assert (1 - low) * 100 == pytest.approx(1.959964**2 * low * spread, rel=1e-5)
         assert 0.7 < low < 0.9
 
-    def test_more_runs_make_it_narrower_and_less_confidence_too(self):
+    def test_interval_narrows_with_more_runs_or_less_confidence(self):
         widths = [high - low for low, high in (a12_interval(0.7, size, size) for size in (5, 10, 20, 80))]
         assert all(a > b for a, b in pairwise(widths))
         narrow, wide = (a12_interval(0.7, 10, 10, confidence) for confidence in (0.8, 0.99))
         assert wide[0] < narrow[0] < narrow[1] < wide[1]
 
-    def test_the_interval_covers_the_truth_about_as_often_as_it_says(self):
+    def test_interval_covers_the_truth_as_often_as_stated(self):
         rng = np.random.default_rng(0)
         truth = float(scipy.stats.norm.cdf(1 / math.sqrt(2)))
         intervals = (a12_interval(a12(rng.normal(1, 1, 10), rng.normal(0, 1, 10)), 10, 10) for _ in range(300))
@@ -71,7 +71,7 @@ class TestEffect:
 
 
 class TestFound:
-    def test_ten_of_ten_against_none_of_ten_is_two_tables_of_all_that_are_possible(self):
+    def test_ten_of_ten_against_none_has_exact_p(self):
         assert found_in((10, 10), (0, 10)) == pytest.approx(2 / math.comb(20, 10))
 
     def test_equal_counts_show_nothing(self):
@@ -94,7 +94,7 @@ class TestSurvival:
         assert (at[2], at[3], at[5], at[9]) == pytest.approx((0.8, 0.8, 0.8 / 3, 0.8 / 3))
         assert estimate.median == 5
 
-    def test_without_an_event_everyone_stays_and_there_is_no_median(self):
+    def test_survival_without_event_has_no_median(self):
         estimate = survival([7, 8], [True, True])
         assert estimate.shares.tolist() == [1.0, 1.0]
         assert estimate.median == math.inf
@@ -102,7 +102,7 @@ class TestSurvival:
     def test_without_censoring_the_median_is_the_middle(self):
         assert survival([4, 1, 3, 2, 5], [False] * 5).median == 3
 
-    def test_the_log_rank_test_is_by_hand_the_sum_of_observed_less_expected(self):
+    def test_log_rank_test_sums_observed_minus_expected(self):
         x, y = [1.0, 4.0, 5.0], [2.0, 3.0, 6.0, 7.0]
         observed = expected = variance = 0.0
         for time in sorted([*x, *y]):
@@ -119,7 +119,7 @@ class TestSurvival:
         assert log_rank([6, 6], [False, False], [6, 6], [False, False]) == 1.0
 
     @pytest.mark.filterwarnings("error")
-    def test_where_one_sample_is_gone_before_the_first_failure_of_the_other_nothing_differs(self):
+    def test_samples_never_at_risk_together_do_not_differ(self):
         assert log_rank([1, 1], [True, True], [2, 3, 4], [False] * 3) == 1.0
 
     def test_where_nobody_found_anything_nothing_differs(self):

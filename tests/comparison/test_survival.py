@@ -16,7 +16,7 @@ def median(each):
     return each.median
 
 
-def test_a_censored_search_leaves_the_curve_without_a_step():
+def test_censored_search_leaves_curve_without_a_step():
     each = curve([1, 2, 3, 4], [True, False, True, False])
     assert each.times.tolist() == [1, 2, 3, 4]
     assert each.shares == pytest.approx([3 / 4, 3 / 4, 3 / 8, 3 / 8])
@@ -30,7 +30,7 @@ def test_a_median_that_is_not_reached_is_infinite():
     assert curve([50, 50], [False, False]).median_interval == (math.inf, math.inf)
 
 
-def test_the_interval_of_the_median_is_where_the_band_contains_one_half():
+def test_median_interval_is_where_band_contains_one_half():
     """Freireich's remission times of 6-MP, whose median is 23 weeks, 95 % from 13 on (R's survfit, log-log)."""
     found = [6, 6, 6, 7, 10, 13, 16, 22, 23]
     censored = [6, 9, 10, 11, 17, 19, 20, 25, 32, 32, 34, 35]
@@ -49,7 +49,7 @@ def test_the_interval_of_uncensored_times():
     assert (each.shares <= high).all()
 
 
-def test_the_mean_is_the_area_up_to_the_limit():
+def test_mean_is_the_area_up_to_the_limit():
     assert curve([2, 4]).mean(10) == 3
     assert curve([2, 10], [True, False]).mean(10) == 0.5 * 2 + 0.5 * 10
     assert curve([2, 4]).mean(3) == 0.5 * 2 + 0.5 * 3
@@ -69,7 +69,7 @@ class TestRatio:
         assert ratio(2, math.inf) == 0
         assert math.isnan(ratio(math.inf, math.inf))
 
-    def test_a_constant_factor_is_certain_as_pairs_are_drawn_together(self):
+    def test_constant_factor_gives_exact_ratio_of_paired_samples(self):
         times = np.random.default_rng(1).integers(1, 100, 40).astype(float)
         found = [True] * 40
         each = ratio_interval(median, Sample.of(3 * times, found), Sample.of(times, found), [0] * 40, draws=50)
@@ -84,7 +84,7 @@ class TestRatio:
         low, high = ratio_interval(lambda each: each.mean(10), first, second, [0] * 6, draws=50)
         assert low < 2.5 < high
 
-    def test_medians_that_are_seldom_reached_leave_the_ratio_open(self):
+    def test_ratio_is_open_if_medians_are_rarely_reached(self):
         none = Sample.of([10.0] * 4, [False] * 4)
         assert ratio_interval(median, none, none, [0] * 4, draws=50) == (0, math.inf)
         soon = Sample.of([1.0] * 4, [True] * 4)

@@ -43,14 +43,14 @@ def off_way(trace):
     return np.isnan(trace.track[:, 1:, 0])
 
 
-def test_every_public_measure_is_in_one_of_the_lists():
+def test_every_public_measure_is_in_one_list():
     listed = {*IN_THE_PLANE, *EXTREMES_IN_THE_PLANE, *ALONG_THE_WAY, *IN_ONE_LANE}
     assert listed | OTHERS == set(criticality.__all__)
     assert not listed & OTHERS
 
 
 @table("name", [*IN_THE_PLANE, *EXTREMES_IN_THE_PLANE])
-def test_measures_in_the_plane_are_those_of_the_states_alone(name):
+def test_measures_in_the_plane_need_only_the_states(name):
     trace, measure = mixed(), getattr(criticality, name)
     alone = replace(trace, track=None, zones=(), on_way=None)
     assert np.isfinite(trace.states).all()
@@ -59,7 +59,7 @@ def test_measures_in_the_plane_are_those_of_the_states_alone(name):
 
 
 @table("name", ALONG_THE_WAY)
-def test_measures_along_the_way_are_nan_as_long_as_the_npc_is_not_on_it(name):
+def test_measures_along_way_are_nan_off_the_way(name):
     trace = mixed()
     assert off_way(trace)[:, 0].all()
     assert off_way(trace)[:, 1].sum() == MERGED
@@ -67,7 +67,7 @@ def test_measures_along_the_way_are_nan_as_long_as_the_npc_is_not_on_it(name):
 
 
 @table("name", IN_ONE_LANE)
-def test_who_is_not_on_the_way_is_in_nobody_s_lane_whatever_the_index_of_its_lane(name):
+def test_npc_off_the_way_is_in_no_lane(name):
     trace = mixed()
     states = trace.states.copy()
     states[:, :, LANE] = 0
@@ -77,13 +77,13 @@ def test_who_is_not_on_the_way_is_in_nobody_s_lane_whatever_the_index_of_its_lan
 
 
 @table("name", [*ALONG_THE_WAY, *IN_ONE_LANE])
-def test_after_a_merge_an_npc_is_measured_as_one_that_never_was_elsewhere(name):
+def test_merged_npc_is_measured_like_any_other(name):
     trace, measure = mixed(), getattr(criticality, name)
     after = replace(trace, states=trace.states[MERGED:], track=trace.track[MERGED:], on_way=None, zones=(), arrivals=())
     np.testing.assert_array_equal(measure(trace)[MERGED:, 1:], measure(after)[:, 1:])
 
 
-def test_extremes_leave_out_who_is_not_on_the_way_and_nobody_there_is_told_as_inf():
+def test_extremes_skip_npcs_off_the_way():
     trace = mixed(ego_speed=12.0)
     distance = criticality.safety_distance(trace)
     assert criticality.min_safety_distance(trace) == distance[~off_way(trace)].min()
@@ -92,7 +92,7 @@ def test_extremes_leave_out_who_is_not_on_the_way_and_nobody_there_is_told_as_in
     assert criticality.max_safety_shortfall(crossing) == 0.0
 
 
-def test_a_number_that_nobody_recorded_is_still_nan_at_a_junction():
+def test_missing_number_is_still_nan_at_a_junction():
     trace = mixed()
     states, track = trace.states.copy(), trace.track.copy()
     states[70, 1, :LANE] = np.nan
@@ -102,7 +102,7 @@ def test_a_number_that_nobody_recorded_is_still_nan_at_a_junction():
     assert math.isnan(criticality.min_gap(broken))
 
 
-def test_the_road_frame_has_no_numbers_of_who_is_not_on_the_way():
+def test_road_frame_is_nan_off_the_way():
     trace = mixed()
     frame, off = RoadFrame(trace), off_way(trace).T
     np.testing.assert_array_equal(frame.is_on_way, ~off)
@@ -113,7 +113,7 @@ def test_the_road_frame_has_no_numbers_of_who_is_not_on_the_way():
         assert not np.isnan(values[0]).any()
 
 
-def test_the_first_drift_on_the_way_is_by_where_the_npc_points_as_at_the_first_tick_of_a_run():
+def test_first_drift_on_way_follows_the_heading():
     trace = mixed()
     frame = RoadFrame(trace)
     angle = trace.track[MERGED, 2, 2]
@@ -122,14 +122,14 @@ def test_the_first_drift_on_the_way_is_by_where_the_npc_points_as_at_the_first_t
     assert frame.drift[2, MERGED + 1] == pytest.approx(moved, abs=0.05)
 
 
-def test_who_leaves_the_ego_s_way_has_no_drift_there_any_more():
+def test_npc_leaving_the_ego_way_has_no_drift():
     trace = mixed()
     track = trace.track.copy()
     track[80:, 2] = np.nan
     np.testing.assert_array_equal(np.isnan(RoadFrame(replace(trace, track=track)).drift[2]), np.isnan(track[:, 2, 0]))
 
 
-def test_who_is_not_on_the_way_is_in_no_cell_and_has_no_last_one():
+def test_npc_off_the_way_is_in_no_cell():
     trace = mixed()
     positions = Encounters(trace)
     assert {positions.cell(0, tick) for tick in range(trace.ticks + 1)} == {None}
@@ -138,14 +138,14 @@ def test_who_is_not_on_the_way_is_in_no_cell_and_has_no_last_one():
     assert positions.cell(1, MERGED) == positions.last_cell(1, trace.ticks) == Cell.FRONT
 
 
-def test_who_merges_into_the_ego_s_own_cell_was_in_no_cell_before():
+def test_npc_merging_into_ego_cell_had_no_cell():
     trace = junction_trace((MERGES, 0.0), ego_speed=16.0, seconds=4.6)
     positions = Encounters(trace)
     assert abs(positions.ahead[0, -1]) < 2.5
     assert positions.cell(0, trace.ticks) is positions.last_cell(0, trace.ticks) is None
 
 
-def test_the_leader_is_somebody_on_the_ego_s_way():
+def test_leader_is_always_on_the_ego_way():
     trace = junction_trace((CROSSES, 10.0), (MERGES, -20.0), (None, 60.0))
     states = trace.states.copy()
     states[:, :, LANE] = 0
@@ -166,7 +166,7 @@ def test_a_lane_change_knows_nothing_of_who_crosses():
 # At the zone.
 
 
-def test_a_passage_says_when_ego_and_npc_were_in_the_zone():
+def test_passage_has_entry_and_exit_times_in_zone():
     """The ego is in the zone from 4.55 to 5.45 s, the first NPC, 10 m later, from 6.55 to 7.45 s."""
     first, second, third = passages(junction_trace((CROSSES, -10.0), (MERGES, -60.0), (None, 20.0)))
     assert (first.npc, first.zone) == (0, ZONES[CROSSES])
@@ -186,12 +186,12 @@ def test_a_passage_says_when_ego_and_npc_were_in_the_zone():
         (15.0, 4.55 - 4.95 + 0.4),  # it is still there when the ego comes
     ],
 )
-def test_the_post_encroachment_time_at_a_zone_is_between_who_leaves_and_who_comes(start, expected):
+def test_post_encroachment_time_spans_exit_to_next_entry(start, expected):
     (passage,) = passages(junction_trace((CROSSES, start)))
     assert passage.post_encroachment_time == pytest.approx(expected, abs=1 / HZ)
 
 
-def test_the_time_advantage_of_steady_vehicles_is_the_post_encroachment_time_from_the_first_tick_on():
+def test_time_advantage_of_steady_vehicles_equals_post_encroachment():
     trace = junction_trace((CROSSES, -10.0), (MERGES, 0.0))
     advantage = time_advantage(trace)
     assert advantage.shape == (trace.ticks + 1, 2)
@@ -200,7 +200,7 @@ def test_the_time_advantage_of_steady_vehicles_is_the_post_encroachment_time_fro
     assert advantage[-1, 0] == pytest.approx(passages(trace)[0].post_encroachment_time, abs=1e-9)
 
 
-def test_a_vehicle_that_stands_before_a_zone_never_comes_and_one_that_stands_in_it_never_leaves():
+def test_vehicle_standing_before_or_in_zone_stays_there():
     trace = junction_trace((CROSSES, 0.0))
     states, on_way = trace.states.copy(), trace.on_way.copy()
     states[15:, 1, SPEED], on_way[15:] = 0.0, on_way[15]
@@ -218,7 +218,7 @@ def test_on_the_grid_nobody_has_a_zone():
     assert set(time_advantage(alone)[:, 0]) == {math.inf}
 
 
-def test_a_place_that_nobody_recorded_makes_the_times_at_a_zone_nan():
+def test_missing_place_makes_times_at_zone_nan():
     trace = junction_trace((CROSSES, 0.0))
     on_way = trace.on_way.copy()
     on_way[20] = np.nan
@@ -228,7 +228,7 @@ def test_a_place_that_nobody_recorded_makes_the_times_at_a_zone_nan():
     assert math.isnan(time_advantage(broken)[20, 0])
 
 
-def test_a_zone_is_still_to_be_passed_until_one_of_the_two_has_left_it():
+def test_zone_is_pending_until_one_vehicle_leaves_it():
     trace = mixed()
     first, second, _ = passages(trace)
     assert (first.ego_leaves, second.npc_leaves) == (82 / HZ, 81 / HZ)
@@ -237,7 +237,7 @@ def test_a_zone_is_still_to_be_passed_until_one_of_the_two_has_left_it():
 
 
 @table("missing", ["on_way", "track"])
-def test_zones_without_places_are_passed_by_nobody_knows_whom(missing):
+def test_zones_without_places_have_no_passages(missing):
     trace = replace(mixed(), **{missing: None})
     assert passages(trace) == (None, None, None)
     assert np.isnan(time_advantage(trace)[:, :2]).all()
@@ -249,7 +249,7 @@ def test_zones_without_places_are_passed_by_nobody_knows_whom(missing):
 # As signals.
 
 
-def test_signals_of_an_npc_that_crosses_are_numbers_but_for_where_it_is_along_the_way():
+def test_signals_of_crossing_npc_are_numbers_except_position():
     first, second, third = Signals(mixed()).npcs
     names = [measure.name.removeprefix("npcs.") for measure in MEASURES if measure.name.startswith("npcs.")]
     missing = [name for name in names if np.isnan(getattr(first, name)).any()]
@@ -261,7 +261,7 @@ def test_signals_of_an_npc_that_crosses_are_numbers_but_for_where_it_is_along_th
     assert {"zone", "passage", "ttc", "time_advantage"} <= set(dir(first))
 
 
-def test_only_who_has_a_zone_has_a_column_of_its_time_advantage():
+def test_only_npcs_with_zone_have_time_advantage_column():
     trace = mixed()
     named = [signal.name for signal in Signals(trace).all() if "time_advantage" in signal.name]
     assert named == ["npcs[0].time_advantage", "npcs[1].time_advantage"]

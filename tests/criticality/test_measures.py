@@ -76,7 +76,7 @@ class TestGap:
     def test_counts_from_corner_to_corner_diagonally(self):
         assert of_one_npc(criticality.gap, vehicle(0), vehicle(8, 6)) == pytest.approx(math.hypot(3, 4))
 
-    def test_is_zero_for_crossed_boxes_without_a_corner_inside_each_other(self):
+    def test_crossed_boxes_without_inner_corner_have_zero_gap(self):
         assert of_one_npc(criticality.gap, vehicle(0), vehicle(0, heading=math.pi / 2)) == 0
 
     def test_minimum_is_over_all_ticks_and_npcs(self):
@@ -124,7 +124,7 @@ class TestTtc:
     def test_is_zero_at_overlap_even_when_parting(self):
         assert of_one_npc(criticality.ttc, vehicle(0, speed=10), vehicle(4, speed=30)) == 0
 
-    def test_is_infinite_when_the_npc_crosses_behind_the_ego(self):
+    def test_ttc_is_infinite_when_npc_crosses_behind_ego(self):
         ego, npc = vehicle(0, speed=20), vehicle(0, -20, heading=math.pi / 2, speed=10)
         assert of_one_npc(criticality.ttc, ego, npc) == math.inf
 
@@ -160,7 +160,7 @@ class TestEttc:
         assert_same(of_one_npc(criticality.ettc, ego, npc), expected)
 
     @table(("heading", "other"), [(0.3, 1.2), (0.2, -0.7), (-0.4, 0.9), (1.4, 0.1), (2.5, 1.0)])
-    def test_is_the_paper_s_formula_where_that_is_defined(self, heading, other):
+    def test_ettc_matches_the_paper_formula_where_defined(self, heading, other):
         crossing = np.array([7.0, -2.0])
         x1, y1 = crossing - 30 * np.array([math.cos(heading), math.sin(heading)])
         x2, y2 = crossing - 12 * np.array([math.cos(other), math.sin(other)])
@@ -180,11 +180,11 @@ class TestEttc:
     def test_of_parallel_lines_is_infinite(self, y):
         assert of_one_npc(criticality.ettc, vehicle(0, speed=20), vehicle(25, y, speed=10)) == math.inf
 
-    def test_of_a_crossing_point_behind_the_ego_is_infinite(self):
+    def test_ettc_is_infinite_for_crossing_point_behind_ego(self):
         ego, npc = vehicle(0, speed=10), vehicle(-30, -20, heading=math.pi / 2, speed=10)
         assert of_one_npc(criticality.ettc, ego, npc) == math.inf
 
-    def test_of_a_crossing_point_behind_the_npc_is_infinite(self):
+    def test_ettc_is_infinite_for_crossing_point_behind_npc(self):
         ego, npc = vehicle(0, speed=10), vehicle(30, 20, heading=math.pi / 2, speed=10)
         assert of_one_npc(criticality.ettc, ego, npc) == math.inf
 
@@ -196,14 +196,14 @@ class TestEttc:
         ego, npc = vehicle(0, speed=-10), vehicle(-30, -20, heading=math.pi / 2, speed=10)
         assert of_one_npc(criticality.ettc, ego, npc) == pytest.approx(3)
 
-    def test_mettc_is_the_minimum_over_all_ticks_and_npcs(self):
+    def test_mettc_is_minimum_over_all_ticks_and_npcs(self):
         crossing = vehicle([30, 25], -20, heading=math.pi / 2, speed=10)
         trace = trace_of(vehicle([0, 0], speed=10), vehicle([9, 9], 4, speed=10), crossing)
         assert criticality.mettc(trace) == pytest.approx(2.5)
 
 
 class TestSafetyDistance:
-    def test_is_what_the_ego_gains_on_its_leader_in_three_seconds(self):
+    def test_safety_distance_is_ego_gain_in_three_seconds(self):
         ego, leader = vehicle(0, speed=20, acceleration=1), vehicle(50, speed=15, acceleration=-2)
         assert of_one_npc(criticality.safety_distance, ego, leader) == pytest.approx(5 * 3 + 3 * 9 / 2)
 
@@ -216,11 +216,11 @@ class TestSafetyDistance:
             -15
         )
 
-    def test_who_follows_is_decided_along_the_road_and_not_along_the_ego_s_heading(self):
+    def test_follower_is_decided_along_road_and_not_heading(self):
         ego, npc = vehicle(0, 0, heading=0.3, speed=20), vehicle(1, -4, speed=20)
         assert criticality.ego_follows(trace_of(ego, npc))[0, 0]
 
-    def test_the_road_of_a_bend_is_that_of_the_ego_s_lane(self):
+    def test_road_in_bend_follows_lane_of_the_ego(self):
         lanes = (*straight_lanes(1), *straight_lanes(1, heading=math.pi))
         npc = vehicle(10, speed=20)
         assert criticality.ego_follows(trace_of(vehicle(0, lane=0), npc, lanes=lanes))[0, 0]
@@ -280,7 +280,7 @@ class TestRequiredDeceleration:
         ) == pytest.approx(2.5)
 
     @table("npc", [vehicle(25, speed=20), vehicle(25, speed=30), vehicle(25, 4, speed=10)])
-    def test_is_zero_when_nothing_closes_in_the_same_lane(self, npc):
+    def test_required_deceleration_is_zero_when_nothing_closes(self, npc):
         assert of_one_npc(criticality.required_deceleration, vehicle(0, speed=20), npc) == 0
 
     def test_is_infinite_at_contact_while_closing(self):
@@ -317,7 +317,7 @@ class TestRss:
         assert of_one_npc(criticality.rss_longitudinal, ego, leader) == pytest.approx(76.71875)
 
     @table(("follower", "leader"), [(20, 15), (26.8, 0), (5, 8), (0, 0)])
-    def test_longitudinal_distance_is_what_the_worst_case_uses_up(self, follower, leader):
+    def test_rss_longitudinal_distance_suffices_exactly_in_worst_case(self, follower, leader):
         expected = stopping_way(follower, 0.5, 3, 4) - stopping_way(leader, 0, 0, 9)
         trace = trace_of(vehicle(0, speed=follower), vehicle(99, speed=leader))
         assert criticality.rss_longitudinal(trace, self.rules)[0, 0] == pytest.approx(max(expected, 0), abs=0.05)
@@ -330,26 +330,26 @@ class TestRss:
     def test_longitudinal_distance_is_never_negative(self):
         assert of_one_npc(criticality.rss_longitudinal, vehicle(0, speed=5), vehicle(50, speed=30)) == 0
 
-    def test_an_oncoming_leader_asks_for_more_than_a_standing_one(self):
+    def test_oncoming_leader_needs_more_distance_than_standing_leader(self):
         standing, oncoming = (
             of_one_npc(criticality.rss_longitudinal, vehicle(0, speed=20), vehicle(80, heading=math.pi, speed=speed))
             for speed in (0, 10)
         )
         assert oncoming == pytest.approx(standing + 100 / 16)
 
-    def test_lateral_distance_by_hand_for_two_that_keep_their_lanes(self):
+    def test_rss_lateral_distance_matches_calculation_by_hand(self):
         # Ego: 0.2 / 2 + 0.2^2 / 1.6; NPC: 0.2 * 4 / 2 + 0.4^2 / 1.6; and the margin of 0.1.
         ego, npc = vehicle(0, speed=20), vehicle(0, 4, speed=20)
         assert of_one_npc(criticality.rss_lateral, ego, npc) == pytest.approx(0.125 + 0.5 + 0.1)
 
     @pytest.mark.parametrize("side", [-1, 1])
-    def test_lateral_distance_is_what_the_worst_case_uses_up(self, side):
+    def test_rss_lateral_distance_suffices_exactly_in_worst_case(self, side):
         heading = -side * 0.05  # towards the ego
         ego, npc = vehicle(0, speed=20), vehicle(0, side * 4, heading=heading, speed=20)
         expected = 0.1 + stopping_way(0, 1, 0.2, 0.8) + stopping_way(20 * math.sin(0.05), 2, 0.2, 0.8)
         assert of_one_npc(criticality.rss_lateral, ego, npc) == pytest.approx(expected, abs=0.01)
 
-    def test_lateral_distance_is_the_margin_when_the_npc_leaves(self):
+    def test_rss_lateral_distance_is_margin_when_npc_leaves(self):
         ego, npc = vehicle(0, speed=20), vehicle(0, 4, heading=0.1, speed=20)
         assert of_one_npc(criticality.rss_lateral, ego, npc) == pytest.approx(0.1)
 
@@ -400,7 +400,7 @@ class TestPostEncroachmentTime:
         assert criticality.post_encroachment_time(trace, horizon=6) == pytest.approx(5, abs=1 / 15)
 
     @given(seeds)
-    def test_is_the_smallest_lag_of_any_two_overlapping_states(self, seed):
+    def test_post_encroachment_time_is_smallest_lag_of_overlaps(self, seed):
         trace = random_trace(seed, rows=6, vehicles=2)
         lengths, widths = trace.sizes.T
         lags = [
@@ -446,7 +446,7 @@ class TestEveryArray:
         assert differing(ARRAYS, with_states(states, trace.sizes), trace) == []
 
     @given(seed=seeds)
-    def test_of_one_npc_does_not_depend_on_the_others(self, seed):
+    def test_array_for_one_npc_does_not_need_others(self, seed):
         trace = random_trace(seed)
         alone = with_states(trace.states[:, [0, 2]], trace.sizes[[0, 2]])
         for measure in ARRAYS:

@@ -95,7 +95,7 @@ def approach(last, radius):
     return (np.full(10, 1.0), np.full(10, radius)), (1.0 + gaps / radius, np.full(10, radius))
 
 
-def test_all_who_tell_the_cell_of_an_npc_in_a_bend_agree():
+def test_all_sources_agree_on_cell_in_a_bend():
     """2.64 m ahead of the ego, as they drive, and only 2.2 m along the ego's way, which is inside of them."""
     trace = driven(*approach(2.64, RADIUS + LANE_WIDTH), touched=True)
     run = Run(trace)
@@ -105,7 +105,7 @@ def test_all_who_tell_the_cell_of_an_npc_in_a_bend_agree():
     assert view_of(trace).vehicles[1].cells[-1] == Cell.FRONT
 
 
-def test_all_agree_as_well_that_an_npc_came_into_the_ego_s_own_cell():
+def test_all_sources_agree_on_npc_entering_ego_cell():
     trace = driven(*approach(2.4, RADIUS + LANE_WIDTH), touched=True)
     positions = Encounters(trace)
     assert positions.cell(0, trace.ticks) is None
@@ -117,9 +117,7 @@ def test_all_agree_as_well_that_an_npc_came_into_the_ego_s_own_cell():
 @given(
     st.floats(0.5, 2.0), st.floats(0.5, 2.0), st.floats(RADIUS - 1, RADIUS + 5), st.floats(RADIUS - 1, RADIUS + 5)
 )  # fmt: skip
-def test_ahead_in_a_circle_is_the_arc_halfway_between_the_two_and_right_the_difference_of_the_radii(
-    ego_angle, npc_angle, ego_radius, npc_radius
-):
+def test_distance_ahead_in_circle_is_the_middle_arc(ego_angle, npc_angle, ego_radius, npc_radius):
     trace = driven(([ego_angle], [ego_radius]), ([npc_angle], [npc_radius]))
     arc = (npc_angle - ego_angle) * (ego_radius + npc_radius) / 2
     frame = RoadFrame(trace)
@@ -129,7 +127,7 @@ def test_ahead_in_a_circle_is_the_arc_halfway_between_the_two_and_right_the_diff
     assert Encounters(trace).ego_follows[0, 0] == (frame.ahead[0, 0] >= 0)
 
 
-def test_beside_a_straight_road_the_grid_lies_along_the_road_as_well():
+def test_grid_off_a_straight_road_follows_the_road():
     """The ego has left the road and turned by a right angle; the NPC is still ahead of it along the road."""
     ego = vehicle(0.0, 40.0, heading=math.pi / 2, lane=-1, ticks=0)
     trace = trace_of(ego, vehicle(30.0, 40.0, lane=-1, ticks=0), scenario=scenario_of(1))

@@ -35,11 +35,11 @@ def random_run(seed, *, rows=12, vehicles=4):
 
 
 class TestSignal:
-    def test_a_signal_is_an_array_that_knows_its_ticks_its_name_and_its_unit(self):
+    def test_signal_has_its_ticks_name_and_unit(self):
         assert SPEED_OF_ALL.tolist() == [1.0, 2.0, 4.0]
         assert described(SPEED_OF_ALL) == (10, 5, "ego.speed", "m/s")
 
-    def test_it_is_read_only_and_has_its_values_to_itself(self):
+    def test_signal_is_read_only_copy_of_its_values(self):
         values = np.array([1.0, 2.0])
         signal = Signal(values)
         values[0] = 7.0
@@ -61,7 +61,7 @@ class TestSignal:
             SPEED_OF_ALL.clip(1.5, 3.0),
         ],
     )
-    def test_what_is_computed_value_by_value_is_over_the_same_ticks_without_name_and_unit(self, changed):
+    def test_computed_signal_has_ticks_without_name_or_unit(self, changed):
         assert isinstance(changed, Signal)
         assert described(changed) == (10, 5, "", "")
 
@@ -84,7 +84,7 @@ class TestSignal:
             assert type(number) is np.float64
         assert SPEED_OF_ALL.std() == pytest.approx(math.sqrt(14 / 9))
 
-    def test_what_is_changed_in_place_is_no_longer_what_it_was_called(self):
+    def test_signal_changed_in_place_loses_its_name(self):
         speed = SPEED_OF_ALL.copy()
         speed *= 3.6
         assert described(speed) == (10, 5, "", "")
@@ -95,7 +95,7 @@ class TestSignal:
         assert there.tolist() == SPEED_OF_ALL.tolist()
         assert described(there) == described(SPEED_OF_ALL)
 
-    def test_what_was_read_only_is_so_in_another_process(self):
+    def test_signal_is_still_read_only_after_pickling(self):
         assert not pickle.loads(pickle.dumps(SPEED_OF_ALL)).flags.writeable
 
     def test_more_than_one_value_a_tick_is_refused(self):
@@ -104,7 +104,7 @@ class TestSignal:
 
 
 class TestVehicles:
-    def test_every_measure_of_a_vehicle_is_an_attribute_that_type_checkers_know(self):
+    def test_every_vehicle_measure_is_an_annotated_attribute(self):
         names = {measure.name for measure in MEASURES}
         of_the_ego, of_npcs = EgoSignals.__annotations__, NpcSignals.__annotations__
         assert names == {"headway", *(f"ego.{name}" for name in of_the_ego), *(f"npcs.{name}" for name in of_npcs)}
@@ -122,16 +122,16 @@ class TestVehicles:
         assert described(run.npcs[1].gap) == (15, 0, "npcs[1].gap", "m")
         assert described(run.headway) == (15, 0, "headway", "s")
 
-    def test_a_name_that_there_is_not_is_told_with_those_that_there_are(self):
+    def test_unknown_signal_name_lists_the_known_names(self):
         with pytest.raises(AttributeError, match=r"ego\.sped: expected one of acceleration, jerk"):
             random_run(3).ego.sped  # noqa: B018
 
-    def test_there_are_as_many_as_the_run_has_npcs(self):
+    def test_run_has_signals_for_each_of_its_npcs(self):
         assert len(random_run(4).npcs) == 3
 
 
 class TestJerkAndLateralAcceleration:
-    def test_the_jerk_is_the_third_derivative_of_the_way(self):
+    def test_jerk_is_third_derivative_of_the_position(self):
         seconds = np.arange(31) / 15
         run = run_of(vehicle(seconds**3 / 6 * 2.5, speed=seconds**2 / 2 * 2.5, acceleration=seconds * 2.5))
         np.testing.assert_allclose(run.ego.jerk[1:], 2.5)
@@ -139,7 +139,7 @@ class TestJerkAndLateralAcceleration:
     def test_the_jerk_of_the_first_tick_is_zero(self):
         assert run_of(vehicle(np.zeros(3), acceleration=np.array([-4.0, -4.0, -1.0]))).ego.jerk.tolist() == [0, 0, 45]
 
-    def test_the_lateral_acceleration_in_a_circle_is_speed_squared_over_its_radius(self):
+    def test_lateral_acceleration_in_circle_follows_speed_and_radius(self):
         speed, radius = 12.0, 40.0
         angle = np.arange(90) / 15 * speed / radius + 2.0
         wrapped = (angle + math.pi) % (2 * math.pi) - math.pi
@@ -149,7 +149,7 @@ class TestJerkAndLateralAcceleration:
         np.testing.assert_allclose(left.ego.lateral_acceleration[1:], -(speed**2) / radius)
         assert right.ego.lateral_acceleration[0] == 0
 
-    def test_the_acceleration_is_how_the_speed_changes_in_a_run_of_the_kernel(self, braking_run):
+    def test_acceleration_matches_change_of_speed_in_kernel(self, braking_run):
         changes = np.diff(braking_run.ego.speed) * 15
         np.testing.assert_allclose(braking_run.ego.acceleration[1:], changes, atol=1e-9)
         np.testing.assert_allclose(braking_run.ego.jerk[2:], np.diff(changes) * 15, atol=1e-7)
@@ -177,16 +177,16 @@ def nearest_ahead(run, tick):
 
 class TestHeadway:
     @given(st.integers(0, 2**32 - 1))
-    def test_the_leader_is_the_nearest_npc_ahead_in_the_ego_s_lane(self, seed):
+    def test_leader_is_nearest_npc_ahead_in_ego_lane(self, seed):
         run = random_run(seed, rows=6)
         assert run.leader.tolist() == [nearest_ahead(run, tick)[0] for tick in range(6)]
 
-    def test_it_is_the_time_to_the_place_of_the_leader_s_rear(self):
+    def test_headway_is_time_to_rear_of_the_leader(self):
         run = run_of(vehicle([0.0, 0.0], speed=10.0), vehicle([60.0, 20.0]), vehicle([40.0, 90.0]))
         assert run.leader.tolist() == [1, 0]
         assert run.headway.tolist() == [(40 - LENGTH) / 10, (20 - LENGTH) / 10]
 
-    def test_without_a_leader_and_in_standing_it_is_infinite(self):
+    def test_headway_is_infinite_without_leader_or_when_standing(self):
         ego = vehicle([0.0, 0.0, 0.0], [0.0, 4.0, 0.0], speed=np.array([10.0, 10.0, 0.0]))
         run = run_of(ego, vehicle([-20.0, 20.0, 20.0]))
         assert run.leader.tolist() == [-1, -1, 0]
@@ -198,7 +198,7 @@ class TestHeadway:
 
 
 class TestLaneChanges:
-    def test_a_lane_change_has_its_time_its_lanes_and_the_gaps_where_it_goes(self):
+    def test_lane_change_has_time_lanes_and_gaps(self):
         ego = vehicle(np.zeros(31), np.repeat([4.0, 8.0], [15, 16]))
         ahead, behind = vehicle(17.0, 8.0), vehicle(-30.0, 8.0)
         run = run_of(ego, ahead, behind, vehicle(9.0, 4.0), vehicle(60.0, 8.0))
@@ -206,25 +206,25 @@ class TestLaneChanges:
         assert (change.tick, change.time, change.from_lane, change.to_lane) == (15, 1.0, 1, 2)
         assert (change.gap_ahead, change.gap_behind) == (17 - LENGTH, 30 - LENGTH)
 
-    def test_where_nobody_is_the_gaps_are_infinite_and_one_abreast_leaves_none(self):
+    def test_lane_change_gaps_are_infinite_without_other_vehicles(self):
         ego = vehicle(np.zeros(3), np.array([4.0, 0.0, 4.0]))
         first, second = run_of(ego, vehicle(-1.0, 4.0)).lane_changes
         assert (first.gap_ahead, first.gap_behind) == (math.inf, math.inf)
         assert (second.gap_ahead, second.gap_behind) == (math.inf, 0)
 
-    def test_to_leave_the_road_and_come_back_is_no_lane_change(self):
+    def test_leaving_and_reentering_road_is_no_lane_change(self):
         ego = vehicle(np.zeros(4), 0.0, lane=np.array([0.0, -1.0, -1.0, 0.0]))
         assert run_of(ego, vehicle(50.0)).lane_changes == ()
 
 
 class TestOwnMeasures:
-    def test_a_measure_of_one_s_own_is_a_signal_of_the_run(self):
+    def test_custom_measure_is_a_signal_of_the_run(self):
         room = Measure("room", "m", "low", "mine", lambda trace: 10.0 - trace.ego[:, X])
         run = run_of(vehicle([0.0, 3.0]), vehicle(30.0))
         assert run.signal(room).tolist() == [10.0, 7.0]
         assert described(run.signal(room)) == (15, 0, "room", "m")
 
-    def test_one_of_each_npc_is_asked_for_by_npc(self):
+    def test_custom_measure_for_each_npc_needs_npc_index(self):
         far = Measure("far", "m", "low", "mine", lambda trace: trace.npcs[:, :, X].T)
         run = run_of(vehicle([0.0, 3.0]), vehicle(30.0), vehicle(50.0))
         assert described(run.signal(far, npc=1)) == (15, 0, "npcs[1].far", "m")
@@ -245,7 +245,7 @@ class TestOwnMeasures:
 
 
 class TestFrame:
-    def test_a_frame_has_a_row_a_tick_and_a_column_for_each_signal(self):
+    def test_frame_has_row_per_tick_and_all_signals(self):
         pytest.importorskip("pandas")
         run = random_run(7)
         frame = run.to_pandas()
@@ -261,7 +261,7 @@ class TestFrame:
             random_run(8).to_pandas()
 
 
-def test_every_measure_is_a_number_a_tick_of_a_run_that_collides_too():
+def test_every_measure_gives_one_number_for_each_tick():
     run = run_of(vehicle([0.0, 3.0], speed=20.0), vehicle([9.0, 7.0]), outcome=Outcome.COLLISION)
     for measure in MEASURES:
         assert measure.values(run.trace).shape[-1] == 2, measure.name
@@ -269,7 +269,7 @@ def test_every_measure_is_a_number_a_tick_of_a_run_that_collides_too():
 
 
 @table("reordered", [np.flip(SPEED_OF_ALL), np.sort(SPEED_OF_ALL), np.roll(SPEED_OF_ALL, 1)])
-def test_what_leaves_no_value_at_its_tick_is_no_signal(reordered):
+def test_reordered_values_are_not_a_signal(reordered):
     assert not isinstance(reordered, Signal)
 
 

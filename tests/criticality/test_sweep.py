@@ -99,11 +99,11 @@ def runs():
 @pytest.mark.parametrize("module", SWEEPS.values(), ids=SWEEPS)
 class TestSweep:
     @given(seed=seeds, spread=st.sampled_from([5.0, 25.0, 500.0]))
-    def test_finds_the_extremes_of_the_arrays_in_any_states(self, module, seed, spread):
+    def test_sweep_finds_same_extremes_in_any_states(self, module, seed, spread):
         trace = drawn(seed, spread=spread)
         assert swept(module, trace) in (by_arrays(trace), None)
 
-    def test_sees_sooner_contacts_of_vehicles_that_meet_from_anywhere(self, module):
+    def test_sweep_finds_contacts_of_vehicles_from_any_direction(self, module):
         traces = [meeting(seed) for seed in range(100)]
         expected = [by_arrays(trace) for trace in traces]
         assert [swept(module, trace) for trace in traces] == expected
@@ -113,17 +113,17 @@ class TestSweep:
         found = [(swept(module, trace), by_arrays(trace)) for trace in runs()[:15]]
         assert [swept for swept, arrays in found if swept not in (arrays, None)] == []
 
-    def test_answers_itself_in_nearly_all_runs_of_a_search(self, module):
+    def test_sweep_needs_no_arrays_in_most_search_runs(self, module):
         assert sum(swept(module, trace) is not None for trace in runs()) >= 15
 
-    def test_stops_at_a_contact_that_came_from_the_side(self, module):
+    def test_sweep_stops_at_contact_from_the_side(self, module):
         beside = vehicle(0, np.linspace(4, 1, 30), speed=20, lane=1)
         trace = trace_of(vehicle(0, 0, speed=20, lane=1), beside)
         assert swept(module, trace) in (by_arrays(trace), None)
         assert by_arrays(trace)[1] == 0
 
     @pytest.mark.parametrize("of", [0, 2])
-    def test_leaves_what_is_no_state_of_a_vehicle_to_the_arrays(self, module, of):
+    def test_sweep_leaves_invalid_states_to_the_arrays(self, module, of):
         columns, values = (X, Y, HEADING, SPEED, ACCELERATION, LANE), (math.nan, math.inf, -math.inf, 2e6)
         swept_anyway = []
         for column, value in itertools.product(columns, values):
@@ -134,7 +134,7 @@ class TestSweep:
                 swept_anyway.append((column, value))
         assert swept_anyway == []
 
-    def test_leaves_a_run_without_a_course_of_collision_to_the_arrays(self, module):
+    def test_sweep_leaves_runs_without_collision_course_to_arrays(self, module):
         trace = trace_of(vehicle(0, 0, speed=20, ticks=30), vehicle(50, 4, speed=25, ticks=30))
         assert swept(module, trace) is None
         assert by_arrays(trace)[0] == math.inf
@@ -175,7 +175,7 @@ def test_roads_that_turn_are_left_to_the_arrays():
 
 @pytest.mark.skipif(not sweep.is_compiled(), reason="nothing is compiled here")
 @pytest.mark.parametrize("module", [sweep, interaction])
-def test_the_compiled_pass_is_that_of_the_present_source(module):
+def test_compiled_pass_matches_the_current_source_files(module):
     compiled = Path(module.__file__)
     for suffix in (".py", ".pxd"):
         source = compiled.with_name(NAMES[module] + suffix)

@@ -92,7 +92,7 @@ def text_of(formula):
 
 @settings(max_examples=settings.default.max_examples * 2)  # of seven kinds of formulas, in each other
 @given(formulas, pairs_of_signals(1, numbers | st.just(math.nan)))
-def test_a_formula_has_the_robustness_and_the_deciding_tick_that_its_definition_gives_at_every_tick(formula, both):
+def test_robustness_and_deciding_tick_match_the_definition(formula, both):
     values = dict(zip("xy", both, strict=True))
     expected = [by_definition(formula, values, tick) for tick in range(len(values["x"]))]
     margin = margin_of(formula, values)
@@ -101,7 +101,7 @@ def test_a_formula_has_the_robustness_and_the_deciding_tick_that_its_definition_
 
 @settings(max_examples=1000, deadline=None)
 @given(formulas, pairs_of_signals(2))
-def test_a_formula_has_the_robustness_that_rtamt_gives_at_every_tick(formula, both):
+def test_robustness_matches_rtamt_at_every_tick(formula, both):
     rtamt = pytest.importorskip("rtamt")
     values = dict(zip("xy", both, strict=True))
     spec = rtamt.StlDiscreteTimeSpecification()
@@ -118,7 +118,7 @@ SPEED = pafot.Signal([3.0, 1.0, 2.0], hz=2, start=4, name="ego.speed", unit="m/s
 
 
 class TestMargin:
-    def test_it_is_over_the_ticks_of_its_signal_and_in_its_unit(self):
+    def test_margin_has_ticks_and_unit_of_its_signal(self):
         for margin in (pafot.above(SPEED, 2.0), pafot.always(~pafot.below(SPEED, 2.0), within=(0, 1))):
             assert (margin.hz, margin.start, margin.unit) == (2, 4, "m/s")
 
@@ -129,26 +129,26 @@ class TestMargin:
         gap = pafot.Signal([5.0, 5.0, 5.0], hz=2, start=4, unit="m")
         assert (pafot.above(SPEED, 2.0) & pafot.above(gap, 1.0)).unit == ""
 
-    def test_only_what_looks_ahead_in_time_is_a_formula(self):
+    def test_only_margin_that_looks_ahead_is_a_formula(self):
         plain = pafot.above(SPEED, 2.0)
         assert not (plain & ~plain | plain).is_formula
         for formula in (pafot.always(plain), pafot.eventually(plain), pafot.until(plain, plain)):
             assert (formula.is_formula, (~formula).is_formula, (plain & formula).is_formula) == (True, True, True)
 
-    def test_it_stays_a_margin_in_another_scale_and_in_another_process(self):
+    def test_scaled_or_pickled_margin_stays_a_margin(self):
         formula = pafot.always(pafot.above(SPEED, 2.0))
         for same in (formula / 10, pickle.loads(pickle.dumps(formula)), formula[1:]):
             assert isinstance(same, Margin)
             assert same.is_formula
 
-    def test_what_is_no_number_makes_all_that_look_at_it_none(self):
+    def test_nan_makes_every_margin_that_uses_it_nan(self):
         margin = pafot.above(pafot.Signal([1.0, math.nan, 3.0], hz=2), 2.0)
         assert np.isnan(pafot.eventually(margin)).tolist() == [True, True, False]
         assert np.isnan(margin | ~margin).tolist() == [False, True, False]
 
 
 class TestWindow:
-    def test_it_has_the_ticks_whose_times_lie_in_it_both_ends_included(self):
+    def test_window_includes_the_ticks_at_both_ends(self):
         margin = pafot.above(pafot.Signal([1.0, 2.0, 3.0, 4.0, 5.0], hz=10), 0.0)
         assert pafot.eventually(margin, within=(0.0, 0.3))[0] == 4.0
         assert pafot.eventually(margin, within=(0.0, 0.29))[0] == 3.0
@@ -165,7 +165,7 @@ class TestWindow:
         with pytest.raises(ValueError, match=r"expected seconds \(from, to\) with 0 <= from <= to, received"):
             pafot.always(pafot.above(SPEED, 2.0), within=within)
 
-    def test_a_window_between_two_ticks_is_refused_as_anything_would_hold_in_it(self):
+    def test_window_without_a_tick_in_it_is_refused(self):
         with pytest.raises(ValueError, match="expected a window with a tick in it, of 2 a second"):
             pafot.always(pafot.above(SPEED, 2.0), within=(0.1, 0.4))
 
@@ -189,12 +189,12 @@ class TestMistakes:
         with pytest.raises(ValueError, match="expected margins over the same ticks, received 3 from tick 4 on at 2"):
             pafot.above(SPEED, 2.0) & pafot.above(other, 0.0)
 
-    def test_an_array_of_one_s_own_goes_with_any_signal_of_its_length(self):
+    def test_plain_array_combines_with_signal_of_same_length(self):
         joined = pafot.above(np.zeros(3), 1.0) | pafot.above(SPEED, 2.0)
         assert (joined.tolist(), joined.hz, joined.start) == ([1.0, -1.0, 0.0], 2, 4)
 
 
-def test_a_property_of_a_run_is_written_as_it_is_said():
+def test_run_property_reads_like_its_spoken_form():
     states = random_states(np.random.default_rng(3), 40, 3)
     run = pafot.Run(trace_of(*states.transpose(1, 0, 2)))
     slows_down = pafot.below(run.ego.acceleration, -1.0)
@@ -205,14 +205,14 @@ def test_a_property_of_a_run_is_written_as_it_is_said():
     assert formula[0] == pytest.approx(expected)
 
 
-def test_until_without_a_window_is_what_it_is_with_one_of_all_ticks():
+def test_until_without_window_spans_all_ticks():
     rng = np.random.default_rng(0)
     for ticks in (1, 2, 30):
         left, right = (pafot.above(pafot.Signal(rng.normal(size=ticks), hz=2), 0.0) for _ in range(2))
         assert pafot.until(left, right).tolist() == pafot.until(left, right, within=(0, 99)).tolist()
 
 
-def test_what_numpy_makes_of_a_margin_and_a_formula_is_a_formula():
+def test_numpy_result_of_margin_and_formula_is_formula():
     plain = pafot.above(pafot.Signal([1.0, -1.0], hz=2), 0.0)
     assert np.minimum(plain, pafot.eventually(plain)).is_formula
     assert not np.minimum(plain, plain).is_formula
@@ -223,10 +223,10 @@ FORMULA = pafot.eventually(pafot.above(pafot.Signal([1.0, 2.0, 5.0, 3.0, 4.0], h
 
 class TestDeciders:
     @table("same", [-FORMULA, 2 * FORMULA, FORMULA / 10, abs(FORMULA), np.minimum(FORMULA, 4.0), FORMULA[:], ~~FORMULA])
-    def test_what_is_made_of_a_formula_and_numbers_is_decided_by_the_same_ticks(self, same):
+    def test_scaled_formula_is_decided_by_the_same_ticks(self, same):
         assert FORMULA.deciders.tolist() == same.deciders.tolist() == [2, 2, 2, 4, 4]
 
-    def test_those_of_a_part_are_counted_from_its_first_tick(self):
+    def test_deciders_of_a_slice_count_from_its_start(self):
         assert FORMULA[1:4].deciders.tolist() == [1, 1, 3]
         assert FORMULA[1:][1:].deciders.tolist() == [0, 2, 2]
 
@@ -247,7 +247,7 @@ class TestDeciders:
             pickle.loads(pickle.dumps(FORMULA)),
         ],
     )
-    def test_of_what_may_be_decided_otherwise_none_is_known(self, other):
+    def test_deciders_are_unknown_for_mixed_or_reordered_formulas(self, other):
         assert other.is_formula
         assert pafot.always(other).deciders.tolist() == [math.inf] * 5
 
@@ -255,7 +255,7 @@ class TestDeciders:
         with pytest.raises(ValueError, match="read-only"):
             (2 * FORMULA)[0] = 9.0
 
-    def test_margins_that_are_no_formulas_are_decided_by_their_own_ticks_whatever_they_are_made_of(self):
+    def test_plain_margins_are_decided_by_their_own_ticks(self):
         plain = pafot.above(SPEED, 2.0)
         for own in (plain + plain, np.where([True, False, True], plain, 9.0), plain[::-1], plain.copy()):
             assert own.deciders.tolist() == [0, 1, 2]

@@ -74,7 +74,7 @@ def looking_ahead(env):
         oracle(FAST, looking_ahead, {}, id="planner-that-simulates"),
     ],
 )
-def test_compiled_an_episode_is_that_of_the_environments_own_steps(world, factory, options):
+def test_compiled_episode_matches_the_steps_of_the_environment(world, factory, options):
     options = {"seed": 0, "is_recorded": True, **options}  # with seed 3 others think of moving ahead of the ego
     compiled = driven(world, factory, **options)
     stepped = driven(world, factory, may_compile=False, **options)
@@ -83,14 +83,14 @@ def test_compiled_an_episode_is_that_of_the_environments_own_steps(world, factor
     assert len(compiled.recording.states) == 1 + round(compiled.seconds * compiled.recording.physics_hz)
 
 
-def test_a_crash_is_where_highway_env_flags_it_and_the_episode_is_cut_there():
+def test_crash_is_cut_where_highway_env_flags_it():
     episode = driven(FAST, constant_speed.make, 1, is_planner=True, is_recorded=True)
     assert episode.outcome is Outcome.COLLISION
     ends = episode.recording.states[-1]
     assert 4.5 < np.abs(ends[1:, 0] - ends[0, 0])[np.abs(ends[1:, 1] - ends[0, 1]) < 2].min() < 6.0
 
 
-def test_other_traffic_roads_and_wrappers_go_through_the_environments_steps_and_say_why():
+def test_other_traffic_or_roads_use_environment_steps():
     merge = driven(pafot.World("merge-v0", {"simulation_frequency": 5}), lambda: lambda seen: 1, 0)
     assert "the road is not straight" in merge.steps
     ranged = {**SWERVING, "action": {"type": "ContinuousAction", "speed_range": [0.0, 22.0]}, "duration": 2}
@@ -113,7 +113,7 @@ class HighwayOfOurOwn(HighwayEnvFast):
         return super().step(1)
 
 
-def test_an_environment_with_steps_of_its_own_takes_them():
+def test_environment_with_its_own_steps_uses_them():
     gymnasium.register("own-highway-v0", entry_point=HighwayOfOurOwn)
     try:
         world = pafot.World("own-highway-v0", {"vehicles_count": 3, "duration": 6})
@@ -125,7 +125,7 @@ def test_an_environment_with_steps_of_its_own_takes_them():
 
 
 @pytest.mark.parametrize("may_compile", [True, False])
-def test_an_ads_that_raises_or_hangs_ends_its_episode_with_its_name(may_compile):
+def test_failing_or_hanging_ads_ends_its_episode(may_compile):
     def raising():
         asked = []
 
@@ -150,7 +150,7 @@ def test_a_planner_needs_a_straight_road():
         driven(pafot.World("merge-v0"), constant_speed.make, 0, is_planner=True)
 
 
-def test_an_environment_that_needs_an_ego_of_its_own_says_so_and_one_with_a_number_of_steps_ends_after_them():
+def test_environment_needing_its_own_ego_says_so():
     with pytest.raises(pafot.WorldError, match="with an ego of the class IDMVehicle, received LaneKeepingEnv"):
         driven(pafot.World("lane-keeping-v0"), idm_mobil.make, 0)
     assert driven(pafot.World("exit-v0", {"vehicles_count": 2, "duration": 2}), idm_mobil.make, 0).seconds == 2.0
@@ -163,7 +163,7 @@ def test_an_environment_that_needs_an_ego_of_its_own_says_so_and_one_with_a_numb
         del gymnasium.registry["ten-steps-v0"]
 
 
-def test_an_environment_has_its_reward_again_after_an_ego_that_has_no_use_for_it():
+def test_environment_reward_works_again_after_vehicle_class_ego():
     driven(FAST, idm_mobil.make, 0, may_compile=False)
     env = FAST.environment.with_traffic().unwrapped
     env.reset(seed=0)
@@ -171,7 +171,7 @@ def test_an_environment_has_its_reward_again_after_an_ego_that_has_no_use_for_it
 
 
 @pytest.mark.oracle
-def test_an_environment_that_sets_constants_of_a_class_leaves_them_to_the_next_as_they_were():
+def test_environment_restores_class_constants_that_it_sets():
     before = IDMVehicle.DISTANCE_WANTED, MDPVehicle.DEFAULT_TARGET_SPEEDS
     episode = driven(pafot.World("intersection-v0", {"duration": 2}), lambda: lambda seen: 0, 0, is_recorded=True)
     assert episode.recording.lanes[0].points
@@ -182,7 +182,7 @@ EYES = {"range": 60.0, "latency": 0.5, "noise": {"position": 0.3, "speed": 1.0},
 
 
 @pytest.mark.parametrize("wrappers", [None, oracle([gymnasium.wrappers.FlattenObservation])])
-def test_a_policy_with_an_imperfect_sight_is_shown_the_same_by_either_means(wrappers):
+def test_imperfect_policy_sight_is_same_compiled_or_stepped(wrappers):
     world, shown = pafot.World("highway-fast-v0", {**SHORT, "duration": 7}, wrappers=wrappers), []
 
     def policy():
@@ -198,7 +198,7 @@ def test_a_policy_with_an_imperfect_sight_is_shown_the_same_by_either_means(wrap
     assert abs(compiled - perfect).max() > 0.01
 
 
-def test_a_planner_with_an_imperfect_sight_is_shown_the_same_by_either_means():
+def test_imperfect_planner_sight_is_same_compiled_or_stepped():
     shown = []
 
     def planner():

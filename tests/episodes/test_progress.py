@@ -46,7 +46,7 @@ BETTER = rows("scenarios", (23, True, True), (31, True, False), (8, False, True)
 ALIKE = rows("episodes", (2, True, True), (1, True, False), (2, False, True), (295, False, False))
 
 
-def test_fewer_failures_are_claimed_with_an_adjusted_p_and_what_is_not_told_apart_with_an_interval():
+def test_fewer_failures_are_claimed_with_adjusted_p():
     failures, crashes = lines_of([*BETTER, *ALIKE])
     assert (failures.old, failures.new, failures.better, failures.worse, failures.pairs) == (54, 31, 31, 8, 200)
     assert failures.p == pytest.approx(2 * mcnemar(31, 8))
@@ -57,20 +57,20 @@ def test_fewer_failures_are_claimed_with_an_adjusted_p_and_what_is_not_told_apar
     )
 
 
-def test_a_line_that_is_worse_takes_nothing_from_one_that_is_better():
+def test_worse_line_does_not_cancel_a_better_one():
     harder = rows("episodes", (12, False, True), (288, False, False))
     assert verdict_of(lines_of([*BETTER, *harder])) == "better and worse"
     assert "; more crashes in ordinary traffic: 12 instead of 0 of 300 (p = 0.00059)" in said([*BETTER, *harder])
 
 
-def test_what_is_saved_or_searched_for_and_what_says_nothing_of_one_of_them_compares_nothing():
+def test_saved_or_one_sided_rows_compare_nothing():
     chosen = [*rows("saved", (40, True, False)), *rows("alone", (40, True, False))]
     silent = rows("scenarios", (40, True, None), (40, None, True))
     assert lines_of([*chosen, *silent]) == []
     assert said(chosen) == "now:make is not told apart from before:make: no run says anything of both"
 
 
-def test_impacts_are_compared_where_both_hit_and_margins_where_larger_is_better():
+def test_impacts_are_compared_only_where_both_fail():
     pairs = [({"impact": 9.0, "margins": {"gap": 0.1}}, {"impact": 4.0, "margins": {"gap": 0.3}})] * 20
     nearly = [({"impact": 9.0, "margins": {"gap": 0.1}}, {"impact": 9.05, "margins": {"gap": 0.105}})] * 9
     alone = [({"impact": 9.0, "margins": {"gap": 0.1}}, {"impact": None, "margins": {}})]
@@ -94,7 +94,7 @@ parts = st.sampled_from(["scenarios", "episodes", "saved"])
 
 
 @given(st.lists(st.builds(PairRow, part=parts, name=st.just(""), old=results, new=results), max_size=30))
-def test_the_other_way_round_better_is_worse_and_a_policy_is_not_told_apart_from_itself(rows):
+def test_reversed_comparison_reverses_the_verdict(rows):
     there = lines_of(rows)
     back = lines_of([PairRow(part=row.part, name=row.name, old=row.new, new=row.old) for row in rows])
     same = [(line.what, line.p, line.old, line.better) for line in there]
@@ -104,7 +104,7 @@ def test_the_other_way_round_better_is_worse_and_a_policy_is_not_told_apart_from
     assert all(line.p == 1.0 for line in itself)
 
 
-def test_a_row_is_the_same_after_a_file_of_it():
+def test_row_is_the_same_after_saving_it():
     row = PairRow(
         part="saved", name="x", old=Result(failed=None), new=Result(failed=True, impact=3.5, margins={"gap": 0.1})
     )
@@ -117,7 +117,7 @@ def holds(run):
     assert not run.collision
 
 
-def test_margins_are_those_of_checks_with_a_bound_in_a_run_that_nothing_cut_short():
+def test_margins_come_from_bounded_checks_in_whole_runs():
     ego, npc = vehicle(0.0, speed=20.0, ticks=9), vehicle(30.0, speed=10.0, ticks=9)
     whole, hit = Run(trace_of(ego, npc)), Run(trace_of(ego, npc, outcome=Outcome.COLLISION))
     kept, crashed = (Result.of(run, judge(run, holds, blame="any", test_file=__file__)) for run in (whole, hit))
@@ -125,7 +125,7 @@ def test_margins_are_those_of_checks_with_a_bound_in_a_run_that_nothing_cut_shor
     assert (crashed.failed, crashed.impact, crashed.margins) == (True, hit.collision.closing_speed, {})
 
 
-def test_the_text_names_what_was_introduced_became_worse_fails_alone_and_went_wrong():
+def test_text_names_introduced_worsened_and_new_failures():
     nothing, fails, passes = Result(), Result(failed=True), Result(failed=False)
     known = [
         PairRow(part="saved", name="a", old=nothing, new=nothing, told="introduced"),
@@ -146,7 +146,7 @@ def test_the_text_names_what_was_introduced_became_worse_fails_alone_and_went_wr
     )
 
 
-def test_of_equals_one_comparison_of_a_hundred_claims_anything_at_most():
+def test_equal_policies_are_rarely_claimed_to_differ():
     by_chance = [
         verdict_of(lines_of(rows("scenarios", (better, True, False), (20 - better, False, True), (180, False, False))))
         for better in range(21)

@@ -69,7 +69,7 @@ def progress(old, new, *more):
     return main(["progress", f"versions:{old}", f"versions:{new}", *SHORT, *more])
 
 
-def test_which_version_is_better_is_told_with_a_page_figures_and_an_exit_code_by_choice(here, capsys):
+def test_progress_reports_better_version_and_exits_by_option(here, capsys):
     assert progress("Careful", "Blind", "--fail-on", "worse", "--json", "p.json", "--report", "p.md") == 1
     out = capsys.readouterr().out
     said = json.loads((here / "p.json").read_text())
@@ -85,7 +85,7 @@ def test_which_version_is_better_is_told_with_a_page_figures_and_an_exit_code_by
 
 
 @pytest.mark.processes
-def test_what_it_fails_alone_is_what_the_command_saves_that_it_names_and_is_fixed_the_other_way_round(here, capsys):
+def test_printed_command_saves_the_new_failures(here, capsys):
     progress("Careful", "Blind", "--json", "p.json")
     rows = json.loads((here / "p.json").read_text())["rows"]
     (command,) = re.findall(r"save and see it: `python (.*)`", capsys.readouterr().out)
@@ -100,13 +100,13 @@ def test_what_it_fails_alone_is_what_the_command_saves_that_it_names_and_is_fixe
     assert re.fullmatch(r"(\d+ (fixed \(only the old fails\)|drifted)(, )?)+", labels[2])
 
 
-def test_of_the_same_policy_by_another_name_nothing_is_claimed(here, capsys):
+def test_same_policy_under_other_name_claims_no_difference(here, capsys):
     assert progress("Careful", "SameCareful", "--fail-on", "worse") == 0
     assert "versions:SameCareful is not told apart from versions:Careful: failures of" in capsys.readouterr().out
     assert progress("Careful", "SameCareful", "--fail-on", "not-better") == 1
 
 
-def test_a_scenario_that_was_saved_for_a_check_is_judged_by_that_check_alone(here, capsys):
+def test_scenario_saved_for_check_uses_that_check_only(here, capsys):
     import versions
 
     pafot.explore(versions.Blind, holds=slow, runs=2, seed=1, shrink_rollouts=0, corpus="pafot_corpus")
@@ -120,7 +120,7 @@ def test_a_scenario_that_was_saved_for_a_check_is_judged_by_that_check_alone(her
     assert "of another check" not in out
 
 
-def test_ordinary_traffic_is_driven_where_an_environment_is_named(here, capsys):
+def test_named_environment_adds_ordinary_traffic(here, capsys):
     config = '{"vehicles_count": 8, "duration": 12}'
     given = ["--world", "highway-fast-v0", "--config", config, "--episodes", "4", "--scenarios", "2"]
     assert main(["progress", "versions:Careful@planner", "versions:Blind@planner", *SHORT, *given]) == 0
@@ -133,7 +133,7 @@ def test_ordinary_traffic_is_driven_where_an_environment_is_named(here, capsys):
 
 
 @pytest.mark.processes
-def test_the_same_seed_says_the_same_with_any_number_of_workers(here, capsys):
+def test_same_seed_agrees_for_any_worker_count(here, capsys):
     progress("Careful", "Blind", "--json", "one.json")
     progress("Careful", "Blind", "--json", "two.json", "--workers", "2")
     assert (here / "one.json").read_bytes() == (here / "two.json").read_bytes()
@@ -162,7 +162,7 @@ def test_the_same_seed_says_the_same_with_any_number_of_workers(here, capsys):
         (["Careful", "--json", "absent/p.json"], "expected a file in a folder that exists, received absent/p.json"),
     ],
 )
-def test_what_cannot_be_compared_is_told_before_anything_is_driven(here, capsys, arguments, told):
+def test_impossible_comparison_is_reported_before_any_run(here, capsys, arguments, told):
     assert progress("Blind", *arguments) == 2
     out, error = capsys.readouterr()
     assert (out, error.partition(": ")[0]) == ("", "progress")

@@ -31,7 +31,7 @@ def rated(name, **outcomes):
     )
 
 
-def test_it_tells_the_share_its_interval_the_crashes_per_hour_and_their_seeds(tmp_path, capsys, monkeypatch):
+def test_rate_prints_share_interval_crashes_and_seeds(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(rate_command, "picture", lambda episode, title: f"{title}: {episode.outcome}".encode())
     assert (
         rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10", "--out", str(tmp_path))
@@ -53,7 +53,7 @@ def test_it_tells_the_share_its_interval_the_crashes_per_hour_and_their_seeds(tm
     assert (tmp_path / picture).read_text() == f"constant_speed@planner, seed {crashed[0]}: collision"
 
 
-def test_interrupted_it_goes_on_and_more_episodes_are_added_later(tmp_path, capsys, monkeypatch):
+def test_interrupted_rate_continues_and_can_be_extended(tmp_path, capsys, monkeypatch):
     def driven(world, name, factory, seed, **options):
         is_first = seed not in seeds
         seeds.append(seed)
@@ -83,7 +83,7 @@ class Trained:
 trained = Trained()
 
 
-def test_results_of_other_weights_are_not_gone_on_with(tmp_path, capsys, monkeypatch):
+def test_results_of_other_weights_are_not_continued(tmp_path, capsys, monkeypatch):
     arguments = ("--ads", f"{__name__}:trained", "--episodes", "1", "--out", str(tmp_path))
     assert rate(*arguments) == rate(*arguments) == 0
     monkeypatch.setattr(Trained, "weights_digest", "sha256:2")
@@ -99,7 +99,7 @@ def test_what_a_loader_doubts_stands_beside_the_rate(capsys, monkeypatch):
     assert "\n  mind the statistics\n" in capsys.readouterr().out
 
 
-def test_a_policy_that_tells_no_weights_is_gone_on_with_and_that_is_told(tmp_path, capsys, monkeypatch):
+def test_policy_without_weights_hash_continues_with_note(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     planner = tmp_path / "planner_of_mine.py"
@@ -112,7 +112,7 @@ def test_a_policy_that_tells_no_weights_is_gone_on_with_and_that_is_told(tmp_pat
     assert rate(*arguments) == 2
 
 
-def test_without_pillow_the_report_has_no_picture_and_that_is_told(tmp_path, capsys, monkeypatch):
+def test_missing_pillow_leaves_report_without_picture(tmp_path, capsys, monkeypatch):
     monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
     monkeypatch.setitem(sys.modules, "PIL", None)
     assert rate(*ONE_CRASH, "--out", str(tmp_path)) == 0
@@ -131,13 +131,13 @@ def unloadable():
     raise OSError("no weights")
 
 
-def test_one_episode_of_a_policy_that_cannot_be_made_says_why_without_a_picture(tmp_path, capsys):
+def test_policy_that_cannot_be_made_says_why(tmp_path, capsys):
     assert rate("--ads", f"{__name__}:unloadable", "--episode", "2", "--out", str(tmp_path)) == 0
     assert capsys.readouterr().out.endswith("seed 2: failed after 0.0 s: OSError: no weights\n")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_policy_that_fails_is_counted_and_named_and_a_planner_told_how_it_is_given(capsys):
+def test_failing_policy_is_counted_and_named(capsys):
     assert rate("--ads", "constant_speed", "--episodes", "2") == 1
     out = capsys.readouterr().out
     assert "no episode of 2 was driven to its end" in out
@@ -163,14 +163,14 @@ def test_a_policy_that_fails_is_counted_and_named_and_a_planner_told_how_it_is_g
         (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
     ],
 )
-def test_what_is_wrong_on_the_command_line_is_told_with_a_way_out(arguments, text, capsys):
+def test_wrong_argument_is_reported_with_the_way_out(arguments, text, capsys):
     assert rate("--ads", "idm_mobil", "--episodes", "2", *arguments) == 2
     assert text in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("below", ["", "deep"])
 @pytest.mark.parametrize("arguments", [["--episodes", "2"], ["--episode", "2"]])
-def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, below, arguments):
+def test_impossible_folder_is_reported_with_the_way_out(tmp_path, capsys, below, arguments):
     (tmp_path / "taken").touch()
     assert rate("--ads", "idm_mobil", *arguments, "--out", str(tmp_path / "taken" / below)) == 2
     error = capsys.readouterr().err
@@ -182,7 +182,7 @@ def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, be
     )
 
 
-def test_an_episode_is_not_driven_where_its_picture_cannot_be_written(tmp_path, capsys):
+def test_unwritable_picture_prevents_driving_the_episode(tmp_path, capsys):
     (tmp_path / "taken").touch()
     assert rate("--ads", "constant_speed@planner", "--episode", "2", "--out", str(tmp_path / "taken")) == 2
     out, told = capsys.readouterr()
@@ -198,7 +198,7 @@ def tells_what_is_taken(arguments, taken, capsys):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
-def test_rows_that_cannot_be_written_at_last_are_told_and_the_same_command_goes_on(tmp_path, capsys):
+def test_unwritable_rows_are_reported_and_command_can_continue(tmp_path, capsys):
     arguments = ("--ads", "constant_speed@planner", "--episodes", "1", "--out", str(tmp_path))
     taken = tmp_path / "runs"
     taken.touch()
@@ -208,7 +208,7 @@ def test_rows_that_cannot_be_written_at_last_are_told_and_the_same_command_goes_
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
-def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp_path, capsys, monkeypatch):
+def test_unwritable_result_is_reported_and_command_can_continue(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(rate_command, "picture", lambda episode, title: b"drawn")
     arguments = (*ONE_CRASH, "--out", str(tmp_path))
     for name in ("results.csv", "constant_speed-planner-2.png", "report.md"):
@@ -220,7 +220,7 @@ def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp
     assert (tmp_path / "constant_speed-planner-2.png").read_bytes() == b"drawn"
 
 
-def test_a_rate_counts_episodes_that_were_driven_and_their_hours():
+def test_rate_counts_driven_episodes_and_their_hours():
     rate = rated("a", s1="collision", s4="collision", s5="hang")
     assert (rate.episodes, rate.crashed, rate.hours, rate.per_hour) == (9, (1, 4), 0.09, pytest.approx(22.2, abs=0.1))
     assert rate.sentence.startswith("2 of 9 episodes crashed, 22.2 % (95 %: 2.8 to 60.0 %); 22 an hour in 0.09 h")
@@ -233,7 +233,7 @@ def test_of_many_seeds_the_first_ten_are_told():
     assert shown(range(10)) == "0, 1, 2, 3, 4, 5, 6, 7, 8, 9"
 
 
-def test_two_policies_are_told_apart_by_the_seeds_that_one_alone_crashes_at():
+def test_comparison_uses_seeds_that_crash_only_one_policy():
     first = rated("a", s0="collision", s1="collision", s2="collision", s9="ads_error")
     second = rated("b", s2="collision", s9="collision")
     pair = Pair.of(first, second)

@@ -38,13 +38,13 @@ def drive(seconds, *, lane=1, lanes=4, hz=15):
     return track
 
 
-def test_it_keeps_its_lane_until_eight_seconds_have_passed():
+def test_driver_stays_in_lane_for_eight_seconds():
     ads = blind_lane_change.make()
     ads(view())
     assert ads(view(time=SECONDS_PER_LANE - 0.2))[1] == 0.0
 
 
-def test_at_eight_seconds_it_steers_to_the_right_although_a_vehicle_is_there():
+def test_driver_steers_right_into_vehicle_after_eight_seconds():
     ads = blind_lane_change.make()
     ads(view())
     beside = vehicle(lane=2)
@@ -58,27 +58,27 @@ def test_what_is_in_the_other_lanes_changes_nothing():
         assert lonely(view(time=time)) == crowded(view(*others, time=time))
 
 
-def test_at_the_edge_of_the_road_it_turns_round():
+def test_driver_turns_back_at_the_road_edge():
     lanes = [round(drive(seconds)[-1][0] / 4.0) for seconds in (7.9, 15.9, 23.9, 31.9, 39.9, 47.9)]
     assert lanes == [1, 2, 3, 2, 1, 0]
 
 
 @table("lanes", [3, 4, 5, 6])
-def test_it_settles_in_the_middle_of_each_lane_and_never_leaves_the_road(lanes):
+def test_driver_settles_mid_lane_and_stays_on_road(lanes):
     track = drive(60, lanes=lanes)
     assert all(-1.0 < y < (lanes - 1) * 4.0 + 1.0 for y, _ in track)
     before_changes = [track[round(15 * SECONDS_PER_LANE * n) - 1][0] for n in range(1, 8)]
     assert all(abs(y - 4.0 * round(y / 4.0)) < 0.1 for y in before_changes)
 
 
-def test_alone_it_reaches_the_speed_limit_and_keeps_to_it():
+def test_driver_alone_reaches_and_obeys_speed_limit():
     speeds = [speed for _, speed in drive(60)]
     assert speeds[-1] == pytest.approx(26.8, abs=0.1)
     assert max(speeds) <= 26.81
 
 
 @table(("gap", "speed"), [(15.0, 10.0), (40.0, 5.0), (60.0, 0.0)])
-def test_it_brakes_for_a_slower_vehicle_ahead_in_its_lane(gap, speed):
+def test_driver_brakes_for_slower_vehicle_in_its_lane(gap, speed):
     leader = vehicle(x=105.0 + gap, speed=speed)
     assert -8.0 <= blind_lane_change.make()(view(leader))[0] < -1.0
 

@@ -134,12 +134,12 @@ def test_a_defect_shows_in_its_own_situation(name, scene):
 
 
 @table(("name", "scene"), cases(LIKE_HEALTHY))
-def test_outside_of_it_the_driver_decides_as_the_healthy_one(name, scene):
+def test_driver_decides_like_healthy_one_outside_its_defect(name, scene):
     assert decision(defects.make(name), scene) == pytest.approx(decision(defects.make("healthy"), scene), abs=1e-9)
 
 
 @table("scene", HARMLESS.values())
-def test_where_nothing_is_in_the_way_all_drive_alike(scene):
+def test_all_drivers_agree_when_nothing_is_in_way(scene):
     healthy = decision(defects.make("healthy"), scene)
     assert {name: decision(defects.make(name), scene) for name in DEFECTIVE} == dict.fromkeys(DEFECTIVE, healthy)
 
@@ -193,7 +193,7 @@ def never_collides(run):
         ("trusts-any-gap-behind", 7, "entered-lane", 2),
     ],
 )
-def test_a_search_finds_the_fault_names_it_and_leaves_whom_it_takes(name, seed, fault, npcs):
+def test_search_finds_and_names_the_planted_fault(name, seed, fault, npcs):
     found = pafot.explore(
         defects.make(name),
         holds=never_collides,
@@ -208,7 +208,7 @@ def test_a_search_finds_the_fault_names_it_and_leaves_whom_it_takes(name, seed, 
 
 
 @table("name", DEFECTIVE)
-def test_each_says_what_its_defect_is_and_why_it_happens(name):
+def test_each_defect_documents_its_kind_and_cause(name):
     text = defects.make(name).__doc__
     assert len(text.splitlines()[0]) > 30
     assert "Why it happens:" in text

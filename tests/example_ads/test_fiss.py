@@ -44,14 +44,14 @@ def drive(seconds, *others, ego=None, lanes=4):
     return track
 
 
-def test_on_an_empty_road_it_reaches_the_speed_limit_in_its_lane():
+def test_driver_reaches_speed_limit_on_an_empty_road():
     ego, _ = drive(8, ego=vehicle(speed=25.0))[-1]
     assert ego.speed == pytest.approx(26.8, abs=0.1)
     assert ego.y == pytest.approx(4.0, abs=0.05)
 
 
 @pytest.mark.parametrize(("lane", "side"), [oracle(0, +1), (3, -1)])
-def test_from_an_outer_lane_it_overtakes_on_the_side_where_the_road_is(lane, side):
+def test_outer_lane_driver_overtakes_on_the_road_side(lane, side):
     ego, (slow,) = drive(15, vehicle(x=150.0, lane=lane, speed=12.0), ego=vehicle(lane=lane))[-1]
     assert ego.x > slow.x
     assert (ego.y - lane * 4.0) * side == pytest.approx(4.0, abs=0.2)
@@ -66,13 +66,13 @@ def test_where_both_sides_are_taken_it_follows_instead():
     assert ego.speed == pytest.approx(15.0, abs=1.0)
 
 
-def test_a_vehicle_close_behind_does_not_make_it_brake():
+def test_vehicle_close_behind_does_not_cause_braking():
     track = drive(3, vehicle(x=94.0))
     assert min(ego.speed for ego, _ in track) >= 21.9
 
 
 @pytest.mark.oracle
-def test_the_road_never_ends_although_the_map_is_short(monkeypatch):
+def test_road_continues_beyond_the_short_map(monkeypatch):
     monkeypatch.setattr(fiss, "MAP_AHEAD", 260.0)
     monkeypatch.setattr(fiss, "MAP_RENEWED_AHEAD", 200.0)
     distance = drive(14, ego=vehicle(speed=26.8))[-1][0].x - 100.0

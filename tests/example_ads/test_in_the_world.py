@@ -51,7 +51,7 @@ def first_run(world, make, scenario):
 
 
 @pytest.mark.parametrize(("world", "make"), slow_ones_by_oracle(DRIVERS))
-def test_a_faster_vehicle_in_the_next_lane_harms_nobody(world, make):
+def test_faster_vehicle_in_next_lane_is_harmless(world, make):
     trace = first_run(world, make, FASTER_ON_THE_LEFT)
     assert trace.outcome is Outcome.SAFE, trace.error
     assert trace.duration == 20.0
@@ -73,11 +73,11 @@ def test_constant_speed_runs_into_whoever_brakes_ahead():
 @pytest.mark.parametrize(
     ("world", "make"), slow_ones_by_oracle([d for d in DRIVERS if d.id not in {"constant-speed", "ppo"}])
 )
-def test_all_that_can_drive_slowly_cope_with_whoever_brakes_ahead(world, make):
+def test_capable_drivers_cope_with_braking_vehicle_ahead(world, make):
     assert first_run(world, make, BRAKES_AHEAD).collision is None
 
 
-def test_the_blind_lane_changer_drives_into_the_vehicle_beside_it():
+def test_blind_lane_changer_hits_vehicle_on_its_right():
     collision = first_run(HIGHWAY, blind_lane_change.make, STAYS_AT_THE_RIGHT).collision
     assert collision.side == "right"
     assert collision.time == pytest.approx(blind_lane_change.SECONDS_PER_LANE, abs=3.0)

@@ -73,11 +73,11 @@ def entry(*others, y=40.0, speed=8.0):
         ([(2.0, 26.0, 0.0, -3.0)], roundabout_policy.SLOWER),  # ahead
     ],
 )
-def test_it_gives_way_to_who_is_on_the_ring(others, action):
+def test_ego_gives_way_to_vehicle_on_the_ring(others, action):
     assert roundabout_policy.make()(entry(*others)) == action
 
 
-def test_who_stands_before_the_ring_sets_off_when_it_is_free():
+def test_standing_ego_enters_ring_when_it_is_free():
     assert roundabout_policy.make()(entry(y=32.0, speed=0.0)) == roundabout_policy.FASTER
 
 

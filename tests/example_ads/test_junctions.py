@@ -90,7 +90,7 @@ def test_it_goes_when_who_has_priority_lets_it():
     assert comes_to_rest(of=lambda time, x: [other(2.0, 1.0, x=x)])[0] < 100.0
 
 
-def test_it_stops_in_no_zone_for_another_one_beyond():
+def test_policy_never_stops_inside_one_zone_for_another():
     first = {"ego": (90.0, 102.0), "way": "o1>o3", "origin": "left"}
     x, _ = comes_to_rest(of=lambda time, x: [other(6.0, 3.0, x=x), other(90.0, 3.0, x=x, number=1, **first)])
     assert 90.0 - LINE_GAP - 1.0 < x < 90.0

@@ -12,7 +12,7 @@ CELLS = ((Cell.FRONT, 12.0), (Cell.LEFT, 26.0), (Cell.RIGHT, 15.0), (Cell.REAR, 
 BUSY = Scenario(npcs=tuple((PositionInstruction(cell, speed),) for cell, speed in CELLS), seed=0)
 
 
-def test_thirty_policies_of_six_kinds_and_three_numbers_of_conditions():
+def test_planted_policies_cover_six_kinds_and_three_difficulties():
     assert Counter(policy.kind for policy in PLANTED.values()) == dict.fromkeys(
         ("keeping", "changing", "sampling", "tabled", "learned", "vehicle"), 5
     )

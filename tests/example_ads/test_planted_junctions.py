@@ -16,14 +16,14 @@ def scenario_of(world, *slots):
     return Scenario(npcs=npcs, ego_lane=lane, ego_speed=speed)
 
 
-def test_they_are_at_all_places_and_two_at_a_roundabout():
+def test_planted_policies_cover_all_places():
     assert len(PLANTED) == 12
     assert set(WHERE.values()) == set(PLACES)
     assert list(WHERE.values()).count("roundabout") == 2
 
 
 @pytest.mark.parametrize("name", sorted(PLANTED))
-def test_driver_and_twin_drive_and_the_twin_is_the_careful_one(name):
+def test_driver_repeats_itself_and_twin_is_careful(name):
     world = PLACES[WHERE[name]]
     scenario = scenario_of(world, 0.0, 0.5)
     trace, again = (world.rollout(scenario, PLANTED[name].make()) for _ in range(2))
@@ -33,7 +33,7 @@ def test_driver_and_twin_drive_and_the_twin_is_the_careful_one(name):
     assert (careful.states == twin.states).all()
 
 
-def test_a_defect_is_found_and_its_twin_is_not():
+def test_search_finds_defect_but_not_its_twin():
     found = planted_junctions.search("slow-ones-leave", 1, 60, twins=False)
     assert found.found
     twin = planted_junctions.search("slow-ones-leave", 1, found.runs, twins=True)

@@ -18,13 +18,13 @@ def observations():
     return np.random.default_rng(0).uniform(-1, 1, size=(500, 5, 5)).astype(np.float32)
 
 
-def test_the_weights_are_a_small_file_of_plain_float32_arrays():
+def test_weights_are_small_file_of_float32_arrays():
     assert ppo.ACTOR.stat().st_size < 200_000
     with np.load(ppo.ACTOR, allow_pickle=False) as arrays:
         assert {array.dtype for array in arrays.values()} == {np.dtype(np.float32)}
 
 
-def test_the_layers_lead_from_25_inputs_to_five_actions():
+def test_layers_lead_from_25_inputs_to_five_actions():
     shapes = [weights.shape for weights, _ in ppo.read_actor()]
     assert shapes[0][0] == 25
     assert shapes[-1][1] == ACTIONS
@@ -45,7 +45,7 @@ def test_hidden_units_are_rectified_and_outputs_are_not():
     assert ppo.PpoPolicy((identity,)).logits(negative) == [-1.0]
 
 
-def test_its_actions_are_plain_integers_that_the_environment_takes(observations):
+def test_ppo_actions_are_plain_valid_integers(observations):
     actions = [ppo.make()(observation) for observation in observations[:20]]
     assert all(type(action) is int and 0 <= action < ACTIONS for action in actions)
 

@@ -32,17 +32,17 @@ def shipped(model):
     return model
 
 
-def test_the_numpy_policy_and_stable_baselines3_agree_on_500_observations(shipped):
+def test_numpy_policy_agrees_with_stable_baselines3(shipped):
     seen = list(np.random.default_rng(1).uniform(-1, 1, size=(500, 5, 5)).astype(np.float32))
     assert train.agreement(shipped, ppo.make(), seen) == 500
 
 
-def test_what_is_written_of_a_trained_model_is_its_actor(shipped):
+def test_exported_model_is_the_actor_only(shipped):
     for written, kept in zip(train.actor_of(shipped), ppo.read_actor(), strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(written, kept, strict=True))
 
 
-def test_layers_come_back_from_the_file_as_they_were(model, tmp_path):
+def test_layers_are_restored_exactly_from_the_file(model, tmp_path):
     layers = train.actor_of(model)
     train.write_actor(tmp_path / "actor.npz", layers)
     for before, after in zip(layers, ppo.read_actor(tmp_path / "actor.npz"), strict=True):

@@ -32,21 +32,21 @@ def decide():
         driver.close()
 
 
-def test_with_nobody_ahead_it_accelerates_as_the_intelligent_driver_model_says(decide):
+def test_sumo_without_leader_accelerates_like_driver_model(decide):
     drive = decide(vehicle(x=20.0))
     assert drive.lane == 1
     assert drive.acceleration == pytest.approx(2.6 * (1 - (15 / 26.8) ** 4), rel=0.03)  # 2.6 m/s^2 is SUMO's default
 
 
-def test_it_brakes_behind_whoever_is_near_ahead_in_its_lane(decide):
+def test_sumo_brakes_behind_a_near_leader(decide):
     assert decide(vehicle(x=112.0, speed=8.0), vehicle(x=112.0, lane=0), vehicle(x=112.0, lane=2)).acceleration < -3
 
 
-def test_it_looks_at_the_vehicles_of_its_own_lane_alone(decide):
+def test_sumo_ignores_vehicles_of_other_lanes(decide):
     assert decide(vehicle(x=112.0, lane=3, speed=0.0)).acceleration > 2
 
 
-def test_it_passes_on_the_left_which_is_the_lower_number_here():
+def test_sumo_passes_on_the_left():
     ahead = Scenario(npcs=[[PositionInstruction(2, 16.0)]], gene_seconds=20.0)
     trace = HIGHWAY.rollout(ahead, sumo.make)
     assert trace.outcome is Outcome.SAFE
@@ -55,7 +55,7 @@ def test_it_passes_on_the_left_which_is_the_lower_number_here():
 
 
 @pytest.mark.parametrize("models", [("EIDM", "SL2015"), ("ACC", "LC2013"), ("Wiedemann", "LC2013")])
-def test_any_of_its_models_drives_the_same_twice_as_each_run_ends_its_simulation(models):
+def test_any_sumo_model_drives_the_same_scenario_identically(models):
     brakes = Scenario(npcs=[[PositionInstruction(2, 5.0)], [PositionInstruction(4, 20.0)]], gene_seconds=20.0)
     first, second = (HIGHWAY.rollout(brakes, partial(sumo.make, *models)) for _ in range(2))
     assert first.outcome is Outcome.SAFE, first.error

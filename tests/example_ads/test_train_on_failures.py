@@ -18,13 +18,13 @@ def before():
     return measured("before", ppo.make(), scenarios(4, COUNT), 5)
 
 
-def test_the_shipped_policy_fails_in_more_than_a_third_of_random_scenarios_mostly_behind_a_leader(before):
+def test_shipped_policy_fails_often_and_behind_a_leader(before):
     failed = [fault for fault in before.faults if fault is not None]
     assert len(failed) > COUNT / 3
     assert failed.count(TRAINED_ON) > len(failed) / 2
 
 
-def test_a_row_has_all_scenarios_both_kinds_of_failures_and_ordinary_traffic(before):
+def test_row_has_all_failure_kinds_and_ordinary_traffic(before):
     failed, kind = sum(map(bool, before.faults)), before.faults.count(TRAINED_ON)
     name, random, trained_on, others, ordinary = row(before, before).strip("| ").split(" | ")
     assert name == "before"
@@ -43,13 +43,13 @@ def test_failures_after_training_count_among_those_before(before):
     assert row(before, after).split(" | ")[2].startswith(f"{share:.1f} %")
 
 
-def test_weights_taken_from_scaled_observations_and_back_are_the_same_to_the_last_bit():
+def test_weights_survive_scaling_and_back_exactly():
     inside = train.in_scale(ppo.read_actor(), np.reciprocal(train.SCALES))
     for kept, again in zip(ppo.read_actor(), train.in_scale(inside, train.SCALES), strict=True):
         assert all(np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(kept, again, strict=True))
 
 
-def test_training_begins_with_the_shipped_policy_and_changes_it(monkeypatch):
+def test_training_begins_with_shipped_policy_and_changes_it(monkeypatch):
     pytest.importorskip("torch", reason='needs pip install "pytest-pafot[train]"')
     pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[train]"')
     monkeypatch.setattr(train_on_failures, "CRITIC_STEPS", 512)

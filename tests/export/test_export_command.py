@@ -23,7 +23,7 @@ def summary(finding, trace):
     return {f"{finding.id}.json": json.dumps({"outcome": trace.outcome, "ticks": trace.ticks}).encode()}
 
 
-def test_it_drives_the_scenario_and_tells_the_files_that_it_has_written(tmp_path, capsys):
+def test_export_drives_scenario_and_prints_the_written_files(tmp_path, capsys):
     assert export(FILE, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path / "new") == 0
     path = tmp_path / "new" / "collision-xfail.csv"
     assert capsys.readouterr() == (f"{path}\n", "")
@@ -31,7 +31,7 @@ def test_it_drives_the_scenario_and_tells_the_files_that_it_has_written(tmp_path
     assert len(path.read_text().splitlines()) == 1 + len(run.trace.sizes) * (run.trace.ticks + 1)
 
 
-def test_a_finding_is_found_by_its_name_below_the_folder_of_the_command(tmp_path, monkeypatch, capsys):
+def test_finding_is_located_by_its_name_in_folders(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "tests" / "corpus" / "test_a"
     folder.mkdir(parents=True)
@@ -60,7 +60,7 @@ def test_a_finding_is_found_by_its_name_below_the_folder_of_the_command(tmp_path
         ("taken", "{}/collision-xfail.csv: Is a directory; there is a folder with that name: rename or delete it, or"),
     ],
 )
-def test_a_folder_that_cannot_be_written_is_refused_with_the_way_out(below, received, tmp_path, capsys):
+def test_unwritable_folder_is_refused_with_the_way_out(below, received, tmp_path, capsys):
     (tmp_path / "file").touch()
     (tmp_path / "taken" / "collision-xfail.csv").mkdir(parents=True)
     out = tmp_path / below
@@ -71,7 +71,7 @@ def test_a_folder_that_cannot_be_written_is_refused_with_the_way_out(below, rece
     assert error.count("\n") == 1
 
 
-def test_a_run_that_is_not_the_saved_one_is_written_and_told(tmp_path, capsys):
+def test_differing_run_is_exported_with_a_warning(tmp_path, capsys):
     assert export(FILE, "--to", "csv", "--ads", "idm_mobil", "--out", tmp_path) == 0
     told = capsys.readouterr().err
     assert told.startswith("export: collision-xfail was saved with collision at 6.3 s, but this run ended with ")
@@ -91,7 +91,7 @@ def test_a_run_that_is_not_the_saved_one_is_written_and_told(tmp_path, capsys):
         ((FILE, "--to", "csv", "--ads", "constant_speed", "--out", FILE), "export: "),
     ],
 )  # fmt: skip
-def test_what_cannot_be_exported_is_refused_with_the_way_out(arguments, message, capsys):
+def test_impossible_export_is_refused_with_the_way_out(arguments, message, capsys):
     assert export(*arguments) == 2
     out, told = capsys.readouterr()
     assert out == ""
@@ -103,7 +103,7 @@ def interrupting():
     raise KeyboardInterrupt
 
 
-def test_an_interrupt_ends_it_with_a_line_and_the_exit_code_of_interrupts(tmp_path, capsys):
+def test_interrupted_export_prints_line_and_exits_with_130(tmp_path, capsys):
     assert export(FILE, "--to", "csv", "--ads", f"{__name__}:interrupting", "--out", tmp_path) == 130
     assert capsys.readouterr() == ("", "\nexport: interrupted\n")
     assert not list(tmp_path.iterdir())
@@ -117,7 +117,7 @@ def test_an_interrupt_ends_it_with_a_line_and_the_exit_code_of_interrupts(tmp_pa
         ("commonroad", "commonroad_xml", "commonroad", "commonroad"),
     ],
 )
-def test_a_missing_library_is_told_with_the_extra_that_installs_it(monkeypatch, capsys, name, module, library, extra):
+def test_missing_library_error_names_the_extra_to_install(monkeypatch, capsys, name, module, library, extra):
     for each in [known for known in sys.modules if known.partition(".")[0] == library]:
         monkeypatch.delitem(sys.modules, each)
     monkeypatch.setitem(sys.modules, library, None)
@@ -130,7 +130,7 @@ def test_a_missing_library_is_told_with_the_extra_that_installs_it(monkeypatch, 
     )
 
 
-def test_a_package_adds_a_format_and_takes_no_name_of_this_one(register, tmp_path, capsys):
+def test_package_adds_a_format_without_replacing_existing_ones(register, tmp_path, capsys):
     register(GROUP, summary=f"{__name__}:summary", csv=f"{__name__}:summary")
     for name in ("summary", "csv"):
         assert export(FILE, "--to", name, "--ads", "constant_speed", "--out", tmp_path) == 0
@@ -138,7 +138,7 @@ def test_a_package_adds_a_format_and_takes_no_name_of_this_one(register, tmp_pat
     assert capsys.readouterr().out.splitlines()[1] == str(tmp_path / "collision-xfail.csv")
 
 
-def test_a_registered_exporter_that_cannot_be_imported_is_told_with_its_error(register, capsys):
+def test_broken_registered_exporter_is_reported_with_its_error(register, capsys):
     register(GROUP, broken="no_such_package:export")
     assert export(FILE, "--to", "broken", "--ads", "constant_speed") == 2
     told = capsys.readouterr().err

@@ -52,7 +52,7 @@ def distance(points, line):
 
 @pytest.mark.parametrize("exported", ["gym-merge"], indirect=True)
 @pytest.mark.parametrize("name", ["csv", "xosc", "mcap", "commonroad"])
-def test_the_same_run_is_the_same_files_named_by_the_finding(exported, name):
+def test_same_run_gives_same_files_named_by_finding(exported, name):
     pytest.importorskip({"csv": "csv", "xosc": "scenariogeneration", "mcap": "foxglove"}.get(name, name))
     files = exporter(name)(*exported)
     assert files == exporter(name)(*exported)
@@ -76,7 +76,7 @@ def test_a_table_read_back_is_what_was_driven(exported, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["csv", "xosc", "mcap", "commonroad"])
-def test_of_a_run_that_ends_with_its_first_decision_the_start_is_told(ended_at_once, name):
+def test_run_ending_at_first_decision_exports_its_start(ended_at_once, name):
     pytest.importorskip({"csv": "csv", "xosc": "scenariogeneration", "mcap": "foxglove"}.get(name, name))
     files = exporter(name)(*ended_at_once)
     assert all(files.values())
@@ -86,7 +86,7 @@ def test_of_a_run_that_ends_with_its_first_decision_the_start_is_told(ended_at_o
         assert list(root.iter("Story")) == []
 
 
-def test_openscenario_has_every_vehicle_where_it_was_at_every_tick(exported, tmp_path, largest):
+def test_openscenario_has_every_vehicle_at_every_tick(exported, tmp_path, largest):
     pytest.importorskip("scenariogeneration")
     finding, trace = exported
     path, road = written(exported, "xosc", tmp_path)
@@ -165,7 +165,7 @@ def test_sumos_netconvert_reads_the_lanes_where_they_are(exported, tmp_path, lar
     ("changes", "roads"),
     [({}, 1), ({"heading": 0.1}, 4), ({"y": 30.0}, 4), ({"length": 90.0}, 4), ({"points": ((0, 12), (9, 12))}, 4)],
 )
-def test_lanes_are_one_road_only_where_they_lie_side_by_side(exported, changes, roads):
+def test_only_adjacent_lanes_form_one_road(exported, changes, roads):
     pytest.importorskip("scenariogeneration")
     finding, trace = exported
     lanes = (*trace.lanes[:-1], replace(trace.lanes[-1], **changes))
@@ -195,7 +195,7 @@ def circle(laps, radius=30.0, steps=100):
     return tuple(zip((radius * np.sin(turns)).tolist(), (radius * np.cos(turns)).tolist(), strict=True))
 
 
-def test_of_a_lane_that_is_driven_for_several_laps_one_is_told():
+def test_only_one_lap_of_circular_lane_is_exported():
     line = centre_line(along(circle(2.5)))
     assert line.tolist() == (np.array(circle(2.5))[:101] * (1, -1)).tolist()
     assert distance(np.array(circle(2.5)) * (1, -1), np.concatenate([line, line[:1]])) < 0.02
@@ -205,11 +205,11 @@ def test_of_a_lane_that_is_driven_for_several_laps_one_is_told():
     "points",
     [circle(0.99), ((0.0, 0.0), (9.0, 0.0)), ((0.0, 0.0), (9.0, 0.0), (9.0, 9.0), (5.0, 9.0), (0.0, 1.0), (0.0, -9.0))],
 )
-def test_a_lane_that_does_not_come_back_to_its_start_in_its_direction_is_told_as_a_whole(points):
+def test_lane_that_does_not_close_is_exported_whole(points):
     assert centre_line(along(points)).tolist() == (np.array(points) * (1, -1)).tolist()
 
 
-def test_foxglove_has_the_same_numbers_at_the_same_times(exported, tmp_path):
+def test_foxglove_file_has_same_numbers_and_times(exported, tmp_path):
     pytest.importorskip("foxglove")
     reader = pytest.importorskip("mcap.reader")
     _, trace = exported
@@ -270,7 +270,7 @@ def test_commonroad_reads_the_same_vehicles_and_lanes(exported, tmp_path, larges
         assert (along[:, 0] * across[:-1, 1] - along[:, 1] * across[:-1, 0] > 0).all()
 
 
-def test_commonroads_checker_sees_the_collision_at_the_tick_at_which_it_was(exported, tmp_path):
+def test_commonroad_checker_finds_collision_at_the_same_tick(exported, tmp_path):
     checker = pytest.importorskip("commonroad_dc.collision.collision_detection.pycrcc_collision_dispatch")
     from commonroad.common.file_reader import CommonRoadFileReader
 
@@ -286,7 +286,7 @@ def test_commonroads_checker_sees_the_collision_at_the_tick_at_which_it_was(expo
     assert touching[:1] == ([] if trace.collision is None else [trace.collision.tick])
 
 
-def test_lanes_are_numbered_from_the_left_and_off_the_road_is_minus_one(exported):
+def test_lane_off_the_road_is_minus_one(exported):
     _, trace = exported
     rows = list(csv.DictReader(exporter("csv")(*exported).popitem()[1].decode().splitlines()))
     assert {int(row["lane"]) for row in rows} == set(trace.states[..., LANE].astype(int).ravel().tolist())

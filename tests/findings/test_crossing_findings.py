@@ -38,7 +38,7 @@ def saved(run, failure=FAILS):
     return Finding.of(run, failure, test="test_it.py::test_it", world={"kind": "own"}, found=found)
 
 
-def test_a_failure_in_a_zone_is_told_by_fault_kind_and_origin():
+def test_zone_failure_is_identified_by_fault_and_origin():
     runs = [crash(), crash("south straight"), crash("east left", enters=8.5)]
     expected = [Expect.of(run, FAILS) for run in runs]
     assert [each.zone for each in expected] == [
@@ -60,7 +60,7 @@ def test_its_file_is_named_by_fault_and_origin():
     ("zone", "slug"),
     [("crossing from the left", "rear-crossing-left"), ("merging from behind", "rear-merging-behind")],
 )
-def test_a_collision_that_others_answer_for_is_named_by_side_and_zone(zone, slug):
+def test_collision_caused_by_npc_names_side_and_zone(zone, slug):
     fields = {"failure": "AssertionError", "assertion": "not run.collision", "outcome": Outcome.COLLISION}
     signature = Signature(**fields, responsibility="npc", side="rear", zone=zone)
     assert signature.slug == slug
@@ -69,7 +69,7 @@ def test_a_collision_that_others_answer_for_is_named_by_side_and_zone(zone, slug
 
 
 @table("fault", ["leader-unanswered", "cut-in-unanswered", "braked-for-nothing"])
-def test_a_fault_that_is_about_no_zone_is_the_same_in_all_of_them(fault):
+def test_fault_without_zone_is_same_in_all_zones(fault):
     fields = {"failure": "AssertionError", "assertion": "not run.collision", "outcome": Outcome.COLLISION}
     signatures = {Signature(**fields, responsibility="ego", fault=fault, zone=zone) for zone in (None, *ZONES)}
     assert len(signatures) == 1
@@ -85,7 +85,7 @@ def test_how_bad_it_is_is_the_closing_speed():
     assert severity_of(run, FAILS).value == pytest.approx(run.collision.closing_speed)
 
 
-def test_the_situation_is_when_each_was_to_come_to_the_zone():
+def test_zone_situation_says_when_both_reach_the_zone():
     run = crash()
     then = Expect.of(run, FAILS).situation
     assert isinstance(then, ZoneSituation)
@@ -106,7 +106,7 @@ def test_that_of_a_check_is_two_seconds_before():
     assert then.npc_enters == pytest.approx(3.0, abs=0.1)
 
 
-def test_one_that_passed_the_beginning_of_its_zone_is_told_so():
+def test_situation_past_the_beginning_of_zone_says_so():
     check = Check(name="gives way", value=0.1, margin=-0.9, at_least=1.0, time=11.0, npc=0)
     then = Expect.of(passes(), Failure(kind="CheckFailed", assertion="gives way", check=check)).situation
     assert str(then).startswith("1.0 s past the beginning of its zone at 9 m/s, with the ego ")
@@ -126,13 +126,13 @@ def test_one_that_passed_the_beginning_of_its_zone_is_told_so():
         (passes(changes=((0.0, 6.0, 0.0),)), False),  # the ego never comes near the zone
     ],
 )
-def test_it_comes_up_where_both_come_to_the_zone_as_they_did_whatever_the_ego_does_then(run, comes_up):
+def test_situation_comes_up_if_both_reach_zone_alike(run, comes_up):
     situation = Expect.of(crash(), FAILS).situation
     assert (not missed(situation, run)) == comes_up
     assert (seconds_after(situation, run) is not None) == comes_up
 
 
-def test_a_pass_that_gives_way_is_fixed_and_one_that_never_met_the_other_drifted():
+def test_giving_way_is_fixed_but_not_meeting_drifted():
     finding = saved(crash())
     assert label(finding, passes()) == "fixed"
     assert label(finding, passes(enters=12.0)) == "drifted"
@@ -140,21 +140,21 @@ def test_a_pass_that_gives_way_is_fixed_and_one_that_never_met_the_other_drifted
     assert label(finding, crash(enters=7.4), FAILS) == "drifted"
 
 
-def test_a_run_that_says_where_it_missed_its_situation_names_both_moments():
+def test_missed_situation_names_both_moments():
     text = missed(Expect.of(crash(), FAILS).situation, passes(enters=12.0))
     assert text.startswith("the situation did not come up: NPC 0 was ")
     assert "s from its zone at 9 m/s, with the ego" in text
     assert text.count("zone") == 2
 
 
-def test_of_a_run_in_which_that_npc_does_not_cross_nobody_knows():
+def test_situation_is_unknown_if_npc_does_not_cross():
     situation, others = Expect.of(crash(), FAILS).situation, (plan("north straight", 12.0, 9.0),)
     on_grid = Run(driven(plan(STRAIGHT, 8.0, 10.0), plan("grid", 6.0, 9.0), others=others))
     assert missed(situation, on_grid) == ""
     assert seconds_after(situation, on_grid) is None
 
 
-def test_a_finding_at_a_zone_is_saved_with_all_of_that():
+def test_zone_finding_is_saved_with_zone_and_situation():
     finding = saved(crash())
     assert finding.id.startswith("did-not-give-way-left-")
     expect = finding.expect

@@ -30,7 +30,7 @@ def broken_ads(traceback="Traceback ...\n"):
     return run_of(outcome=Outcome.ADS_ERROR, error=error)
 
 
-def test_a_new_finding_is_named_by_its_signature_and_its_scenario():
+def test_new_finding_is_named_by_signature_and_scenario():
     run = run_of(outcome=Outcome.COLLISION)
     finding = Finding.of(run, COLLIDES, test="t.py::test_it", world={"kind": "highway"}, found=FOUND)
     assert finding.id == f"leader-unanswered-{run.scenario.id}"
@@ -64,7 +64,7 @@ def test_it_expects_what_the_run_showed():
     )
 
 
-def test_the_message_is_kept_where_no_assertion_says_it():
+def test_message_is_saved_if_no_assertion_says_it():
     expect = Expect.of(run_of(), Failure(kind="Failed", message="\n  too close: 0.3 m\nmore"))
     assert (expect.message, expect.assertion) == ("too close: 0.3 m", "too close: N m")
 
@@ -91,7 +91,7 @@ def test_the_message_is_kept_where_no_assertion_says_it():
     ],
 )
 @pytest.mark.skipif(os.name == "nt", reason="the folder of the project is written as on other systems")
-def test_texts_hold_nothing_that_differs_from_run_to_run(text, kept):
+def test_texts_contain_nothing_that_changes_between_runs(text, kept):
     assert portable(text, "/home/me/planner") == kept
     run = broken_ads(f"Traceback\n  {text}\n")
     failure = replace(ads_failure(run), message=text)
@@ -99,7 +99,7 @@ def test_texts_hold_nothing_that_differs_from_run_to_run(text, kept):
     assert (expect.message, expect.traceback) == (kept, f"Traceback\n  {kept}\n")
 
 
-def test_a_measured_time_is_no_part_of_a_message():
+def test_measured_time_is_not_part_of_message():
     slow = Run(run_of(max_decision_seconds=0.25).trace, decision_limit=0.1)
     assert Expect.of(slow, ads_failure(slow)).message == "a decision took N s, allowed are 0.1 s"
 
@@ -109,7 +109,7 @@ def test_a_huge_text_takes_no_time():
     assert len(Expect.of(broken_ads(), failure).message) == 300
 
 
-def test_the_traceback_of_an_ads_is_kept_and_a_long_one_loses_its_beginning():
+def test_ads_traceback_is_saved_without_a_long_beginning():
     run = broken_ads("".join(f"line {number}\n" for number in range(5000)))
     expect = Expect.of(run, ads_failure(run))
     assert (expect.failure, expect.message, expect.time) == ("ValueError", "no path", 0.4)
@@ -118,11 +118,11 @@ def test_the_traceback_of_an_ads_is_kept_and_a_long_one_loses_its_beginning():
     assert len(expect.traceback) < 8100
 
 
-def test_an_ads_that_did_nothing_wrong_has_no_failure_of_its_own():
+def test_ads_without_fault_has_no_failure():
     assert ads_failure(run_of(outcome=Outcome.COLLISION)) is None
 
 
-def test_an_ads_that_decides_too_slowly_fails_where_there_is_a_limit():
+def test_slow_ads_fails_only_with_a_limit():
     trace = run_of(max_decision_seconds=0.25).trace
     assert ads_failure(Run(trace)) is None
     failure = ads_failure(Run(trace, decision_limit=0.1))
@@ -130,7 +130,7 @@ def test_an_ads_that_decides_too_slowly_fails_where_there_is_a_limit():
 
 
 @table("name", ["", "a/b", "a b", "..", "a.", "-a", "a\n", "é", "a" * 121, "a[1]"])
-def test_an_id_must_fit_into_file_names_and_node_ids(name):
+def test_id_must_fit_into_file_names(name):
     with pytest.raises(ValueError, match="id: expected"):
         plain_finding(id=name)
 
@@ -141,7 +141,7 @@ def test_a_reason_must_say_something(reason):
         plain_finding(xfail=reason)
 
 
-def test_a_failure_is_accepted_up_to_its_last_day_and_not_without_a_reason():
+def test_failure_is_accepted_until_its_last_day():
     day, next_day = date(2027, 1, 31), date(2027, 2, 1)
     finding = plain_finding(xfail="issue 12", xfail_until=day)
     assert (finding.is_accepted(day), finding.is_accepted(next_day)) == (True, False)
@@ -195,7 +195,7 @@ def test_a_failing_assertion_is_known_by_its_source():
     assert normalised(failure.assertion) == "run.min_ttc > N"
 
 
-def test_an_assertion_over_several_lines_is_known_as_a_whole():
+def test_assertion_over_several_lines_is_identified_whole():
     def long_one(run):
         assert (
             run.min_ttc  # seconds
@@ -205,7 +205,7 @@ def test_an_assertion_over_several_lines_is_known_as_a_whole():
     assert normalised(caught(long_one, Stub).assertion) == "run.min_ttc > N"
 
 
-def test_what_a_library_raises_is_known_by_the_line_of_the_test():
+def test_library_exception_is_identified_by_the_test_line():
     def library(_run):
         np.testing.assert_allclose([1.0], [2.0])
 
@@ -216,7 +216,7 @@ def test_what_a_library_raises_is_known_by_the_line_of_the_test():
     assert normalised(caught(value_error).assertion) == "int('x')"
 
 
-def test_an_assertion_in_a_helper_is_known_by_its_source_or_else_by_the_call():
+def test_assertion_in_helper_is_identified_by_its_source():
     namespace = {}
     exec(compile("def helper(run):\n    assert run.ok\n", "helper_without_source.py", "exec"), namespace)
     through_helper = caught(lambda run: [namespace["helper"](run)], type("R", (), {"ok": False}))
@@ -233,7 +233,7 @@ def test_findings_are_equal_by_their_fields():
     assert plain_finding() != replace(plain_finding(), xfail="known")
 
 
-def test_the_repr_of_a_finding_commands_no_ci_runner():
+def test_finding_repr_contains_no_ci_commands():
     shown = repr(plain_finding(test="test_a.py::test_it", flaky="x\n::error::\x1b[31m ##vso[task.complete]"))
     assert shown.isprintable()
     assert "##vso[" not in shown

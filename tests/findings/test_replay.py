@@ -49,7 +49,7 @@ def lane_change(gap, *, faster):
     return Run(trace)
 
 
-def test_a_lane_change_is_not_the_same_failure_as_another_mistake_in_one():
+def test_different_lane_change_mistakes_are_different_failures():
     accepted, other = lane_change(10.0, faster=8.0), Run(situations.hit(*BESIDE))
     assert other.attribution.fault == "entered-lane"
     assert of_failure(lane_change(2.0, faster=4.0), FAILS) == of_failure(accepted, FAILS)
@@ -61,11 +61,11 @@ def label(run, failure=FAILS, *, finding=None, versions=VERSIONS):
 
 
 @table("tick", [27, 30, 33])
-def test_the_same_event_within_a_fifth_of_a_second_is_still_failing(tick):
+def test_event_within_fifth_of_second_still_fails(tick):
     assert label(crash(tick)) == "still failing"
 
 
-def test_the_same_event_is_still_failing_under_other_versions_and_other_words():
+def test_same_event_still_fails_under_other_versions():
     assert label(crash(), versions={"numpy": "9.0"}) == "still failing"
     assert label(crash(), Failure(kind="AssertionError", assertion="assert run.collision is None")) == "still failing"
 
@@ -89,14 +89,14 @@ def test_a_pass_under_other_versions_is_a_drift(versions):
     assert label(run_of(), None, versions=versions) == "drifted"
 
 
-def test_a_pass_because_something_else_ended_the_run_is_a_drift():
+def test_pass_after_a_different_end_counts_as_drifted():
     assert label(crash(10, cell=Cell.REAR, side="rear"), None) == "drifted"
     assert label(run_of(outcome=Outcome.INVALID), None) == "drifted"
     error = AdsError(kind="ValueError", message="", traceback="", tick=6)
     assert label(run_of(outcome=Outcome.ADS_ERROR, error=error), None) == "drifted"
 
 
-def test_a_pass_of_the_same_event_is_fixed_since_the_property_was_changed():
+def test_pass_of_same_event_is_fixed():
     assert label(crash(), None) == "fixed"
 
 
@@ -116,16 +116,16 @@ def jerk(time=1.0, name="jerk"):
         (FAILS, "drifted"),
     ],
 )
-def test_a_check_is_told_by_its_name_and_its_own_time_whatever_else_happens(run, now, expected):
+def test_check_is_identified_by_name_and_its_time(run, now, expected):
     assert label(run, now, finding=saved(run_of(), jerk())) == expected
 
 
 @pytest.mark.parametrize(("time", "expected"), [(1.9, "fixed"), (2.1, "drifted")])
-def test_a_check_that_passes_is_fixed_where_the_run_came_past_its_time(time, expected):
+def test_passing_check_is_fixed_once_its_time_passed(time, expected):
     assert label(crash(tick=30), None, finding=saved(run_of(), jerk(time))) == expected
 
 
-def test_a_property_that_is_no_collision_is_compared_at_its_worst_moment():
+def test_other_property_is_compared_at_its_worst_moment():
     finding = saved(run_of(), Failure(kind="AssertionError", assertion="assert run.min_ttc > 1"))
     assert label(run_of(), finding=finding) == "still failing"
     assert label(run_of(), None, finding=finding) == "fixed"

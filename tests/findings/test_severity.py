@@ -38,7 +38,7 @@ def failed(value, **bounds):
 
 
 @pytest.mark.parametrize("steering", [0.05, 0.2])
-def test_a_collision_is_measured_by_where_both_would_be_a_tick_later(steering):
+def test_collision_is_measured_one_tick_after_contact(steering):
     """The ego turns its wheels towards the NPC beside it, and moves to where these lead, not to where it points."""
     scenario = Scenario(npcs=[[PositionInstruction(4, 22.0)]], ego_lane=1, ego_speed=22.0)
     trace = Highway().rollout(scenario, lambda: lambda seen: (0.0, steering if seen.time > 8.0 else 0.0))
@@ -53,7 +53,7 @@ def test_a_collision_is_measured_by_where_both_would_be_a_tick_later(steering):
 
 
 @given(st.floats(0, 60), st.floats(0, 60), st.floats(-math.pi, math.pi))
-def test_delta_v_is_that_of_equal_masses_which_keep_their_momentum_and_stay_together(speed, other, angle):
+def test_delta_v_assumes_equal_masses_that_stay_together(speed, other, angle):
     first, second = np.array([speed, 0.0]), other * np.array([math.cos(angle), math.sin(angle)])
     together = (1500.0 * first + 1500.0 * second) / 3000.0
     severity = Severity(kind="collision", value=float(np.linalg.norm(first - second)), unit="m/s")
@@ -71,7 +71,7 @@ def test_delta_v_is_that_of_equal_masses_which_keep_their_momentum_and_stay_toge
         (12.0, {"at_most": 9.0, "scale": 6.0}, 3.0, -0.5),
     ],
 )
-def test_a_failed_check_is_measured_by_how_much_its_bound_is_broken(value, bounds, by, margin):
+def test_failed_check_is_measured_by_its_broken_bound(value, bounds, by, margin):
     severity = severity_of(crash(), failed(value, **bounds))
     assert (severity.kind, severity.name, severity.unit) == ("check", "jerk", "m/s^3")
     assert (severity.value, severity.margin) == (pytest.approx(by), pytest.approx(margin, rel=1e-5))
@@ -79,7 +79,7 @@ def test_a_failed_check_is_measured_by_how_much_its_bound_is_broken(value, bound
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_check_without_a_finite_number_is_worse_than_any_other_and_better_than_a_collision(value):
+def test_check_without_finite_value_ranks_just_below_collision(value):
     worst = severity_of(crash(), failed(value, at_most=1.0))
     assert worst.value is worst.margin is None
     assert str(worst) == "breaks jerk by no finite number m/s^3"
@@ -95,7 +95,7 @@ def test_a_check_without_a_finite_number_is_worse_than_any_other_and_better_than
         (Failure(kind="KeyError", message="'x'"), Run(trace_of(vehicle(0.0, ticks=3), outcome=Outcome.OFF_ROAD))),
     ],
 )
-def test_what_is_neither_a_collision_nor_a_check_has_no_measure(failure, run):
+def test_other_failures_have_no_severity(failure, run):
     assert severity_of(run, failure) is None
 
 
@@ -117,7 +117,7 @@ def test_the_order_is_total(one, two, three):
 
 
 @given(st.permutations(range(7)))
-def test_the_worst_comes_first_after_what_the_ego_answers_for(order):
+def test_findings_are_ranked_by_responsibility_then_severity(order):
     small = replace(JERK, value=900.0, margin=-0.1)
     ranked = [
         ("both", HIT), ("ego", replace(HIT, value=3.0)), ("npc", replace(HIT, value=30.0)),
@@ -142,11 +142,11 @@ def test_the_worst_comes_first_after_what_the_ego_answers_for(order):
         (None, HIT, ""),
     ],
 )
-def test_worse_is_only_what_compares_and_differs_by_what_can_be_seen(now, before, told):
+def test_worsening_needs_comparable_and_visibly_different_severities(now, before, told):
     assert worsening(now, before) == told
 
 
-def test_data_for_programs_comes_back_with_the_delta_v_beside_it():
+def test_severity_data_is_restored_and_includes_delta_v():
     assert HIT.data() == {
         "kind": "collision", "value": 9.8, "unit": "m/s", "margin": None, "name": "", "delta_v": 4.9,
     }  # fmt: skip
@@ -158,7 +158,7 @@ def test_what_is_read_has_what_follows_from_it():
     assert (str(JERK), JERK.further) == ("breaks jerk by 15.1 m/s^3", "by 15.1 m/s^3, margin -0.755")
 
 
-def test_a_check_of_more_than_one_value_is_measured_by_the_one_that_it_names():
+def test_check_of_many_values_uses_its_named_value():
     made = Check(name="gap", value=0.4, margin=-0.2, at_least=0.5, unit="m", time=3.0)
     severity = severity_of(crash(), Failure(kind=CHECK_FAILED, assertion="gap", check=made))
     assert str(severity) == "breaks gap by 0.1 m"

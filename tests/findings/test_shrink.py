@@ -67,12 +67,12 @@ def has(cell, at_least=0.0, at_most=100.0):
     )
 
 
-def test_what_always_fails_becomes_one_npc_with_one_gene_at_no_speed():
+def test_constant_failure_becomes_one_npc_with_one_gene():
     (chain,) = minimal(BUSY, lambda each: True)
     assert chain.endswith("@0")
 
 
-def test_a_run_begins_later_where_the_egos_state_of_that_moment_suffices():
+def test_run_begins_later_if_ego_state_suffices():
     given = scenario("4@20 4@20 3@20 2@5", ego_lane=1, ego_speed=22.0)
     states = ((1, 22.0), (2, 21.0), (2, 15.5), (3, 15.5))
 
@@ -109,18 +109,18 @@ def test_the_tail_is_cut():
     assert minimal(scenario("4@20 3@20 2@20 3@20 4@20"), lambda each: written(each)[0][:1] == "4") == ("4@0",)
 
 
-def test_a_run_that_must_be_long_is_filled_with_one_instruction():
+def test_run_that_must_be_long_has_one_instruction():
     assert minimal(BUSY, lambda each: each.genes >= 4 and has(Cell.FRONT)(each)) == ("2@0 2@0 2@0 2@0",)
 
 
-def test_a_move_that_matters_stays_and_all_others_become_staying():
+def test_only_moves_that_matter_remain():
     def cuts_in(each):
         return any("3@" in chain and "2@" in chain.partition("3@")[2] for chain in written(each))
 
     assert minimal(BUSY, cuts_in) == ("3@0 2@0",)
 
 
-def test_an_order_of_moves_is_kept_where_it_matters():
+def test_order_of_moves_stays_where_it_matters():
     def all_around(each):
         return any([int(gene.cell) for gene in chain][-1] == 6 and chain[0].cell == 8 for chain in each.npcs)
 
@@ -135,24 +135,24 @@ def test_speeds_become_round_and_then_low(low, high, answer):
     assert minimal(BUSY, has(Cell.FRONT, low, high)) == (f"2@{answer}",)
 
 
-def test_a_limit_of_speed_is_not_exceeded_by_rounding():
+def test_rounding_does_not_exceed_a_speed_limit():
     given = scenario("2@26.4")
     assert minimal(given, has(Cell.FRONT, 25.5)) == ("2@26",)
     assert minimal(given, has(Cell.FRONT, 26.2)) == ("2@26.2",)
 
 
-def test_the_seed_becomes_plain_where_it_does_not_matter():
+def test_seed_becomes_zero_where_it_is_irrelevant():
     assert shrunk(BUSY, lambda each: True)[0].seed == 0
     assert shrunk(BUSY, lambda each: each.seed == 77)[0].seed == 77
 
 
-def test_start_and_length_of_the_genes_are_not_touched():
+def test_ego_start_and_gene_length_stay_unchanged():
     given = scenario("2@20 2@20", ego_lane=2, ego_speed=17.5, gene_seconds=4.0)
     result = shrunk(given, lambda each: True)[0]
     assert (result.ego_lane, result.ego_speed, result.gene_seconds) == (2, 17.5, 4.0)
 
 
-def test_the_default_traffic_becomes_the_papers_last_of_all_where_that_still_fails():
+def test_default_traffic_becomes_paper_traffic_last():
     given = scenario("2@20 2@20", seed=3, traffic=Traffic())
     asked = []
     assert shrunk(given, lambda each: asked.append(each) or True)[0] == scenario("1@0")
@@ -160,13 +160,13 @@ def test_the_default_traffic_becomes_the_papers_last_of_all_where_that_still_fai
     assert shrunk(given, lambda each: each.traffic == Traffic())[0] == scenario("1@0", traffic=Traffic())
 
 
-def test_the_papers_traffic_is_tried_where_the_budget_is_spent_before():
+def test_paper_traffic_is_tried_despite_spent_budget():
     simplest, how = shrunk(BUSY_AMONG_ATTENTIVE, lambda each: len(each.npcs) == 2, rollouts=20)
     assert (simplest.traffic, how.is_minimal) == (PAPERS, False)
 
 
 @table("traffic", [Traffic("everyday"), Traffic("assertive"), Traffic("hostile", least_speed_share=0.117)])
-def test_a_style_that_was_chosen_stays_and_so_does_its_least_speed(traffic):
+def test_chosen_style_and_its_least_speed_stay(traffic):
     simplest, how = shrunk(scenario("2@22.5 3@25", traffic=traffic), lambda each: True)
     assert simplest.traffic == traffic
     least = {"everyday": 25.0, "assertive": 15.0, "hostile": 5.0}[traffic.style]  # 20.1, 13.4 and 3.2 are less round
@@ -195,7 +195,7 @@ def test_the_scenario_as_driven_is_what_comes_out():
     assert shrink(scenario("2@10 2@20"), attempt, rollouts=100)[0] == driven
 
 
-def test_a_run_that_turns_out_no_simpler_is_not_taken():
+def test_run_that_is_no_simpler_is_not_accepted():
     given = scenario("2@10 2@10 3@10")
 
     def attempt(candidate):
@@ -211,14 +211,14 @@ def test_without_rollouts_nothing_is_tried():
     assert (simplest, how.rollouts, how.is_minimal) == (BUSY, 0, False)
 
 
-def test_a_budget_that_is_spent_leaves_the_best_so_far():
+def test_spent_budget_leaves_the_best_so_far():
     simplest, how = shrunk(BUSY, has(Cell.FRONT), rollouts=2)
     assert how.rollouts == 2
     assert not how.is_minimal
     assert len(simplest.npcs) == 1
 
 
-def test_a_small_scenario_that_is_no_part_of_the_large_one_is_found():
+def test_small_unrelated_scenario_is_found():
     def fails(each):
         first, *others = written(each)
         return each == BUSY or (not others and first.startswith("1@20 2@0"))
@@ -226,11 +226,11 @@ def test_a_small_scenario_that_is_no_part_of_the_large_one_is_found():
     assert minimal(BUSY, fails) == ("1@20 2@0",)
 
 
-def test_two_npcs_that_are_no_part_of_the_large_scenario_are_found_where_one_is_not_enough():
+def test_two_new_npcs_are_found_where_needed():
     assert minimal(BUSY, lambda each: each == BUSY or written(each) == ("4@20", "6@25")) == ("4@20", "6@25")
 
 
-def test_a_small_scenario_may_begin_as_the_run_was_found():
+def test_small_scenario_may_begin_as_run_was_found():
     given = scenario("4@20 4@20 3@20 2@5", ego_lane=2, ego_speed=17.0)
     simplest, _ = shrunk(given, lambda each: each == given or written(each) == ("6@25",))
     assert (written(simplest), simplest.ego_lane, simplest.ego_speed) == (("6@25",), 2, 17.0)
@@ -245,25 +245,25 @@ def test_a_small_scenario_may_begin_as_the_run_was_found():
         (lambda each: 11 < each.ego_speed < 14, (1, 13.0)),
     ],
 )
-def test_the_ego_starts_as_plainly_as_the_failure_allows(fails, start):
+def test_ego_starts_as_plainly_as_failure_allows(fails, start):
     given = scenario("4@20 3@20 2@5", ego_lane=3, ego_speed=13.7)
     simplest, _ = shrunk(given, fails, plain=(1, 22.0))
     assert (simplest.ego_lane, simplest.ego_speed) == start
 
 
 @table(("least_genes", "seconds"), [(1, 10.0), (3, 5.0)])
-def test_genes_last_as_long_as_those_of_a_search_that_does_not_draw_it(least_genes, seconds):
+def test_genes_last_as_long_as_in_default_search(least_genes, seconds):
     given = scenario("4@20 4@20 3@20", gene_seconds=5.0)
     simplest, _ = shrunk(given, lambda each: each.genes >= least_genes and has(4)(each), plain_seconds=10.0)
     assert simplest.gene_seconds == seconds
 
 
-def test_an_ego_that_has_the_plain_start_keeps_it_however_odd_its_speed_is():
+def test_ego_with_plain_start_retains_odd_speed():
     simplest, _ = shrunk(scenario("4@22", ego_lane=2, ego_speed=18.0), lambda each: True, plain=(2, 18.0))
     assert (simplest.ego_lane, simplest.ego_speed) == (2, 18.0)
 
 
-def test_two_steps_are_taken_together_where_neither_helps_alone():
+def test_two_steps_are_combined_if_neither_helps_alone():
     given = scenario("4@5 3@5 2@5 1@5 8@5")
     assert minimal(given, lambda each: each == given or written(each) == ("3@5 2@5 1@5",)) == ("3@5 2@5 1@5",)
 
@@ -275,18 +275,18 @@ def test_a_small_scenario_of_lane_instructions_is_found():
     assert shrunk(given, lambda each: each in (given, wanted))[0] == wanted
 
 
-def test_what_small_scenarios_have_first_leaves_the_passes_their_budget():
+def test_small_scenario_trials_leave_budget_for_the_passes():
     simplest, _ = shrunk(BUSY, lambda each: each == BUSY or (len(each.npcs) == 2 and each.genes == 6), rollouts=200)
     assert written(simplest)[0].endswith("@0")
 
 
-def test_the_interval_of_a_speed_reaches_to_where_it_no_longer_fails():
+def test_speed_interval_reaches_to_where_failure_ends():
     for low, high in ((3.0, 11.2), (3.1, 11.3), (3.2, 11.4), (3.3, 11.5)):
         _, how = shrunk(scenario("2@7"), has(Cell.FRONT, low, high))
         assert how.speeds == (SpeedInterval(npc=0, gene=0, low=low, high=high),)
 
 
-def test_the_interval_of_a_speed_that_does_not_matter_is_everything_up_to_the_limit():
+def test_interval_of_irrelevant_speed_is_everything_below_limit():
     _, how = shrunk(BUSY, has(Cell.FRONT))
     assert how.speeds == (SpeedInterval(npc=0, gene=0, low=0.0, high=26.8),)
 
@@ -305,7 +305,7 @@ def test_each_instruction_has_an_interval_of_its_own():
     )
 
 
-def test_intervals_are_cut_by_the_budget_and_the_scenario_stays_minimal():
+def test_budget_cuts_intervals_but_scenario_stays_minimal():
     needed = shrunk(BUSY, has(Cell.FRONT))[1].rollouts
     cut = [shrunk(BUSY, has(Cell.FRONT), rollouts=rollouts)[1] for rollouts in range(needed)]
     assert any(how.is_minimal and how.speeds == () for how in cut)
@@ -358,13 +358,13 @@ def failures(draw):
 
 
 @given(failures(), st.integers(0, 400))
-def test_a_result_fails_is_never_larger_and_costs_no_more_than_allowed(failure, rollouts):
+def test_result_fails_without_growing_or_exceeding_its_budget(failure, rollouts):
     shrunk(*failure, rollouts=rollouts)
 
 
 @settings(max_examples=settings.default.max_examples // 4)  # each shrinks three times, to the end
 @given(failures())
-def test_a_minimal_result_comes_again_and_stays_and_no_npc_or_gene_can_be_left_out(failure):
+def test_minimal_result_is_repeatable_and_cannot_be_reduced(failure):
     given, fails = failure
     best, how = shrunk(given, fails, rollouts=10_000)
     assert how.is_minimal
@@ -384,7 +384,7 @@ def test_the_furthest_step_is_found_exactly():
     assert found == [min(reach, most) for reach, most, _ in steps]
 
 
-def test_runs_are_left_for_the_speeds_that_still_fail_however_much_there_is_to_try():
+def test_runs_are_reserved_for_speeds_that_still_fail():
     """Nothing can be left out or be slower, and there are more ways to try than runs."""
 
     def fails(each):

@@ -75,7 +75,7 @@ def some(test):
         (lambda each: 8.3 < each.speed < 8.9 and each.slot > 0.5, 1.0, (8.6,), "pass"),
     ],
 )
-def test_one_npc_is_left_that_passes_at_a_round_slot_and_speed(test, slot, speeds, act):
+def test_one_passing_npc_remains_with_round_values(test, slot, speeds, act):
     simplest, how = shrunk(BUSY, some(test))
     assert how.is_minimal
     ((found,),) = simplest.npcs
@@ -83,12 +83,12 @@ def test_one_npc_is_left_that_passes_at_a_round_slot_and_speed(test, slot, speed
     assert found.speed in speeds
 
 
-def test_speeds_of_those_that_cross_become_round_and_not_slow():
+def test_crossing_speeds_become_round_and_not_slow():
     simplest, _ = shrunk(scenario(crosses(speed=8.6)), some(lambda each: each.speed > 1))
     assert told(simplest)[0].speed in (5.0, 10.0)
 
 
-def test_an_npc_on_the_grid_that_is_needed_stays_and_becomes_short():
+def test_needed_npc_on_grid_stays_and_becomes_short():
     def fails(each):
         return some(lambda gene: gene.slot > 0)(each) and any(chain[0].cell == 2 for chain in each.positions)
 
@@ -98,13 +98,13 @@ def test_an_npc_on_the_grid_that_is_needed_stays_and_becomes_short():
     assert [(each.slot, each.act) for each in told(simplest)] == [(1.0, "pass")]
 
 
-def test_both_of_two_that_cross_stay_where_both_are_needed():
+def test_both_crossing_npcs_stay_if_both_are_needed():
     simplest, _ = shrunk(BUSY, lambda each: len({gene.zone for gene in told(each)}) == 2)
     assert sorted(gene.zone for gene in told(simplest)) == ["o1>o3", "o3>o1"]
     assert len(simplest.npcs) == 2
 
 
-def test_what_no_way_has_room_for_is_no_result():
+def test_instruction_without_room_on_its_way_is_rejected():
     def fails(each):
         return all(map(JUNCTION.fits, told(each))) and some(lambda gene: gene.slot >= 3)(each)
 
@@ -113,12 +113,12 @@ def test_what_no_way_has_room_for_is_no_result():
     assert JUNCTION.fits(told(simplest)[0])
 
 
-def test_the_speeds_at_which_it_still_fails_are_told():
+def test_crossing_speeds_that_still_fail_are_reported():
     _, how = shrunk(scenario(crosses()), some(lambda each: 4.2 <= each.speed <= 9.4))
     assert [(each.npc, each.gene, each.low, each.high) for each in how.speeds] == [(0, 0, 4.2, 9.4)]
 
 
-def test_a_scenario_in_which_somebody_crosses_is_as_long_as_a_run():
+def test_crossing_scenario_is_as_long_as_a_run():
     assert size_of(scenario(crosses()), 13.0) == "1 NPC, 1 instruction, 13 s"
     assert instructions(BUSY) == 7
     assert size_of(scenario([2, 2, 3]), 13.0) == "1 NPC, 2 instructions, 12 s"
@@ -135,7 +135,7 @@ npcs = st.lists(instructions_at_zones | st.lists(st.just(2), min_size=1, max_siz
 
 
 @given(npcs, st.floats(-6, 6), st.floats(0, 13))
-def test_it_ends_with_a_valid_scenario_that_fails_whatever_fails(npcs, slot, speed):
+def test_shrinking_always_ends_with_valid_failing_scenario(npcs, slot, speed):
     try:
         given_one = scenario(*npcs)
     except ScenarioError:  # two in one cell
@@ -160,5 +160,5 @@ def test_it_ends_with_a_valid_scenario_that_fails_whatever_fails(npcs, slot, spe
         ({"act": "pass", "slot": 4.2}, {"act": "hold", "slot": 0.0}),
     ],
 )
-def test_simpler_is_who_passes_then_rounder_then_nearer_to_the_ego(simple, rough):
+def test_simpler_means_passing_then_round_then_near(simple, rough):
     assert sort_key(scenario(crosses(**simple))) < sort_key(scenario(crosses(**rough)))

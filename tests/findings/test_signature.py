@@ -38,7 +38,7 @@ SITUATIONS_BY_SLUG = {
 }
 
 
-def test_a_collision_that_the_ego_answers_for_is_told_by_its_mistake():
+def test_collision_caused_by_ego_is_identified_by_mistake():
     assert of_failure(crash(), COLLIDES) == Signature(
         failure="AssertionError",
         assertion="not run.collision",
@@ -48,14 +48,14 @@ def test_a_collision_that_the_ego_answers_for_is_told_by_its_mistake():
     )
 
 
-def test_where_the_ego_was_hit_does_not_matter_where_it_answers():
+def test_side_hit_does_not_matter_for_ego_fault():
     assert of_failure(crash(cell=Cell.FRONT_LEFT, side="left"), COLLIDES) == of_failure(crash(), COLLIDES)
     fields = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "fault": "entered-lane"}
     alone = Signature(**fields, responsibility="ego", cell=Cell.LEFT, ego_manoeuvre="lane-change")
     assert alone == Signature(**fields, responsibility="both", side="rear", npc_manoeuvre="lane-keeping")
 
 
-def test_any_other_collision_is_told_by_side_cell_and_manoeuvres():
+def test_other_collisions_are_identified_by_side_and_cell():
     assert of_failure(crash(**STANDING), COLLIDES) == Signature(
         failure="AssertionError",
         assertion="not run.collision",
@@ -68,7 +68,7 @@ def test_any_other_collision_is_told_by_side_cell_and_manoeuvres():
     )
 
 
-def test_an_assertion_that_does_not_speak_of_the_collision_is_told_by_its_text_however_the_run_ended():
+def test_assertion_without_collision_is_identified_by_its_text():
     failure = Failure(kind="AssertionError", assertion="assert run.min_ttc > 1.0")
     expected = Signature(
         failure="AssertionError", assertion="run.min_ttc > N", outcome=Outcome.SAFE, responsibility="none"
@@ -76,7 +76,7 @@ def test_an_assertion_that_does_not_speak_of_the_collision_is_told_by_its_text_h
     assert of_failure(Run(approaching()), failure) == of_failure(crash(), failure) == expected
 
 
-def test_a_failed_check_is_told_by_its_name_however_the_run_ended():
+def test_failed_check_is_identified_by_its_name():
     def jerk(value):
         check = Check(name="jerk", value=value, margin=20.0 - value, at_most=20.0)
         return Failure(kind="CheckFailed", message=str(check), assertion="jerk", check=check)
@@ -97,7 +97,7 @@ def test_a_failed_check_is_told_by_its_name_however_the_run_ended():
         "not run.collision or run.min_ttc > 1.0",
     ],
 )
-def test_what_may_speak_of_the_collision_is_told_by_how_the_run_ended(source):
+def test_assertion_about_the_collision_is_identified_by_outcome(source):
     failure = Failure(kind="AssertionError", assertion=f"assert {source}")
     assert of_failure(crash(), failure).fault == "leader-unanswered"
     assert of_failure(Run(approaching()), failure).cell is None
@@ -107,7 +107,7 @@ def test_the_time_and_the_speeds_do_not_matter():
     assert of_failure(crash(ego_speed=18.0), COLLIDES) == of_failure(crash(npc_speed=3.0), COLLIDES)
 
 
-def test_the_fault_names_a_failure_and_tells_none_from_another():
+def test_fault_names_a_failure_without_distinguishing_it():
     told = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "responsibility": "ego"}
     followed = Signature(**told, fault="leader-unanswered")
     entered = Signature(**told, fault="entered-lane", mistake="kept-no-distance")
@@ -119,7 +119,7 @@ def test_the_fault_names_a_failure_and_tells_none_from_another():
 
 
 @table("name", SITUATIONS_BY_SLUG)
-def test_a_lane_change_is_named_by_where_the_other_was(name):
+def test_lane_change_slug_names_place_of_other_vehicle(name):
     trace = next(each for each in chain(*SITUATIONS.values()) if each.name == name).trace()
     assert Run(trace).attribution.fault == "entered-lane"
     assert of_failure(Run(trace), COLLIDES).slug == SITUATIONS_BY_SLUG[name]
@@ -142,7 +142,7 @@ def test_every_field_matters(name):
         "run.min_ttc > 1.0",
     ],
 )
-def test_an_assertion_is_independent_of_layout_message_and_numbers(source):
+def test_assertion_does_not_depend_on_layout_or_numbers(source):
     assert normalised(source) == "run.min_ttc > N"
 
 
@@ -163,7 +163,7 @@ def test_an_assertion_keeps_what_tells_it_from_another():
         ("  slow", "\n\nslow"),
     ],
 )
-def test_a_message_is_independent_of_numbers_addresses_and_files(one, other):
+def test_message_does_not_depend_on_numbers_or_files(one, other):
     assert normalised("", one) == normalised("", other) != ""
 
 
@@ -172,16 +172,16 @@ def test_a_message_keeps_its_words():
     assert normalised("", "float64 has no v2") == "float64 has no v2"
 
 
-def test_the_message_stands_in_where_there_is_no_source():
+def test_message_replaces_a_missing_source():
     assert normalised("", "assert 0.3 > 1.0\n + where") == "assert N > N"
 
 
-def test_source_that_cannot_be_parsed_is_normalised_as_text():
+def test_source_that_cannot_be_parsed_is_normalised_text():
     assert normalised("assert run.min_ttc > 1.0 and (") == "assert run.min_ttc > N and ("
 
 
 @given(st.text(CHARACTERS, max_size=400), st.text(CHARACTERS, max_size=400))
-def test_any_text_gives_one_printable_line_of_limited_length(assertion, message):
+def test_any_text_gives_one_short_printable_line(assertion, message):
     text = normalised(assertion, message)
     assert len(text) <= 200
     assert text == text.strip()
@@ -198,7 +198,7 @@ def slug(assertion="", kind="AssertionError", run=None):
     return of_failure(run or Run(approaching()), Failure(kind=kind, assertion=assertion)).slug
 
 
-def test_a_slug_names_the_fault_or_side_and_cell_of_a_collision():
+def test_slug_names_fault_or_side_and_cell():
     assert of_failure(crash(), COLLIDES).slug == "leader-unanswered"
     assert of_failure(crash(**STANDING), COLLIDES).slug == "left-8"
 
@@ -218,7 +218,7 @@ def test_a_slug_names_a_fault_of_the_ads():
 
 
 @pytest.mark.parametrize("outcome", [Outcome.ADS_ERROR, Outcome.HANG])
-def test_a_fault_of_the_ads_is_the_same_wherever_the_others_drive(outcome):
+def test_ads_fault_is_the_same_for_any_traffic(outcome):
     error = AdsError(kind="ValueError", message="no path", traceback="", tick=6)
     near = Run(approaching(outcome=outcome, error=error))
     alone = Run(
@@ -240,14 +240,14 @@ def test_a_slug_has_no_cell_where_nothing_approached():
 
 
 @given(st.text(CHARACTERS, max_size=80), st.text(CHARACTERS, max_size=80))
-def test_a_slug_is_short_and_safe_in_file_names(assertion, kind):
+def test_slug_is_short_and_safe_in_file_names(assertion, kind):
     text = slug(assertion, kind)
     assert 0 < len(text) <= 40
     assert set(text) <= set("abcdefghijklmnopqrstuvwxyz0123456789-")
     assert text == text.strip("-")
 
 
-def test_an_assertion_on_measures_that_is_cut_short_is_still_told_by_its_text():
+def test_long_assertion_on_measures_is_identified_by_text():
     source = " and ".join(f"run.npcs[{npc}].gap.min() > 1.5" for npc in range(9))
     failure = Failure(kind="AssertionError", assertion=f"assert {source}")
     assert of_failure(crash(), failure) == of_failure(Run(approaching()), failure)

@@ -43,18 +43,18 @@ def comes_up(failed, ego, npc):
     return not missed(situation(failed), Run(trace_of(ego, npc)))
 
 
-def test_a_leader_is_told_from_when_it_came_too_close_to_its_lowest_speed():
+def test_leader_situation_starts_when_it_came_too_close():
     then = situation(rear_end())
     assert (then.npc, then.lane, then.ego_speed, then.npc_speed) == (0, 0, 20.0, 8.0)
     assert 3.0 <= then.time <= 5.0
     assert then.ahead == pytest.approx(35.0 - 3.0 * (then.time - 3.0) ** 2, abs=0.5)
 
 
-def test_a_lane_change_is_told_from_before_it_began():
+def test_lane_change_situation_is_before_it_began():
     assert situation(into_the_side()) == Situation(npc=0, time=4.0, ahead=-2.0, lane=1, ego_speed=20.0, npc_speed=20.0)
 
 
-def test_a_cut_in_is_told_from_when_the_other_is_in_the_lane():
+def test_cut_in_situation_starts_with_npc_in_lane():
     cutting = driven(15.0, RIGHT, speed=14.0, shifts=[(0.0, OWN, 4.0)])
     then = situation(Run(crash(driven(0.0), cutting)))
     assert (then.lane, then.npc_speed) == (0, pytest.approx(14.0))
@@ -72,7 +72,7 @@ def check(time, npc):
     return Failure(kind="CheckFailed", message=str(made), assertion="headway", check=made)
 
 
-def test_a_check_is_told_from_two_seconds_before_with_its_own_npc():
+def test_check_situation_is_two_seconds_before_its_time():
     run = Run(trace_of(driven(0.0), driven(30.0, LEFT, speed=18.0), driven(60.0, speed=18.0)))
     assert situation(run, check(8.0, npc=1)) == Situation(
         npc=1, time=6.0, ahead=48.0, lane=0, ego_speed=20.0, npc_speed=18.0
@@ -98,7 +98,7 @@ AWAY = driven(0.0, shifts=[(4.5, LEFT, 3.0)])
 
 
 @pytest.mark.parametrize("ego", [EARLIER, AWAY], ids=["brakes-earlier", "changes-lanes"])
-def test_an_ego_that_answers_its_leader_otherwise_has_met_it(ego):
+def test_ego_answering_its_leader_differently_has_met_it(ego):
     assert comes_up(rear_end(), ego, driven(35.0, **BRAKES))
 
 
@@ -112,7 +112,7 @@ def test_an_ego_that_answers_its_leader_otherwise_has_met_it(ego):
         (driven(0.0), driven(-35.0, speed=8.0)),  # the other is behind
     ],
 )
-def test_a_leader_that_is_never_met_is_no_fix(ego, npc):
+def test_leader_that_is_never_met_is_no_fix(ego, npc):
     assert not comes_up(rear_end(), ego, npc)
 
 
@@ -126,7 +126,7 @@ def test_a_leader_that_is_never_met_is_no_fix(ego, npc):
         (driven(0.0, RIGHT), driven(-4.0, FAR)),  # one lane further to the right
     ],
 )
-def test_whatever_the_ego_does_about_one_beside_it_has_met_it(ego, npc):
+def test_any_reaction_to_vehicle_alongside_has_met_it(ego, npc):
     assert comes_up(into_the_side(), ego, npc)
 
 
@@ -139,17 +139,17 @@ def test_whatever_the_ego_does_about_one_beside_it_has_met_it(ego, npc):
         (driven(0.0, speed=10.0), driven(-20.0, RIGHT, speed=25.0)),  # passes at once
     ],
 )
-def test_a_lane_where_nobody_is_beside_the_ego_is_no_fix(ego, npc):
+def test_lane_without_vehicle_alongside_ego_is_no_fix(ego, npc):
     assert not comes_up(into_the_side(), ego, npc)
 
 
-def test_the_places_at_the_start_are_no_situation_of_later():
+def test_start_positions_do_not_count_as_later_situation():
     """The ego stops for no reason, and the other, which was beside it, goes on."""
     stopping = driven(0.0, brakes=[(0.0, 6.0, 0.0)])
     assert not comes_up(into_the_side(), stopping, driven(-2.0, RIGHT))
 
 
-def test_a_miss_says_where_the_other_was_and_how_near_it_came():
+def test_miss_says_where_npc_was_and_came_nearest():
     passing = Run(trace_of(driven(0.0), driven(-20.0, LEFT)))
     assert missed(situation(into_the_side()), passing) == (
         "the situation did not come up: NPC 0 was 2 m behind one lane to the right at 20 m/s, with the ego at 20 m/s, "
@@ -158,7 +158,7 @@ def test_a_miss_says_where_the_other_was_and_how_near_it_came():
     )
 
 
-def test_a_pass_is_fixed_only_where_the_situation_came_up():
+def test_pass_is_fixed_only_if_situation_came_up():
     saved = Finding.of(
         into_the_side(), FAILS, test="t.py::t", world={}, found=Found(seed=1, generation=0, algorithm="")
     )
@@ -166,7 +166,7 @@ def test_a_pass_is_fixed_only_where_the_situation_came_up():
     assert [replay_label(saved, run, None, {}) for run in (fixed, drifted)] == ["fixed", "drifted"]
 
 
-def test_an_impact_that_is_no_failure_counts_if_it_is_later_after_the_situation():
+def test_blameless_impact_after_failure_time_is_fixed():
     """The ego slows down as its leader does, which it did not; then one that does not slow down hits it from behind."""
     saved = Finding.of(rear_end(), FAILS, test="t.py::t", world={}, found=FOUND)
     ego, leader = driven(0.0, **BRAKES), driven(35.0, **BRAKES)
@@ -180,7 +180,7 @@ def test_an_impact_that_is_no_failure_counts_if_it_is_later_after_the_situation(
         assert replay_label(saved, run, None, {}) == label
 
 
-def test_a_collision_with_the_same_npc_is_no_fix_though_it_passes():
+def test_collision_with_the_same_npc_is_no_fix():
     saved = Finding.of(rear_end(), FAILS, test="t.py::t", world={}, found=FOUND)
     later = Run(crash(driven(0.0), driven(35.0, brakes=[(6.0, 6.0, 8.0)])))
     assert replay_label(saved, later, None, {}) == "drifted"
@@ -189,14 +189,14 @@ def test_a_collision_with_the_same_npc_is_no_fix_though_it_passes():
     )
 
 
-def test_an_ego_that_leaves_the_road_has_fixed_nothing():
+def test_ego_that_leaves_road_has_fixed_nothing():
     saved = Finding.of(rear_end(), FAILS, test="t.py::t", world={}, found=FOUND)
     met = trace_of(driven(0.0, **BRAKES), driven(35.0, **BRAKES))
     off = replace(met, outcome=Outcome.OFF_ROAD, off_road_tick=met.ticks)
     assert [replay_label(saved, Run(trace), None, {}) for trace in (met, off)] == ["fixed", "drifted"]
 
 
-def test_the_same_collision_is_no_fix_where_another_answers_for_it():
+def test_same_collision_with_other_responsibility_is_no_fix():
     """The ego drives as before, and the verdict alone has changed, as where the other has cut in just before."""
     run = rear_end()
     assert run.responsibility == "ego"
@@ -205,7 +205,7 @@ def test_the_same_collision_is_no_fix_where_another_answers_for_it():
     assert [replay_label(each, run, None, {}) for each in (saved, other)] == ["fixed", "drifted"]
 
 
-def test_a_file_that_knows_no_situation_is_fixed_by_a_pass():
+def test_file_without_situation_is_fixed_by_a_pass():
     saved = Finding.of(
         into_the_side(), FAILS, test="t.py::t", world={}, found=Found(seed=1, generation=0, algorithm="")
     )

@@ -57,7 +57,7 @@ def crosses(**changes):
 
 
 class TestInstructions:
-    def test_they_take_plain_and_numpy_numbers_and_keep_pythons(self):
+    def test_crossing_instruction_accepts_plain_and_numpy_numbers(self):
         gene = CrossingInstruction("o1>o3", np.float64(0.5), np.int64(8))
         assert gene == CrossingInstruction("o1>o3", 0.5, 8.0, "pass")
         assert (type(gene.slot), type(gene.speed)) == (float, float)
@@ -114,14 +114,14 @@ class TestInstructions:
 
 class TestScenarios:
     @given(chains, st.integers(0, 2**40))
-    def test_those_of_both_kinds_survive_repair_texts_and_pickles(self, npcs, seed):
+    def test_mixed_scenarios_survive_repair_text_and_pickle(self, npcs, seed):
         scenario = Scenario.repaired(mixed(npcs), seed=seed)
         assert Scenario.from_canonical(json.loads(scenario.canonical())) == scenario
         assert pickle.loads(pickle.dumps(scenario)) == scenario
         assert Scenario.repaired(scenario.npcs, seed=seed + 1).npcs == scenario.npcs
 
     @given(chains)
-    def test_repair_leaves_those_that_cross_alone_and_others_as_if_they_were_not_there(self, npcs):
+    def test_repair_leaves_crossing_npcs_alone(self, npcs):
         wanted = mixed(npcs)
         scenario = Scenario.repaired(wanted, seed=3)
         on_cells = [chain for chain in wanted if isinstance(chain[0], PositionInstruction)]
@@ -159,18 +159,18 @@ class TestScenarios:
             ([[crosses()], [LaneInstruction("keep", 1)]], "npcs[1][0]: expected a CrossingInstruction like"),
         ],
     )
-    def test_an_npc_that_crosses_does_nothing_else_and_has_no_lanes_beside_it(self, npcs, message):
+    def test_crossing_npc_has_one_instruction_and_no_lanes(self, npcs, message):
         with pytest.raises(ScenarioError, match=re.escape(message)):
             Scenario(npcs=npcs)
 
     def test_an_instruction_at_a_zone_has_no_duration(self):
         assert retimed((crosses(),), 10.0, 3.0) == (crosses(),)
 
-    def test_a_scenario_lasts_as_long_as_its_genes_unless_somebody_crosses(self):
+    def test_scenario_with_crossing_npc_has_no_fixed_length(self):
         assert Scenario(npcs=[[one()], [one(3), one(4)]], gene_seconds=4.0).seconds == 8.0
         assert Scenario(npcs=[[one()], [crosses()]], gene_seconds=4.0).seconds == math.inf
 
-    def test_the_gene_of_a_text_is_known_by_what_it_has(self):
+    def test_gene_kind_is_recognised_by_its_values(self):
         assert gene_of("o1>o3", 8.6, 0.5, "hold") == crosses(act="hold")
         assert gene_of("left", 8.6) == LaneInstruction("left", 8.6)
 
@@ -197,7 +197,7 @@ def occupied(instruction, stretch, seconds=40.0):
 
 
 @given(crossings)
-def test_whoever_starts_at_its_place_keeps_its_slot_beside_an_ego_that_keeps_its_speed(instruction):
+def test_npc_holds_its_slot_with_a_steady_ego(instruction):
     way, start = JUNCTION.ways[instruction.zone], JUNCTION.start(instruction)
     assume(0 <= start <= way.zone.npc[0] - 1 and instruction.act in {"pass", "stop"})
     places = driven(way, instruction, start, 40.0)
@@ -213,7 +213,7 @@ def test_whoever_starts_at_its_place_keeps_its_slot_beside_an_ego_that_keeps_its
 
 
 @given(crossings)
-def test_the_start_is_before_the_way_exactly_where_it_takes_longer_to_the_zone_than_there_is_time(instruction):
+def test_start_is_before_the_way_with_spare_time(instruction):
     way, wanted = JUNCTION.ways[instruction.zone], JUNCTION.planned_entry(instruction)
     places = driven(way, instruction, 0.0, 60.0)
     needed = np.flatnonzero(places >= way.zone.npc[0])[0] * EACH
@@ -222,7 +222,7 @@ def test_the_start_is_before_the_way_exactly_where_it_takes_longer_to_the_zone_t
 
 
 @given(crossings.filter(lambda each: each.act in {"hold", "late"} and JUNCTION.fits(each)))
-def test_one_that_waits_comes_to_its_line_when_it_would_enter_or_as_soon_as_it_can_brake(instruction):
+def test_waiting_npc_reaches_its_line_when_due(instruction):
     way, start = JUNCTION.ways[instruction.zone], JUNCTION.start(instruction)
     line = way.zone.npc[0] - 2.0
     places, time = start, 0.0
@@ -237,7 +237,7 @@ def test_one_that_waits_comes_to_its_line_when_it_would_enter_or_as_soon_as_it_c
 
 
 @given(crossings)
-def test_an_npc_that_passes_is_in_each_stretch_while_it_drives_through_it(instruction):
+def test_passing_npc_occupies_each_stretch_while_driving_through(instruction):
     assume(instruction.act == "pass")
     way = JUNCTION.ways[instruction.zone]
     for stretch in (way.zone.npc, (way.zone.npc[0] - 3, way.zone.npc[0] + 2)):
@@ -246,7 +246,7 @@ def test_an_npc_that_passes_is_in_each_stretch_while_it_drives_through_it(instru
         assert JUNCTION.windows(instruction, stretch) == pytest.approx(seen, abs=0.15)
 
 
-def test_an_npc_that_does_not_pass_keeps_its_place_for_good_and_what_is_before_its_line_for_a_while():
+def test_npc_that_does_not_pass_occupies_its_place():
     for act in ("hold", "stop", "late"):
         assert JUNCTION.windows(crosses(act=act), (90.0, 98.0))[1] == math.inf
         first, last = JUNCTION.windows(crosses(act=act), (60.0, 70.0))
@@ -257,7 +257,7 @@ passing = crossings.filter(lambda each: each.act == "pass" and JUNCTION.fits(eac
 
 
 @given(passing, passing)
-def test_two_npcs_clash_exactly_where_both_drive_through_one_place_within_the_time_apart(a, b):
+def test_npcs_clash_exactly_if_they_meet_in_time(a, b):
     pairs = [(names, (x, y)) for names, ((x, y),) in JUNCTION.meetings.items()]
     pairs += [(names[::-1], (y, x)) for names, (x, y) in pairs]
     pairs += [((name, name), (way.zone.npc, way.zone.npc)) for name, way in JUNCTION.ways.items()]
@@ -284,7 +284,7 @@ def room_between(a, b, until):
     return float((ahead * (1 if ahead[0] > 0 else -1)).min())
 
 
-def test_two_npcs_of_one_lane_keep_their_order_up_to_where_their_ways_part():
+def test_npcs_of_one_lane_stay_in_order():
     slow = crosses(slot=5.0, speed=4.0)
     assert JUNCTION.start(slow) > JUNCTION.start(crosses(zone="o1>o2", slot=0.5, speed=10.0))
     assert JUNCTION.clash(slow, crosses(zone="o1>o2", slot=0.5, speed=10.0))
@@ -307,18 +307,18 @@ def test_two_npcs_of_one_lane_keep_their_order_up_to_where_their_ways_part():
         ({"act": "hold"}, True),
     ],
 )
-def test_an_npc_fits_where_it_starts_on_its_way_and_can_do_what_it_is_told(changes, fits):
+def test_npc_fits_if_it_can_start_and_act(changes, fits):
     assert JUNCTION.fits(crosses(**changes)) == fits
 
 
-def test_whoever_stands_in_a_place_clashes_with_all_who_come_later_and_with_nobody_long_before():
+def test_standing_npc_clashes_with_all_later_ones():
     stands = crosses(slot=1.0, act="stop")
     assert JUNCTION.clash(stands, crosses(slot=5.0))
     assert not JUNCTION.clash(stands, crosses(slot=-1.5))
 
 
 @given(st.lists(crossings, min_size=1, max_size=5))
-def test_the_clashes_of_a_scenario_are_those_of_its_pairs(instructions):
+def test_clashes_of_a_scenario_are_those_of_pairs(instructions):
     scenario = Scenario(npcs=[[one()], *[[each] for each in instructions]])
     told = list(enumerate(instructions, 1))
     assert list(JUNCTION.clashes(scenario)) == [
@@ -326,12 +326,12 @@ def test_the_clashes_of_a_scenario_are_those_of_its_pairs(instructions):
     ]
 
 
-def test_zones_come_in_the_order_in_which_the_ego_drives_through_them():
+def test_zones_follow_the_order_of_the_ego_way():
     assert [zone.way for zone in JUNCTION.zones] == ["o3>o1", "o2>o1", "o1>o3", "o1>o2"]
 
 
 @table(("along", "expected"), [(0.0, 0.0), (24.0, 2.0), (160.0, 160 / 12)])
-def test_times_on_a_way_of_one_speed_are_places_over_speeds(along, expected):
+def test_times_on_uniform_way_are_places_over_speed(along, expected):
     way = JUNCTION.ways["o1>o3"]
     assert way.time_at(along, 50.0) == pytest.approx(expected)
     assert way.place_at(expected, 50.0) == pytest.approx(along)

@@ -15,29 +15,29 @@ from tests.helpers.tables import table
 
 
 @given(traffics())
-def test_a_traffic_is_read_from_its_plain_form_and_survives_pickling(traffic):
+def test_traffic_is_restored_from_plain_form_and_pickle(traffic):
     assert Traffic.of(traffic.plain()) == Traffic.of(traffic) == pickle.loads(pickle.dumps(traffic)) == traffic
     assert replace(traffic, style=traffic.style) == traffic
 
 
-def test_the_default_is_attentive_and_only_the_papers_is_not():
+def test_only_paper_traffic_is_not_attentive_by_default():
     assert Traffic() == Traffic("hostile")
     assert [style for style in STYLES if not Traffic(style).is_attentive] == [PAPERS.style]
 
 
-def test_a_part_that_is_given_as_the_style_has_it_is_no_part_of_its_own():
+def test_part_equal_to_the_style_default_is_dropped():
     assert Traffic("everyday", **PARTS["everyday"]) == Traffic("everyday")
     assert Traffic("everyday", least_gap=np.float32(4)).plain() == {"style": "everyday", "least_gap": 4.0}
 
 
-def test_a_reader_is_told_the_style_and_its_own_parts_and_nothing_of_the_papers():
+def test_traffic_description_has_style_and_its_own_parts():
     told = [each.described for each in (PAPERS, Traffic(), Traffic("everyday", least_gap=4, braking=1.5))]
     assert told == ["", "hostile traffic", "everyday traffic (least_gap 4, braking 1.5)"]
 
 
 @table("part", list(BOUNDS))
 @table("value", [-1, -1.0, -0.1, 1e9, 10**400, math.nan, math.inf, True, "4", [4.0], {}, np.array([4.0, 5.0])])
-def test_a_part_out_of_its_bounds_is_refused_with_them(part, value):
+def test_traffic_part_out_of_bounds_is_refused(part, value):
     with pytest.raises(FieldError, match=rf"traffic\.{part}: expected a number from .* to .*, received"):
         Traffic("everyday", **{part: value})
 

@@ -48,7 +48,7 @@ def gene_requests(draw, most=8):
     return previous, requested, draw(roads), coins
 
 
-def test_cells_run_clockwise_from_the_front_left_around_the_ego():
+def test_cells_run_clockwise_from_the_front_left():
     around = [(-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0)]
     assert [(cell.column, cell.row) for cell in sorted(Cell)] == around
     assert [cell.label for cell in (Cell(1), Cell(2), Cell(5), Cell(8))] == [
@@ -65,7 +65,7 @@ def test_the_ring_closes_between_8_and_1():
 
 
 @given(cells, cells)
-def test_adjacent_are_a_cell_itself_and_its_two_neighbours(a, b):
+def test_cell_is_adjacent_to_itself_and_both_neighbours(a, b):
     assert is_adjacent(a, b) == (b in (a, *a.neighbours))
     assert is_adjacent(a, b) == is_adjacent(b, a)
     assert ring_distance(a, b) == ring_distance(b, a) <= 4
@@ -74,13 +74,13 @@ def test_adjacent_are_a_cell_itself_and_its_two_neighbours(a, b):
 
 @table("clearance", [0.0, 3.0])
 @table("cell", Cell)
-def test_the_centre_of_a_cell_lies_in_that_cell(cell, clearance):
+def test_centre_of_a_cell_is_inside_that_cell(cell, clearance):
     longitudinal = longitudinal_target(cell, LENGTH, clearance)
     assert longitudinal == cell.row * (LENGTH + clearance)
     assert cell_at(longitudinal, cell.column * LANE, LENGTH, LANE) == cell
 
 
-def test_the_egos_own_place_is_no_cell_and_the_outer_cells_have_no_end():
+def test_outer_cells_are_endless_without_the_ego_place():
     assert cell_at(0.0, 0.0, LENGTH, LANE) is None
     assert cell_at(LENGTH / 2, -LANE / 2, LENGTH, LANE) is None
     assert cell_at(80.0, 0.5, LENGTH, LANE) is Cell.FRONT
@@ -105,7 +105,7 @@ def test_valid_chains_come_back_unchanged_whatever_the_seed(chains, seed, other)
 
 
 @given(st.lists(cells, min_size=1, max_size=6), seeds)
-def test_a_chain_of_one_npc_is_changed_only_where_it_leaves_the_ring(chain, seed):
+def test_single_chain_changes_only_where_it_leaves_ring(chain, seed):
     (repaired,) = repair_chains([chain], seed)
     assert repaired[0] == chain[0]
     for gene in range(1, len(chain)):
@@ -120,13 +120,13 @@ def test_no_chain_is_repaired_to_no_chain():
     assert repair_chains([], seed=0) == ()
 
 
-def test_the_two_neighbours_are_drawn_alike_for_every_npc_and_gene():
+def test_both_neighbours_are_drawn_equally_for_every_npc():
     for npc, gene in product(range(8), range(6)):
         heads = sum(toss(seed, npc, gene) for seed in range(2000))
         assert 880 <= heads <= 1120, (npc, gene, heads)  # +- 5 standard deviations
 
 
-def test_draws_of_one_scenario_are_independent_of_each_other():
+def test_draws_of_one_scenario_are_independent():
     draws = [[toss(seed, npc, gene) for npc, gene in product(range(3), range(3))] for seed in range(2000)]
     for a, b in product(range(9), repeat=2):
         alike = sum(draw[a] == draw[b] for draw in draws)
@@ -134,7 +134,7 @@ def test_draws_of_one_scenario_are_independent_of_each_other():
 
 
 @given(st.lists(st.lists(cells, min_size=4, max_size=4), min_size=1, max_size=8), seeds)
-def test_a_repaired_gene_does_not_depend_on_genes_that_come_later(chains, seed):
+def test_repaired_gene_does_not_depend_on_later_genes(chains, seed):
     longer = repair_chains([[*chain, Cell.FRONT] for chain in chains], seed)
     assert tuple(chain[:-1] for chain in longer) == repair_chains(chains, seed)
 
@@ -149,7 +149,7 @@ def preference(previous, requested, existing, clockwise):
 
 
 @given(gene_requests(most=5))
-def test_repair_takes_the_first_complete_assignment_in_order_of_preference(case):
+def test_repair_takes_first_complete_assignment_by_preference(case):
     previous, requested, existing, coins = case
     orders = [
         preference(before, wanted, existing, coin)
@@ -166,7 +166,7 @@ def test_repair_takes_the_first_complete_assignment_in_order_of_preference(case)
 
 
 @given(gene_requests())
-def test_repaired_cells_are_distinct_adjacent_and_exist_unless_held(case):
+def test_repaired_cells_are_distinct_adjacent_and_existing(case):
     previous, requested, existing, coins = case
     executed = repair_gene(previous, requested, existing, coins.__getitem__)
     assert len(set(executed)) == len(executed)
@@ -176,7 +176,7 @@ def test_repaired_cells_are_distinct_adjacent_and_exist_unless_held(case):
 
 
 @given(gene_requests(), st.lists(st.booleans(), min_size=8, max_size=8))
-def test_requesting_what_was_executed_executes_it_again_whatever_the_coins(case, others):
+def test_executed_cells_are_executed_again_for_any_coins(case, others):
     """With the same coins always; with others wherever every executed cell exists."""
     previous, requested, existing, coins = case
     executed = repair_gene(previous, requested, existing, coins.__getitem__)
@@ -186,7 +186,7 @@ def test_requesting_what_was_executed_executes_it_again_whatever_the_coins(case,
 
 
 @given(st.lists(cells, min_size=1, max_size=8), roads, seeds)
-def test_in_the_first_gene_everybody_gets_the_nearest_cell_that_is_free(requested, existing, seed):
+def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed):
     if len(requested) > len(existing):
         with pytest.raises(
             ValueError, match=rf"received {len(requested)} NPCs for {len(existing)} existing cells; use"
@@ -203,7 +203,7 @@ def test_in_the_first_gene_everybody_gets_the_nearest_cell_that_is_free(requeste
     assert repair_gene(None, executed, existing, lambda npc: not toss(seed, npc, 0)) == executed
 
 
-def test_a_vanished_lane_leaves_the_one_neighbour_that_exists():
+def test_vanished_lane_leaves_the_one_existing_neighbour():
     """The ego is on the left lane: cells 1, 7 and 8 are off the road."""
     right_side = ALL_CELLS - {Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT}
     for coin in (False, True):
@@ -211,7 +211,7 @@ def test_a_vanished_lane_leaves_the_one_neighbour_that_exists():
         assert repair_gene([Cell.LEFT], [Cell.LEFT], right_side, lambda npc, c=coin: c) == (Cell.LEFT,)
 
 
-def test_of_two_npcs_that_want_one_cell_the_first_gets_it():
+def test_first_of_two_npcs_gets_the_wanted_cell():
     executed = repair_gene([Cell.FRONT_LEFT, Cell.FRONT_RIGHT], [Cell.FRONT, Cell.FRONT], ALL_CELLS, lambda npc: True)
     assert executed == (Cell.FRONT, Cell.RIGHT)
 
@@ -225,7 +225,7 @@ class TestRepairThatSkipsMissingCells:
         return repair_gene([previous], [requested], existing, lambda npc: clockwise, skipping=True)[0]
 
     @pytest.mark.parametrize("requested", [Cell.FRONT_LEFT, Cell.FRONT_RIGHT])
-    def test_a_step_to_a_missing_cell_leads_to_the_next_one_that_exists(self, requested):
+    def test_step_to_missing_cell_skips_to_next_existing(self, requested):
         assert self.repaired(Cell.FRONT, requested, self.one_lane) == Cell.REAR
 
     def test_a_step_goes_on_in_its_own_direction(self):
@@ -239,7 +239,7 @@ class TestRepairThatSkipsMissingCells:
     def test_the_next_existing_cells_are_neighbours(self):
         assert self.repaired(Cell.FRONT, Cell.REAR, self.one_lane) == Cell.REAR
 
-    def test_a_cell_that_is_no_neighbour_becomes_one_of_the_two_by_the_coin(self):
+    def test_distant_cell_becomes_a_neighbour_by_the_coin(self):
         existing = frozenset(Cell) - {Cell.FRONT_RIGHT}
         assert self.repaired(Cell.FRONT, Cell.REAR, existing, clockwise=True) == Cell.RIGHT
         assert self.repaired(Cell.FRONT, Cell.REAR, existing, clockwise=False) == Cell.FRONT_LEFT

@@ -37,7 +37,7 @@ def one(cell=2, speed=20.0):
     return PositionInstruction(cell, speed)
 
 
-def test_a_position_instruction_takes_plain_and_numpy_numbers_and_keeps_pythons():
+def test_position_instruction_accepts_plain_and_numpy_numbers():
     for gene in (
         one(3, 12),
         PositionInstruction(np.int64(3), np.float64(12.0)),
@@ -57,7 +57,7 @@ def test_speeds_are_exact_tenths_however_they_were_computed(tenths):
 
 
 @table("cell", [0, 9, -1, 2.0, "2", None, True, np.bool_(True), np.array([1, 2]), 10**30])
-def test_a_cell_that_is_no_cell_is_refused_with_the_range(cell):
+def test_invalid_cell_is_refused_with_the_range(cell):
     with pytest.raises(ScenarioError, match=r"cell: expected a whole number from 1 .* to 8 .*, received"):
         PositionInstruction(cell, 10.0)
 
@@ -69,7 +69,7 @@ def test_a_speed_that_is_no_number_is_refused(speed):
 
 
 @table(("speed", "nearest"), [(-0.1, "0"), (-5.0, "0"), (-1.7e308, "0"), (12.34, "12.3"), (0.05001, "0.1")])
-def test_a_speed_off_the_steps_is_refused_with_the_nearest_valid_one(speed, nearest):
+def test_invalid_speed_is_refused_with_nearest_valid_one(speed, nearest):
     with pytest.raises(ScenarioError, match=re.escape(f"received {speed!r}; the nearest valid speed is {nearest}")):
         PositionInstruction(2, speed)
 
@@ -103,7 +103,7 @@ def test_a_scenario_survives_pickling_and_repairing(scenario):
 
 
 @given(raw_chains, st.integers(0, MAX_SEED))
-def test_repairing_keeps_every_speed_and_every_first_cell_that_it_can(chains, seed):
+def test_repair_preserves_speeds_and_first_cells_where_possible(chains, seed):
     scenario = Scenario.repaired(chains, seed=seed)
     assert [[g.speed for g in chain] for chain in scenario.npcs] == [[g.speed for g in chain] for chain in chains]
     assert scenario.npcs[0][0].cell == chains[0][0].cell
@@ -111,7 +111,7 @@ def test_repairing_keeps_every_speed_and_every_first_cell_that_it_can(chains, se
 
 
 @given(scenarios, scenarios)
-def test_the_canonical_text_is_equal_exactly_for_equal_scenarios(a, b):
+def test_canonical_text_is_equal_exactly_for_equal_scenarios(a, b):
     assert (a.canonical() == b.canonical()) == (a == b)
     same = Scenario(
         npcs=[list(chain) for chain in a.npcs],
@@ -192,18 +192,18 @@ def test_the_repr_shows_the_chains_on_one_line():
     ],
 )
 @table("make", [Scenario, Scenario.repaired])
-def test_a_broken_field_is_refused_by_name_with_what_was_expected(make, fields, message):
+def test_broken_field_is_refused_by_name(make, fields, message):
     with pytest.raises(ScenarioError, match=re.escape(message)):
         make(**{"npcs": [[one()]], **fields})
 
 
-def test_a_leap_across_the_ring_is_refused_with_the_cells_that_may_follow():
+def test_leap_across_the_ring_is_refused_with_alternatives():
     expected = "npcs[0][1]: expected cell 1 again or its ring neighbour 2 or 8, received cell 5; Scenario.repaired(...)"
     with pytest.raises(ScenarioError, match=re.escape(expected)):
         Scenario(npcs=[[one(1), one(5)]])
 
 
-def test_the_parts_of_an_error_can_be_read_one_by_one_also_after_a_way_through_another_process():
+def test_error_fields_are_readable_also_after_pickling():
     with pytest.raises(ScenarioError) as caught:
         Scenario(npcs=[[one(1), one(5)]])
     for error in (caught.value, pickle.loads(pickle.dumps(caught.value))):
@@ -212,18 +212,18 @@ def test_the_parts_of_an_error_can_be_read_one_by_one_also_after_a_way_through_a
         assert str(error) == f"{error.field}: expected {error.expected}, received {error.received}; {error.fix}"
 
 
-def test_two_npcs_in_one_cell_are_refused_with_both_named():
+def test_two_npcs_in_one_cell_are_refused():
     expected = "npcs[1][1]: expected a cell that no other NPC holds in gene 1, received cell 2 of npcs[0]"
     with pytest.raises(ScenarioError, match=re.escape(expected)):
         Scenario(npcs=[[one(1), one(2)], [one(3), one(2)]])
 
 
-def test_an_npc_whose_chain_has_ended_holds_no_cell_any_more():
+def test_npc_with_ended_chain_holds_no_cell():
     assert Scenario(npcs=[[one(2)], [one(3), one(2)]]).genes == 2
 
 
 @given(raw_chains)
-def test_a_scenario_is_accepted_exactly_when_repair_has_nothing_to_do(chains):
+def test_scenario_is_accepted_exactly_if_repair_changes_nothing(chains):
     repaired = Scenario.repaired(chains).npcs
     assume(len(chains) > 0)
     if repaired == tuple(map(tuple, chains)):
@@ -236,7 +236,7 @@ def test_a_scenario_is_accepted_exactly_when_repair_has_nothing_to_do(chains):
 class TestLaneInstructions:
     """Genes without a cell: keep the own lane or change it by one, at a speed."""
 
-    def test_they_take_the_three_lanes_and_speeds_in_tenths(self):
+    def test_lane_instructions_take_three_lanes_and_tenths(self):
         assert LaneInstruction("left", 12).speed == 12.0
         assert [LaneInstruction(lane, 1.0).column for lane in ("keep", "left", "right")] == [0, -1, 1]
 
@@ -245,11 +245,11 @@ class TestLaneInstructions:
         with pytest.raises(ScenarioError, match="lane: expected one of keep, left, right, received"):
             LaneInstruction(lane, 10.0)
 
-    def test_a_speed_between_two_tenths_is_refused_as_in_other_genes(self):
+    def test_lane_speed_between_tenths_is_refused(self):
         with pytest.raises(ScenarioError, match=r"speed: expected m/s, .* the nearest valid speed is 12\.3"):
             LaneInstruction("keep", 12.34)
 
-    def test_a_scenario_of_them_needs_no_repair_and_may_repeat_itself(self):
+    def test_lane_scenario_needs_no_repair_and_may_repeat(self):
         chain = (LaneInstruction("left", 10.0),) * 3
         scenario = Scenario(npcs=(chain, chain))
         assert Scenario.repaired(scenario.npcs) == scenario
@@ -274,7 +274,7 @@ class TestLaneInstructions:
     @pytest.mark.parametrize(
         "chains", [([one()], [LaneInstruction("keep", 1.0)]), ([one(), LaneInstruction("keep", 1.0)],)]
     )
-    def test_two_kinds_of_genes_in_one_scenario_are_refused_at_their_place(self, chains):
+    def test_mixed_kinds_of_genes_are_refused_with_place(self, chains):
         with pytest.raises(
             ScenarioError, match=r"npcs\[[01]\]\[[01]\]: expected a PositionInstruction like npcs\[0\]\[0\]"
         ):

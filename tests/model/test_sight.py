@@ -49,30 +49,30 @@ PLACES = st.tuples(st.floats(-25.0, 25.0), st.floats(-9.0, 9.0), st.floats(-math
 
 @given(st.lists(PLACES, min_size=2, max_size=5))
 @example([(0.0, 0.0, 0.0), (0.0, 5e-324, 0.0)])
-def test_a_vehicle_is_hidden_where_rays_that_are_followed_step_by_step_say_so(places):
+def test_hidden_vehicles_match_rays_followed_step_by_step(places):
     everybody, margin = states((0.0, 0.0, 0.3), *places), 0.05
     found = hidden(everybody)
     assert (found <= hidden_by_rays(everybody, margin)).all()
     assert (found >= hidden_by_rays(everybody, -margin)).all()
 
 
-def test_the_one_ahead_of_the_leader_is_hidden_and_one_in_the_next_lane_is_not():
+def test_vehicle_ahead_of_the_leader_is_hidden():
     sight, ego, leader = Sight(occlusion=True), (0.0, 0.0, 0.0), (20.0, 0.0, 0.0)
     assert seen(sight, ego, leader, (40.0, 0.0, 0.0), (40.0, 4.0, 0.0)) == [0, 2]
 
 
-def test_two_that_stand_side_by_side_hide_together_what_neither_hides_alone():
+def test_two_vehicles_together_hide_what_neither_hides_alone():
     behind, left, right = (30.0, 0.0, math.pi / 2), (10.0, -0.8, 0.0), (10.0, 1.0, 0.0)
     assert hidden(states((0.0, 0.0, 0.0), left, right, behind)).tolist() == [False, False, True]
     assert not hidden(states((0.0, 0.0, 0.0), left, behind)).any()
 
 
-def test_those_are_seen_whose_centre_is_no_farther_than_the_range():
+def test_vehicles_are_seen_up_to_the_range():
     assert seen(Sight(range=5.0), (0.0, 0.0, 0.0), (3.0, 4.0, 0.0), (3.0, 4.01, 0.0), (-5.0, 0.0, 0.0)) == [0, 2]
 
 
 @pytest.mark.parametrize("seed", mostly_oracle([0, 7, 2**63 - 1], 2**63 - 1))
-def test_noise_has_the_deviations_asked_for_and_no_bias(seed):
+def test_noise_has_requested_deviation_and_no_bias(seed):
     sight, two = Sight(noise={"position": 0.5, "speed": 2.0}), states((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (9.0, 4.0, 0.0))
     errors = np.array([[each[1:] for each in sight.glimpses(two, seed, tick)] for tick in range(2000)])
     count = errors[..., 0].size
@@ -83,14 +83,14 @@ def test_noise_has_the_deviations_asked_for_and_no_bias(seed):
     assert abs(np.corrcoef(errors.reshape(2000, 6).T) - np.eye(6)).max() < 4.5 / math.sqrt(2000)
 
 
-def test_each_vehicle_drops_out_as_often_as_asked_for_and_by_itself():
+def test_each_vehicle_drops_out_independently_at_given_rate():
     sight, places = Sight(dropout=0.3), [(0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (9.0, 4.0, 0.0)]
     looks = [seen(sight, *places, tick=tick) for tick in range(2000)]
     assert sum(0 in look for look in looks) / 2000 == pytest.approx(0.7, abs=0.04)
     assert sum(look == [0, 1] for look in looks) / 2000 == pytest.approx(0.49, abs=0.045)
 
 
-def test_what_is_drawn_depends_on_seed_and_tick_and_on_nothing_that_was_drawn_before():
+def test_random_errors_depend_only_on_seed_and_tick():
     sight, places = Sight(noise={"speed": 1.0}), states((0.0, 0.0, 0.0), (9.0, 0.0, 0.0))
     forwards = [list(sight.glimpses(places, 5, tick)) for tick in range(4)]
     backwards = [list(sight.glimpses(places, 5, tick)) for tick in reversed(range(4))]
@@ -123,11 +123,11 @@ ALL = Sight(range=60.0, latency=0.3, noise={"position": 0.5, "speed": 1.0}, drop
         (ALL, "a range of 60 m, 0.3 s of latency, noise of 0.5 m and 1 m/s, 10 % dropout and occlusion"),
     ],
 )
-def test_a_sight_is_told_by_what_is_not_perfect(sight, text):
+def test_sight_is_described_by_its_imperfections(sight, text):
     assert sight.described() == text
 
 
-def test_some_imperfections_can_be_kept_and_all_others_left_out():
+def test_sight_can_be_restricted_to_some_imperfections():
     assert ALL.only(("latency", "occlusion")) == Sight(latency=0.3, occlusion=True)
     assert ALL.only(()) == Sight()
     assert ALL.described(("latency", "occlusion")) == "0.3 s of latency and occlusion"
@@ -157,6 +157,6 @@ def test_numbers_of_any_kind_become_pythons_own():
         ({"occlusion": 1}, "occlusion: expected True or False, received 1"),
     ],
 )
-def test_a_value_that_cannot_be_is_refused_by_its_name(values, message):
+def test_invalid_sight_value_is_refused_by_name(values, message):
     with pytest.raises(FieldError, match=message):
         Sight(**values)

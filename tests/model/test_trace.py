@@ -28,7 +28,7 @@ def made(states, sizes, **fields):
     )
 
 
-def test_columns_are_named_in_the_order_of_the_array():
+def test_column_constants_follow_the_order_of_array():
     assert [X, Y, HEADING, SPEED, ACCELERATION, STEERING, LANE] == [0, 1, 2, 3, 4, 5, 6]
 
 
@@ -41,7 +41,7 @@ def test_arrays_are_float64_contiguous_and_read_only():
             array[:] = 1
 
 
-def test_the_callers_array_stays_writeable_and_no_change_to_it_reaches_the_trace():
+def test_changing_the_original_array_never_changes_the_trace():
     states, sizes = np.zeros((3, 2, 7)), np.full((2, 2), 5.0)
     trace = made(states, sizes)
     states[:], sizes[:] = 9.0, 9.0
@@ -50,7 +50,7 @@ def test_the_callers_array_stays_writeable_and_no_change_to_it_reaches_the_trace
 
 
 @table("copied", [lambda trace: pickle.loads(pickle.dumps(trace)), copy.deepcopy, copy.copy])
-def test_a_trace_from_another_process_is_read_only_too(copied):
+def test_copied_or_pickled_trace_is_read_only(copied):
     trace = trace_of(vehicle(0.0, speed=10.0, ticks=4), vehicle(30.0, ticks=4))
     twin = copied(trace)
     assert twin.states.tobytes() == trace.states.tobytes()
@@ -60,17 +60,17 @@ def test_a_trace_from_another_process_is_read_only_too(copied):
 
 
 @table("shape", [(3, 2), (3, 2, 6), (3, 14), (1, 3, 2, 7)])
-def test_states_of_another_shape_are_refused_with_both_shapes(shape):
+def test_states_of_wrong_shape_are_refused(shape):
     with pytest.raises(ValueError, match=r"states: expected shape \[ticks \+ 1, vehicles, 7\], received \("):
         made(np.zeros(shape), np.zeros((2, 2)))
 
 
-def test_sizes_that_do_not_match_the_vehicles_are_refused_with_both_shapes():
+def test_wrong_sizes_are_refused_with_both_shapes():
     with pytest.raises(ValueError, match=r"sizes: expected shape \(2, 2\), received \(3, 2\)"):
         made(np.zeros((3, 2, 7)), np.zeros((3, 2)))
 
 
-def test_row_zero_is_the_start_so_there_is_one_row_more_than_ticks():
+def test_trace_has_one_row_more_than_its_ticks():
     trace = trace_of(vehicle(0.0, speed=10.0, ticks=30), vehicle(50.0, ticks=30))
     assert trace.ticks == 30
     assert trace.states.shape == (31, 2, 7)
@@ -81,12 +81,12 @@ def test_row_zero_is_the_start_so_there_is_one_row_more_than_ticks():
     assert trace.npcs.shape == (31, 1, 7)
 
 
-def test_a_run_that_ended_before_the_first_tick_has_no_duration():
+def test_run_without_any_tick_has_zero_duration():
     trace = trace_of(vehicle(0.0), vehicle(50.0))
     assert (trace.ticks, trace.duration) == (0, 0.0)
 
 
-def test_the_speed_limit_is_that_of_the_fastest_lane():
+def test_speed_limit_is_that_of_fastest_lane():
     lanes = (*straight_lanes(2, speed_limit=20.0), *straight_lanes(1, speed_limit=30.0))
     assert trace_of(vehicle(0.0), vehicle(50.0), lanes=lanes).speed_limit == 30.0
 
@@ -102,7 +102,7 @@ def test_outcomes_are_the_texts_that_corpus_files_have():
     ]  # fmt: skip
 
 
-def test_the_track_of_a_vehicle_is_recorded_where_a_road_is_not_straight():
+def test_track_of_vehicle_is_recorded_on_curved_roads():
     states, sizes = np.zeros((2, 2, 7)), np.full((2, 2), 5.0)
     bent = made(states, sizes, track=np.arange(2 * 2 * 5.0).reshape(2, 2, 5))
     assert bent.track_of(1).tolist() == [[5.0, 6.0, 7.0, 8.0, 9.0], [15.0, 16.0, 17.0, 18.0, 19.0]]

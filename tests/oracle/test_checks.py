@@ -22,14 +22,14 @@ def made(value, *, hz=2, ticks=4, **bounds):
     return recording.checks[0]
 
 
-def test_a_broken_bound_is_told_with_value_unit_and_time():
+def test_broken_bound_message_has_value_unit_and_time():
     with recorded(Recording(hz=2, ticks=4)), pytest.raises(CheckFailed) as failed:
         pafot.check(JERK, name="jerk", at_most=20, unit="m/s^3")
     assert str(failed.value) == "jerk 35.1 > 20 m/s^3 at 1.5 s"
     assert isinstance(failed.value, AssertionError)
 
 
-def test_a_bound_from_below_is_told_likewise_with_the_npc():
+def test_lower_bound_message_names_the_npc():
     assert str(made(0.3, at_least=0.5, unit="s", at=4.2, npc=1)) == "jerk 0.3 < 0.5 s at 4.2 s (NPC 1)"
     assert str(made(0.7, at_least=0.5, unit="s")) == "jerk 0.7 >= 0.5 s"
     assert str(made(12.0, at_least=0.5, at_most=10.0)) == "jerk 12.0 > 10"
@@ -60,11 +60,11 @@ GAP = pafot.above(pafot.Signal([3.0, 1.0, 2.0, 1.0, 4.0], hz=2, unit="m"), 1.5)
         (pafot.always(GAP) + pafot.always(GAP), "-1.0 < 0"),
     ],
 )
-def test_a_formula_is_told_with_the_tick_that_decides_it_where_one_does(formula, says):
+def test_formula_message_has_its_deciding_tick(formula, says):
     assert str(made(formula)) == f"jerk {says}"
 
 
-def test_the_margin_is_in_units_of_the_bound_unless_a_scale_is_given():
+def test_margin_is_in_units_of_bound_or_scale():
     assert made(15.0, at_most=20.0).margin == 0.25
     assert made(15.0, at_most=20.0, scale=5.0).margin == 1.0
     assert made(15.0, at_least=20.0).margin == -0.25
@@ -79,7 +79,7 @@ def test_without_a_recording_it_only_asserts():
         pafot.check(3.0, name="x", at_most=2.0)
 
 
-def test_an_array_that_is_not_one_value_a_tick_has_no_time():
+def test_array_of_different_length_has_no_time():
     assert made(JERK[2:], at_most=20.0).time is None
     assert made(JERK[2:], at_most=20.0, at=9.0).time == 9.0
 
@@ -89,7 +89,7 @@ def test_an_array_that_is_not_one_value_a_tick_has_no_time():
     st.integers(-99, 99),
     st.sampled_from(["at_most", "at_least"]),
 )
-def test_it_holds_where_every_value_keeps_the_bound_and_the_worst_is_told(values, bound, side):
+def test_check_holds_exactly_if_worst_value_does(values, bound, side):
     check = made(np.array(values), **{side: bound})
     worst = max(values) if side == "at_most" else min(values)
     assert check.holds == (worst <= bound if side == "at_most" else worst >= bound)
@@ -109,7 +109,7 @@ def test_infinity_is_beyond_any_bound():
     assert not made(math.inf, at_most=1.0).holds
 
 
-def test_a_target_never_fails_and_the_largest_value_has_the_least_margin():
+def test_target_never_fails_and_prefers_largest_value():
     recording = Recording(hz=2, ticks=4)
     with recorded(recording):
         pafot.target(JERK, name="jerk")
@@ -157,7 +157,7 @@ def test_a_check_needs_a_name(name):
         pafot.check(1.0, name=name, at_most=2.0)
 
 
-def test_the_index_of_an_npc_may_come_from_an_array():
+def test_npc_index_may_come_from_an_array():
     leader = np.array([1, -1])
     assert type(made(1.0, at_most=2.0, npc=leader[0]).npc) is int
     assert made(1.0, at_most=2.0, npc=leader[1]).npc is None
@@ -165,7 +165,7 @@ def test_the_index_of_an_npc_may_come_from_an_array():
         pafot.check(1.0, name="gap", at_most=2.0, npc=1)
 
 
-def test_a_value_never_reads_as_one_beyond_its_bound():
+def test_printed_value_never_reads_as_beyond_its_bound():
     assert str(made(20.04, at_most=20.03)) == "jerk 20.04 > 20.03"
     assert str(made(5.56, at_least=5.57)) == "jerk 5.56 < 5.57"
 

@@ -24,7 +24,7 @@ def lines_of(*npcs, **more):
     return Run(junction_trace(*npcs, **more)).explain().splitlines()
 
 
-def test_the_headline_says_at_which_zone_and_from_where_the_npc_came():
+def test_headline_names_zone_and_origin_of_npc():
     run = crash()
     assert run.explain().splitlines()[0] == (
         "collision after 4.8 s: NPC 0 from the left in the zone o3>o1 against the ego's front"
@@ -34,12 +34,12 @@ def test_the_headline_says_at_which_zone_and_from_where_the_npc_came():
 
 
 @table(("start", "where"), [(-10.0, "from the left before"), (10.0, "from the left in"), (25.0, "from the left past")])
-def test_the_place_of_a_moment_is_before_in_or_past_the_zone(start, where):
+def test_place_is_before_in_or_past_the_zone(start, where):
     run = Run(junction_trace((CROSSES, start), seconds=5.0))
     assert run.place_of(replace(run.closest_approach, tick=75)) == f"{where} the zone o3>o1"
 
 
-def test_after_its_zone_the_place_of_who_merged_is_a_cell():
+def test_merged_npc_has_a_cell_after_its_zone():
     """It is on the ego's way from 4.1 s on, and out of the zone at 5.4 s."""
     run = Run(junction_trace((MERGES, 0.0)))
     for tick, place in (
@@ -52,13 +52,13 @@ def test_after_its_zone_the_place_of_who_merged_is_a_cell():
     assert Encounters(run.trace).cell(0, 80) == Cell.FRONT
 
 
-def test_the_place_of_a_collision_that_nobody_recorded_is_left_out():
+def test_collision_place_without_record_is_left_out():
     """A world of the user's own may have such a track, and no zones."""
     trace = replace(crash().trace, zones=(), on_way=None)
     assert Run(trace).explain().startswith("collision after 4.8 s: NPC 0 against the ego's front\n")
 
 
-def test_the_moments_of_a_run_are_found_with_who_crosses():
+def test_moments_of_a_run_include_crossing_npcs():
     run = Run(junction_trace((CROSSES, 5.0), (None, 40.0)))
     assert (run.closest_approach.npc, run.closest_approach.cell) == (0, None)
     assert run.closest_time == pytest.approx(5.0, abs=0.5)
@@ -73,16 +73,16 @@ def test_the_moments_of_a_run_are_found_with_who_crosses():
         ((CROSSES, -60.0), "; never arrived"),
     ],
 )
-def test_an_explanation_says_what_who_crosses_was_told_and_when_it_came(npc, came):
+def test_explanation_has_crossing_instruction_and_arrival_time(npc, came):
     told = "  NPC 0: o3>o1 from the left, 0.5 s after the ego leaves, 10.0 m/s"
     assert told + came in lines_of(npc)
 
 
-def test_who_comes_to_a_zone_that_the_ego_never_reaches_has_its_time_alone():
+def test_npc_at_zone_without_ego_has_own_time():
     assert lines_of((CROSSES, 0.0), ego_speed=2.0)[-2].endswith("10.0 m/s; arrived at 5.6 s")
 
 
-def test_npcs_on_the_grid_keep_their_table_beside_those_that_cross():
+def test_npcs_on_grid_have_table_besides_crossing_ones():
     lines = lines_of((CROSSES, 0.0), (None, 20.0), (MERGES, 0.0))
     assert lines[-5].startswith("  NPC 0: o3>o1 from the left, ")
     assert lines[-4].startswith("  NPC 2: o2>o4 from the right, ")
@@ -104,7 +104,7 @@ def test_explanations_stay_short_however_many_cross(count, others):
 
 
 @table("act", ACTS)
-def test_the_words_of_an_instruction_have_its_slot_and_its_act(act):
+def test_instruction_words_have_slot_and_act(act):
     words = {
         "pass": "from the left, 0.5 s after the ego leaves",
         "hold": "from the left, 1 s before the ego enters, holds at the line",
@@ -124,7 +124,7 @@ def test_a_run_has_the_passages_of_its_zones():
     assert Run(junction_trace((None, 20.0))).passages == ()
 
 
-def test_a_data_frame_has_the_signals_of_who_crosses():
+def test_data_frame_has_signals_of_crossing_npcs():
     pytest.importorskip("pandas")
     frame = Run(junction_trace((CROSSES, 0.0), (None, 20.0))).to_pandas()
     assert np.isnan(frame["npcs[0].ahead"]).all()
@@ -132,12 +132,12 @@ def test_a_data_frame_has_the_signals_of_who_crosses():
     assert "npcs[1].time_advantage" not in frame
 
 
-def test_a_run_that_ends_otherwise_is_told_with_who_crosses():
+def test_run_that_left_route_is_described_with_crossing():
     trace = replace(junction_trace((CROSSES, 0.0)), outcome=Outcome.LEFT_ROUTE)
     assert Run(trace).explain().splitlines()[0] == "no collision in 8.0 s, when the ego left its route"
 
 
-def test_a_collision_with_who_merged_long_ago_keeps_its_cell():
+def test_collision_with_npc_merged_long_ago_has_cell():
     hit = collision_at(90, cell=Cell.FRONT)
     run = Run(junction_trace((MERGES, 0.0), seconds=6.0, outcome=Outcome.COLLISION, collision=hit))
     assert "NPC 0 in cell 2 (front)" in run.explain()

@@ -36,7 +36,7 @@ def test_without_a_collision_nobody_is_responsible():
     assert run.responsibility is None
 
 
-def test_the_position_rule_is_a_second_opinion_and_named_where_it_disagrees():
+def test_position_rule_is_named_only_when_it_disagrees():
     run = Run(replace(crash().trace, collision=collision_at(30, cell=Cell.LEFT, side="left")))
     assert (run.responsibility, run.second_opinion) == ("ego", "npc")
     assert run.explain().endswith(", position rule: npc")
@@ -45,7 +45,7 @@ def test_the_position_rule_is_a_second_opinion_and_named_where_it_disagrees():
     assert Run(closing()).second_opinion is None
 
 
-def test_the_reference_drivers_are_tried_when_asked_for_and_once():
+def test_reference_drivers_are_tried_once_on_request():
     world = Drivers(calm=closing())
     run = Run(closing(), world=world)
     assert world.asked == []
@@ -53,7 +53,7 @@ def test_the_reference_drivers_are_tried_when_asked_for_and_once():
     assert world.asked == ["calm"]
 
 
-def test_a_reference_driver_avoids_the_collision_or_is_hit_or_is_at_fault_itself():
+def test_reference_driver_avoids_is_hit_or_at_fault():
     drivers = Drivers(calm=closing(), unlucky=rammed(), blind=crash().trace, cut=closing(outcome=Outcome.INVALID))
     at_fault, victim = Run(crash().trace, world=drivers), Run(rammed(), world=drivers)
     assert at_fault.reference_drivers == {"calm": "avoids", "unlucky": "hit", "blind": "at-fault"}
@@ -61,12 +61,12 @@ def test_a_reference_driver_avoids_the_collision_or_is_hit_or_is_at_fault_itself
     assert (victim.responsibility, victim.preventable_by) == ("npc", ("calm",))
 
 
-def test_a_run_made_of_a_trace_alone_says_how_to_try_the_reference_drivers():
+def test_run_without_world_explains_how_to_try_drivers():
     with pytest.raises(NoReferenceDriversError, match=r"use Run\(trace, world=world\)"):
         _ = Run(closing()).preventable_by
 
 
-def test_the_last_chance_is_looked_for_when_asked_for_and_once():
+def test_last_chance_is_computed_once_on_request():
     asked = []
 
     def take_over(trace, tick, name):
@@ -79,7 +79,7 @@ def test_the_last_chance_is_looked_for_when_asked_for_and_once():
     assert len(asked) == 1
 
 
-def test_a_run_made_of_a_trace_alone_says_how_to_look_for_the_last_chance():
+def test_missing_world_error_explains_the_last_chance():
     with pytest.raises(NoReferenceDriversError, match=r"run\.last_chance: .*take_over=world\.take_over"):
         _ = crash().last_chance
 
@@ -95,31 +95,31 @@ def test_its_measures_are_those_of_the_criticality_functions():
     assert run.hardest_brake == criticality.hardest_brake(run.trace)
 
 
-def test_the_worst_time_to_contact_has_a_time_an_npc_and_a_cell():
+def test_worst_time_to_contact_has_npc_and_cell():
     worst = Run(closing(ticks=15)).worst_ttc
     assert (worst.npc, worst.time, worst.cell) == (0, 1.0, Cell.FRONT)
 
 
-def test_cells_are_relative_to_the_road_and_not_to_the_ego_that_turns():
+def test_cells_are_relative_to_the_road_not_ego():
     ego = vehicle(0.0, 4.0, heading=0.5, speed=0.0, ticks=5)
     run = Run(trace_of(ego, vehicle(-30.0, 4.0, speed=10.0, ticks=5), scenario=scenario_of(1)))
     assert run.worst_ttc.cell == Cell.REAR
 
 
-def test_an_npc_in_the_ego_s_own_cell_has_the_last_cell_before_it():
+def test_npc_in_ego_cell_has_its_previous_cell():
     npc = vehicle(np.array([8.0, 5.0, 2.4, 2.3]), 5.0, lane=1.0)
     run = Run(trace_of(vehicle(np.zeros(4), 4.0), npc))
     assert run.closest_approach.cell == Cell.FRONT
 
 
-def test_where_nothing_ever_approaches_there_is_no_worst_moment():
+def test_run_without_approach_has_no_worst_moment():
     run = Run(trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(50.0, 4.0, speed=20.0, ticks=9)))
     assert run.worst_ttc is None
     assert run.event_cell is None
     assert run.event_time == run.closest_time
 
 
-def test_the_event_is_the_collision_else_the_fault_else_the_worst_moment():
+def test_event_is_collision_then_fault_then_worst_moment():
     error = AdsError(kind="ValueError", message="no path", traceback="", tick=6)
     assert crash().event_time == 2.0
     assert Run(closing(outcome=Outcome.ADS_ERROR, error=error)).event_time == pytest.approx(0.4)
@@ -127,7 +127,7 @@ def test_the_event_is_the_collision_else_the_fault_else_the_worst_moment():
     assert Run(closing(ticks=15)).event_time == 1.0
 
 
-def test_decisions_are_too_slow_only_where_a_limit_is_set():
+def test_decisions_are_too_slow_only_with_a_limit():
     trace = closing(max_decision_seconds=0.3)
     assert Run(trace).max_decision_time == 0.3
     assert not Run(trace).too_slow
@@ -140,7 +140,7 @@ def test_its_repr_fits_the_header_of_a_traceback():
     assert repr(crash()).startswith("<Run collision after 2.0 s, scenario ")
 
 
-def test_an_explanation_tells_what_happened_whose_fault_and_what_the_npcs_were_told():
+def test_explanation_covers_event_fault_and_npc_instructions():
     text = crash(arrivals=((12,), (None,))).explain()
     assert text.splitlines() == [
         "collision after 2.0 s: NPC 0 in cell 2 (front) against the ego's front",
@@ -163,7 +163,7 @@ def test_an_explanation_tells_what_happened_whose_fault_and_what_the_npcs_were_t
         (29, 3.3, "3.3 m/s^2 at 1.9 s"),
     ],
 )
-def test_hardest_braking_has_its_time_and_never_contradicts_the_reason(tick, braking, told):
+def test_hardest_braking_in_explanation_agrees_with_the_reason(tick, braking, told):
     """The danger begins at 1 s, when the NPC ahead slows down, and what is too little counts as no braking."""
     ego, speed = vehicle(0.0, 4.0, speed=20.0, ticks=45), np.where(np.arange(46) < 15, 20.0, 4.0)
     npc = vehicle(50.0 + np.concatenate(([0.0], np.cumsum(speed[1:]) / 15)), 4.0, speed=speed)
@@ -179,7 +179,7 @@ def test_an_explanation_names_the_error_of_the_ads():
     assert headline == "ADS error after 1.0 s: ZeroDivisionError: division by zero na\\xefve"
 
 
-def test_an_explanation_of_a_safe_run_names_its_worst_moment():
+def test_explanation_of_a_safe_run_names_worst_moment():
     lines = Run(closing(ticks=15)).explain().splitlines()
     assert lines[0] == "no collision in 1.0 s"
     assert lines[1] == "  least time to contact: 1.10 s, NPC 0 in cell 2 (front) at 1.0 s"
@@ -202,7 +202,7 @@ def test_every_explanation_is_short_plain_ascii(outcome, npcs, genes, message, s
     assert all(len(line) < 100 and line.isascii() and line.isprintable() for line in lines)
 
 
-def test_an_explanation_of_many_genes_shows_the_last_ones():
+def test_explanation_of_many_genes_lists_the_last_ones():
     trace = trace_of(
         vehicle(0.0, 4.0, speed=20.0, ticks=150),
         vehicle(50.0, 4.0, speed=20.0, ticks=150),

@@ -62,7 +62,7 @@ def test_the_loaders_are_there_at_no_cost():
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
 
 
-def test_a_policy_is_loaded_once_in_a_process_and_its_factory_is_a_value():
+def test_policy_is_loaded_once_and_its_factory_pickles():
     first, second = Loader(frames=2), pickle.loads(pickle.dumps(Loader(frames=2)))
     Loader.loads.clear()
     assert first == second
@@ -72,7 +72,7 @@ def test_a_policy_is_loaded_once_in_a_process_and_its_factory_is_a_value():
 
 
 @table("shape", [(5, 5), (3,), (4, 6, 2)])
-def test_frames_are_the_last_observations_with_zeros_before_the_first(shape):
+def test_frames_are_last_observations_padded_with_zeros(shape):
     rng = np.random.default_rng(0)
     seen = [rng.normal(size=shape).astype(np.float32) for _ in range(6)]
     for axis in range(len(shape)):
@@ -85,7 +85,7 @@ def test_frames_are_the_last_observations_with_zeros_before_the_first(shape):
             assert frames.dtype == np.float32
 
 
-def test_frames_of_another_number_than_in_training_are_an_error_that_says_so():
+def test_wrong_number_of_frames_is_a_clear_error():
     assert stacking_axis((5, 5), (5, 15), 3) == 1
     assert stacking_axis((5, 5), (5, 15), 2) is None
     with pytest.raises(TypeError, match=r"2 observations that make one of shape \(5, 15\).*give the frame_stack="):
@@ -93,7 +93,7 @@ def test_frames_of_another_number_than_in_training_are_an_error_that_says_so():
 
 
 @pytest.mark.parametrize("frames", [1, 3])
-def test_in_lock_step_each_run_has_its_own_frames(frames):
+def test_each_run_in_lock_step_has_own_frames(frames):
     rng = np.random.default_rng(2)
     space = SearchSpace(npcs=3, genes=1, gene_seconds=5.0, speed_limit=26.0)
     scenarios = [sample(space, rng) for _ in range(6)]
@@ -118,7 +118,7 @@ def test_only_a_policy_that_remembers_nothing_is_pure():
         pafot.World("highway-fast-v0", config={"observation": {"type": "Kinematics", "vehicles_count": 7}}),
     ],
 )
-def test_a_policy_is_compared_with_the_world_before_any_run(world):
+def test_policy_is_compared_with_world_before_any_run(world):
     for drive in (world.rollout, lambda scenario, ads: world.rollout_batch([scenario], ads)):
         with pytest.raises(TypeError, match=r"None None|Box.*(Box|7, 5)"):
             drive(CUT_IN, Loader())
@@ -137,7 +137,7 @@ class Planner:
         raise AssertionError
 
 
-def test_a_class_that_makes_adss_is_asked_nothing_of_them():
+def test_planner_class_is_not_asked_for_policy_properties():
     assert WORLD.rollout(CUT_IN, Planner).error is None
     assert pafot.explore(Planner, holds=lambda run: None, world=WORLD, runs=1).summary.runs == 1
 
@@ -167,19 +167,19 @@ def zipped(path, parameters):
         (lambda folder: pafot.policies.sb3(folder, frame_stack=0), "expected frame_stack of 1 or more, received 0"),
     ],
 )
-def test_what_cannot_be_loaded_is_an_error_with_the_way_out(policy, message, tmp_path):
+def test_unloadable_policy_error_says_what_to_do(policy, message, tmp_path):
     with pytest.raises(TypeError, match=message):
         pafot.Highway().rollout(CUT_IN, policy(tmp_path))
 
 
-def test_a_library_that_is_missing_is_named_with_the_command_that_installs_it(tmp_path, monkeypatch):
+def test_missing_library_error_names_the_install_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     file = zipped(tmp_path / "model.zip", {"clip_range": 0.2})
     with pytest.raises(TypeError, match=r'expected torch for this policy.*pip install "pytest-pafot\[sb3\]"'):
         pafot.Highway().rollout(CUT_IN, pafot.policies.sb3(file))
 
 
-def test_the_hash_is_of_all_files_in_their_order(tmp_path):
+def test_hash_covers_all_files_in_order(tmp_path):
     one, two = tmp_path / "one", tmp_path / "two"
     one.write_bytes(b"1")
     two.write_bytes(b"2")
@@ -191,7 +191,7 @@ def test_the_hash_is_of_all_files_in_their_order(tmp_path):
     assert digest_of([one]) != before
 
 
-def test_a_policy_is_loaded_in_the_session_whose_forks_run_it():
+def test_policy_is_loaded_before_isolated_runs_fork():
     Loader.loads.clear()
     pafot.explore(Loader(frames=4), holds=lambda run: None, world=WORLD, runs=1, isolate=True)
     assert Loader.loads == [Loader(frames=4)]
@@ -214,7 +214,7 @@ def statistics(tmp_path, monkeypatch):
 STORED = {":type:": "<class 'numpy.ndarray'>", ":serialized:": "gASVAAAAAA=="}
 
 
-def test_statistics_that_the_zip_tells_of_and_nobody_gives_are_missed(tmp_path):
+def test_statistics_missing_for_the_zip_are_reported(tmp_path):
     """As ``save`` writes it: with a replay buffer observations are kept in either case."""
     of_ppo, of_dqn = {"clip_range": 0.2}, {"buffer_size": 9, "exploration_fraction": 0.1}
     file = zipped(tmp_path / "model.zip", {**of_ppo, "_last_original_obs": STORED})
@@ -244,7 +244,7 @@ def test_statistics_beside_the_zip_are_a_hint(tmp_path, statistics):
     assert pafot.policies.sb3(file).loading_hint == ""
 
 
-def test_a_search_says_the_hint_of_its_policy_once():
+def test_search_notes_the_hint_of_its_policy_once():
     def notes(ads):
         return pafot.explore(ads, holds=lambda run: None, world=WORLD, population=2, generations=2).summary.notes
 

@@ -24,7 +24,7 @@ def scenarios(count):
 
 
 @pytest.mark.parametrize("shape", [["runs", 5, 5], ["runs", 25], [1, 25]])
-def test_a_file_drives_as_its_weights_say_one_by_one_and_in_lock_step(shape, tmp_path):
+def test_onnx_file_drives_by_weights_in_lock_step(shape, tmp_path):
     policy = pafot.policies.onnx(saved_network(tmp_path / "policy.onnx", 25, 5, shape))
     together = WORLD.rollout_batch(scenarios(4), policy)
     for trace in together:
@@ -35,7 +35,7 @@ def test_a_file_drives_as_its_weights_say_one_by_one_and_in_lock_step(shape, tmp
     assert len({action for trace in together for action in trace.actions}) > 1
 
 
-def test_real_numbers_are_made_to_actions_and_not_decided_for_many_at_once(tmp_path):
+def test_real_outputs_become_actions_without_batches(tmp_path):
     file = saved_network(tmp_path / "policy.onnx", 14, 2, ["runs", 2, 7])
     policy = pafot.policies.onnx(file, to_action=lambda values: (float(values[0]), 0.001 * float(values[1])))
     assert not hasattr(policy(), "batch")
@@ -50,7 +50,7 @@ def test_real_numbers_are_made_to_actions_and_not_decided_for_many_at_once(tmp_p
     assert np.allclose([acceleration for acceleration, _ in trace.actions], [each[0] for each in wanted], rtol=1e-4)
 
 
-def test_observations_and_actions_that_do_not_fit_are_named_with_the_file(tmp_path):
+def test_unfitting_network_shape_is_named_with_its_file(tmp_path):
     wide = pafot.policies.onnx(saved_network(tmp_path / "wide.onnx", 35, 5, ["runs", 7, 5]))
     with pytest.raises(
         TypeError, match=r"(?s)wide.onnx with inputs of shape \['runs', 7, 5\], received highway-fast.*5, 5"
@@ -64,14 +64,14 @@ def test_observations_and_actions_that_do_not_fit_are_named_with_the_file(tmp_pa
 
 
 @pytest.mark.parametrize(("content", "message"), [(b"", "onnxruntime can run"), (None, "a file that can be read")])
-def test_what_is_no_network_is_an_error_that_names_the_file(content, message, tmp_path):
+def test_invalid_network_file_is_named_in_the_error(content, message, tmp_path):
     if content is not None:
         (tmp_path / "policy.onnx").write_bytes(content)
     with pytest.raises(TypeError, match=rf"{message}, received .*policy.onnx"):
         WORLD.rollout(CUT_IN, pafot.policies.onnx(tmp_path / "policy.onnx"))
 
 
-def test_without_the_library_the_error_says_what_to_install(tmp_path, monkeypatch):
+def test_missing_onnx_library_error_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     policy = pafot.policies.onnx(saved_network(tmp_path / "other.onnx", 25, 5, ["runs", 25]))
     with pytest.raises(TypeError, match=r'expected onnxruntime .*pip install "pytest-pafot\[onnx\]"'):
@@ -79,7 +79,7 @@ def test_without_the_library_the_error_says_what_to_install(tmp_path, monkeypatc
 
 
 @pytest.mark.processes
-def test_it_is_searched_alike_in_this_process_and_in_isolated_ones(tmp_path):
+def test_onnx_policy_searches_the_same_when_isolated(tmp_path):
     policy = pafot.policies.onnx(saved_network(tmp_path / "policy.onnx", 25, 5, ["runs", 25]))
 
     def holds(run):

@@ -62,7 +62,7 @@ def brakes_in_python():
     return lambda observation: (-1.0 if observation.others[0].x - observation.ego.x < 40 else 0.1, 0.0)
 
 
-def test_a_program_drives_as_the_same_planner_in_this_process(tmp_path):
+def test_program_drives_like_the_same_planner_in_python(tmp_path):
     ads = program(
         tmp_path,
         "answer(acceleration=-1.0 if seen['others'][0]['x'] - seen['ego']['x'] < 40 else 0.1, steering=0.0)",
@@ -99,7 +99,7 @@ def test_a_line_has_who_crosses_with_its_zone():
     assert told["zone"]["ego"] == [9.0, 19.0]
 
 
-def test_a_policy_of_an_environment_gets_and_gives_what_the_environment_has(tmp_path):
+def test_program_exchanges_observations_and_actions_of_its_environment(tmp_path):
     world = pafot.World("highway-fast-v0", duration=3.0)
     ads = program(tmp_path, "answer(action=4 if seen['observation'][0][3] > 0.2 and number else 1)")
     trace = world.rollout(CUT_IN, ads)
@@ -116,7 +116,7 @@ def test_a_program_may_answer_with_a_lane(tmp_path):
     assert trace.actions[0] == pafot.Drive(lane=2, speed=20.0, lateral_jerk=2.0)
 
 
-def test_a_program_that_is_kept_hears_of_the_next_scenario(tmp_path, capfd):
+def test_persistent_program_is_notified_of_next_scenario(tmp_path, capfd):
     body = """
         if seen["reset"]: print("pid", os.getpid(), "reset at", number, file=sys.stderr)
         answer(acceleration=0.0, steering=0.0)
@@ -157,7 +157,7 @@ def test_two_runs_at_once_have_a_program_each(tmp_path):
         ("print('x' * 2_000_000, flush=True)", "BadAction", r"a line of at most 1048576 bytes"),
     ],
 )
-def test_what_a_program_does_in_the_place_of_an_answer_is_told(body, kind, message, tmp_path, monkeypatch):
+def test_wrong_program_behaviour_is_reported_with_its_kind(body, kind, message, tmp_path, monkeypatch):
     monkeypatch.setattr(programs, "GRACE", 0.2 if "os.close" in body else 10.0)  # a busy machine ends it late
     once = f"if seen['time'] == 1.0:\n    {body}\nelse:\n    answer(acceleration=0.0, steering=0.0)"
     ads = program(tmp_path, once)
@@ -167,14 +167,14 @@ def test_what_a_program_does_in_the_place_of_an_answer_is_told(body, kind, messa
     assert re.search(message, error.message)
 
 
-def test_after_a_program_that_failed_another_and_the_same_start_again(tmp_path):
+def test_failed_program_does_not_prevent_later_starts(tmp_path):
     ads = program(tmp_path, "sys.exit(3) if seen['time'] == 1.0 else answer(acceleration=0.0, steering=0.0)")
     assert ROAD.rollout(CUT_IN, ads).error.tick == 15
     assert ROAD.rollout(CUT_IN, program(tmp_path, "answer(acceleration=0.0, steering=0.0)")).error is None
     assert ROAD.rollout(CUT_IN, ads).error.tick == 15
 
 
-def test_a_program_that_does_not_answer_in_its_time_is_killed(tmp_path):
+def test_program_without_timely_answer_is_killed(tmp_path):
     ads = program(tmp_path, "answer(action=1) if number == 0 else time.sleep(60)")()
     assert ads([1]) == 1  # however long it takes to start here
     ads._loader = replace(ads._loader, timeout=0.1)
@@ -184,7 +184,7 @@ def test_a_program_that_does_not_answer_in_its_time_is_killed(tmp_path):
     assert not ads._program.is_running
 
 
-def test_a_program_that_hangs_is_ended_by_the_hang_limit_of_the_world(tmp_path):
+def test_hanging_program_is_ended_by_world_hang_limit(tmp_path):
     ads = program(tmp_path, "time.sleep(60)")
     error = pafot.Highway(duration=4.0, hang_limit=0.3).rollout(CUT_IN, ads).error
     assert error is not None
@@ -219,7 +219,7 @@ def test_what_a_program_has_started_ends_with_it(ending, message, tmp_path):
     assert message in (error.message if error else "no error")
 
 
-def test_a_program_that_has_spoken_unasked_drives_no_other_run(tmp_path):
+def test_program_with_unexpected_output_drives_no_other_run(tmp_path):
     loader = program(tmp_path, "answer(action=os.getpid())")
     first = loader()
     first([1])
@@ -230,7 +230,7 @@ def test_a_program_that_has_spoken_unasked_drives_no_other_run(tmp_path):
     second.close()
 
 
-def test_a_program_that_writes_much_to_its_stderr_costs_neither_answers_nor_pages(tmp_path, capfd):
+def test_long_stderr_output_of_program_is_shortened(tmp_path, capfd):
     ads = program(tmp_path, "sys.stderr.write('begin' + 'x' * 200_000 + 'end\\n'); answer(action=number)")()
     assert [ads([1]) for _ in range(3)] == [0, 1, 2]
     ads.close()
@@ -253,12 +253,12 @@ def test_a_program_that_writes_much_to_its_stderr_costs_neither_answers_nor_page
         b"",
     ],
 )
-def test_an_answer_that_no_reader_understands_is_a_bad_action(line):
+def test_unreadable_answer_is_a_bad_action(line):
     with pytest.raises(BadAction, match="expected a line of JSON with the keys acceleration and steering"):
         programs.action_of(line)
 
 
-def test_the_last_words_of_a_program_are_in_the_finding(tmp_path, capfd):
+def test_finding_includes_the_last_stderr_of_program(tmp_path, capfd):
     ads = program(tmp_path, "print('no map here', file=sys.stderr); sys.exit(1)")
     error = ROAD.rollout(CUT_IN, ads).error
     assert error is not None
@@ -267,7 +267,7 @@ def test_the_last_words_of_a_program_are_in_the_finding(tmp_path, capfd):
     assert capfd.readouterr().err == "no map here\n"
 
 
-def test_a_program_that_cannot_be_started_is_an_error_of_the_set_up():
+def test_program_that_cannot_start_is_a_setup_error():
     with pytest.raises(TypeError, match=r"expected a program that can be started, received .*no-such.*build it first"):
         ROAD.rollout(CUT_IN, pafot.policies.process(["./no-such-program"]))
 
@@ -285,12 +285,12 @@ def test_a_program_that_cannot_be_started_is_an_error_of_the_set_up():
         (["./planner"], 0, "received 0; give it seconds"),
     ],
 )
-def test_what_is_no_command_or_no_timeout_is_refused_where_it_is_written(command, timeout, message):
+def test_invalid_command_or_timeout_is_refused_early(command, timeout, message):
     with pytest.raises(TypeError, match=message):
         pafot.policies.process(command, timeout=timeout)
 
 
-def test_a_long_observation_goes_through_a_pipe_that_is_shorter(tmp_path):
+def test_long_observation_passes_through_a_shorter_pipe(tmp_path):
     ads = program(tmp_path, "answer(action=len(seen['observation']))")()
     assert ads(np.zeros(30_000)) == 30_000
     ads.close()
@@ -320,7 +320,7 @@ print(pid)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked elsewhere alone")
-def test_a_forked_process_starts_a_program_of_its_own(tmp_path):
+def test_forked_process_starts_its_own_program(tmp_path):
     loader = program(tmp_path, "answer(action=os.getpid())")
     ads = loader()
     pid = ads([1])
@@ -337,14 +337,14 @@ def test_a_forked_process_starts_a_program_of_its_own(tmp_path):
 
 
 @pytest.mark.processes
-def test_a_program_is_kept_in_its_process_and_ends_with_it_while_a_forked_one_starts_its_own(tmp_path):
+def test_program_ends_with_its_process_despite_a_fork(tmp_path):
     command = program(tmp_path, "answer(action=os.getpid())").command
     pid = int(subprocess.check_output([sys.executable, "-W", "error", "-c", IN_TWO_PROCESSES, *command]))
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
 
 
-def test_the_hash_is_of_the_files_that_the_command_names(tmp_path):
+def test_program_hash_covers_files_named_in_the_command(tmp_path):
     one = program(tmp_path, "answer(action=1)")
     before = one.weights_digest
     Path(one.command[-1]).write_text("pass")
@@ -364,7 +364,7 @@ def test_the_planner_in_c_of_the_documents_drives(tmp_path):
     assert min(acceleration for acceleration, _ in trace.actions) < -1
 
 
-def test_a_program_that_waits_is_not_used_by_another_process(tmp_path, monkeypatch):
+def test_waiting_program_is_not_used_by_other_process(tmp_path, monkeypatch):
     loader = program(tmp_path, "answer(acceleration=0.0, steering=0.0)")
     first = loader()
     first(SEEN)

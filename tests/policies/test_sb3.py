@@ -49,7 +49,7 @@ def framed(tmp_path_factory):
     ("cls", "config"),
     [*((cls, {}) for cls in OF_DISCRETE_ACTIONS), *((cls, CONTINUOUS) for cls in OF_CONTINUOUS_ACTIONS)],
 )
-def test_the_zip_says_its_algorithm_and_the_policy_decides_as_predict_does(cls, config, tmp_path):
+def test_zip_names_algorithm_and_policy_decides_like_predict(cls, config, tmp_path):
     file, _ = saved_model(tmp_path, cls, config=config, policy=POLICIES.get(cls.__name__, "MlpPolicy"))
     policy = pafot.policies.sb3(file)
     world = pafot.World(ENV, config=config or None, duration=10.0)
@@ -59,7 +59,7 @@ def test_the_zip_says_its_algorithm_and_the_policy_decides_as_predict_does(cls, 
         assert same(drive(scenario, policy), drive(scenario, lambda: InItsWrappers(model, world)))
 
 
-def test_behind_statistics_and_frames_it_decides_as_in_its_wrappers_to_the_last_bit(framed):
+def test_policy_with_statistics_and_frames_decides_like_wrappers(framed):
     file, statistics = framed
     policy = pafot.policies.sb3(file, vecnormalize=statistics, frame_stack=3)
     model = stable_baselines3.PPO.load(file, device="cpu")
@@ -75,7 +75,7 @@ def test_behind_statistics_and_frames_it_decides_as_in_its_wrappers_to_the_last_
         assert same(alone, together)
 
 
-def test_statistics_of_stacked_observations_are_told_by_their_shape(tmp_path):
+def test_statistics_of_stacked_observations_are_recognised_by_shape(tmp_path):
     from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
     from tests.helpers.sb3_models import Shown
@@ -113,7 +113,7 @@ def test_spaces_that_differ_are_both_named(framed):
         continuous.rollout(scenarios(1)[0], framed_policy)
 
 
-def test_it_is_loaded_once_in_a_process_with_one_thread(framed):
+def test_model_is_loaded_once_with_one_thread(framed):
     import torch
 
     file, statistics = framed
@@ -134,7 +134,7 @@ def test_only_what_remembers_nothing_is_pure(framed, tmp_path):
     assert not hasattr(pafot.policies.sb3(plain, deterministic=False)(), "batch")
 
 
-def test_a_model_without_its_statistics_is_told_and_no_other(framed, tmp_path):
+def test_only_model_without_its_statistics_gets_hint(framed, tmp_path):
     file, statistics = framed
     hint = pafot.policies.sb3(file, frame_stack=3).loading_hint
     assert hint.startswith("model.zip was trained behind VecNormalize")

@@ -33,7 +33,7 @@ def given_as(kind, module, folder):
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit")
 @pytest.mark.parametrize("kind", ["module", "whole", "script"])
-def test_a_module_decides_as_it_does_by_itself_to_the_last_bit(kind, module, tmp_path):
+def test_module_decides_exactly_as_it_does_alone(kind, module, tmp_path):
     policy = pafot.policies.torch(given_as(kind, module, tmp_path))
     was_training = module.training
     trace = WORLD.rollout(CUT_IN, policy)
@@ -50,7 +50,7 @@ def test_a_module_decides_as_it_does_by_itself_to_the_last_bit(kind, module, tmp
     assert policy.weights_digest.startswith("sha256:")
 
 
-def test_the_hash_of_a_module_is_that_of_its_weights(module):
+def test_module_hash_depends_on_its_weights(module):
     policy = pafot.policies.torch(module)
     assert pickle.loads(pickle.dumps(policy)).weights_digest == policy.weights_digest
     with torch.no_grad():

@@ -41,7 +41,7 @@ def frames(content):
     return durations
 
 
-def test_an_animation_has_all_moments_and_holds_the_last(brief, drawn):
+def test_animation_has_all_moments_and_holds_the_last(brief, drawn):
     picture = images.open(io.BytesIO(drawn))
     assert picture.format == "PNG"
     assert picture.is_animated
@@ -61,14 +61,14 @@ def test_vehicles_and_impact_keep_their_colours(drawn):
     assert {(0x17, 0x1B, 0x20), (0xF0, 0xD2, 0xC0), (0xB4, 0x48, 0x0A), (0xB3, 0x26, 0x1E)} <= colours
 
 
-def test_only_the_end_of_a_long_run_is_shown():
+def test_animation_contains_only_end_of_a_long_run():
     view = view_of(rear_trace())
     times = moments(view, 8)
     assert times[-1] == view.duration
     assert times[-1] - times[0] <= 8.0
 
 
-def test_a_file_that_is_too_large_has_fewer_pictures_a_second(brief, monkeypatch):
+def test_too_large_animation_has_fewer_frames_per_second(brief, monkeypatch):
     short = replace(brief, times=brief.times[:3])
     size = len(animate(short))
     for most, rate in ((size, 8), (size - 1, 6)):
@@ -79,7 +79,7 @@ def test_a_file_that_is_too_large_has_fewer_pictures_a_second(brief, monkeypatch
         animate(short)
 
 
-def test_the_busiest_picture_stays_below_the_limit_at_the_lowest_rate(monkeypatch):
+def test_busiest_picture_stays_below_limit_at_lowest_rate(monkeypatch):
     monkeypatch.setattr(animation, "RATES", animation.RATES[-1:])
     rng = np.random.default_rng(1)
     ticks = 150
@@ -91,7 +91,7 @@ def test_the_busiest_picture_stays_below_the_limit_at_the_lowest_rate(monkeypatc
     assert len(animate(view)) <= MAX_BYTES
 
 
-def test_real_findings_stay_below_the_limit_at_the_highest_rate(monkeypatch):
+def test_real_findings_stay_below_size_limit(monkeypatch):
     monkeypatch.setattr(animation, "RATES", (animation.RATES[0] // 8,))
     assert 8 * len(animate(view_of(cut_in_trace()))) < MAX_BYTES
 

@@ -45,7 +45,7 @@ def row_of(rows, label):
     return next(row for row in rows if row.label == label)
 
 
-def test_best_and_mean_are_over_the_eligible_runs_of_a_population():
+def test_best_and_mean_cover_only_eligible_runs():
     population = (
         evaluation(2.0),
         evaluation(1.0, failing=True),
@@ -56,12 +56,12 @@ def test_best_and_mean_are_over_the_eligible_runs_of_a_population():
     assert (row.best, row.mean, row.failing, row.population) == (2.0, 1.5, 1, 4)
 
 
-def test_a_generation_without_an_eligible_run_has_no_best():
+def test_generation_without_eligible_run_has_no_best():
     (row,) = view(generation(0, evaluation(math.nan), evaluation(math.inf))).generations
     assert row.best is row.mean is None
 
 
-def test_local_searches_and_restarts_are_marked_at_their_generations():
+def test_local_searches_and_restarts_are_marked_by_generation():
     best, better = evaluation(1.0), evaluation(3.0)
     rows = view(
         generation(0, best),
@@ -88,14 +88,14 @@ def test_coverage_tells_requested_from_driven_from_reached():
     assert (stepped.requested, stepped.driven) == (1, 0)
 
 
-def test_speeds_are_counted_in_bins_up_to_the_limit():
+def test_speeds_are_counted_in_bins_up_to_limit():
     asked = scenario([(1, 0.0), (1, 4.9), (1, 5.0), (1, 26.8)])
     shown = view(evaluated(evaluation(asked=asked)), speed_limit=26.8)
     assert [row.label for row in shown.speeds][-1] == "25 to 26.8 m/s"
     assert [row.requested for row in shown.speeds] == [2, 1, 0, 0, 0, 1]
 
 
-def test_scenarios_that_were_not_run_again_count_nowhere_but_as_reused():
+def test_reused_evaluations_count_only_as_reused():
     shown = view(evaluated(evaluation()), evaluated(evaluation(), reused=True))
     assert (shown.simulated, shown.reused) == (1, 1)
     assert shown.outcomes == (("safe", 1),)
@@ -106,7 +106,7 @@ def test_counts_come_the_most_frequent_first():
     assert shown.responsibilities == (("ego", 7), ("none", 2), ("npc", 2))
 
 
-def test_a_search_that_was_cut_short_is_shown_as_far_as_it_came():
+def test_interrupted_search_is_displayed_up_to_its_end():
     shown = view(CampaignStarted(algorithm="pafot", generations=9, seed=4), generation(0, evaluation()))
     assert (shown.algorithm, shown.seed, shown.asked, shown.reason, len(shown.generations)) == ("pafot", 4, 9, "", 1)
 
@@ -140,7 +140,7 @@ def test_a_real_search_shows_its_restarts(real):
     assert {row.generation for row in shown.generations if row.restarted} == restarts
 
 
-def test_a_search_in_which_all_cross_has_slots_and_no_cells_on_its_page():
+def test_page_of_crossing_search_has_slots_without_cells():
     row = CoverageRow("o1>o3 just after", 3, 2, 1)
     view = campaign_view("a.py::test", ())
     crossed = replace(view, zones=(row,))

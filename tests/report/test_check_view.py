@@ -48,7 +48,7 @@ def shown(value, **arguments):
     return finding_view(trace, finding, node_id="n", headline=str(check), check=check)
 
 
-def test_the_worst_tick_is_a_frame_of_its_own_with_its_value_and_the_moment():
+def test_worst_tick_has_its_own_frame_and_value():
     view = shown(peaks(t61=35.1, t62=20.0), at_most=20)
     frame = view.times.index(view.check.time)
     assert view.moment == view.check.time == pytest.approx(61 / 15, abs=0.001)
@@ -56,12 +56,12 @@ def test_the_worst_tick_is_a_frame_of_its_own_with_its_value_and_the_moment():
     assert len(view.check.values) == len(view.times) == len(view.vehicles[0].speed)
 
 
-def test_the_curve_has_the_worst_value_since_the_frame_before():
+def test_check_curve_has_worst_value_between_two_frames():
     check = shown(peaks(t61=-30, t91=-5, t92=2), at_least=-20).check
     assert sorted(set(check.values)) == [-30, -5, 1]
 
 
-def test_it_tells_from_when_to_when_the_bound_was_broken():
+def test_view_has_intervals_in_which_bound_is_broken():
     view = shown(peaks(t30=21, t31=22, t32=21, t60=25, t300=21), at_most=20)
     assert view.check.broken == ((2.0, 2.133), (4.0, 4.0), (20.0, 20.0))
 
@@ -76,19 +76,19 @@ def test_it_tells_from_when_to_when_the_bound_was_broken():
         (peaks(t9=np.nan), {"at_most": 20}, (1, 20), (False, False)),
     ],
 )
-def test_the_curve_is_shown_as_far_as_a_bound_is_broken_and_not_all_that_keeps_it(values, bounds, axis, is_cut):
+def test_check_curve_axis_covers_values_that_break_bound(values, bounds, axis, is_cut):
     check = shown(values, **bounds).check
     assert (check.low, check.high) == pytest.approx(axis)
     assert check.is_cut == is_cut
     assert all(value is None or check.low <= value <= check.high for value in check.values)
 
 
-def test_a_single_number_has_value_bound_and_moment_and_no_curve():
+def test_single_number_has_bound_and_moment_without_curve():
     check = shown(35.1, at_most=20, at=4.2).check
     assert (check.value, check.at_most, check.time, check.values) == (35.1, 20.0, 4.2, ())
 
 
-def test_values_that_are_cut_out_of_a_run_stay_at_their_ticks():
+def test_sliced_values_stay_at_their_original_ticks():
     signal = pafot.Signal(peaks(t5=99.0, t61=35.1), hz=15)[30:150]
     view = shown(signal, at_most=20)
     assert view.check.time == pytest.approx(61 / 15, abs=0.001)
@@ -96,7 +96,7 @@ def test_values_that_are_cut_out_of_a_run_stay_at_their_ticks():
     assert view.check.values[view.times.index(view.check.time)] == 35.1
 
 
-def test_a_formula_is_shown_at_the_tick_that_decides_it():
+def test_formula_is_displayed_at_its_deciding_tick():
     far = pafot.above(pafot.Signal(peaks(t61=-35.1, t62=-30.0), hz=15), 0.0)
     view = shown(pafot.always(pafot.eventually(far, within=(0, 0.04)), within=(0, 5)))
     assert view.moment == view.check.time == pytest.approx(61 / 15, abs=0.001)
@@ -107,7 +107,7 @@ def test_values_of_unknown_ticks_have_no_curve():
     assert shown(peaks(t61=35.1)[1::2], at_most=20).check.values == ()
 
 
-def test_the_article_says_value_bound_and_moment_before_all_else():
+def test_article_starts_with_check_value_bound_and_moment():
     article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0)
     assert article.index("jerk 35.1 &gt; 20 m/s^3 at 4.1 s") < article.index('<dl class="figures">')
     assert article.index('<dl class="figures">') < article.index('class="tags"') < article.index('class="player"')
@@ -117,7 +117,7 @@ def test_the_article_says_value_bound_and_moment_before_all_else():
     assert "no collision in 20.0 s" in article[article.index("What happened") :]
 
 
-def test_a_list_calls_it_a_failed_check_and_blames_nobody():
+def test_list_calls_it_failed_check_and_blames_none():
     view = shown(peaks(t61=35.1), at_most=20)
     listed = finding_list([view, replace(view, id="other")])
     assert '<p class="summary">2 failed checks</p>' in listed
@@ -131,7 +131,7 @@ def test_a_collision_of_the_run_is_told_besides():
     assert "<li>NPC responsible for the collision</li>" in finding_article(view, 0)
 
 
-def test_a_frame_in_another_page_has_room_for_the_curve():
+def test_embedded_frame_has_room_for_the_check_curve():
     view = shown(peaks(t61=35.1), at_most=20)
     assert f'height="{FRAME_HEIGHT + CURVE_HEIGHT}"' in render_frame(Report.of(view))
     assert f'height="{FRAME_HEIGHT}"' in render_frame(Report.of(replace(view, check=replace(view.check, values=()))))

@@ -43,7 +43,7 @@ def real():
     return world.rollout(scenario, lambda: lambda seen: 1)
 
 
-def test_who_is_not_on_the_ego_s_way_is_in_no_cell():
+def test_npc_off_the_ego_way_has_no_cell():
     ego, crosses, merges, ahead = mixed().vehicles
     assert ego.cells == ()
     assert set(crosses.cells) == {None}
@@ -52,7 +52,7 @@ def test_who_is_not_on_the_ego_s_way_is_in_no_cell():
     assert set(merges.cells[frame:]) == set(ahead.cells) == {2}
 
 
-def test_the_zone_has_the_words_the_way_and_when_both_were_there():
+def test_zone_has_words_way_and_times_of_both():
     _, crosses, merges, ahead = mixed().vehicles
     assert (crosses.zone.name, crosses.zone.whence, crosses.zone.stretch) == (CROSSES, "from the left", (55.5, 64.5))
     assert (crosses.zone.of_ego, crosses.zone.of_npc) == ((4.6, 5.467), (5.6, 6.467))
@@ -63,13 +63,13 @@ def test_the_zone_has_the_words_the_way_and_when_both_were_there():
     assert crosses.advantage[-1] == pytest.approx(0.13, abs=0.01)
 
 
-def test_a_zone_that_the_run_did_not_come_to_has_no_time():
+def test_zone_never_reached_has_no_time():
     hit, waits = (vehicle.zone for vehicle in crash().vehicles[1:])
     assert hit.of_ego == (4.6, None)
     assert (waits.of_ego, waits.of_npc) == (None, None)
 
 
-def test_the_area_is_the_part_of_the_way_in_which_a_body_is_in_the_zone():
+def test_zone_area_is_where_bodies_are_inside_it():
     zone = mixed().vehicles[1].zone
     assert zone.way[0] == (50.0, -60.0)
     assert zone.way[-1] == (50.0, 60.0)
@@ -80,14 +80,14 @@ def test_the_area_is_the_part_of_the_way_in_which_a_body_is_in_the_zone():
     assert last[1] == pytest.approx(0.0, abs=0.05)
 
 
-def test_a_zone_whose_way_nobody_knows_is_told_and_not_drawn():
+def test_zone_with_unknown_way_is_named_but_undrawn():
     trace = junction_trace((CROSSES, 0.0))
     view = run_view(replace(trace, zones=(replace(ZONES[CROSSES], line=()),)))
     assert (view.vehicles[1].zone.way, view.vehicles[1].zone.area) == ((), ())
     assert notebook.plot(replace(Run(trace), trace=trace), None)
 
 
-def test_the_world_gives_the_ways_that_its_npcs_drive():
+def test_world_gives_ways_that_its_npcs_drive():
     trace = real()
     view = run_view(trace)
     for npc, vehicle in enumerate(view.vehicles[1:]):
@@ -145,7 +145,7 @@ def test_an_instruction_at_a_zone_does_not_end():
     assert [instruction_at(late, npc, 3.0)[1] for npc in (0, 2)] == ["approach", "ended"]
 
 
-def test_a_picture_shows_as_much_as_who_crosses_needs():
+def test_picture_is_large_enough_for_the_crossing_npc():
     plain, crossed = (Sheet(view, picture_at(view, 1.0)) for view in (run_view(bend_trace()), mixed()))
     assert plain.right - plain.left == 2 * HALF_HEIGHT
     assert crossed.right - crossed.left == 2 * CROSSED_HALF_HEIGHT
@@ -183,7 +183,7 @@ def test_a_run_shows_itself_and_moves_in_notebooks():
     assert height > int(render_frame(Report.of(run_view(bend_trace()))).partition('height="')[2].partition('"')[0])
 
 
-def test_a_finding_that_nobody_ran_is_told_by_what_its_file_expects():
+def test_unseen_finding_is_described_by_its_expectation():
     finding = finding_of(junction_trace((CROSSES, 10.0), (MERGES, -60.0), hits=0, seconds=4.8))
     assert finding.trace is None
     (view,) = notebook.report_of(finding).findings
@@ -253,7 +253,7 @@ def test_the_page_draws_ways_zones_and_labels(browser, tmp_path):
 @pytest.mark.processes
 @in_a_browser
 @pytest.mark.parametrize("width", [320, 400, 900, 1360])
-def test_who_crosses_is_in_sight_long_before_the_contact(browser, tmp_path, width):
+def test_crossing_npc_is_visible_long_before_contact(browser, tmp_path, width):
     """At 10 m/s each the two are 42 m apart 3 s before; a page as narrow as a telephone shows half of that sideways."""
     page = opened(browser, tmp_path, crash(), 1.8, width=width)
     drawn = page.evaluate(

@@ -27,7 +27,7 @@ def braking_ahead(**more):
 
 
 @table("physics_hz", [5, 10, 15, 20, 50, 100])
-def test_frames_are_about_seven_a_second_at_any_frequency(physics_hz):
+def test_frame_rate_is_similar_at_any_physics_rate(physics_hz):
     ticks = 20 * physics_hz
     trace = trace_of(
         vehicle(0.0, speed=20.0, ticks=ticks), vehicle(50.0, speed=20.0, ticks=ticks), physics_hz=physics_hz
@@ -36,7 +36,7 @@ def test_frames_are_about_seven_a_second_at_any_frequency(physics_hz):
     assert 5 <= rate <= 10
 
 
-def test_the_first_frame_the_last_one_and_the_collision_are_always_shown():
+def test_first_last_and_collision_frames_are_always_included():
     trace = trace_of(
         vehicle(0.0, speed=20.0, ticks=60), vehicle(20.0, speed=20.0, ticks=60),
         outcome=Outcome.COLLISION, collision=collision_at(57),
@@ -46,7 +46,7 @@ def test_the_first_frame_the_last_one_and_the_collision_are_always_shown():
     assert ticks == sorted(set(ticks))
 
 
-def test_positions_and_measures_are_those_of_the_trace_at_the_frames():
+def test_frame_positions_and_measures_match_the_trace():
     trace = cut_in_trace()
     view, encounters = view_of(trace), Encounters(trace)
     for frame, time in enumerate(view.times):
@@ -62,7 +62,7 @@ def test_positions_and_measures_are_those_of_the_trace_at_the_frames():
             assert is_close(shown.ttc[frame], ttc if np.isfinite(ttc) else None)
 
 
-def test_a_time_to_contact_that_never_comes_is_none_and_no_infinity():
+def test_time_to_contact_without_contact_is_none():
     view = view_of(trace_of(vehicle(0.0, speed=20.0, ticks=30), vehicle(40.0, speed=20.0, ticks=30)))
     assert set(view.vehicles[1].ttc) == {None}
 
@@ -72,7 +72,7 @@ def test_the_gap_ends_at_zero_in_a_collision():
 
 
 @table("heading", [0.5, -2.0, np.pi / 2])
-def test_a_road_in_any_direction_gives_the_picture_of_a_straight_one(heading):
+def test_turned_road_gives_the_same_picture_as_straight(heading):
     def driving(offset, lane, speed):
         x = offset * np.cos(heading) - lane * 4.0 * np.sin(heading)
         y = offset * np.sin(heading) + lane * 4.0 * np.cos(heading)
@@ -88,13 +88,13 @@ def test_a_road_in_any_direction_gives_the_picture_of_a_straight_one(heading):
             assert all(is_close(x, y, 0.011) for x, y in zip(getattr(a, name), getattr(b, name), strict=True))
 
 
-def test_the_cell_of_an_npc_is_told_at_every_frame_and_the_egos_own_is_zero():
+def test_npc_cell_is_given_at_every_frame():
     assert set(view_of(braking_ahead()).vehicles[1].cells) == {int(Cell.FRONT)}
     beside = trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(1.0, 4.5, speed=20.0, ticks=9))
     assert set(view_of(beside).vehicles[1].cells) == {0}
 
 
-def test_instructions_tell_what_was_requested_and_what_was_driven():
+def test_instructions_include_requested_and_driven_cells():
     asked, driven = scenario([(1, 20.0), (2, 8.0)]), scenario([(1, 20.0), (1, 8.0)])
     trace = replace(braking_ahead(), scenario=asked, executed=driven, arrivals=((30, None),))
     first, second = view_of(trace).instructions
@@ -103,7 +103,7 @@ def test_instructions_tell_what_was_requested_and_what_was_driven():
     assert (second.requested, second.cell, second.started, second.arrived) == (2, 1, True, None)
 
 
-def test_genes_that_the_run_did_not_come_to_are_marked():
+def test_genes_that_the_run_never_reached_are_marked():
     trace = replace(braking_ahead(), scenario=CUT_IN, executed=CUT_IN, arrivals=((15,), (3,)))
     assert [row.started for row in view_of(trace).instructions] == [True, False, True, False]
 
@@ -115,21 +115,21 @@ def test_the_event_is_the_collision():
     assert event.time == pytest.approx(hit.time, abs=0.001)
 
 
-def test_headline_and_explanation_are_those_of_the_run_unless_a_headline_is_given():
+def test_headline_and_explanation_are_from_run_by_default():
     view = view_of(rear_trace())
     assert view.headline.startswith("collision after ")
     assert "at the impact" in view.explanation
     assert view_of(rear_trace(), headline="H").headline == "H"
 
 
-def test_reference_drivers_are_told_with_what_became_of_them():
+def test_reference_drivers_are_listed_with_their_results():
     trace = cut_in_trace()
     finding = finding_of(trace)
     finding = replace(finding, expect=replace(finding.expect, reference_drivers={"idm-aeb": "fails"}))
     assert finding_view(trace, finding, node_id="n").prevention == "not preventable by idm-aeb (fails too)"
 
 
-def test_what_avoids_it_stands_above_the_picture_and_what_was_due_in_the_explanation():
+def test_avoidance_is_above_picture_and_duty_in_explanation():
     trace = rear_trace()
     safe = replace(trace, outcome=Outcome.SAFE, collision=None)
     finding = finding_of(trace)
@@ -145,7 +145,7 @@ def test_what_avoids_it_stands_above_the_picture_and_what_was_due_in_the_explana
     assert all(each in view.explanation for each in others[:-1])
 
 
-def test_the_last_chance_is_in_the_explanation_and_on_the_time_line():
+def test_last_chance_is_in_explanation_and_time_line():
     trace = cut_in_trace()
     finding = finding_of(trace)
     chance = LastChance(time=11.2, driver="careful-human", action=(-4.0, 0.0), ego_action=(0.8, 0.0))
@@ -159,7 +159,7 @@ def test_the_command_survives_a_shell():
     assert view_of(cut_in_trace(), node_id=f"{TEST}[a b'c]").command == f"""pytest '{TEST}[a b'"'"'c]'"""
 
 
-def test_a_finding_that_nobody_saw_has_instructions_and_no_frames():
+def test_unseen_finding_has_instructions_but_no_frames():
     finding = finding_of(cut_in_trace())
     view = finding_view(None, finding, node_id="n")
     assert view.times == view.vehicles == ()
@@ -177,7 +177,7 @@ def test_a_shrunk_scenario_is_told_beside_the_original():
     assert shrunk.shrunk == ("2 front 8.0 m/s x2",)
 
 
-def test_accelerations_are_those_of_the_record_and_the_jerk_is_the_largest_since_the_frame_before():
+def test_view_has_recorded_acceleration_and_largest_jerk():
     trace = cut_in_trace()
     ticks, vehicle = frame_ticks(trace), 1
     view = view_of(trace).vehicles[vehicle]

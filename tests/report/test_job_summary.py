@@ -25,11 +25,11 @@ def search(**changes):
     )
 
 
-def test_a_session_that_does_not_concern_this_plugin_has_none():
+def test_unrelated_session_has_no_job_summary():
     assert markdown(SessionRecord(exit=1)) == ""
 
 
-def test_what_is_found_known_and_fixed_is_counted_and_listed_with_how_to_replay_it():
+def test_findings_are_counted_and_listed_with_replay_command():
     record = SessionRecord(
         searches=[search(finds=["a"])],
         findings=[finding("c", "fixed", headline=""), finding("b", "still failing"), finding()],
@@ -63,7 +63,7 @@ def hits(speed):
     return Severity(kind="collision", value=speed, unit="m/s").data()
 
 
-def test_each_group_has_the_worst_first_after_what_the_ego_answers_for():
+def test_worst_finding_comes_first_in_each_group():
     jerk = Severity(kind="check", value=15.1, unit="m/s^3", margin=-0.755, name="jerk").data()
     findings = [
         finding("a", severity=jerk, responsible="ego"),
@@ -81,7 +81,7 @@ def test_each_group_has_the_worst_first_after_what_the_ego_answers_for():
     assert "collision after 5.4 s; worse: hits at 12.1 m/s, 8.0 before\n" in text
 
 
-def test_where_nothing_is_found_it_says_so_in_two_lines():
+def test_job_summary_without_findings_has_two_lines():
     assert markdown(SessionRecord(searches=[search()])).splitlines() == [
         "### pafot: nothing new",
         "",
@@ -89,14 +89,14 @@ def test_where_nothing_is_found_it_says_so_in_two_lines():
     ]
 
 
-def test_what_is_accepted_comes_with_its_reason_and_last_day():
+def test_accepted_finding_comes_with_reason_and_last_day():
     accepted = finding(status="still failing", result="xfailed", xfail={"reason": "issue 12", "until": "2027-01-31"})
     text = markdown(SessionRecord(findings=[accepted]))
     assert text.startswith("### pafot: nothing new, 1 accepted\n\nNo search was requested.\n\n**Accepted for now**\n")
     assert "collision after 5.4 s; accepted until 2027-01-31: issue 12\n" in text
 
 
-def test_a_find_without_a_file_comes_with_the_search_that_finds_it_again():
+def test_unsaved_finding_comes_with_its_search_command():
     unsaved = finding(file=None, detail="--pafot-save=none", replay="python -m pytest x --pafot-seed=5")
     text = markdown(SessionRecord(searches=[search()], findings=[unsaved]))
     assert "  <br>not saved: --pafot-save=none; `python -m pytest x --pafot-seed=5`\n" in text
@@ -110,7 +110,7 @@ def test_long_lists_are_cut():
     assert lines[0] == f"### pafot: {MAX_LISTED + 5} new"
 
 
-def test_a_search_that_failed_by_itself_problems_rates_and_merges_are_told():
+def test_job_summary_reports_search_failures_problems_and_rates():
     record = SessionRecord(
         searches=[search(result="failed", message="the search tested nothing: 40 runs, rejected")],
         rates=["0 of 100 episodes"],
@@ -162,12 +162,12 @@ def test_texts_of_others_are_no_markup(text, expected):
 
 
 @table(("text", "expected"), [("a", "`a`"), ("a`b", "``a`b``"), ("`", "`` ` ``"), ("", "` `")])
-def test_code_is_fenced_by_more_backticks_than_it_has(text, expected):
+def test_code_is_fenced_by_enough_backticks(text, expected):
     assert code(text) == expected
 
 
 @given(st.text(CHARACTERS, max_size=400))
-def test_no_text_ends_its_line_or_opens_a_tag(text):
+def test_no_text_ends_its_line_or_opens_tag(text):
     for shown in (plain(text), code(text)):
         assert len(shown.splitlines()) <= 1
     assert not re.search("[<>]", plain(text))

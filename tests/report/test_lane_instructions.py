@@ -41,7 +41,7 @@ def test_the_table_says_where_to_in_words(view):
 
 @pytest.mark.processes
 @pytest.mark.skipif(find_chromium() is None, reason="no Chromium here: expected chromium or google-chrome on PATH")
-def test_the_page_tells_lanes_and_draws_no_line_to_a_cell(view, tmp_path):
+def test_page_names_lanes_and_draws_no_cell_lines(view, tmp_path):
     path = tmp_path / "report.html"
     report = Report(title="t", facts=(), command="pytest", findings=(view,), campaigns=())
     path.write_text(render_page(report), encoding="utf-8")

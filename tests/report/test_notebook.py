@@ -23,7 +23,7 @@ def page(value):
     return html.unescape(frame[1])
 
 
-def test_a_run_and_its_trace_show_the_same_which_is_in_no_file_and_replayed_by_no_test():
+def test_run_and_its_trace_display_the_same_page():
     trace = cut_in_trace()
     shown = page(pafot.Run(trace))
     assert shown == page(trace)
@@ -48,7 +48,7 @@ def test_words_of_an_ads_stay_words(text):
     assert page(run).count("</script>") == 2
 
 
-def test_a_finding_shows_the_run_that_it_was_found_in_or_what_it_expects():
+def test_finding_displays_its_run_or_its_expectation():
     trace = rear_trace()
     finding = finding_of(trace)
     alone, seen = page(finding), page(replace(finding, trace=trace))
@@ -60,7 +60,7 @@ def test_a_finding_shows_the_run_that_it_was_found_in_or_what_it_expects():
         assert "Run it again" not in shown
 
 
-def test_a_finding_is_the_same_with_and_without_its_run(tmp_path):
+def test_finding_equals_itself_without_its_run(tmp_path):
     finding = finding_of(rear_trace(), world=pafot.Highway().to_dict())
     seen = replace(finding, trace=rear_trace())
     assert seen == finding
@@ -84,7 +84,7 @@ def test_an_exploration_lists_its_findings_with_their_runs():
     assert page(found.findings[0]).startswith("<!doctype html>")
 
 
-def test_pictures_of_a_run_can_be_shown_and_saved(tmp_path):
+def test_run_pictures_can_be_displayed_and_saved(tmp_path):
     images = pytest.importorskip("PIL.Image", reason="Pillow draws them")
     run = pafot.Run(rear_trace())
     plotted = run.plot(times=[0.0, 1.0, run.duration])

@@ -66,7 +66,7 @@ def test_the_page_refers_to_nothing_outside_itself(page):
     assert "@import" not in page
 
 
-def test_the_page_allows_its_own_style_and_script_and_no_connection(page):
+def test_page_allows_own_style_and_script_without_connection(page):
     reader = Reader(page)
     policy = next(
         attrs["content"] for tag, attrs in reader.tags if attrs.get("http-equiv") == "Content-Security-Policy"
@@ -89,7 +89,7 @@ def test_everything_in_words_is_there_without_scripts(page):
     assert any(f"{who} responsible" in words for who in ("ego", "both"))
 
 
-def test_the_data_is_the_report_but_for_texts_that_the_page_holds(page):
+def test_page_data_equals_report_without_repeated_texts(page):
     data = json.loads(Reader(page).raw["script:application/json"])
     slim = tuple(replace(finding, yaml="", explanation="") for finding in real_report().findings)
     assert data == json.loads(json.dumps(asdict(replace(real_report(), findings=slim))))
@@ -118,7 +118,7 @@ def test_hostile_text_stays_text_wherever_it_stands():
         assert hostile.raw["script:"] == harmless.raw["script:"], text
 
 
-def test_a_view_with_numbers_that_json_lacks_is_refused():
+def test_view_with_nan_or_infinity_is_refused():
     finding = real_report().findings[0]
     with pytest.raises(ValueError, match="JSON"):
         render_page(Report(title="t", findings=(replace(finding, times=(float("nan"),)),)))
@@ -145,7 +145,7 @@ def test_the_page_itself_is_below_100_kilobytes():
     assert len(render_page(Report(title="t")).encode()) < 100_000
 
 
-def test_a_minute_with_two_npcs_takes_below_65_kilobytes():
+def test_minute_with_two_npcs_takes_below_65_kilobytes():
     ticks = 900
     lanes = [vehicle(x, y, speed=21.37, ticks=ticks) for x, y in ((0.123, 4.0), (31.77, 0.0), (-52.3, 8.0))]
     trace = trace_of(*lanes, scenario=scenario([(1, 20.3)] * 6, [(4, 7.7)] * 6))
@@ -154,7 +154,7 @@ def test_a_minute_with_two_npcs_takes_below_65_kilobytes():
     assert two - one < 65_000
 
 
-def test_a_frame_holds_the_page_of_one_finding_and_may_only_run_scripts():
+def test_frame_holds_one_finding_and_only_runs_scripts():
     finding = view_of(cut_in_trace())
     ((tag, attrs),) = Reader(render_frame(Report.of(finding))).tags
     assert tag == "iframe"
@@ -196,7 +196,7 @@ def test_every_kind_of_view_renders_whatever_it_holds():
     check()
 
 
-def test_a_finding_that_nothing_could_simplify_says_so_without_a_table():
+def test_unsimplified_finding_says_so_without_a_table():
     same = shrink_view(CUT_IN, CUT_IN, rollouts=41, notes=["any speed from 3 to 11 m/s still fails"])
     page = render_page(Report(title="t", findings=(replace(view_of(cut_in_trace()), shrink=same),)))
     assert "Nothing simpler found in 41 runs" in page
@@ -204,7 +204,7 @@ def test_a_finding_that_nothing_could_simplify_says_so_without_a_table():
     assert "as found" not in page
 
 
-def test_the_list_names_the_test_of_each_finding_where_there_are_several():
+def test_list_names_tests_only_for_several_tests():
     view = view_of(cut_in_trace())
     other = replace(view, id="other", test="tests/test_b.py::test_other")
     one, several = (render_page(Report(title="t", findings=views)) for views in ((view,), (view, other)))

@@ -11,7 +11,7 @@ from tests.report.builders import real_report, values_of
 
 
 @given(values_of(Report))
-def test_any_report_comes_back_from_json_as_it_was_and_survives_its_script_element(report):
+def test_any_report_survives_json_and_its_script_element(report):
     assert from_plain(Report, json.loads(json.dumps(plain(report)))) == report
     data = data_json(report)
     assert data.isascii()

@@ -67,12 +67,12 @@ def page(opened):
     return opened()
 
 
-def test_the_legend_says_what_trails_are_also_of_an_ads_that_sees_imperfectly(page):
+def test_legend_explains_trails_even_with_imperfect_perception(page):
     legend = page.evaluate("document.querySelector('article.current .legend').textContent")
     assert "Dotted trails: the last 4 s relative to the ego." in legend
 
 
-def test_the_page_draws_everything_and_asks_the_network_for_nothing(page, address):
+def test_page_draws_everything_without_network_requests(page, address):
     assert page.evaluate("document.title") == "Constant speed"
     assert page.evaluate("document.querySelectorAll('article.current .stage svg [data-vehicle]').length") == 3
     assert page.evaluate("document.querySelectorAll('article.current .charts svg .curve').length") > 5
@@ -89,7 +89,7 @@ def test_the_first_finding_is_shown_at_its_event(page):
     )
 
 
-def test_a_failed_check_is_shown_at_its_moment_with_its_curve_first(browser, tmp_path):
+def test_failed_check_opens_at_moment_with_curve_first(browser, tmp_path):
     finding = real_report().findings[0]
     values = tuple(30.0 if time > 3 else 1.0 for time in finding.times)
     check = CheckView(
@@ -112,7 +112,7 @@ def test_a_failed_check_is_shown_at_its_moment_with_its_curve_first(browser, tmp
     page.close()
 
 
-def test_a_link_leads_to_a_moment_of_a_finding(opened):
+def test_link_opens_a_finding_at_its_moment(opened):
     finding = real_report().findings[1]
     page = opened(f"#finding={finding.id}&t=2.5")
     assert page.evaluate(CURRENT) == 1
@@ -120,7 +120,7 @@ def test_a_link_leads_to_a_moment_of_a_finding(opened):
     assert page.evaluate("document.querySelector('#list a[aria-current=true] .id').textContent") == finding.id
 
 
-def test_following_a_link_within_the_page_changes_finding_and_time(page):
+def test_link_within_the_page_changes_finding_and_time(page):
     first, second = real_report().findings
     page.evaluate(f"location.hash = 'finding={second.id}&t=1.25'")
     page.until(f"{CURRENT} === 1 && {TIME} === 1.25")
@@ -139,13 +139,13 @@ def test_a_link_to_nothing_shows_the_first_finding(opened, fragment):
 
 
 @pytest.mark.parametrize("time", ["-5", "1e9", "NaN", "Infinity"])
-def test_a_time_outside_of_the_run_is_brought_into_it(opened, time):
+def test_time_outside_of_run_is_clamped_into_it(opened, time):
     finding = real_report().findings[0]
     shown = opened(f"#finding={finding.id}&t={time}").evaluate(TIME)
     assert 0 <= shown <= finding.duration + 0.001
 
 
-def test_the_last_chance_is_marked_on_the_time_line_before_the_event(browser, tmp_path):
+def test_last_chance_is_marked_on_the_time_line(browser, tmp_path):
     finding = replace(real_report().findings[0], last_chance=ChanceView(time=3.0, sentence="last chance 3.0 s: ..."))
     path = tmp_path / "report.html"
     path.write_text(render_page(Report(title="t", findings=(finding,))), encoding="utf-8")
@@ -194,14 +194,14 @@ def test_space_on_a_button_presses_the_button_alone(page):
     assert page.evaluate(IS_PLAYING)
 
 
-def test_space_plays_after_a_finding_was_chosen_with_the_mouse(page):
+def test_space_plays_after_finding_was_chosen_by_mouse(page):
     page.evaluate("(link => { link.focus(); link.click(); })(document.querySelectorAll('#list a')[1])")
     page.until(f"{CURRENT} === 1")
     page.press(" ")
     assert page.evaluate(IS_PLAYING)
 
 
-def test_j_and_k_go_through_the_findings_and_stop_at_the_ends(page):
+def test_j_and_k_step_through_findings_without_wrapping(page):
     for key, index in (("k", 0), ("j", 1), ("j", 1), ("k", 0)):
         page.press(key)
         assert page.evaluate(CURRENT) == index
@@ -228,7 +228,7 @@ def drawn_vehicles(page):
     )
 
 
-def test_the_picture_in_the_browser_is_the_one_of_the_scene(opened):
+def test_browser_picture_matches_the_one_of_the_scene(opened):
     for finding in real_report().findings:
         page = opened(f"#finding={finding.id}")
         for time in (0.0, 0.777, 2.0, finding.duration):
@@ -245,7 +245,7 @@ def test_the_picture_in_the_browser_is_the_one_of_the_scene(opened):
             assert page.evaluate(rings) == ["hidden" if target is None else "visible" for target in picture.targets]
 
 
-def test_a_road_that_is_not_straight_is_drawn_as_the_world_has_it(browser, tmp_path):
+def test_curved_road_is_drawn_as_in_its_world(browser, tmp_path):
     path = tmp_path / "bend.html"
     path.write_text(render_page(bend_report()), encoding="utf-8")
     (finding,) = bend_report().findings
@@ -313,7 +313,7 @@ def test_long_words_do_not_widen_a_narrow_page(browser, tmp_path):
     page.close()
 
 
-def test_two_findings_of_one_id_have_links_of_their_own(browser, tmp_path):
+def test_two_findings_with_same_id_have_own_links(browser, tmp_path):
     finding = real_report().findings[0]
     path = tmp_path / "twins.html"
     path.write_text(render_page(Report(title="t", findings=(finding, finding))), encoding="utf-8")
@@ -324,7 +324,7 @@ def test_two_findings_of_one_id_have_links_of_their_own(browser, tmp_path):
     page.close()
 
 
-def test_the_picture_is_drawn_anew_when_the_window_changes(opened):
+def test_picture_is_redrawn_when_the_window_changes_size(opened):
     page = opened(width=1360)
     page.resize(400)
     page.until("document.querySelector('.stage svg').viewBox.baseVal.width < 400")
@@ -373,7 +373,7 @@ def test_findings_of_one_test_are_one_list(page):
     assert page.evaluate("document.querySelectorAll('#list ol').length") == 1
 
 
-def test_the_filter_leaves_what_has_all_its_words_and_is_used_by_keys_alone(grouped):
+def test_text_filter_matches_all_words_by_keyboard_alone(grouped):
     grouped.press("/")
     typed(grouped, "second safe")
     assert grouped.evaluate(LISTED) == ["second-safe"]
@@ -388,7 +388,7 @@ def test_the_filter_leaves_what_has_all_its_words_and_is_used_by_keys_alone(grou
     assert grouped.evaluate("document.activeElement.dataset.key") == "second-safe"
 
 
-def test_the_filter_leaves_the_outcome_that_is_chosen_and_j_and_k_pass_the_others(grouped):
+def test_outcome_filter_lists_only_the_chosen_outcome(grouped):
     grouped.evaluate(
         "(() => { const each = document.getElementById('outcome'); each.value = 'safe';"
         " each.dispatchEvent(new Event('change')); })()"
@@ -401,7 +401,7 @@ def test_the_filter_leaves_the_outcome_that_is_chosen_and_j_and_k_pass_the_other
     assert seen == [3, 5, 5, 3]
 
 
-def test_a_page_with_one_finding_has_nothing_to_filter(browser, tmp_path):
+def test_page_with_one_finding_has_no_filter(browser, tmp_path):
     path = tmp_path / "single.html"
     path.write_text(render_page(Report(title="t", findings=real_report().findings[:1])), encoding="utf-8")
     page = browser.open(path.as_uri())
@@ -436,7 +436,7 @@ def test_there_are_curves_of_acceleration_and_jerk(page):
 
 @pytest.mark.parametrize("width", [400, 1200])
 @pytest.mark.parametrize("report", [real_report, bend_report], ids=["straight", "bend"])
-def test_the_text_of_the_contact_covers_no_number_of_a_cell(browser, tmp_path, report, width):
+def test_contact_text_covers_no_cell_number(browser, tmp_path, report, width):
     path = tmp_path / "contact.html"
     path.write_text(render_page(report()), encoding="utf-8")
     page = browser.open(path.as_uri(), width=width)
@@ -469,7 +469,7 @@ def contrast(a, b):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_is_readable_in_the_scheme_that_the_reader_prefers(opened, scheme):
+def test_text_is_readable_in_light_and_dark_scheme(opened, scheme):
     page = opened(media=[("prefers-color-scheme", scheme)])
     probe = """(ground, ink) => { const each = document.createElement('p'); document.body.append(each);
         each.style.background = `var(--${ground})`; each.style.color = `var(--${ink})`;
@@ -504,7 +504,7 @@ def test_with_reduced_motion_play_moves_in_steps(opened):
     assert page.evaluate(TIME) % 0.5 == 0
 
 
-def test_everything_that_can_be_focused_has_a_name_and_shows_its_focus(page):
+def test_focusable_elements_have_names_and_visible_focus(page):
     nameless = page.evaluate(
         "[...document.querySelectorAll('button, select, input, a')].filter(each =>"
         " !(each.textContent.trim() || each.getAttribute('aria-label'))).length"
@@ -574,7 +574,7 @@ def saved_by(browser, page, folder):
     return file
 
 
-def test_the_run_is_saved_as_the_command_exports_it(browser, tmp_path):
+def test_page_saves_run_as_the_export_command_does(browser, tmp_path):
     given = FILES / "collision-xfail.pafot.yaml"
     assert main(["export", str(given), "--to", "csv", "--ads", "constant_speed", "--out", str(tmp_path / "told")]) == 0
     saved = pafot.load(given)
@@ -588,7 +588,7 @@ def test_the_run_is_saved_as_the_command_exports_it(browser, tmp_path):
     page.close()
 
 
-def test_numbers_of_any_size_are_saved_as_python_writes_them(browser, tmp_path):
+def test_numbers_of_any_size_are_saved_like_python(browser, tmp_path):
     trace = cut_in_trace()
     states = trace.states.copy()
     states[:, :, :LANE] *= 10.0 ** np.random.default_rng(1).integers(-30, 30, states[:, :, :LANE].shape)
@@ -605,7 +605,7 @@ def test_numbers_of_any_size_are_saved_as_python_writes_them(browser, tmp_path):
     page.close()
 
 
-def test_a_frame_inside_another_page_has_no_button_that_it_may_not_use(browser, tmp_path):
+def test_embedded_frame_has_no_save_button(browser, tmp_path):
     finding = real_report().findings[0]
     path = tmp_path / "frame.html"
     path.write_text(render_page(Report.of(finding), embedded=True), encoding="utf-8")
@@ -615,7 +615,7 @@ def test_a_frame_inside_another_page_has_no_button_that_it_may_not_use(browser, 
     page.close()
 
 
-def test_a_frame_inside_another_page_draws_its_finding_and_listens(browser, tmp_path):
+def test_embedded_frame_draws_its_finding_and_listens(browser, tmp_path):
     finding = real_report().findings[0]
     path = tmp_path / "outer.html"
     path.write_text(

@@ -72,7 +72,7 @@ def test_an_article_on_a_finding_reads_so(snapshot):
     assert lines_of(finding_article(hand_made_finding(), 0)) == snapshot
 
 
-def test_an_article_on_a_finding_that_was_shrunk_and_that_nobody_saw_reads_so(snapshot):
+def test_article_on_shrunk_unseen_finding_matches_its_snapshot(snapshot):
     shrunk = shrink_view(scenario([(1, 25.0), (2, 8.0)], [(4, 20.0)]), scenario([(2, 8.0), (2, 8.0)]), rollouts=41)
     finding = replace(
         hand_made_finding(), shrink=shrunk, label="new", runs=3, path="corpus/a.pafot.yaml", instructions=(),
@@ -81,7 +81,7 @@ def test_an_article_on_a_finding_that_was_shrunk_and_that_nobody_saw_reads_so(sn
     assert lines_of(finding_article(finding, 1)) == snapshot
 
 
-def test_the_list_of_findings_of_two_tests_reads_so(snapshot):
+def test_finding_list_of_two_tests_matches_its_snapshot(snapshot):
     finding = hand_made_finding()
     other = replace(finding, test="tests/test_b.py::test_other", responsibility="npc", label="flaky")
     assert lines_of(finding_list([finding, other])) == snapshot
@@ -91,7 +91,7 @@ def test_an_article_on_a_search_reads_so(snapshot):
     assert lines_of(campaign_article(hand_made_campaign(), 0)) == snapshot
 
 
-def test_a_page_with_an_error_and_no_finding_reads_so(snapshot):
+def test_page_with_only_an_error_matches_its_snapshot(snapshot):
     report = Report(
         title="Nothing found",
         facts=(("base seed", "7"), ("pytest-pafot", "0.1.0")),
@@ -106,6 +106,6 @@ def test_the_file_of_a_finding_reads_so(snapshot):
     assert text_of(finding_of(hand_made_trace())) == snapshot
 
 
-def test_the_file_of_a_flaky_finding_that_was_shrunk_and_accepted_reads_so(snapshot):
+def test_flaky_shrunk_accepted_finding_file_matches_its_snapshot(snapshot):
     changes = {"shrunk": Shrunk(rollouts=41), "flaky": "another run", "xfail": "known: no fix planned"}
     assert text_of(replace(finding_of(hand_made_trace()), original=CUT_IN, **changes)) == snapshot

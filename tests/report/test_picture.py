@@ -23,13 +23,13 @@ def test_positions_between_frames_are_interpolated():
     assert vehicle_at(view, 0, 1.2345).along == pytest.approx(24.69, abs=0.01)
 
 
-def test_times_outside_of_the_run_show_its_start_and_its_end():
+def test_times_outside_the_run_show_start_or_end():
     view = driving(vehicle(10.0, 0.0, speed=20.0, ticks=30))
     assert vehicle_at(view, 0, -1.0).along == 0.0
     assert vehicle_at(view, 0, 99.0).along == pytest.approx(40.0)
 
 
-def test_cells_lie_around_the_ego_with_the_clearance_between():
+def test_cells_surround_the_ego_with_clearance_between_them():
     picture = picture_at(driving(vehicle(10.0, 0.0, speed=20.0, ticks=30)), 0.0)
     places = {cell.cell: (cell.along, cell.across) for cell in picture.cells}
     assert places == {
@@ -39,7 +39,7 @@ def test_cells_lie_around_the_ego_with_the_clearance_between():
 
 
 @table("style", ["paper", "hostile", "everyday"])
-def test_an_npc_arrives_in_the_cell_that_is_drawn_whatever_its_traffic(style):
+def test_npc_arrives_in_drawn_cell_in_any_traffic(style):
     chains = [[(8, 24.0), (1, 24.0), (2, 24.0)], [(4, 24.0), (5, 24.0), (6, 24.0)]]
     npcs = tuple(tuple(PositionInstruction(*gene) for gene in chain) for chain in chains)
     asked = Scenario(npcs=npcs, ego_speed=24.0, traffic=Traffic(style))
@@ -58,12 +58,12 @@ def test_cells_beyond_the_road_do_not_exist():
 
 
 @table(("across", "lane"), [(5.9, 4.0), (6.0, 4.0), (6.1, 8.0)])
-def test_the_grid_belongs_to_the_lane_whose_centre_is_nearest(across, lane):
+def test_grid_belongs_to_the_nearest_lane_centre(across, lane):
     view = view_of(trace_of(vehicle(0.0, across, speed=20.0, ticks=15), vehicle(30.0, 0.0, speed=20.0, ticks=15)))
     assert {cell.cell: cell.across for cell in picture_at(view, 0.0).cells}[2] == lane
 
 
-def test_an_npc_is_on_its_way_until_it_arrives_and_free_after_its_last_gene():
+def test_npc_is_under_way_until_it_arrives():
     chain = scenario([(1, 20.0), (2, 8.0)], gene_seconds=1.0)
     states = vehicle(0.0, 4.0, speed=20.0, ticks=60)
     view = view_of(trace_of(states, vehicle(9.0, 0.0, speed=20.0, ticks=60), scenario=chain, arrivals=((6, None),)))
@@ -73,19 +73,19 @@ def test_an_npc_is_on_its_way_until_it_arrives_and_free_after_its_last_gene():
     assert phases == [(1, "approach"), (1, "arrived"), (2, "approach"), (2, "approach"), (2, "ended")]
 
 
-def test_only_an_npc_on_its_way_has_a_target():
+def test_only_an_npc_under_way_has_a_target():
     view = driving(vehicle(9.0, 0.0, speed=20.0, ticks=30), arrivals=((15, None),))
     assert picture_at(view, 0.5).targets[0].cell == 1
     assert picture_at(view, 1.5).targets == (None,)
 
 
-def test_an_npc_that_keeps_its_place_beside_the_ego_leaves_no_trail():
+def test_npc_with_constant_place_has_no_trail():
     picture = picture_at(driving(vehicle(9.0, 0.0, speed=20.0, ticks=30)), 2.0)
     assert {round(along - 40.0, 2) for along, _ in picture.trails[1]} == {9.0}
     assert picture.trails[0][0][0] == pytest.approx(0.0, abs=0.01)
 
 
-def test_the_impact_is_between_the_two_vehicles_and_not_before_it_happens():
+def test_impact_is_between_both_vehicles_from_its_time():
     view = view_of(cut_in_trace())
     assert picture_at(view, view.event.time - 0.2).impact is None
     picture = picture_at(view, view.event.time)
@@ -93,7 +93,7 @@ def test_the_impact_is_between_the_two_vehicles_and_not_before_it_happens():
     assert ego.along <= picture.impact[0] <= npc.along
 
 
-def test_a_vehicle_whose_position_is_unknown_is_left_out():
+def test_vehicle_with_unknown_position_is_left_out():
     view = driving(vehicle(9.0, 0.0, speed=20.0, ticks=30))
     unknown = replace(view.vehicles[1], along=(None,) * len(view.times))
     assert picture_at(replace(view, vehicles=(view.vehicles[0], unknown)), 1.0).vehicles[1] is None

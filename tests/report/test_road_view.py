@@ -19,7 +19,7 @@ def view():
     return view_of(bend_trace())
 
 
-def test_lanes_are_lines_in_the_world_and_straight_roads_have_none(view):
+def test_curved_lanes_are_lines_and_straight_roads_none(view):
     trace = bend_trace()
     assert view.road.lanes == ()
     assert len(view.road.shapes) == len(trace.lanes)

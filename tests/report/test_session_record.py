@@ -62,7 +62,7 @@ def test_every_record_is_read_as_it_was_written(record):
     assert read_record(to_text(record)) == record
 
 
-def test_where_a_finding_is_driven_in_traffic_readers_are_told_which():
+def test_finding_names_the_traffic_it_was_driven_in():
     scenario = replace(plain_finding().scenario, traffic=Traffic("everyday", least_gap=4))
     told, finding = "everyday traffic (least_gap 4)", plain_finding(scenario=scenario)
     assert FindingRecord.of(finding, node_id="x", status="new", file=None).traffic == told
@@ -76,7 +76,7 @@ def test_where_a_finding_is_driven_in_traffic_readers_are_told_which():
     assert f"<li>{told}</li>" in finding_article(run_view(trace), 0)
 
 
-def test_keys_are_sorted_and_the_version_is_among_them():
+def test_keys_are_sorted_and_include_the_version():
     text = to_text(SessionRecord(searches=[SearchRecord(node_id="a")], exit=1))
     plain = json.loads(text)
     assert plain["pafot_json"] == 1
@@ -99,7 +99,7 @@ def test_no_duration_is_in_it():
 
 
 @table("kind", [SessionRecord, SearchRecord, FindingRecord])
-def test_each_field_is_described_where_the_reference_takes_it_from(kind):
+def test_every_record_field_is_described_in_its_docstring(kind):
     told = [line.split(":")[0].strip() for line in kind.__doc__.splitlines() if re.match(r" +\w+: ", line)]
     assert told == [each.name for each in fields(kind)]
 

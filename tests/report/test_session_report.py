@@ -19,7 +19,7 @@ def short(finding, **more):
     return replace(finding, times=finding.times[:1], **more)
 
 
-def test_the_page_comes_first_then_a_picture_of_each_finding():
+def test_page_comes_first_then_picture_of_each_finding():
     findings = tuple(map(short, real_report().findings))
     report = replace(real_report(), findings=findings)
     files = dict(report_files(report))
@@ -33,7 +33,7 @@ def test_a_finding_that_nobody_saw_has_no_picture():
     assert [name for name, _ in report_files(report)] == ["index.html"]
 
 
-def test_findings_of_one_id_have_files_of_their_own_and_names_that_any_system_takes():
+def test_findings_with_same_id_have_distinct_valid_files():
     finding = short(real_report().findings[0], id="../a b")
     names = [name for name, _ in report_files(Report(title="t", findings=(finding, finding)))]
     assert names == ["index.html", ".._a_b.png", ".._a_b-2.png"]
@@ -65,7 +65,7 @@ def report_of(draft, findings=(), *, errors=(), is_interrupted=False):
 
 
 @table("told", [RANKED, RANKED[::-1], RANKED[3:] + RANKED[:3]])
-def test_findings_stand_by_test_then_new_before_known_then_the_ego_s_fault_first_then_the_worst(told):
+def test_findings_are_sorted_by_novelty_fault_and_severity(told):
     report = report_of(Draft(target="x"), [shown(*each) for each in told])
     assert [finding.node_id for finding in report.findings] == [name for name, *_ in RANKED]
 
@@ -77,7 +77,7 @@ def test_telling_a_finding_again_replaces_what_was_told():
     assert [finding.label for finding in draft.findings.values()] == ["new (flaky: the outcome)"]
 
 
-def test_the_facts_are_the_interrupt_the_replays_by_label_and_the_versions():
+def test_facts_include_interrupt_replay_labels_and_versions():
     draft = Draft(target="x")
     for label in ("fixed", "still failing", "fixed"):
         draft.take({"replayed": label}, None, None)
@@ -101,7 +101,7 @@ def test_the_title_counts_errors_first(count, errors, title):
     assert report_of(Draft(target="x"), findings, errors=errors).title == title
 
 
-def test_without_what_draws_pictures_the_page_of_a_folder_is_written_and_the_rest_told(tmp_path, monkeypatch):
+def test_page_is_written_if_pictures_cannot_be_drawn(tmp_path, monkeypatch):
     def fail(finding):
         raise AnimationError("install Pillow")
 
@@ -112,7 +112,7 @@ def test_without_what_draws_pictures_the_page_of_a_folder_is_written_and_the_res
     assert [path.name for path in (tmp_path / "x").iterdir()] == ["index.html"]
 
 
-def test_a_report_that_cannot_be_written_says_why_and_what_to_do(tmp_path):
+def test_unwritable_report_says_why_and_what_to_do(tmp_path):
     (tmp_path / "x").write_text("a file")
     written, problem = write_report("x/", tmp_path / "x", Report(title="t"))
     assert written == ""

@@ -51,7 +51,7 @@ SEARCH = SearchSummary(
 )
 
 
-def test_all_failures_of_a_session_are_listed_the_worst_first_and_new_ones_before_known_ones():
+def test_failures_are_listed_new_first_then_worst_first():
     hit = Severity(kind="collision", value=4.6, unit="m/s")
     finds = [
         replace(FIND, id="other", node_id="t[o]"),
@@ -134,7 +134,7 @@ def test_the_section_of_a_find_reads_so(snapshot):
         ("none", "", ""),
     ],
 )
-def test_a_find_says_who_would_have_prevented_it_and_what_became_of_the_others(responsibility, outcomes, text):
+def test_finding_says_which_drivers_would_have_prevented_it(responsibility, outcomes, text):
     expect = Expect(
         failure="AssertionError", outcome=Outcome.COLLISION, time=1.0, responsibility=responsibility,
         reference_drivers=dict(zip("ABC", outcomes.split(), strict=False)),
@@ -146,7 +146,7 @@ def test_nothing_to_tell_is_nothing_told():
     assert terminal.session_lines(SessionSummary()) == []
 
 
-def test_progress_is_one_line_that_is_cut_at_the_left_of_the_name():
+def test_progress_is_one_line_with_the_name_cut():
     progress = Progress(node_id="x" * 200, generation=3, generations=100, runs=9, failing=2, finds=1, seconds=3.0)
     line = terminal.progress_line(progress)
     assert len(line) <= 80
@@ -154,7 +154,7 @@ def test_progress_is_one_line_that_is_cut_at_the_left_of_the_name():
     assert line.endswith("3/100 generations, 9 runs, 2 failing, 1 new, 3/s")
 
 
-def test_progress_fits_into_a_narrow_terminal_which_could_not_rewrite_two_lines():
+def test_progress_fits_into_a_narrow_terminal():
     progress = Progress(node_id="x" * 200, generation=3, generations=100, runs=9, failing=2, finds=1, seconds=3.0)
     line = terminal.progress_line(progress, 39)
     assert len(line) == 39
@@ -169,11 +169,11 @@ def test_progress_fits_into_a_narrow_terminal_which_could_not_rewrite_two_lines(
         ({"is_timed": True}, "depends on wall-clock time"),
     ],
 )
-def test_a_find_says_what_a_reader_must_know_besides(flags, remark):
+def test_finding_has_remark_when_reader_needs_it(flags, remark):
     assert Find(id="a", node_id="b", headline="c", **flags).remark == remark
 
 
-def test_replays_are_counted_by_label_and_listed_unless_they_fail_as_before():
+def test_replays_are_counted_by_label_and_partly_listed():
     replays = [
         ReplaySummary(node_id="t[saved-a]", label="fixed"),
         ReplaySummary(node_id="t[saved-b]", label="still failing"),
@@ -188,7 +188,7 @@ def test_replays_are_counted_by_label_and_listed_unless_they_fail_as_before():
     assert max(map(len, terminal.replay_lines(replays, 40))) <= 40
 
 
-def test_orphans_say_what_to_do_removed_ones_that_they_are_gone_and_others_why_they_are_left_alone():
+def test_orphans_are_reported_with_what_happens_to_them():
     orphan = ("corpus/test_a", 2, "or remove them with --pafot-prune")
     kept = terminal.session_lines(SessionSummary(orphans=[orphan]))
     assert kept[0] == "orphaned: 2 saved scenarios without a test in corpus/test_a"
@@ -204,14 +204,14 @@ def test_what_is_no_ascii_is_escaped():
     assert terminal.found_lines(Find(id="a", node_id="té", headline="→"))[:2] == ["pafot: found t\\xe9", "  \\u2192"]
 
 
-def test_a_find_says_at_once_why_there_is_no_file_of_it():
+def test_unsaved_finding_says_at_once_why():
     saved = Find(id="a", node_id="t", headline="h", path="p")
     lost = replace(saved, path="", problem="p")
     assert terminal.found_lines(saved) == ["pafot: found t", "  h"]
     assert terminal.found_lines(lost) == ["pafot: found t", "  h", "  not saved: p"]
 
 
-def test_the_summary_line_of_a_search_names_some_of_its_finds():
+def test_search_summary_line_names_some_of_its_findings():
     finds = tuple(replace(FIND, id=f"front-2-{n}") for n in range(5))
     assert terminal.failure_line(replace(SEARCH, finds=finds[:1])) == "1 new finding: front-2-0"
     assert terminal.failure_line(replace(SEARCH, finds=finds)) == (
@@ -220,7 +220,7 @@ def test_the_summary_line_of_a_search_names_some_of_its_finds():
 
 
 @table("width", [60, 80, 120])
-def test_lines_are_broken_between_words_to_the_width_of_the_terminal(width):
+def test_lines_are_wrapped_to_the_terminal_width(width):
     lines = terminal.session_lines(SessionSummary(searches=[SEARCH]), verbose=True, width=width)
     assert max(map(len, lines)) <= width
     assert " ".join(" ".join(lines).split()) == " ".join(
@@ -228,12 +228,12 @@ def test_lines_are_broken_between_words_to_the_width_of_the_terminal(width):
     )
 
 
-def test_a_broken_line_keeps_its_mark_and_its_indentation():
+def test_wrapped_line_retains_its_mark_and_indentation():
     assert wrapped_to("E       one two three", 15, "E   ") == ["E       one two", "E         three"]
 
 
 @table("kept", ["37.9 %)", "7.5 m/s,", "6 m/s^2", "1.9 s", "NPC 0,"])
-def test_no_line_ends_between_a_number_and_its_unit(kept):
+def test_no_line_ends_between_number_and_unit(kept):
     assert wrapped_to(f"  one two {kept} andsoon", 13) == ["  one two", f"    {kept}", "    andsoon"]
 
 

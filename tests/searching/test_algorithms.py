@@ -89,7 +89,7 @@ def test_algorithms_are_found_by_name():
     assert [resolve_algorithm(name).name for name in ALGORITHMS] == list(ALGORITHMS)
 
 
-def test_an_algorithm_of_ones_own_is_a_class_or_its_module_and_name():
+def test_custom_algorithm_is_a_class_or_its_name():
     of_class = resolve_algorithm(Own)
     assert of_class.make(SPACE, population=6, jump=0.1) == Own(SPACE, population=6, jump=0.1)
     assert resolve_algorithm("tests.searching.test_algorithms:Own") == of_class
@@ -97,7 +97,7 @@ def test_an_algorithm_of_ones_own_is_a_class_or_its_module_and_name():
     assert of_class.library is None
 
 
-def test_a_class_says_what_is_otherwise_in_it_and_hands_that_down():
+def test_algorithm_subclass_inherits_fitness_and_grid_knowledge():
     told = resolve_algorithm(Structural)
     assert (told.fitness, told.knows_grid) == ("paper", False)
     assert resolve_algorithm(Careful).batch_population == DistinctSearch.batch_population
@@ -105,7 +105,7 @@ def test_a_class_says_what_is_otherwise_in_it_and_hands_that_down():
 
 
 @pytest.mark.parametrize("algorithm", [Own, Structural])
-def test_an_algorithm_of_ones_own_is_searched_with_like_any_other(cheap_world, algorithm):
+def test_custom_algorithm_is_searched_like_any_other(cheap_world, algorithm):
     events = [
         list(run_campaign(resolve_algorithm(algorithm).make(SPACE), cheap_world(), generations=4, seed=1))
         for _ in range(2)
@@ -140,27 +140,27 @@ def test_an_algorithm_of_ones_own_is_searched_with_like_any_other(cheap_world, a
         (Borrowed, r"expected a unique name for Borrowed, received 'pafot'"),
     ],
 )
-def test_what_is_no_algorithm_is_answered_with_what_would_be_one(given, message):
+def test_wrong_algorithm_error_names_what_is_expected(given, message):
     with pytest.raises(ValueError, match=f"algorithm: .*{message}"):
         resolve_algorithm(given)
 
 
-def test_an_unknown_parameter_is_answered_with_those_that_exist():
+def test_unknown_parameter_error_names_the_known_ones():
     with pytest.raises(ValueError, match="mutation_rate: expected a parameter of the algorithm 'random', which takes"):
         resolve_algorithm("random").make(SPACE, mutation_rate=0.5)
 
 
-def test_the_option_offers_exactly_the_algorithms_that_there_are():
+def test_option_offers_exactly_the_existing_algorithms():
     assert set(BY_NAME["algorithm"].choices) == set(ALGORITHMS)
 
 
-def test_each_algorithm_has_a_fitness_of_its_own_by_default():
+def test_each_algorithm_has_its_own_default_fitness():
     fitness = {name: resolve_algorithm(name).fitness for name in ALGORITHMS}
     assert {name: own for name, own in fitness.items() if own != "default"} == {"av-fuzzer": "av-fuzzer"}
     assert set(fitness.values()) <= set(FITNESSES)
 
 
-def test_a_fitness_of_ones_own_is_a_function_or_its_module_and_name(make_evaluation):
+def test_custom_fitness_is_a_function_or_its_name(make_evaluation):
     assert resolve("tests.searching.test_algorithms:own_fitness") == resolve(own_fitness)
     with pytest.raises(
         FitnessError, match=r"fitness: expected a name in the module .*, received .*; did you mean '.*:own_fitness'"
@@ -168,7 +168,7 @@ def test_a_fitness_of_ones_own_is_a_function_or_its_module_and_name(make_evaluat
         resolve("tests.searching.test_algorithms:own_fitnes")
 
 
-def test_random_manoeuvres_are_drawn_anew_in_the_slices_of_av_fuzzer():
+def test_random_manoeuvres_are_drawn_in_av_fuzzer_slices():
     search = resolve_algorithm("random-manoeuvre").make(SPACE)
     rng = np.random.default_rng(0)
     _, scenarios = search.ask(search.start(rng), rng)

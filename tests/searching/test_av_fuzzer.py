@@ -57,7 +57,7 @@ class TestSampling:
         search = AvFuzzerSearch(SearchSpace(genes=6, gene_seconds=10.0))
         assert (search.sliced.genes, search.sliced.gene_seconds) == (5, 12.0)
 
-    def test_speeds_are_uniform_up_to_the_limit_and_actions_equally_likely(self, assert_rate):
+    def test_sampled_speeds_are_uniform_and_actions_equally_likely(self, assert_rate):
         genes = [gene for each in scenarios(300) for chain in each.npcs for gene in chain]
         assert len(genes) == DRAWS
         for lane in SHIFTS:
@@ -67,7 +67,7 @@ class TestSampling:
 
 
 class TestOperators:
-    def test_a_crossover_swaps_the_npc_of_the_same_index(self):
+    def test_crossover_swaps_npcs_of_the_same_index(self):
         a, b = scenarios(2)
         generator, seen = rng(), set()
         for _ in range(20):
@@ -78,7 +78,7 @@ class TestOperators:
             seen.add(npc)
         assert seen == {0, 1}
 
-    def test_a_mutation_is_a_speed_an_action_or_nothing_by_a_third_each(self, assert_rate):
+    def test_mutation_changes_speed_action_or_nothing_equally_often(self, assert_rate):
         (given,), generator = scenarios(1), rng(1)
         kinds, places = Counter(), Counter()
         for _ in range(DRAWS):
@@ -107,13 +107,13 @@ class TestRoulette:
         for weight in (1.0, 3.0, 6.0):
             assert_rate(drawn[weight], DRAWS, weight / 10)
 
-    def test_negative_fitness_is_shifted_so_that_the_worst_weighs_nothing(self, make_evaluation, assert_rate):
+    def test_roulette_shifts_worst_negative_fitness_to_zero_weight(self, make_evaluation, assert_rate):
         population = [make_evaluation(each, fitness=f) for each, f in zip(scenarios(3), (-4.0, -1.0, 5.0), strict=True)]
         drawn = Counter(member.fitness for seed in range(1000) for member in roulette(population, rng(seed)))
         assert drawn[-4.0] == 0
         assert_rate(drawn[-1.0], DRAWS, 3 / 12)
 
-    def test_runs_that_are_not_eligible_are_never_drawn_beside_others(self, make_evaluation):
+    def test_roulette_never_draws_ineligible_runs_among_eligible(self, make_evaluation):
         good, crash = scenarios(2)
         population = [make_evaluation(good, fitness=1.0), make_evaluation(crash, fitness=9.0, outcome=Outcome.INVALID)]
         assert {member.scenario for member in roulette(population, rng())} == {good}
@@ -129,7 +129,7 @@ class TestDistance:
         given = one("left@10 keep@5 right@1; right@2 right@3 keep@4")
         assert features(given).tolist() == [[[10, -34], [15, -34], [16, 0]], [[2, 34], [5, 68], [9, 68]]]
 
-    def test_it_is_euclidean_per_slice_summed_and_averaged_over_the_npcs(self):
+    def test_distance_is_euclidean_per_slice_averaged_over_npcs(self):
         a, b = one("left@10 keep@5; keep@1 keep@1"), one("keep@10 keep@5; keep@4 keep@5")
         by_hand = ((34 + 34) + (3 + 7)) / 2
         assert distance(features(a), features(b)) == pytest.approx(by_hand)
@@ -140,7 +140,7 @@ class TestDistance:
         assert distance(features(a), features(a)) == 0
         assert distance(features(a), features(b)) == distance(features(b), features(a)) > 0
 
-    def test_the_farthest_have_the_greatest_mean_distance_to_all_that_was(self):
+    def test_farthest_candidates_have_greatest_mean_distance_to_checkpoints(self):
         before, candidates = scenarios(6, seed=1), scenarios(50, seed=2)
         checkpoints = np.stack([features(each) for each in before])
         means = {each: np.mean([distance(features(each), features(old)) for old in before]) for each in candidates}
@@ -157,13 +157,13 @@ class TestCourse:
         # A scenario is touched by its own mutation, or by one of two crossovers of two out of four.
         assert_rate(touched, 149 * 4, 1 - 0.6 * (1 - 0.4 / 2) ** 2)
 
-    def test_a_generation_in_which_nothing_is_touched_is_a_generation(self, landscape):
+    def test_generation_without_any_change_still_counts(self, landscape):
         search = AvFuzzerSearch(crossover_rate=0.0, mutation_rate=0.0)
         events = list(run_campaign(search, landscape(lambda each: 1.0), generations=4, seed=1))
         assert [event.generation for event in events if isinstance(event, GenerationFinished)] == [0, 1, 2, 3]
         assert sum(isinstance(event, Evaluated) for event in events) == 4
 
-    def test_the_best_of_all_generations_is_kept_aside_and_may_die_out(self, landscape):
+    def test_best_of_all_generations_may_die_out(self, landscape):
         search, known = AvFuzzerSearch(local_generations=0), {}
 
         def fitness(each):
@@ -175,7 +175,7 @@ class TestCourse:
         last = [event for event in events if isinstance(event, GenerationFinished)][-1]
         assert {member.fitness for member in last.population} == {1.0}
 
-    def test_without_progress_for_five_generations_it_restarts_far_from_all_that_was(self, landscape):
+    def test_restart_without_progress_draws_far_from_earlier_scenarios(self, landscape):
         search = AvFuzzerSearch()
         events = list(run_campaign(search, landscape(lambda each: 1.0), generations=14, seed=1))
         restarts = [event.generation for event in events if isinstance(event, Restarted)]
@@ -188,7 +188,7 @@ class TestCourse:
         usual = [np.mean(distance(features(each), before)) for each in scenarios(200, seed=9)]
         assert min(spread) > np.quantile(usual, 0.9)
 
-    def test_a_restart_needs_a_best_no_better_than_the_mean_of_the_last_five(self, landscape):
+    def test_restart_needs_best_no_better_than_recent_mean(self, landscape):
         def slowly_rising():
             seen = Counter()
 
@@ -202,7 +202,7 @@ class TestCourse:
         events = list(run_campaign(search, landscape(slowly_rising()), generations=30, seed=1))
         assert not any(isinstance(event, Restarted) for event in events)
 
-    def test_a_local_search_mutates_copies_of_the_best_then_runs_five_generations(self, landscape):
+    def test_local_search_mutates_copies_of_the_best(self, landscape):
         def fitness(each):
             return sum(gene.speed for chain in each.npcs for gene in chain)
 
@@ -220,7 +220,7 @@ class TestCourse:
         assert end.best.fitness >= end.incumbent.fitness
         assert end.replaced == (end.best.fitness > end.incumbent.fitness)
 
-    def test_a_better_scenario_of_a_local_search_takes_the_place_of_the_generations_best(self, landscape):
+    def test_better_local_search_result_replaces_generation_best(self, landscape):
         def fitness(each):
             return sum(gene.speed for chain in each.npcs for gene in chain)
 
@@ -239,7 +239,7 @@ class TestCourse:
                     return
         pytest.fail("no local search found anything better")
 
-    def test_local_searches_start_later_than_two_generations_after_a_restart(self, landscape):
+    def test_local_search_needs_two_generations_after_restart(self, landscape):
         begun = []
 
         def fitness(each):
@@ -266,7 +266,7 @@ class TestCourse:
 
 
 class TestTurns:
-    def test_asking_twice_is_refused_also_when_nothing_was_asked_for(self):
+    def test_asking_twice_is_refused_even_without_questions(self):
         search = AvFuzzerSearch()
         state, _ = search.ask(search.start(rng()), rng())
         with pytest.raises(RuntimeError, match="which gave 4 scenarios"):

@@ -46,12 +46,12 @@ def test_it_is_the_released_formula_on_any_trace(seed):
 
 
 @table("speed", [0.0, 3.0, 22.0, 30.0])
-def test_the_braking_distance_is_the_polynomial_and_never_negative(speed):
+def test_braking_distance_is_polynomial_and_never_negative(speed):
     assert braking_distance(np.array([speed]))[0] == pytest.approx(brake(speed))
     assert braking_distance(np.zeros(1))[0] == 0.0
 
 
-def test_an_npc_right_ahead_leaves_its_distance_less_a_car_and_the_egos_braking():
+def test_npc_ahead_leaves_distance_minus_car_and_braking():
     trace = trace_of(vehicle(0.0, speed=10.0), vehicle(15.0, speed=5.0), vehicle(500.0, 8.0))
     assert av_fuzzer(trace) == pytest.approx(130 - 0.5 * 15 - 0.5 * (15 - 4.6 - brake(10.0)))
 
@@ -63,7 +63,7 @@ def test_outside_of_both_cases_only_the_distance_counts(x, y):
 
 
 @table(("degrees", "counts"), [(0.9, False), (1.1, True), (-1.1, True)])
-def test_an_npc_behind_counts_while_the_ego_turns_by_more_than_a_degree(degrees, counts):
+def test_npc_behind_counts_while_the_ego_turns(degrees, counts):
     trace = trace_of(vehicle(0.0, heading=math.radians(degrees)), vehicle(-12.0, speed=8.0), vehicle(500.0, 8.0))
     room = 12 - 4.6 - brake(8.0) if counts else 130
     assert av_fuzzer(trace) == pytest.approx(130 - 0.5 * 12 - 0.5 * room)
@@ -82,7 +82,7 @@ def test_a_turned_road_makes_no_difference():
     assert av_fuzzer(other) == pytest.approx(av_fuzzer(straight))
 
 
-def test_between_two_samples_nothing_is_seen_but_a_collision():
+def test_only_a_collision_counts_between_two_samples():
     passing = np.array([40.0, 40.0, 6.0, 40.0, 40.0])
     unseen = trace_of(vehicle(0.0, ticks=4), vehicle(passing), vehicle(500.0, 8.0))
     seen = trace_of(vehicle(0.0, ticks=2), vehicle(passing[:3]), vehicle(500.0, 8.0), outcome=Outcome.COLLISION)
@@ -90,13 +90,13 @@ def test_between_two_samples_nothing_is_seen_but_a_collision():
     assert av_fuzzer(seen) > av_fuzzer(unseen)
 
 
-def test_with_one_npc_nothing_is_divided_and_with_three_by_two():
+def test_fitness_divides_by_npcs_minus_one():
     npc, far = vehicle(15.0), vehicle(900.0, 8.0)
     one, three = (trace_of(vehicle(0.0), npc, *others) for others in ((), (far, far)))
     assert av_fuzzer(one) == pytest.approx(2 * av_fuzzer(three))
 
 
-def test_it_is_a_fitness_by_name_that_keeps_the_promises_of_all():
+def test_av_fuzzer_fitness_is_available_by_its_name():
     trace = trace_of(vehicle(0.0), vehicle(15.0), vehicle(500.0, 8.0))
     assert resolve("av-fuzzer")(trace) == av_fuzzer(trace)
     invalid = trace_of(vehicle(0.0), vehicle(15.0), vehicle(500.0, 8.0), outcome=Outcome.INVALID)

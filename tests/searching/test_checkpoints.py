@@ -114,7 +114,7 @@ def test_from_every_border_on_it_tells_the_rest(cheap_world, algorithm):
 
 
 @pytest.mark.parametrize(("algorithm", "runs"), [(ALGORITHMS[0], 1), (ALGORITHMS[1], 7)], ids=str)
-def test_cut_after_so_many_runs_and_again_it_is_one_of_all_runs(cheap_world, algorithm, runs):
+def test_resumed_parts_equal_one_uninterrupted_campaign(cheap_world, algorithm, runs):
     whole = campaign(algorithm, cheap_world(), runs=21)
     parts, checkpoint, world = [], None, cheap_world()
     for _ in range(21 // runs):
@@ -155,7 +155,7 @@ def test_which_algorithms_can_go_on():
 
 @settings(max_examples=settings.default.max_examples // 2)
 @given(st.integers(0, 2**32), st.integers(1, 12), st.integers(0, 30))
-def test_a_cache_that_was_stored_recalls_and_forgets_as_the_one_that_went_on(cheap_world, seed, room, cut):
+def test_restored_cache_recalls_and_forgets_like_the_original(cheap_world, seed, room, cut):
     rng, world, space = (
         np.random.default_rng(seed),
         cheap_world(crash_speed=15.0, genes=2),

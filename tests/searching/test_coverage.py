@@ -22,14 +22,14 @@ def counted(runs):
     return coverage
 
 
-def test_all_that_there_is_to_cover_is_listed_once():
+def test_everything_that_can_be_covered_is_listed_once():
     assert [key[1] for key in CELLS] == [1, 2, 3, 4, 5, 6, 7, 8]
     assert len(set(STEPS)) == len(STEPS) == 24
     assert all(is_adjacent(a, b) for _, a, b in STEPS)
     assert [key[1] for key in speed_bins(26.8)] == [0, 1, 2, 3, 4, 5]
 
 
-def test_genes_that_the_run_never_came_to_count_as_requested_alone(make_evaluation):
+def test_genes_not_started_count_only_as_requested(make_evaluation):
     run = make_evaluation(
         Scenario(npcs=CHAINS), genes_started=4, genes_reached=2, arrived=((True, False), (True, False))
     )
@@ -43,7 +43,7 @@ def test_genes_that_the_run_never_came_to_count_as_requested_alone(make_evaluati
     assert coverage.describe(26.8) == "reached 2/8 cells, 0/24 ring steps, 1/6 speed bins; requested 4/8, 3/24, 3/6"
 
 
-def test_cells_that_were_skipped_to_count_as_driven_instead_of_those_that_no_road_has(make_evaluation):
+def test_driven_cells_count_instead_of_missing_ones(make_evaluation):
     chain = (PositionInstruction(2, 8.0), PositionInstruction(3, 8.0))
     run = make_evaluation(Scenario(npcs=(chain,)), driven=((Cell(2), Cell(6)),), arrived=((True, True),))
     coverage = counted([run])

@@ -24,7 +24,7 @@ def collision():
     return hit(EGO, plan("north straight", 8.0, 9.0))
 
 
-def test_the_closer_one_came_after_the_other_the_worse_it_is():
+def test_smaller_time_between_entries_is_always_worse():
     fitness = [weighted(run_of(enters)) for enters in (20.0, 13.0, 11.0, 10.3, 9.8)]
     assert fitness == sorted(fitness)
     assert len(set(fitness)) == 5
@@ -32,31 +32,31 @@ def test_the_closer_one_came_after_the_other_the_worse_it_is():
     assert weighted(collision()) > 1
 
 
-def test_it_counts_as_much_when_the_npc_is_first():
+def test_npc_that_enters_first_counts_as_much():
     after, before = ([weighted(run_of(8.0 + sign * gap)) for gap in (2.5, 3.5)] for sign in (1, -1))
     assert after[0] > after[1]
     assert before[0] > before[1]
 
 
-def test_an_npc_on_the_grid_is_measured_as_before_beside_one_that_never_comes():
+def test_npc_on_grid_is_measured_alongside_distant_crossing():
     alone = driven(EGO, plan("grid", 6.0, 9.0), others=(plan("north straight", 60.0, 9.0),))
     assert weighted(alone) > weighted(run_of(60.0))
     assert nearest_crossing(alone) == 1
 
 
 @table("name", [name for name in FITNESSES if name not in ("paper", "default")])
-def test_no_fitness_with_a_name_is_nan_where_somebody_crosses(name):
+def test_no_named_fitness_is_nan_with_crossing_npcs(name):
     for trace in (run_of(8.5, 12.0), collision()):
         assert not math.isnan(resolve(name)(trace))
 
 
-def test_that_of_av_fuzzer_is_finite_by_the_distance_of_the_centres():
+def test_av_fuzzer_fitness_is_finite_with_crossing_npcs():
     near, far = av_fuzzer(run_of(8.2)), av_fuzzer(run_of(30.0))
     assert math.isfinite(near)
     assert near > far
 
 
-def test_what_came_before_an_impact_is_a_run_of_its_own_on_all_ways():
+def test_run_before_impact_includes_all_crossing_ways():
     trace = collision()
     before = before_impact(trace)
     assert (before.outcome, before.collision) == (Outcome.SAFE, None)
@@ -65,7 +65,7 @@ def test_what_came_before_an_impact_is_a_run_of_its_own_on_all_ways():
     np.testing.assert_array_equal(before.on_way, trace.on_way[: before.ticks + 1])
 
 
-def test_a_collision_that_the_npc_answers_for_is_judged_by_what_came_before():
+def test_npc_caused_collision_is_rated_by_earlier_run():
     trace, fitness = collision(), resolve("default")
     assert Steered(fitness, lambda trace: True)(trace) > 2
     assert -1 <= Steered(fitness, lambda trace: False)(trace) <= 1
@@ -75,7 +75,7 @@ def test_a_collision_that_the_npc_answers_for_is_judged_by_what_came_before():
     ("enters", "nearest"),
     [((8.3,), 0), ((12.0, 8.3), 1), ((8.3, 12.0), 0), ((4.0, 20.0, 10.5), 2), ((60.0, 50.0), 1)],
 )
-def test_the_nearest_is_who_shared_the_zone_or_came_next_to_that(enters, nearest):
+def test_nearest_npc_shares_zone_or_comes_closest(enters, nearest):
     assert nearest_crossing(run_of(*enters)) == nearest
 
 

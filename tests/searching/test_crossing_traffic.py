@@ -65,7 +65,7 @@ def check(scenario, space):
 
 
 @given(spaces, seeds, st.integers(0, 8))
-def test_what_is_drawn_varied_and_crossed_fits_its_ways_and_clashes_with_nobody(space, seed, variations):
+def test_drawn_and_varied_scenarios_fit_without_any_clash(space, seed, variations):
     rng = np.random.default_rng(seed)
     a, b = sample(space, rng), sample(space, rng)
     check(a, space)
@@ -83,7 +83,7 @@ def test_equal_draws_give_equal_scenarios(seed):
     assert mutate(sample(SPACE, one), SPACE, one) == mutate(sample(SPACE, other), SPACE, other)
 
 
-def test_all_zones_acts_and_slots_are_drawn_and_most_npcs_cross():
+def test_all_zones_acts_and_slots_are_drawn():
     rng = np.random.default_rng(0)
     scenarios = [sample(SPACE, rng) for _ in range(400)]
     instructions = [each for scenario in scenarios for each in told(scenario)]
@@ -102,14 +102,14 @@ def test_slots_are_rather_near_the_ego():
     assert shares == pytest.approx([0.72, 0.2, 0.5], abs=0.03)
 
 
-def test_a_late_start_is_drawn_where_it_is_asked_for():
+def test_late_start_is_drawn_only_on_request():
     rng, space = np.random.default_rng(0), SearchSpace(npcs=2, crossings=JUNCTION, acts=("pass", "late"))
     acts = {each.act for _ in range(50) for each in told(mutate(sample(space, rng), space, rng))}
     assert acts == {"pass", "late"}
 
 
 @table("acts", [(), ("wave",), "wave", ("pass", "wait")])
-def test_acts_that_nobody_knows_are_refused_with_those_that_there_are(acts):
+def test_unknown_acts_are_refused_with_the_known_ones(acts):
     with pytest.raises(ValueError, match="acts: expected one or more of pass, hold, stop, late, received"):
         SearchSpace(acts=acts)
 
@@ -123,7 +123,7 @@ def test_where_nobody_clashes_nothing_is_drawn():
 
 
 @given(seeds)
-def test_of_two_that_clash_the_later_one_is_drawn_anew_on_its_way(seed):
+def test_later_of_two_clashing_npcs_is_redrawn(seed):
     npcs = ((crosses(),), (crosses(slot=0.8, act="hold"),))
     first, second = TRAFFIC.cleared(npcs, np.random.default_rng(seed))
     assert first == npcs[0]
@@ -131,7 +131,7 @@ def test_of_two_that_clash_the_later_one_is_drawn_anew_on_its_way(seed):
     assert not JUNCTION.clash(first[0], second[0])
 
 
-def test_where_no_draw_helps_one_comes_last_and_the_next_is_left_out(monkeypatch):
+def test_unresolvable_npc_comes_last_or_is_left_out(monkeypatch):
     monkeypatch.setattr(CrossingTraffic, "drawn", lambda self, rng: crosses(speed=6.0))
     monkeypatch.setattr("pytest_pafot.searching.crossing_traffic.drawn_slot", lambda rng: 0.5)
     first, last, behind = crosses(speed=6.0), crosses(slot=5.0, speed=6.0), PositionInstruction(2, 8.0)
@@ -139,21 +139,21 @@ def test_where_no_draw_helps_one_comes_last_and_the_next_is_left_out(monkeypatch
     assert TRAFFIC.cleared(npcs, np.random.default_rng(0)) == ((first,), (last,), (behind,))
 
 
-def test_whoever_has_no_cell_to_start_in_crosses_instead():
+def test_npc_without_a_start_cell_crosses_instead():
     crowd = tuple((PositionInstruction(cell, 8.0),) for cell in (1, 2, 3))
     kept = TRAFFIC.cleared(crowd, np.random.default_rng(0))
     assert kept[:2] == crowd[:2]
     assert isinstance(kept[2][0], CrossingInstruction)
 
 
-def test_ways_on_which_nobody_can_start_are_an_error_that_says_so():
+def test_ways_without_possible_start_raise_clear_error():
     at_once = way_of("o1>o3", "crossing", "left", (88.0, 95.0), (0.0, 8.0))
     space = SearchSpace(crossings=junction(ways={"o1>o3": at_once}, meetings={}), most_on_grid=0)
     with pytest.raises(ValueError, match=r"crossings: expected ways on which an NPC can start .* received 1 on which"):
         sample(space, np.random.default_rng(0))
 
 
-def test_two_that_cross_in_one_zone_swap_parts_and_others_swap_places():
+def test_npcs_in_one_zone_swap_their_parts():
     a, b = crosses(slot=-2.0, speed=5.0, act="hold"), crosses(slot=3.0)
     children = {mixed(a, b, np.random.default_rng(seed)) for seed in range(100)}
     assert len(children) == 8
@@ -229,7 +229,7 @@ AS_BEFORE = {
 
 
 @table(("name", "space"), AS_BEFORE)
-def test_without_zones_every_search_draws_what_it_drew_before_there_were_any(name, space, make_evaluation):
+def test_searches_without_zones_draw_as_they_did_before(name, space, make_evaluation):
     assert drawn_digest(name, WITHOUT[space], make_evaluation) == AS_BEFORE[name, space]
 
 
@@ -242,7 +242,7 @@ def drawn_digest(name, space, make_evaluation):
 
 
 @pytest.mark.parametrize("name", [each for each in ALGORITHMS if not resolve_algorithm(each).is_papers])
-def test_every_search_that_is_not_the_papers_finds_its_way_at_a_junction(name, make_evaluation):
+def test_every_search_except_the_papers_handles_junctions(name, make_evaluation):
     if library := resolve_algorithm(name).library:
         pytest.importorskip(library)
     events = list(run_campaign(resolve_algorithm(name).make(SPACE), Judged(make_evaluation), generations=12, seed=1))
@@ -265,7 +265,7 @@ def test_the_papers_searches_keep_to_the_grid(name, make_evaluation):
     assert not any(event.evaluation.scenario.crossings for event in events if isinstance(event, Evaluated))
 
 
-def test_niches_tell_zones_slots_and_speeds_of_impacts_apart(make_evaluation):
+def test_niches_distinguish_zones_slots_and_impact_speeds(make_evaluation):
     def of(crossing, cell=None, speed=3.0, npc=0, **changes):
         scenario = Scenario(npcs=((crosses(**changes),), (PositionInstruction(2, 8.0),)))
         hit = None if speed is None else replace(collision_at(30, npc=npc, cell=cell), closing_speed=speed)
@@ -281,7 +281,7 @@ def test_niches_tell_zones_slots_and_speeds_of_impacts_apart(make_evaluation):
     assert of(0, npc=1, cell=Cell.FRONT) == (2, 0)
 
 
-def test_a_run_at_a_zone_is_known_again_by_the_whole_instruction(make_evaluation):
+def test_cached_run_matches_only_the_whole_crossing_instruction(make_evaluation):
     runs = [Scenario(npcs=((each,),)) for each in (crosses(), crosses(slot=1.0), crosses(act="hold"))]
     cache = EvaluationCache(map(make_evaluation, runs))
     assert [cache.recall(Scenario(npcs=run.npcs, seed=5)).scenario.npcs for run in runs] == [run.npcs for run in runs]

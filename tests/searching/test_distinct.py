@@ -53,14 +53,14 @@ def test_the_first_generations_are_random_ones(make_evaluation):
     assert [e.evaluation for e in of(Evaluated, distinct)] == [e.evaluation for e in of(Evaluated, random)]
 
 
-def test_a_niche_is_what_the_ego_was_made_to_do_where_nobody_hit_it(make_evaluation):
+def test_niche_without_impact_is_the_demand_on_ego(make_evaluation):
     demands = list(product(range(5), range(3), (False, True)))
     niches = {niche(make_evaluation(demand=demand)) for demand in demands}
     assert len(niches) == len(demands)
     assert {cell for cell, _ in niches} == {0}
 
 
-def test_a_niche_is_an_impact_cell_and_a_closing_speed(make_evaluation):
+def test_niche_is_impact_cell_and_closing_speed(make_evaluation):
     speeds = [0.0, 4.9, 5.0, 24.9, 25.0, 60.0]
     assert [niche(crash(make_evaluation, None, 2, speed)) for speed in speeds] == [
         (2, 0), (2, 0), (2, 1), (2, 4), (2, 5), (2, 5)
@@ -102,7 +102,7 @@ def test_a_failure_that_nobody_names_cannot_be_known(make_evaluation):
     assert len(state.elites) == 1
 
 
-def test_children_differ_from_a_parent_in_one_to_three_instructions(make_evaluation):
+def test_children_differ_from_parent_in_few_instructions(make_evaluation):
     rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4, crossover_rate=0.0, fresh=0.0)
     state = algorithm.start(rng)
     for _ in range(5):
@@ -118,7 +118,7 @@ def test_children_differ_from_a_parent_in_one_to_three_instructions(make_evaluat
     assert {1, 2, 3} <= counts
 
 
-def test_a_failure_that_takes_several_steps_is_found_behind_one_that_absorbs_the_papers_search(make_evaluation):
+def test_rare_failure_is_found_behind_a_frequent_one(make_evaluation):
     def slow(scenario):
         return sum(gene.speed < 7 for chain in scenario.npcs for gene in chain[:3])
 
@@ -163,7 +163,7 @@ def test_a_search_that_cannot_work_is_refused(parameters, message):
         DistinctSearch(**parameters)
 
 
-def test_the_worst_margin_of_each_check_stays_whatever_the_fitness(make_evaluation):
+def test_worst_margin_of_each_check_survives_any_fitness(make_evaluation):
     algorithm, rng = DistinctSearch(population=4), np.random.default_rng(0)
     margins = [{"jerk": 0.5, "gap": 0.1}, {"jerk": 0.2}, {"gap": 0.9}, {}]
 
@@ -178,7 +178,7 @@ def test_the_worst_margin_of_each_check_stays_whatever_the_fitness(make_evaluati
     assert [[-each.fitness for each in group] for group in checks] == [[0.1], [0.2]]
 
 
-def test_a_check_that_has_failed_is_climbed_no_further(make_evaluation):
+def test_failed_check_is_not_climbed_any_further(make_evaluation):
     algorithm, rng = DistinctSearch(population=4), np.random.default_rng(0)
 
     def judged(index, scenario):

@@ -27,7 +27,7 @@ def test_among_equals_the_fitter_ranks_higher(make_evaluation):
 
 
 @table("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"fitness": NAN}])
-def test_invalid_discarded_and_unmeasured_runs_rank_below_all_others_even_when_they_fail(make_evaluation, fields):
+def test_invalid_discarded_and_unmeasured_runs_rank_last(make_evaluation, fields):
     worst = make_evaluation(**({"failing": True, "fitness": 9.0} | fields))
     assert not worst.eligible
     assert worst.rank < make_evaluation(fitness=-1e300).rank
@@ -39,20 +39,20 @@ def test_the_order_is_total_whatever_the_fitness(make_evaluation, fields):
     assert all((a < b) + (a == b) + (a > b) == 1 for a in ranks for b in ranks)
 
 
-def test_evaluations_without_a_fitness_compare_equal_and_numpy_numbers_become_floats(make_evaluation):
+def test_missing_fitness_compares_equal_and_numpy_becomes_float(make_evaluation):
     assert make_evaluation(fitness=np.float64("nan")) == make_evaluation(fitness=float("nan"))
     assert type(make_evaluation(fitness=np.float64(1.5)).fitness) is float
 
 
 @table("fitness", [float("nan"), -math.inf, 1.5])
-def test_an_evaluation_that_comes_back_from_another_process_equals_itself(make_evaluation, fitness):
+def test_evaluation_from_another_process_equals_the_original(make_evaluation, fitness):
     here = make_evaluation(fitness=fitness)
     there = pickle.loads(pickle.dumps(here))
     assert (here, hash(here)) == (there, hash(there))
     assert here != make_evaluation(fitness=0.0)
 
 
-def test_the_depth_is_the_number_of_genes_of_each_npc_that_the_run_came_to(make_evaluation):
+def test_depth_counts_the_started_genes_per_npc(make_evaluation):
     stay = PositionInstruction(4, 1.0)
     uneven = Scenario(npcs=((stay,) * 2, (PositionInstruction(8, 1.0),) * 5))
     for depth, started in enumerate((2, 4, 5, 6, 7), start=1):
@@ -108,11 +108,11 @@ def test_an_evaluation_is_read_from_a_trace():
         ({"ahead": 8.5, "ego_speed": 0.0, "npc_speed": 0.0}, False),
     ],
 )
-def test_an_npc_interacts_in_the_egos_lane_within_1_5_seconds_or_2_metres(run, expected):
+def test_npc_interacts_when_close_in_ego_lane(run, expected):
     assert interacted(trace(**run)) is expected
 
 
-def test_a_start_at_2_seconds_of_headway_is_no_interaction():
+def test_start_at_two_seconds_headway_is_no_interaction():
     assert not interacted(trace(ahead=2.0 * 20.0 + 5.0))
 
 
@@ -122,12 +122,12 @@ def test_a_collision_is_an_interaction():
 
 
 @table(("npc_speed", "expected"), [(20.0, False), (5.0, False), (0.0, True)])
-def test_an_ego_outruns_when_all_npcs_are_100_m_behind_for_half_of_the_run(npc_speed, expected):
+def test_ego_outruns_npcs_far_behind_for_half_run(npc_speed, expected):
     assert outran(trace(20.0, npc_speed, ahead=0.0, same_lane=False, seconds=12)) is expected
 
 
 @table(("speed", "expected"), [(0.0, True), (1.9, True), (2.1, False)])
-def test_an_ego_barely_moves_below_2_metres_a_second(speed, expected):
+def test_ego_below_two_metres_per_second_barely_moves(speed, expected):
     assert barely_moved(trace(speed)) is expected
 
 
@@ -146,7 +146,7 @@ SECONDS = np.arange(151) / 15
         (np.where(SECONDS == 2, np.nan, np.maximum(20 - 5 * SECONDS, 10)), 1, (2, 0, False)),
     ],
 )
-def test_a_demand_is_the_hardest_braking_with_the_changes_of_lane_and_whether_the_ego_stood(speed, lane, expected):
+def test_demand_is_hardest_braking_lane_changes_and_standing(speed, lane, expected):
     run = trace(speed)
     states = run.states.copy()
     states[:, 0, 6] = lane

@@ -27,7 +27,7 @@ def remembered(*evaluations):
 
 
 @given(st.integers(0, 2**32), st.integers(1, 3), st.integers(1, 4), st.floats(5, 25))
-def test_what_is_recalled_is_what_a_run_would_show(cheap_world, seed, npcs, genes, crash_speed):
+def test_recalled_evaluation_equals_that_of_a_run(cheap_world, seed, npcs, genes, crash_speed):
     world = cheap_world(crash_speed=crash_speed, genes=3)
     rng = np.random.default_rng(seed)
     space = SearchSpace(npcs=npcs, genes=genes)
@@ -43,7 +43,7 @@ def test_what_is_recalled_is_what_a_run_would_show(cheap_world, seed, npcs, gene
 
 
 @given(st.integers(0, 2**32))
-def test_the_driven_scenario_is_known_after_its_run_whatever_its_seed(cheap_world, seed):
+def test_driven_scenario_is_known_with_any_seed(cheap_world, seed):
     run = cheap_world()(sample(SearchSpace(), np.random.default_rng(seed)))
     memory = remembered(run)
     assert memory.recall(run.scenario) == run
@@ -52,7 +52,7 @@ def test_the_driven_scenario_is_known_after_its_run_whatever_its_seed(cheap_worl
 
 
 @given(st.integers(0, 2**32))
-def test_where_seeds_matter_a_run_is_known_for_its_own_seed_alone(cheap_world, seed):
+def test_run_with_relevant_seed_matches_its_own_only(cheap_world, seed):
     run = cheap_world()(sample(SearchSpace(), np.random.default_rng(seed)))
     memory = EvaluationCache([run], seeds_matter=True)
     assert memory.recall(run.scenario) == run
@@ -60,28 +60,28 @@ def test_where_seeds_matter_a_run_is_known_for_its_own_seed_alone(cheap_world, s
     assert memory.recall(replace(run.executed, seed=run.scenario.seed + 1)) is None
 
 
-def test_a_difference_in_a_gene_that_was_not_started_is_none(make_evaluation):
+def test_change_in_a_gene_not_started_is_ignored(make_evaluation):
     crashed = Scenario(npcs=(chain((4, 1.0), (4, 2.0), (4, 3.0)),))
     evaluation = make_evaluation(crashed, genes_started=2, fitness=7.0)
     later = Scenario(npcs=(chain((4, 1.0), (4, 2.0), (5, 9.0)),))
     assert remembered(evaluation).recall(later) == replace(evaluation, scenario=later, executed=later)
 
 
-def test_a_difference_in_a_gene_that_was_started_is_one(make_evaluation):
+def test_change_in_a_started_gene_is_new_scenario(make_evaluation):
     crashed = Scenario(npcs=(chain((4, 1.0), (4, 2.0), (4, 3.0)),))
     memory = remembered(make_evaluation(crashed, genes_started=2))
     assert memory.recall(Scenario(npcs=(chain((4, 1.0), (4, 2.1), (4, 3.0)),))) is None
     assert memory.recall(Scenario(npcs=(chain((4, 1.0), (3, 2.0), (4, 3.0)),))) is None
 
 
-def test_an_evaluation_without_a_started_gene_is_known_for_its_own_scenario_only(make_evaluation):
+def test_evaluation_without_started_genes_matches_its_scenario_only(make_evaluation):
     scenario = Scenario(npcs=(chain((4, 1.0), (4, 2.0)),))
     memory = remembered(make_evaluation(scenario, genes_started=0, discarded=True))
     assert memory.recall(scenario) is not None
     assert memory.recall(Scenario(npcs=(chain((4, 1.0), (4, 2.1)),))) is None
 
 
-def test_a_chain_that_ends_is_not_one_that_goes_on(make_evaluation):
+def test_ended_chain_differs_from_a_continuing_chain(make_evaluation):
     short = Scenario(npcs=(chain((4, 1.0)), chain((8, 1.0), (8, 2.0), (8, 3.0))))
     memory = remembered(make_evaluation(short, genes_started=3))
     longer = Scenario(npcs=(chain((4, 1.0), (4, 1.0)), chain((8, 1.0), (8, 2.0), (8, 3.0))))
@@ -95,7 +95,7 @@ def test_another_start_is_another_scenario(make_evaluation):
         assert memory.recall(replace(scenario, **other)) is None
 
 
-def test_a_scenario_that_was_repaired_in_its_run_is_known_with_its_own_seed_only(make_evaluation):
+def test_repaired_scenario_is_known_with_its_seed_only(make_evaluation):
     asked = Scenario(npcs=(chain((8, 1.0), (1, 2.0)),), seed=3)
     driven = Scenario(npcs=(chain((4, 1.0), (3, 2.0)),), seed=3)
     memory = remembered(make_evaluation(asked, executed=driven))
@@ -103,7 +103,7 @@ def test_a_scenario_that_was_repaired_in_its_run_is_known_with_its_own_seed_only
     assert memory.recall(replace(asked, seed=4)) is None
 
 
-def test_the_genes_after_a_repaired_run_are_the_scenarios_own_and_fit(make_evaluation):
+def test_genes_after_a_repaired_run_still_fit(make_evaluation):
     asked = Scenario(npcs=(chain((8, 1.0), (8, 2.0)),), seed=3)
     driven = Scenario(npcs=(chain((4, 1.0), (4, 2.0)),), seed=3)
     memory = remembered(make_evaluation(asked, executed=driven, genes_started=1))
@@ -115,7 +115,7 @@ def test_the_genes_after_a_repaired_run_are_the_scenarios_own_and_fit(make_evalu
 
 
 @table("lane", SHIFTS)
-def test_lanes_are_told_from_each_other_and_from_cells(make_evaluation, lane):
+def test_lanes_differ_from_each_other_and_from_cells(make_evaluation, lane):
     known = make_evaluation(Scenario(npcs=((LaneInstruction(lane, 10.0),),)))
     memory = remembered(known)
     assert memory.recall(known.scenario) == known
@@ -124,7 +124,7 @@ def test_lanes_are_told_from_each_other_and_from_cells(make_evaluation, lane):
         assert memory.recall(Scenario(npcs=((gene,),))) is None
 
 
-def test_lane_instructions_are_known_with_their_own_seed_only(make_evaluation):
+def test_lane_instructions_are_known_with_their_seed_only(make_evaluation):
     """Where their NPCs start is repaired by the seed."""
     scenario = Scenario(npcs=((LaneInstruction("keep", 20.0),),), seed=3)
     memory = EvaluationCache([make_evaluation(scenario)])
@@ -132,7 +132,7 @@ def test_lane_instructions_are_known_with_their_own_seed_only(make_evaluation):
     assert memory.recall(replace(scenario, seed=4)) is None
 
 
-def test_the_oldest_runs_are_forgotten_and_leave_nothing_behind(cheap_world):
+def test_oldest_runs_are_forgotten_without_a_trace(cheap_world):
     world, rng, space = cheap_world(crash_speed=12.0), np.random.default_rng(0), SearchSpace(npcs=2, genes=2)
     runs = [world(sample(space, rng)) for _ in range(30)]
     memory = remembered(*runs)
@@ -143,7 +143,7 @@ def test_the_oldest_runs_are_forgotten_and_leave_nothing_behind(cheap_world):
     assert [memory.recall(run.scenario) for run in runs] == [runs[0], *[None] * 29]
 
 
-def test_of_two_runs_with_the_same_key_both_are_forgotten_in_their_turn(cheap_world):
+def test_runs_with_equal_keys_are_forgotten_in_order(cheap_world):
     run = cheap_world()(sample(SearchSpace(), np.random.default_rng(0)))
     memory = remembered(run, replace(run, note="again"))
     memory.forget(1)

@@ -90,7 +90,7 @@ def test_populations_restarts_and_local_searches_can_be_rebuilt(cheap_world, see
         assert age > 2
 
 
-def test_the_order_of_the_events_of_a_generation_is_fixed(cheap_world):
+def test_events_of_a_generation_have_fixed_order(cheap_world):
     order = {
         Evaluated: 0,
         GenerationFinished: 1,

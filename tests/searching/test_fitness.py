@@ -59,7 +59,7 @@ class TestWeighted:
         ttc, gap, shortfall, time = 1 / (1 + 2 / 1.5), 1 / 21, 1 / 3, 0
         assert weighted(following()) == pytest.approx((ttc + gap + shortfall + time) / 4)
 
-    def test_a_collision_adds_one_and_the_share_of_time_that_was_left(self):
+    def test_collision_adds_one_and_share_of_remaining_time(self):
         # Overlap: TTC risk 1, gap risk 1, shortfall 1; 6 s of the planned 60 s.
         assert weighted(crash()) == pytest.approx(1 + (1 + 1 + 1 + 0.9) / 4)
 
@@ -90,15 +90,15 @@ class TestWeighted:
         late = trace_of(vehicle(0, speed=20, ticks=180), vehicle(244, ticks=180), outcome=Outcome.COLLISION)
         assert weighted(late) < weighted(crash())
 
-    def test_a_short_run_without_a_collision_gains_nothing_by_it(self):
+    def test_short_run_without_collision_gains_no_fitness(self):
         only_time = Weights(ttc=0, gap=0, shortfall=0)
         assert weighted(harmless(outcome=Outcome.ADS_ERROR), only_time) == 0
 
-    def test_time_is_measured_against_the_scenario_s_own_plan(self):
+    def test_time_is_relative_to_the_scenario_plan(self):
         only_time = Weights(ttc=0, gap=0, shortfall=0)
         assert weighted(crash(scenario=scenario_of(genes=2, gene_seconds=4.0)), only_time) == pytest.approx(1.25)
 
-    def test_a_collision_after_the_plan_has_ended_has_no_risk_of_time_and_no_bonus(self):
+    def test_collision_after_the_plan_has_no_time_risk(self):
         only_time = Weights(ttc=0, gap=0, shortfall=0)
         assert weighted(crash(scenario=scenario_of(genes=1, gene_seconds=4.0)), only_time) == 1
 
@@ -195,7 +195,7 @@ class TestResolve:
         with pytest.raises(FitnessError, match=r"expected odd to return a number, received .*; return a float"):
             resolve(odd)(following())
 
-    def test_a_function_that_raises_is_explained_and_its_error_kept(self):
+    def test_function_that_raises_is_explained_with_its_cause(self):
         def broken(trace):
             return 1 / 0
 
@@ -214,7 +214,7 @@ class TestResolve:
         with pytest.raises(FitnessError, match=r"expected 'default', 'paper', 'av-fuzzer', .*'headway', .*Weights"):
             resolve(value)
 
-    def test_a_function_of_two_arguments_is_refused_before_anything_runs(self):
+    def test_function_of_two_arguments_is_refused_early(self):
         def two(trace, limit):
             return 0.0
 
@@ -223,27 +223,27 @@ class TestResolve:
 
 
 class TestMeasures:
-    def test_by_its_name_a_measure_is_a_fitness_that_is_higher_where_its_worst_value_is_worse(self):
+    def test_measure_name_gives_fitness_by_worst_value(self):
         close, far = (trace_of(vehicle(0, speed=10), vehicle([x, 90])) for x in (20, 40))
         assert resolve("headway")(close) == pytest.approx(-1.5 / 2.5)
         assert resolve("headway")(far) == pytest.approx(-3.5 / 4.5)
         assert resolve("npcs.gap")(far) == pytest.approx(-35 / 36)
 
-    def test_values_far_from_zero_are_worse_on_both_sides_where_the_measure_says_so(self):
+    def test_two_sided_measure_is_worse_far_from_zero(self):
         brakes = trace_of(vehicle(np.zeros(3), acceleration=np.array([0.0, -1.0, -1.0])), vehicle(50))
         assert resolve("ego.jerk")(brakes) == pytest.approx(15 / 16)
 
-    def test_where_there_is_nothing_to_measure_it_is_least_and_yet_better_than_what_is_no_number(self):
+    def test_missing_values_rank_lowest_but_above_nan(self):
         alone = trace_of(vehicle(0, speed=10), vehicle(-20))
         unknown = trace_of(vehicle(0, speed=math.nan), vehicle(20))
         assert resolve("headway")(alone) == -1
         assert resolve("headway")(unknown) == resolve("headway")(crash(outcome=Outcome.INVALID)) == -math.inf
 
-    def test_one_s_own_is_a_fitness_as_it_is(self):
+    def test_custom_measure_is_usable_as_a_fitness(self):
         lateness = Measure("lateness", "s", "high", "mine", lambda trace: trace.times)
         assert resolve(lateness)(harmless()) == pytest.approx(harmless().duration / (1 + harmless().duration))
 
-    def test_one_of_which_no_value_is_worse_is_none(self):
+    def test_measure_without_a_worse_side_is_no_fitness(self):
         lane = Measure("lane", "", "neither", "mine", lambda trace: trace.times)
         with pytest.raises(FitnessError, match="expected worse='low', 'high' or 'both', received 'neither'"):
             resolve(lane)(harmless())
@@ -265,13 +265,13 @@ class TestSteered:
     def rank(self, fitness):
         return resolve(fitness, responsible=front_is_to_blame)
 
-    def test_a_collision_of_the_ego_s_outranks_every_other_run(self, fitness):
+    def test_collision_by_the_ego_outranks_every_other_run(self, fitness):
         rank = self.rank(fitness)
         others = [rammed(collision=REAR_END), harmless(), near_miss(), following()]
         assert rank(crash()) >= 2
         assert max(map(rank, others)) <= 1
 
-    def test_being_rammed_is_worth_what_came_three_seconds_before(self, fitness):
+    def test_rammed_run_counts_until_three_seconds_before_impact(self, fitness):
         rank, run = self.rank(fitness), rammed(collision=REAR_END)
         assert rank(run) == rank(trace_of(run.ego[:46], run.npcs[:46, 0]))
 
@@ -295,10 +295,10 @@ class TestSteered:
 class TestSteeredDefault:
     rank = staticmethod(resolve(responsible=front_is_to_blame))
 
-    def test_being_rammed_does_not_beat_a_good_near_miss(self):
+    def test_being_rammed_ranks_below_a_near_miss(self):
         assert self.rank(rammed(collision=REAR_END)) < self.rank(near_miss())
 
-    def test_a_near_miss_before_being_rammed_keeps_its_worth(self):
+    def test_near_miss_before_being_rammed_retains_its_rank(self):
         miss = near_miss()
         rammer = vehicle(-64, speed=30, ticks=90)
         both = trace_of(miss.ego, miss.npcs[:, 0], rammer, outcome=Outcome.COLLISION, collision=REAR_END)
@@ -314,7 +314,7 @@ class TestSteeredDefault:
 
 
 class TestBeforeImpact:
-    def test_is_the_run_until_three_seconds_before_the_collision(self):
+    def test_run_ends_three_seconds_before_the_collision(self):
         run = crash(
             actions=tuple(range(30)), arrivals=((10, 60), (None, 44)), scenario=scenario_of(2, gene_seconds=2.0)
         )

@@ -39,7 +39,7 @@ def test_a_search_without_a_valid_run_is_vacuous(make_evaluation, fields):
     assert any(warning.startswith("none of 4 simulated scenarios gave a valid run") for warning in health.warnings())
 
 
-def test_a_quarter_of_invalid_runs_is_well_and_more_warns_with_the_figure(make_evaluation):
+def test_more_than_a_quarter_invalid_runs_warns(make_evaluation):
     invalid = {"outcome": Outcome.INVALID}
     assert health_of(make_evaluation, (3, {}), (1, invalid)).warnings() == []
     assert health_of(make_evaluation, (2, {}), (1, invalid)).warnings() == [
@@ -65,20 +65,20 @@ def test_genes_that_are_hardly_reached_warn(make_evaluation):
         ),
     ],
 )
-def test_runs_that_test_nothing_warn_when_they_are_most(make_evaluation, fields, expected):
+def test_runs_that_test_nothing_warn_when_most_common(make_evaluation, fields, expected):
     assert health_of(make_evaluation, (1, {}), (1, fields)).warnings() == []
     (warning,) = health_of(make_evaluation, (1, {}), (2, fields)).warnings()
     assert warning.startswith(expected)
     assert "; " in warning  # and what to do
 
 
-def test_invalid_runs_do_not_count_as_runs_without_interaction(make_evaluation):
+def test_invalid_runs_do_not_count_as_without_interaction(make_evaluation):
     health = health_of(make_evaluation, (1, {"outcome": Outcome.INVALID, "interaction": False, "outran": True}))
     assert (health.no_interaction, health.outran, health.valid) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("outcome", [Outcome.ADS_ERROR, Outcome.HANG])
-def test_runs_that_a_fault_of_the_ads_cut_short_say_nothing_of_the_traffic(make_evaluation, outcome):
+def test_runs_cut_by_ads_fault_give_no_warning(make_evaluation, outcome):
     fields = {"outcome": outcome, "failing": True, "interaction": False, "barely_moved": True, "outran": True}
     health = health_of(make_evaluation, (4, fields | {"genes_reached": 0}))
     assert health.warnings() == []
@@ -90,7 +90,7 @@ def test_reused_evaluations_are_not_runs(make_evaluation):
     assert (health.evaluated, health.simulated, health.reused) == (2, 1, 1)
 
 
-def test_it_can_be_counted_from_the_events_of_a_campaign(cheap_world):
+def test_health_can_be_counted_from_campaign_events(cheap_world):
     world = cheap_world()
     events = list(run_campaign(RandomSearch(), world, generations=5, seed=1))
     health = Health.of(events)

@@ -38,7 +38,7 @@ def hit(cell=Cell.FRONT, closing=10.0):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_scenarios_are_valid_distinct_in_cells_and_within_the_space(name, cheap_world):
+def test_scenarios_are_valid_with_distinct_cells_in_space(name, cheap_world):
     space = SearchSpace(npcs=3, genes=4, speed_limit=20.0)
     events = list(run_campaign(resolve_algorithm(name).make(space), cheap_world(genes=4), generations=12, seed=1))
     scenarios = [event.evaluation.scenario for event in events if isinstance(event, Evaluated)]
@@ -57,7 +57,7 @@ def test_equal_seeds_give_equal_events_and_others_differ(name, cheap_world):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_states_are_values_so_that_a_turn_can_be_taken_again(name, cheap_world):
+def test_states_are_values_and_turns_can_repeat(name, cheap_world):
     search, world = resolve_algorithm(name).make(SearchSpace()), cheap_world()
     state = search.start(np.random.default_rng(0))
     for _ in range(3):
@@ -126,7 +126,7 @@ def test_cma_es_learns_from_four_and_refuses_fewer(make_evaluation):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_without_its_library_the_error_tells_how_to_install_it(name, monkeypatch):
+def test_missing_library_error_says_how_to_install_it(name, monkeypatch):
     library = resolve_algorithm(name).library
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ValueError, match=f"pip install {library}"):
@@ -134,7 +134,7 @@ def test_without_its_library_the_error_tells_how_to_install_it(name, monkeypatch
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_world_in_which_every_run_is_invalid_is_searched_to_the_end(name, make_evaluation):
+def test_search_ends_even_if_every_run_is_invalid(name, make_evaluation):
     def invalid(scenario):
         return make_evaluation(scenario, outcome=Outcome.INVALID, fitness=-np.inf)
 
@@ -160,7 +160,7 @@ def test_nsga2_prefers_what_nothing_dominates(make_evaluation, make_population):
     assert {id(each) for each in kept} == {id(mild), id(fierce), id(both)}
 
 
-def test_nsga2_counts_a_scenario_as_novel_by_its_nearest_neighbour(make_evaluation, make_population):
+def test_nsga2_novelty_is_distance_to_nearest_neighbour(make_evaluation, make_population):
     from pytest_pafot.searching.algorithms.nsga2 import objectives
 
     a, b, _ = (each.scenario for each in make_population(3))
@@ -170,7 +170,7 @@ def test_nsga2_counts_a_scenario_as_novel_by_its_nearest_neighbour(make_evaluati
     assert values[2, 2] == pytest.approx(-differ)
 
 
-def test_nsga2_compares_scenarios_of_any_size_at_the_same_seconds_and_counts_missing_npcs(make_evaluation):
+def test_nsga2_compares_scenarios_of_different_sizes_by_time(make_evaluation):
     from pytest_pafot.searching.algorithms.nsga2 import objectives
 
     ahead, left = PositionInstruction(Cell.FRONT, 20.0), PositionInstruction(Cell.FRONT_LEFT, 20.0)
@@ -181,7 +181,7 @@ def test_nsga2_compares_scenarios_of_any_size_at_the_same_seconds_and_counts_mis
     assert values[:, 2].tolist() == [0.0, 0.0, -0.5]
 
 
-def test_map_elites_keeps_the_fittest_of_every_kind_of_impact(make_evaluation, make_population):
+def test_map_elites_retains_fittest_of_each_impact_kind(make_evaluation, make_population):
     from pytest_pafot.searching.algorithms.map_elites import MapElitesSearch
 
     search, rng = MapElitesSearch(population=5), np.random.default_rng(0)
@@ -197,7 +197,7 @@ def test_map_elites_keeps_the_fittest_of_every_kind_of_impact(make_evaluation, m
     assert Counter(each.fitness for each in search.parents(state)) == Counter([0.3, 1.8, 1.1, 1.0])
 
 
-def test_cma_es_gives_runs_without_a_fitness_the_worst_place(make_evaluation):
+def test_cma_es_ranks_runs_without_fitness_worst(make_evaluation):
     from pytest_pafot.searching.algorithms.cma_es import losses
 
     population: list[Evaluation] = [

@@ -39,14 +39,14 @@ def test_crossover_swaps_one_whole_npc_of_each_scenario(space_a, space_b, seed):
 
 
 @given(seeds)
-def test_crossover_keeps_the_cells_of_chains_that_fit_together(seed):
+def test_crossover_retains_cells_of_chains_that_fit(seed):
     rng = np.random.default_rng(seed)
     a, b = sample(SearchSpace(npcs=1), rng), sample(SearchSpace(npcs=1), rng)
     assert [child.npcs for child in crossover(a, b, rng)] == [b.npcs, a.npcs]
 
 
 @given(spaces, spaces, seeds)
-def test_the_first_child_alone_is_that_of_both_and_takes_as_many_draws(space_a, space_b, seed):
+def test_first_child_alone_equals_first_of_both_children(space_a, space_b, seed):
     rng = np.random.default_rng(seed)
     a, b = sample(space_a, rng), sample(space_b, rng)
     one, other = np.random.default_rng(seed), np.random.default_rng(seed)
@@ -86,7 +86,7 @@ def test_mutation_takes_each_instruction_with_equal_chances(assert_rate):
 
 
 @pytest.mark.parametrize("starts", [{}, {"ego_lanes": (0, 1, 2)}, {"ego_lanes": (1,), "ego_speeds": (22.0, 22.0)}])
-def test_a_third_of_the_mutations_is_a_pattern_however_the_start_is_drawn(starts, assert_rate, monkeypatch):
+def test_third_of_mutations_is_a_pattern(starts, assert_rate, monkeypatch):
     monkeypatch.setattr(operators, "_with_pattern", lambda scenario, space, rng: None)
     rng = np.random.default_rng(4)
     space = SearchSpace(patterns=True, **starts)
@@ -94,7 +94,7 @@ def test_a_third_of_the_mutations_is_a_pattern_however_the_start_is_drawn(starts
     assert_rate([mutate(scenario, space, rng) for _ in range(1200)].count(None), 1200, 0.35)
 
 
-def test_mutation_adds_and_removes_npcs_and_gives_genes_another_duration():
+def test_mutation_changes_npc_count_and_gene_duration():
     rng = np.random.default_rng(7)
     space = SearchSpace(npcs=2, most_npcs=(3,), gene_durations=(5.0, 10.0))
     scenario = sample(replace(space, most_npcs=(), gene_durations=()), rng)
@@ -105,7 +105,7 @@ def test_mutation_adds_and_removes_npcs_and_gives_genes_another_duration():
     assert all(speeds(child) == [[each for each in row for _ in "ab"] for row in speeds(scenario)] for child in shorter)
 
 
-def test_crossover_takes_a_chain_in_genes_of_the_childs_duration():
+def test_crossover_converts_chain_to_gene_duration_of_child():
     rng = np.random.default_rng(8)
     a = sample(SearchSpace(npcs=1, genes=3, gene_seconds=10.0), rng)
     b = sample(SearchSpace(npcs=1, genes=12, gene_seconds=5.0), rng)
@@ -116,14 +116,14 @@ def test_crossover_takes_a_chain_in_genes_of_the_childs_duration():
 
 @table("speeds", [None, (22.0, 22.0)])
 @table("lanes", [(1,), (0, 1)])
-def test_a_mutation_changes_something_where_there_is_one_lane_or_speed_to_start_with(lanes, speeds):
+def test_mutation_always_changes_something_with_one_lane(lanes, speeds):
     rng = np.random.default_rng(5)
     space = SearchSpace(ego_lanes=lanes, ego_speeds=speeds)
     scenario = sample(space, rng)
     assert scenario not in [mutate(scenario, space, rng) for _ in range(100)]
 
 
-def test_a_mutation_leaves_npcs_out_where_no_other_lane_has_room_for_them():
+def test_mutation_drops_npcs_without_room_in_new_lane():
     rng = np.random.default_rng(6)
     space = SearchSpace(ego_lanes=(0, 1, 2), most_npcs=(4, 6, 4))
     crowd = sample(SearchSpace(npcs=6, ego_lane=1), rng)
@@ -131,7 +131,7 @@ def test_a_mutation_leaves_npcs_out_where_no_other_lane_has_room_for_them():
     assert {(each.ego_lane, len(each.npcs)) for each in started} == {(0, 4), (1, 5), (1, 6), (2, 4)}
 
 
-def test_mutation_reaches_every_cell_that_fits_between_its_neighbours():
+def test_mutation_reaches_every_cell_between_its_neighbours():
     rng = np.random.default_rng(3)
     scenario = Scenario(npcs=(tuple(PositionInstruction(cell, 9.0) for cell in (1, 1, 2)),))
     space = SearchSpace(npcs=1, genes=3)
@@ -141,7 +141,7 @@ def test_mutation_reaches_every_cell_that_fits_between_its_neighbours():
 
 
 @given(st.integers(1, 8), st.integers(1, 6), seeds)
-def test_generations_of_variation_stay_valid_and_in_the_space(npcs, genes, seed):
+def test_generations_of_variation_stay_valid_and_in_space(npcs, genes, seed):
     rng = np.random.default_rng(seed)
     space = SearchSpace(npcs=npcs, genes=genes, speed_limit=13.3)
     a, b = sample(space, rng), sample(space, rng)
@@ -162,7 +162,7 @@ def test_variation_keeps_the_start_of_the_parent(seed):
     assert [(s.ego_lane, s.ego_speed, s.gene_seconds) for s in (a, b)] == [(2, 19.0, 5.0), (0, 11.0, 3.0)]
 
 
-def test_the_fittest_of_four_wins_seven_of_sixteen_tournaments_and_the_worst_one(make_population, assert_rate):
+def test_tournament_win_rates_follow_rank_among_four(make_population, assert_rate):
     rng = np.random.default_rng(6)
     population = make_population(4)
     winners = [population.index(binary_tournament(population, rng)) for _ in range(3000)]
@@ -189,7 +189,7 @@ kinds = st.tuples(st.booleans(), st.floats(), st.sampled_from([Outcome.SAFE, Out
 
 
 @given(st.lists(kinds, min_size=1, max_size=12), st.floats(0, 1))
-def test_elites_are_the_best_share_rounded_up_and_the_very_same_objects(make_evaluation, fields, share):
+def test_elites_are_the_best_share_rounded_up(make_evaluation, fields, share):
     population = [make_evaluation(failing=f, fitness=x, outcome=o) for f, x, o in fields]
     chosen = elites(population, share)
     eligible = [member for member in population if member.eligible]
@@ -203,12 +203,12 @@ def test_a_quarter_of_the_population_is_rounded_up(make_population):
     assert [len(elites(make_population(size), 0.25)) for size in (1, 4, 5, 8, 9)] == [1, 1, 2, 2, 3]
 
 
-def test_a_share_that_floats_cannot_hold_is_not_rounded_up_by_its_error(make_population):
+def test_rounding_error_does_not_add_an_elite(make_population):
     assert len(elites(make_population(100), 0.07)) == 7
 
 
 @given(st.lists(kinds, max_size=8))
-def test_the_best_is_never_invalid_and_never_without_a_fitness(make_evaluation, fields):
+def test_best_is_never_invalid_or_without_fitness(make_evaluation, fields):
     population = [make_evaluation(failing=f, fitness=x, outcome=o) for f, x, o in fields]
     best = best_of(population)
     if best is None:

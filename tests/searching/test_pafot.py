@@ -59,13 +59,13 @@ def test_the_defaults_are_the_papers_numbers():
     assert (search.local_generations, search.local_mutation_factor, search.restart_after) == (1, 1.5, 5)
 
 
-def test_the_first_generation_is_random_and_of_full_size(driver):
+def test_first_generation_is_random_and_full_size(driver):
     driver.round(1.0)
     assert len(driver.asked) == 4
     assert len(set(driver.asked)) == 4
 
 
-def test_one_elite_of_four_passes_on_untouched_and_is_not_asked_for_again(driver):
+def test_one_elite_of_four_survives_without_new_run(driver):
     (first, *_) = driver.round(1.0, 3.0, 2.0, 0.0)
     (second, *_) = driver.round(0.5)
     assert len(driver.asked) == 3
@@ -83,9 +83,7 @@ def test_every_generation_has_the_full_population(make_evaluation, size, seed):
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40), st.integers(0, 5), st.integers(1, 6))
-def test_local_searches_and_restarts_come_exactly_when_they_should(
-    make_evaluation, improvements, local_after, restart_after
-):
+def test_local_searches_and_restarts_come_on_schedule(make_evaluation, improvements, local_after, restart_after):
     search = PafotSearch(local_after=local_after, restart_after=restart_after)
     driver = Driver(make_evaluation, search)
     random_at = best_at = 0
@@ -124,7 +122,7 @@ def start_local_search(driver):
     return events[-1].incumbent
 
 
-def test_no_local_search_starts_in_the_random_generation_and_the_two_after_it(driver):
+def test_first_three_generations_start_no_local_search(driver):
     for fitness in (1.0, 2.0, 3.0):
         assert LocalSearchStarted not in kinds(driver.round(fitness))
     assert LocalSearchStarted in kinds(driver.round(4.0))
@@ -144,7 +142,7 @@ def test_a_local_search_evolves_mutants_of_the_incumbent(driver):
         assert sum(map(sum, speeds)) <= 1
 
 
-def test_the_main_search_pauses_while_a_local_search_runs(driver):
+def test_main_search_pauses_during_a_local_search(driver):
     start_local_search(driver)
     paused = driver.state.population, driver.state.generation
     for local_generation in (1, 2):
@@ -156,7 +154,7 @@ def test_the_main_search_pauses_while_a_local_search_runs(driver):
 
 
 @table("local_generations", [1, 2, 5])
-def test_a_local_search_asks_for_three_mutants_and_three_children_a_generation(make_evaluation, local_generations):
+def test_local_search_asks_for_three_mutants_and_children(make_evaluation, local_generations):
     driver = Driver(make_evaluation, PafotSearch(local_generations=local_generations))
     start_local_search(driver)
     asked = 0
@@ -188,7 +186,7 @@ def test_a_better_one_takes_the_incumbents_place(driver, found_in):
     assert next_generation.population[0] is finished.best
 
 
-def test_an_equal_one_does_not_take_the_incumbents_place(driver):
+def test_equal_scenario_does_not_replace_the_incumbent(driver):
     incumbent = start_local_search(driver)
     driver.round(5.0)
     _, finished = driver.round(5.0)
@@ -242,7 +240,7 @@ def test_a_local_search_never_swaps_npcs(make_population):
 
 
 @pytest.mark.parametrize("local", [False, True])
-def test_a_child_whose_run_is_known_from_the_population_is_bred_again(make_population, local):
+def test_child_with_known_run_is_bred_again(make_population, local):
     crashed_early = tuple(replace(member, genes_started=2) for member in make_population())
     state = PafotState(population=crashed_early, local_population=crashed_early, local_generation=2 * local)
     known = EvaluationCache(crashed_early)
@@ -250,7 +248,7 @@ def test_a_child_whose_run_is_known_from_the_population_is_bred_again(make_popul
     assert all(known.recall(child) is None for child in children)
 
 
-def test_a_population_that_breeds_nothing_new_still_fills_up(make_population):
+def test_population_without_new_children_still_fills_up(make_population):
     search = PafotSearch(crossover_rate=0.0, mutation_rate=0.0)
     _, children = search.ask(PafotState(population=make_population()), np.random.default_rng(0))
     assert len(children) == 3
@@ -265,7 +263,7 @@ def test_individuals_evolve_as_they_were_driven(make_evaluation):
 
 
 @table("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True}])
-def test_what_is_never_a_best_starts_no_local_search_and_is_no_elite(make_evaluation, fields):
+def test_ineligible_run_is_neither_best_nor_elite(make_evaluation, fields):
     driver = Driver(make_evaluation)
     fitnesses = [float("nan") if fields.get("failing") else 9.0 + generation for generation in range(6)]
     seen = []
@@ -276,7 +274,7 @@ def test_what_is_never_a_best_starts_no_local_search_and_is_no_elite(make_evalua
     assert seen == [Restarted]
 
 
-def test_a_failing_scenario_is_an_improvement_on_a_fitter_one(driver):
+def test_failing_scenario_improves_on_a_fitter_one(driver):
     driver.round(9.0)
     assert NewBest in kinds(driver.round(1.0, failing=True))
     assert driver.state.best.failing
@@ -291,7 +289,7 @@ def test_the_same_draws_give_the_same_search(make_evaluation, seed):
     assert history() == history()
 
 
-def test_asking_does_not_change_the_state_that_was_given():
+def test_asking_does_not_change_the_given_state():
     search = PafotSearch()
     state = search.start(np.random.default_rng(0))
     copy = replace(state)

@@ -12,14 +12,14 @@ from tests.helpers.tables import table
 
 
 @table("pattern", PATTERNS)
-def test_a_pattern_is_a_short_way_on_the_ring_and_names_its_source(pattern):
+def test_pattern_is_short_ring_path_with_a_source(pattern):
     assert 1 <= len(pattern.steps) <= 3
     assert all(is_adjacent(before.cell, after.cell) for before, after in pairwise(pattern.steps))
     assert "NHTSA" in pattern.source or "R157" in pattern.source
 
 
 @given(st.integers(1, 9), st.floats(0, 40), st.integers(0, 400), st.integers(0, 400), st.integers(0, 2**32))
-def test_a_chain_of_patterns_steps_along_the_ring_and_keeps_the_bounds(genes, ego_speed, one_step, other_step, seed):
+def test_chain_of_patterns_stays_on_ring_within_bounds(genes, ego_speed, one_step, other_step, seed):
     bounds = min(one_step, other_step), max(one_step, other_step)
     chain = chain_of_patterns(genes, ego_speed, bounds, np.random.default_rng(seed))
     assert len(chain) == genes
@@ -27,7 +27,7 @@ def test_a_chain_of_patterns_steps_along_the_ring_and_keeps_the_bounds(genes, eg
     assert all(bounds[0] / 10 <= gene.speed <= bounds[1] / 10 for gene in chain)
 
 
-def test_patterns_take_place_on_both_sides_of_the_ego_and_some_at_its_speed():
+def test_patterns_use_both_sides_and_similar_speeds():
     rng = np.random.default_rng(1)
     chains = [chain_of_patterns(6, 20.0, (0, 268), rng) for _ in range(300)]
     assert {chain[0].cell for chain in chains} == set(Cell)

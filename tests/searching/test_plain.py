@@ -104,14 +104,14 @@ healths = st.builds(Health, evaluated=counts, simulated=counts, failing=counts, 
 
 
 @given(states | evaluations | healths)
-def test_what_is_stored_comes_back_equal_from_json_without_names_for_numbers(value):
+def test_stored_value_comes_back_equal_from_json(value):
     text = json.dumps(plain(value), allow_nan=False)
     back = from_plain(type(value), json.loads(text))
     assert back == value
     assert json.dumps(plain(back)) == text  # also what is not compared, such as faults
 
 
-def test_a_set_is_stored_in_one_order_whatever_the_hashes_of_its_values():
+def test_set_is_stored_in_one_fixed_order():
     assert plain(frozenset("dbca")) == ["a", "b", "c", "d"]
 
 
@@ -125,7 +125,7 @@ class Steps:
     model: Any = None
 
 
-def test_a_dataclass_of_ones_own_is_stored_but_for_what_is_of_any_type():
+def test_custom_dataclass_is_stored_without_untyped_fields():
     assert from_plain(Steps, plain(Steps(0.5, 3, {"a": (Cell.FRONT,)}, model=object()))) == Steps(
         0.5, 3, {"a": (Cell.FRONT,)}
     )
@@ -156,7 +156,7 @@ def test_what_json_cannot_hold_is_refused():
         (Collision | None, [], "", "a list of 8"),
     ],
 )
-def test_what_does_not_fit_is_refused_with_its_place(kind, data, place, expected):
+def test_wrong_data_is_refused_with_its_place(kind, data, place, expected):
     with pytest.raises(FieldError) as caught:
         from_plain(kind, data)
     assert caught.value.field == place
@@ -164,6 +164,6 @@ def test_what_does_not_fit_is_refused_with_its_place(kind, data, place, expected
 
 
 @table(("text", "number"), [("inf", math.inf), ("-inf", -math.inf), ("nan", math.nan)])
-def test_numbers_that_json_has_no_word_for_are_texts(text, number):
+def test_infinite_and_nan_numbers_are_stored_as_text(text, number):
     assert plain(number) == text
     assert repr(from_plain(float, text)) == repr(number)

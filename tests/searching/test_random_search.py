@@ -20,7 +20,7 @@ def test_every_generation_is_drawn_anew(make_evaluation):
     assert len(seen) == 80
 
 
-def test_what_it_is_told_does_not_change_what_it_asks(make_evaluation):
+def test_results_do_not_change_what_random_search_asks(make_evaluation):
     def asked(fitness):
         search, rng = RandomSearch(), np.random.default_rng(1)
         state, first = search.ask(search.start(rng), rng)

@@ -29,7 +29,7 @@ def of(kind, events):
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_it_runs_for_the_given_generations_and_sums_up(cheap_world, algorithm):
+def test_campaign_runs_the_given_generations_and_sums_up(cheap_world, algorithm):
     world = cheap_world()
     events = list(run_campaign(algorithm, world, generations=12, seed=1))
     evaluated = of(Evaluated, events)
@@ -44,7 +44,7 @@ def test_it_runs_for_the_given_generations_and_sums_up(cheap_world, algorithm):
 
 @settings(max_examples=settings.default.max_examples // 2)
 @given(st.sampled_from(ALGORITHMS), st.integers(0, 2**64))
-def test_the_events_do_not_depend_on_the_order_of_simulation(cheap_world, algorithm, seed):
+def test_events_do_not_depend_on_simulation_order(cheap_world, algorithm, seed):
     draw, ahead = random.Random(seed), {}
 
     def simulate(scenarios):
@@ -57,7 +57,7 @@ def test_the_events_do_not_depend_on_the_order_of_simulation(cheap_world, algori
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda algorithm: algorithm.name)
-def test_what_is_evaluated_was_foreseen_in_its_order_at_the_beginning_of_its_generation(cheap_world, algorithm):
+def test_scenarios_are_announced_in_order_for_each_generation(cheap_world, algorithm):
     world, foreseen, evaluated = cheap_world(), [], []
 
     def foresee(scenarios):
@@ -75,7 +75,7 @@ def test_what_is_evaluated_was_foreseen_in_its_order_at_the_beginning_of_its_gen
     assert events == list(run_campaign(algorithm, cheap_world(), generations=8, seed=1))
 
 
-def test_the_first_scenario_of_a_generation_is_foreseen_before_the_next_is_drawn(cheap_world):
+def test_first_scenario_is_foreseen_before_next_is_drawn(cheap_world):
     told = []
 
     class Telling(DistinctSearch):
@@ -90,7 +90,7 @@ def test_the_first_scenario_of_a_generation_is_foreseen_before_the_next_is_drawn
     assert told == ["foreseen"] * 4 + ["drawn", "foreseen"] * 4
 
 
-def test_an_algorithm_with_an_ask_of_its_own_is_asked_by_it(cheap_world):
+def test_algorithm_with_its_own_ask_is_used(cheap_world):
     asked = []
 
     class Asked(RandomSearch):
@@ -123,7 +123,7 @@ def shows(run, scenario):
 
 @settings(max_examples=settings.default.max_examples // 2)
 @given(st.integers(0, 2**32), st.floats(0, 30))
-def test_a_scenario_is_simulated_exactly_when_no_earlier_run_shows_what_it_does(cheap_world, seed, crash_speed):
+def test_scenario_runs_only_if_no_earlier_run_matches(cheap_world, seed, crash_speed):
     world, runs = cheap_world(crash_speed=crash_speed), []
     for event in of(Evaluated, run_campaign(PafotSearch(), world, generations=8, seed=seed)):
         scenario = event.evaluation.scenario
@@ -145,7 +145,7 @@ def ticking():
     return lambda: float(next(ticks))
 
 
-def test_at_least_one_scenario_runs_however_short_the_time(cheap_world):
+def test_at_least_one_scenario_runs_despite_short_time(cheap_world):
     world = cheap_world()
     events = list(run_campaign(PafotSearch(), world, generations=5, seed=1, max_seconds=0, clock=ticking()))
     assert len(world.simulated) == 1
@@ -166,7 +166,7 @@ def test_the_time_is_looked_at_between_evaluations(cheap_world):
     assert events[-1].seconds == 60.0
 
 
-def test_a_limit_of_time_may_depend_on_what_was_evaluated(cheap_world):
+def test_time_limit_may_depend_on_the_evaluations(cheap_world):
     world, now = cheap_world(), [0.0]
 
     def slow(scenario):
@@ -180,7 +180,7 @@ def test_a_limit_of_time_may_depend_on_what_was_evaluated(cheap_world):
     assert (events[-1].reason, len(world.simulated)) == ("time", 3)
 
 
-def test_a_search_that_finishes_in_its_last_second_was_not_cut(cheap_world):
+def test_search_finishing_in_last_second_is_not_cut(cheap_world):
     now = [0.0]
 
     def slow(scenario, world=cheap_world()):  # noqa: B008
@@ -198,7 +198,7 @@ def longer(cheap_world):
 
 
 @pytest.mark.parametrize("runs", [1, 4, 6, 8, 21])
-def test_it_ends_after_so_many_runs_also_within_a_generation(cheap_world, longer, runs):
+def test_search_ends_after_run_limit_within_a_generation(cheap_world, longer, runs):
     world, foreseen = cheap_world(), []
     campaign = run_campaign(PafotSearch(), world, generations=None, runs=runs, seed=1, foresee=foreseen.extend)
     events = list(campaign)
@@ -209,14 +209,14 @@ def test_it_ends_after_so_many_runs_also_within_a_generation(cheap_world, longer
     assert events[-1].reason == "runs"
 
 
-def test_of_runs_and_generations_what_is_over_first_ends_it(cheap_world):
+def test_first_reached_limit_of_runs_or_generations_ends(cheap_world):
     ends = [
         list(run_campaign(RandomSearch(), cheap_world(), generations=2, runs=runs, seed=1))[-1] for runs in (7, 8, 9)
     ]
     assert [(end.reason, end.simulated) for end in ends] == [("runs", 7), ("generations", 8), ("generations", 8)]
 
 
-def test_another_algorithm_can_go_on_after_the_first_generation(cheap_world):
+def test_another_algorithm_can_continue_after_first_generation(cheap_world):
     large = RandomSearch(population=6)
     campaign = run_campaign(
         RandomSearch(),
@@ -228,7 +228,7 @@ def test_another_algorithm_can_go_on_after_the_first_generation(cheap_world):
     assert [len(event.population) for event in of(GenerationFinished, campaign)] == [4, 6, 6]
 
 
-def test_the_consumer_can_stop_it_and_still_gets_the_last_event(cheap_world):
+def test_consumer_can_stop_and_still_gets_last_event(cheap_world):
     seen = []
     campaign = run_campaign(PafotSearch(), cheap_world(), generations=50, seed=1, stop=lambda: len(seen) >= 3)
     for event in campaign:
@@ -281,13 +281,13 @@ def test_invalid_runs_are_told_and_never_best(make_evaluation):
     assert events[-1].generations == 3
 
 
-def test_a_restart_that_no_generation_follows_does_not_take_place(make_evaluation):
+def test_restart_without_following_generation_does_not_happen(make_evaluation):
     evaluate = constant(make_evaluation)
     restarts = [len(of(Restarted, run_campaign(PafotSearch(), evaluate, generations=n, seed=1))) for n in (6, 7, 13)]
     assert restarts == [0, 1, 2]
 
 
-def test_local_generations_come_on_top_also_after_the_last_generation(make_evaluation):
+def test_local_generations_are_added_after_the_last_generation(make_evaluation):
     fitness = count()
     events = list(
         run_campaign(
@@ -312,7 +312,7 @@ def test_local_generations_come_on_top_also_after_the_last_generation(make_evalu
         ({"max_seconds": float("nan")}, "max_seconds: expected seconds, at least 0"),
     ],
 )
-def test_arguments_out_of_range_are_refused_before_anything_runs(cheap_world, arguments, message):
+def test_arguments_out_of_range_are_refused_early(cheap_world, arguments, message):
     with pytest.raises(ValueError, match=message):
         run_campaign(PafotSearch(), cheap_world(), **({"generations": 1, "seed": 1} | arguments))
 
@@ -325,7 +325,7 @@ def best_after(algorithm, evaluate, *, simulations, seed):
     return event.best.fitness
 
 
-def test_the_genetic_algorithm_beats_random_search_with_the_same_number_of_simulations(make_evaluation):
+def test_genetic_algorithm_beats_random_search_on_smooth_landscape(make_evaluation):
     """A smooth landscape: drive in the front cell at 10 m/s; every gene counts alone."""
 
     def evaluate(scenario):

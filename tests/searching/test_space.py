@@ -41,7 +41,7 @@ sizes = st.sampled_from([{}, {"most_npcs": 6}, {"gene_durations": (4.0, 7.0, 10.
 
 
 @given(wide_spaces, sizes, seeds, st.integers(0, 20))
-def test_what_is_drawn_and_varied_is_valid_and_what_is_fixed_stays(space, sizes, seed, mutations):
+def test_drawn_and_varied_scenarios_are_valid_within_limits(space, sizes, seed, mutations):
     if "most_npcs" in sizes:
         sizes = {"most_npcs": tuple(6 - lane for lane in space.ego_lanes or (0,))}
     space, rng = replace(space, **sizes), np.random.default_rng(seed)
@@ -68,7 +68,7 @@ def some_genes(space):
     return range(1, max(map(space.genes_of, space.gene_durations)) + 1) if space.gene_durations else ()
 
 
-def test_a_wide_space_draws_all_numbers_of_npcs_and_durations_of_genes():
+def test_wide_space_draws_all_npc_counts_and_durations():
     rng = np.random.default_rng(6)
     space = SearchSpace(ego_lanes=(0, 1), most_npcs=(2, 3), gene_durations=(4.0, 7.0))
     drawn = [sample(space, rng) for _ in range(200)]
@@ -119,7 +119,7 @@ def test_first_cells_and_speeds_are_uniform(assert_rate):
         assert_rate(speeds.count(step / 10), len(speeds), 1 / 10)
 
 
-def test_a_single_npc_holds_or_steps_to_either_side_with_equal_chances(assert_rate):
+def test_single_npc_holds_or_steps_aside_equally_often(assert_rate):
     rng = np.random.default_rng(4)
     space = SearchSpace(npcs=1, genes=2)
     chains = [sample(space, rng).npcs[0] for _ in range(3000)]
@@ -136,7 +136,7 @@ def test_a_random_instruction_is_uniform_over_the_cells(assert_rate):
 
 
 @given(seeds, st.integers(1, 4), st.integers(1, 6), st.integers(0, 2**63 - 1))
-def test_the_quick_repair_is_the_repair_of_a_scenario(seed, npcs, genes, repair_seed):
+def test_quick_repair_equals_repair_of_the_scenario(seed, npcs, genes, repair_seed):
     rng = np.random.default_rng(seed)
     space = SearchSpace(npcs=npcs, genes=genes)
     chains = [[random_instruction(space, rng) for _ in range(genes)] for _ in range(npcs)]

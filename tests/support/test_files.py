@@ -30,7 +30,7 @@ def links(request, monkeypatch):
 
 
 @pytest.mark.parametrize("write", [write_whole, write_if_free])
-def test_a_file_comes_with_its_folders_and_nothing_beside_it(path, write, links):
+def test_file_is_written_with_folders_and_no_leftovers(path, write, links):
     write(path, b"content")
     assert path.read_bytes() == b"content"
     assert list(path.parent.iterdir()) == [path]
@@ -50,7 +50,7 @@ def test_a_file_that_is_there_is_replaced(path):
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_of_many_writers_at_once_one_wins_and_none_fails(path):
+def test_one_of_many_simultaneous_writers_wins_without_error(path):
     barrier = threading.Barrier(8)
     won = []
 
@@ -70,7 +70,7 @@ def test_of_many_writers_at_once_one_wins_and_none_fails(path):
 
 @pytest.mark.parametrize("write", [write_whole, write_if_free])
 @pytest.mark.parametrize("call", ["publish", "fsync", "open"])
-def test_a_disk_that_fails_leaves_nothing_half_written_and_what_was_there(path, monkeypatch, write, call):
+def test_failing_disk_leaves_the_old_file_intact(path, monkeypatch, write, call):
     write_whole(path, "before")
 
     def fail(*_args, **_options):
@@ -112,7 +112,7 @@ def writer(path):
         process.kill()
 
 
-def test_what_a_process_writes_stays_while_it_lives_and_goes_with_the_next_save_after_its_end(path, writer):
+def test_temporary_file_stays_while_its_process_lives(path, writer):
     process, temporary = writer
     os.utime(temporary, (1.0, 1.0))
     write_if_free(path, b"content")
@@ -138,7 +138,7 @@ sys.stdin.read()
 
 @pytest.mark.processes
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
-def test_a_lock_that_is_not_inherited_ends_with_its_process_though_one_lives_that_it_has_forked(tmp_path):
+def test_lock_ends_with_its_process_despite_a_fork(tmp_path):
     path = tmp_path / "lock"
     command = [sys.executable, "-c", FORKING, path]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
@@ -151,7 +151,7 @@ def test_a_lock_that_is_not_inherited_ends_with_its_process_though_one_lives_tha
         os.kill(forked, signal.SIGKILL)
 
 
-def test_without_locks_the_process_id_in_the_name_decides(path, writer, monkeypatch):
+def test_process_id_in_the_name_decides_without_locks(path, writer, monkeypatch):
     def no_locks(descriptor):
         raise OSError(errno.ENOLCK, "No locks available")
 
@@ -166,7 +166,7 @@ def test_without_locks_the_process_id_in_the_name_decides(path, writer, monkeypa
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
-def test_only_a_regular_file_is_opened_and_no_link_is_followed(tmp_path):
+def test_only_regular_files_are_opened_without_following_links(tmp_path):
     secret = tmp_path / "secret"
     secret.write_text("mine")
     os.mkfifo(tmp_path / "pipe")
@@ -187,7 +187,7 @@ def test_only_a_regular_file_is_opened_and_no_link_is_followed(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
-def test_a_write_replaces_a_link_and_leaves_what_it_leads_to(path, tmp_path):
+def test_write_replaces_link_but_not_its_target(path, tmp_path):
     secret = tmp_path / "secret"
     secret.write_text("mine")
     path.parent.mkdir(parents=True)
@@ -207,7 +207,7 @@ def test_a_temporary_file_of_an_earlier_version_goes(path):
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_a_temporary_file_that_another_session_took_for_a_dead_process_s_is_made_anew(path, monkeypatch):
+def test_taken_temporary_file_is_made_again(path, monkeypatch):
     path.parent.mkdir(parents=True)
     holding, taken = files.hold, []
 
@@ -223,7 +223,7 @@ def test_a_temporary_file_that_another_session_took_for_a_dead_process_s_is_made
 
 
 @pytest.mark.skipif(os.name == "nt", reason="permissions of files")
-def test_a_file_has_the_permissions_of_any_new_file(path):
+def test_file_has_the_permissions_of_a_new_file(path):
     before = os.umask(0o022)
     try:
         write_whole(path, "content")

@@ -19,24 +19,24 @@ def test_an_interval_is_that_of_clopper_and_pearson(hits, trials):
     assert interval(hits, trials) == pytest.approx((exact.low, exact.high), abs=1e-12)
 
 
-def test_an_upper_bound_is_one_end_with_all_of_the_error_there():
+def test_upper_bound_puts_all_error_at_one_end():
     exact = scipy.stats.binomtest(3, 300, alternative="less").proportion_ci(0.99, method="exact")
     assert upper_bound(3, 300, 0.99) == pytest.approx(exact.high, abs=1e-12)
 
 
 @table(("first", "second"), [(0, 0), (3, 12), (12, 3), (5, 5), (0, 40)])
-def test_the_test_of_two_shares_on_the_same_trials_is_mcnemars(first, second):
+def test_paired_shares_are_compared_by_mcnemar_test(first, second):
     exact = scipy.stats.binomtest(first, first + second).pvalue if first + second else 1.0
     assert mcnemar(first, second) == pytest.approx(exact, rel=1e-9)
 
 
-def test_a_share_is_told_with_its_interval_and_none_with_an_upper_bound():
+def test_share_is_printed_with_interval_or_upper_bound():
     assert interval_text(38, 1000) == "3.8 % (95 %: 2.7 to 5.2 %)"
     assert interval_text(0, 378) == "0 % (95 %: at most 0.97 %)"
     assert [percent(share) for share in (0.0, 0.0012, 0.5, 1.0)] == ["0 %", "0.12 %", "50.0 %", "100 %"]
 
 
-def test_a_difference_of_shares_lies_between_the_farthest_ends_of_their_intervals():
+def test_difference_of_shares_spans_ends_of_their_intervals():
     one, other = (scipy.stats.binomtest(hits, 200).proportion_ci(0.975, method="exact") for hits in (8, 31))
     assert difference(8, 31, 200) == pytest.approx((one.low - other.high, one.high - other.low), abs=1e-12)
 
@@ -47,7 +47,7 @@ def test_p_values_are_adjusted_by_hand():
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=10))
-def test_adjusted_p_values_are_larger_at_most_one_and_in_the_same_order(values):
+def test_adjusted_p_values_preserve_order_up_to_one(values):
     adjusted = holm(values)
     assert all(p <= q <= 1 for p, q in zip(values, adjusted, strict=True))
     for (p, q), (r, s) in product(zip(values, adjusted, strict=True), repeat=2):

@@ -48,12 +48,12 @@ WIDTHS = st.integers(20, 120)
         ("na\u00efve \U0001f697 C:\\x", "na\u00efve \U0001f697 C:\\x"),
     ],
 )
-def test_what_acts_is_shown_as_an_escape_and_all_else_stays(text, shown):
+def test_active_characters_are_escaped_and_others_unchanged(text, shown):
     assert visible(text) == shown
 
 
 @given(TEXTS, WIDTHS)
-def test_a_shown_text_is_obeyed_nowhere_and_one_line(text, width):
+def test_visible_text_is_one_harmless_line(text, width):
     for shown in (visible(text), ascii_text(text), str(FieldError(text)), str(FieldError(field=text, received=text))):
         assert obeyed(shown) == []
         assert "\n" not in shown
@@ -88,7 +88,7 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
 
 
 @given(TEXTS, TEXTS)
-def test_the_summary_of_a_job_and_tables_have_no_markup_of_others(text, other):
+def test_job_summary_and_tables_contain_no_foreign_markup(text, other):
     found = FindingRecord(
         node_id=text, id=other, test=text, status="drifted", file=other, replay=text, headline=other, detail=text,
         flaky=text, xfail={"reason": other, "until": None}, result="xfailed",
@@ -109,7 +109,7 @@ def test_the_summary_of_a_job_and_tables_have_no_markup_of_others(text, other):
 
 
 @given(TEXTS)
-def test_pages_and_junit_files_have_no_markup_of_others(text):
+def test_pages_and_junit_files_contain_no_foreign_markup(text):
     shown = markup.text(text)
     assert obeyed(shown.replace("\t", " ")) == []
     assert not re.search("[<>\"']", shown)
@@ -121,7 +121,7 @@ def test_pages_and_junit_files_have_no_markup_of_others(text):
 
 @settings(max_examples=6)  # each reads nineteen files
 @given(TEXTS.filter(str.strip))
-def test_no_line_of_the_corpus_command_and_of_its_errors_is_obeyed(tmp_path_factory, text):
+def test_corpus_command_output_contains_no_control_sequences(tmp_path_factory, text):
     folder = tmp_path_factory.mktemp("corpus")
     expect = replace(plain_finding().expect, assertion=text, failure=text)
     finding = plain_finding(test=text, flaky=text, xfail=text, xfail_until=date(2027, 1, 31), expect=expect)

@@ -79,7 +79,7 @@ def first(condition):
 LEADER = (1, 60.0, SPEED_OF_ALL, "keep@20")
 
 
-def test_behind_the_ego_an_npc_keeps_the_distance_that_it_keeps_behind_npcs():
+def test_npc_follows_ego_as_far_as_other_npcs():
     behind_ego, behind_npc = (
         Scene((1, -50.0, 26.0, "keep@26")),
         Scene((3, -50.0, 26.0, "keep@26"), (3, 1.0, 20.0, "keep@20")),
@@ -91,7 +91,7 @@ def test_behind_the_ego_an_npc_keeps_the_distance_that_it_keeps_behind_npcs():
     assert leader.x - behind_npc.npc.x - LENGTH == pytest.approx(KEPT, abs=0.1)
 
 
-def test_in_the_papers_traffic_it_drives_through_the_ego():
+def test_npc_in_paper_traffic_drives_through_the_ego():
     scene = Scene((1, -50.0, 26.0, "keep@26"), traffic="paper")
     scene.drive(30.0)
     assert scene.npc.x > scene.ego.x
@@ -105,7 +105,7 @@ def test_braking_with_somebody_ahead_is_answered_at_once():
 
 
 @pytest.mark.parametrize("ahead", [None, (2, 20.0, SPEED_OF_ALL, "keep@20")], ids=["nobody", "in the next lane"])
-def test_braking_with_nobody_ahead_is_answered_a_second_later_with_at_most_six(ahead):
+def test_braking_without_leader_is_answered_one_second_later(ahead):
     scene = Scene((1, -40.0, SPEED_OF_ALL, "keep@20"), *([ahead] if ahead else []))
     scene.drive(2.0)
     accelerations, _ = scene.drive(5.0, acceleration=-8.0)
@@ -113,7 +113,7 @@ def test_braking_with_nobody_ahead_is_answered_a_second_later_with_at_most_six(a
     assert accelerations.min() == pytest.approx(-6.0)
 
 
-def test_close_behind_it_answers_exactly_after_its_reaction_time():
+def test_close_follower_answers_exactly_after_its_reaction_time():
     scene = Scene((1, -KEPT, SPEED_OF_ALL, "keep@20"))
     scene.drive(3.0)
     accelerations, _ = scene.drive(2.0, acceleration=-2.0)
@@ -121,7 +121,7 @@ def test_close_behind_it_answers_exactly_after_its_reaction_time():
 
 
 @pytest.mark.parametrize("braking", [1.0, 2.0, 3.0])
-def test_an_ego_that_stops_gently_for_nothing_is_not_run_into(braking):
+def test_ego_stopping_gently_for_nothing_is_not_hit(braking):
     scene = Scene((1, -KEPT, SPEED_OF_ALL, "keep@20"))
     scene.drive(3.0)
     scene.drive(30.0, acceleration=-braking)
@@ -129,14 +129,14 @@ def test_an_ego_that_stops_gently_for_nothing_is_not_run_into(braking):
     assert 0.5 < scene.gap < 4.0
 
 
-def test_an_ego_that_goes_on_as_it_did_is_where_an_npc_believes_it_to_be():
+def test_npc_predicts_position_of_a_steady_ego_exactly():
     """Late sight of an ego that does not brake makes no gap smaller or larger."""
     led, alone = Scene((1, -30.0, 26.0, "keep@26"), LEADER), Scene((1, -30.0, 26.0, "keep@26"))
     assert led.drive(4.0)[0] == pytest.approx(alone.drive(4.0)[0], abs=1e-6)
 
 
 @pytest.mark.parametrize("leader", [(), (LEADER,)], ids=["nobody ahead", "somebody ahead"])
-def test_an_ego_that_moves_in_is_answered_a_second_later(leader):
+def test_ego_moving_in_is_answered_a_second_later(leader):
     scene = Scene((2, -4.0, SPEED_OF_ALL, "keep@20"), *((2, *each[1:]) for each in leader))
     scene.drive(2.0)
     accelerations, across = scene.drive(4.0, sideways=1.0)
@@ -145,7 +145,7 @@ def test_an_ego_that_moves_in_is_answered_a_second_later(leader):
     assert (accelerations[reached + HZ : reached + HZ + 3] < 0.0).any()
 
 
-def test_an_npc_that_moves_in_behind_keeps_its_distance_at_once():
+def test_npc_moving_in_behind_adjusts_distance_at_once():
     scene = Scene((2, -20.0, 26.0, "left@26"))
     accelerations, across = scene.drive(3.0)
     assert accelerations[0] < 0.0
@@ -154,7 +154,7 @@ def test_an_npc_that_moves_in_behind_keeps_its_distance_at_once():
 
 
 @given(st.floats(2.0, 26.0), st.floats(2.0, 26.0), st.floats(0.1, 60.0), st.booleans())
-def test_the_ego_s_lane_is_entered_exactly_where_there_is_room(npc_speed, ego_speed, gap, is_ahead):
+def test_ego_lane_is_entered_only_with_enough_room(npc_speed, ego_speed, gap, is_ahead):
     if is_ahead:
         closing = max(ego_speed - npc_speed, 0.0)
         needed = closing * 0.35 + closing**2 / 12.0
@@ -179,7 +179,7 @@ def test_styles_leave_more_room_ahead_of_the_ego(style, gap, share):
 
 
 @pytest.mark.parametrize(("speed", "clearance", "expected"), [(20.0, 3.0, 10.0), (20.0, 15.0, 15.0), (0.0, 1.0, 2.0)])
-def test_the_cell_behind_is_where_an_npc_may_follow(speed, clearance, expected):
+def test_rear_cell_is_where_an_npc_may_follow(speed, clearance, expected):
     scenario = Scenario(npcs=[[PositionInstruction(6, speed)]], ego_speed=speed, gene_seconds=30.0, traffic=Traffic())
     trace = Highway(clearance=clearance, headway=3.0).rollout(scenario, constant_speed)
     assert trace.arrivals != ((None,),)
@@ -189,7 +189,7 @@ def test_the_cell_behind_is_where_an_npc_may_follow(speed, clearance, expected):
     assert Highway(clearance=clearance).rollout(replace(scenario), constant_speed).outcome is Outcome.SAFE
 
 
-def test_who_reverses_is_given_no_room_for_its_speed():
+def test_reversing_ego_gets_no_room_for_its_speed():
     scene = Scene((1, -3.5, 3.0, "keep@10"), LEADER, ego_speed=-3.0)
     scene.director.command(scene.ego)
     assert scene.npc.acceleration < 0.0
@@ -213,7 +213,7 @@ class TestLimitsOfAStyle:
         assert (trace.npcs[slow, ACCELERATION] > 0.0).all(), "who is slower speeds up"
 
     @given(seed=st.integers(0, 2**32), style=st.sampled_from(["hostile", "assertive", "everyday"]))
-    def test_the_lane_of_an_ego_that_keeps_it_is_entered_with_room(self, seed, style):
+    def test_npc_enters_lane_of_steady_ego_with_room(self, seed, style):
         rng = random.Random(seed)
         scenario = random_scenario(rng, lanes=4, speed_limit=26.8, npcs=4)
         scenario = replace(scenario, traffic=Traffic(style), ego_speed=rng.uniform(5, 26))

@@ -63,7 +63,7 @@ gyms = st.builds(
 
 
 @given(highways | gyms)
-def test_a_world_read_back_from_its_plain_data_is_the_same_world(world):
+def test_world_read_from_its_data_is_the_same(world):
     data = world.to_dict()
     written = json.dumps(data)
     assert json.loads(written) == data, "the data is plain"
@@ -79,7 +79,7 @@ def test_fields_that_are_missing_have_their_defaults():
     assert from_dict({"kind": "highway", "limits": {"jerk": 5}}) == Highway(limits=NpcLimits(jerk=5))
 
 
-def test_reading_and_writing_do_not_touch_the_data_given():
+def test_reading_and_writing_leave_the_data_unchanged():
     data = {
         "kind": "gym",
         "env_id": "highway-v0",
@@ -93,7 +93,7 @@ def test_reading_and_writing_do_not_touch_the_data_given():
     assert world.config == {"centering_position": [0.1, 0.2]}
 
 
-def test_tuples_and_arrays_in_a_configuration_are_written_as_lists_and_mean_the_same_when_read_back():
+def test_tuples_and_arrays_become_lists_with_equal_meaning():
     config = {
         "action": {"type": "ContinuousAction", "acceleration_range": (-3, 3)},
         "observation": {
@@ -131,7 +131,7 @@ def test_tuples_and_arrays_in_a_configuration_are_written_as_lists_and_mean_the_
         ({"kind": "gym", "env_id": "highway-v0", "config": []}, "config: expected a dict of the environment's options"),
         ({"kind": "gym", "env_id": "highway-v0", "config": {3: 4}}, "config: expected text as keys, received 3"),
     ])  # fmt: skip
-def test_faulty_data_is_refused_with_its_place_and_what_was_expected(data, message):
+def test_faulty_data_is_refused_with_place_and_expectation(data, message):
     with pytest.raises(WorldError, match=re.escape(message)):
         from_dict(data)
 
@@ -140,7 +140,7 @@ def test_faulty_data_is_refused_with_its_place_and_what_was_expected(data, messa
     "path",
     ["os.system", "antigravity.fly", "highway_env.vehicle", "highway_env_evil.vehicle.X", 3, None, ["os.system"]],
 )
-def test_a_file_may_not_name_code_outside_highway_env(path):
+def test_file_may_not_name_code_outside_highway_env(path):
     before = set(sys.modules)
     data = {"kind": "gym", "env_id": "highway-v0", "config": {"other_vehicles_type": path}}
     with pytest.raises(
@@ -150,7 +150,7 @@ def test_a_file_may_not_name_code_outside_highway_env(path):
     assert set(sys.modules) == before
 
 
-def test_a_file_may_name_highway_envs_own_vehicle_classes():
+def test_file_may_name_highway_env_vehicle_classes():
     path = "highway_env.vehicle.behavior.AggressiveVehicle"
     world = from_dict({"kind": "gym", "env_id": "highway-v0", "config": {"other_vehicles_type": path}})
     scenario = Scenario(npcs=[[PositionInstruction(1, 20.0)]], gene_seconds=1.0)
@@ -167,7 +167,7 @@ SIX_GENES = Scenario(npcs=((PositionInstruction(1, 20.0),) * 6,))
 """A minute, where the world lets it last so long."""
 
 
-def test_a_file_makes_no_run_or_decision_longer_than_in_the_world_of_the_test():
+def test_file_cannot_exceed_time_limits_of_the_test():
     data = Highway(duration=60.0, hang_limit=86400.0).to_dict()
     own = Highway(duration=20.0, hang_limit=5.0)
     assert of_file(data, SIX_GENES, own) == Highway(duration=20.0, hang_limit=5.0)
@@ -177,7 +177,7 @@ def test_a_file_makes_no_run_or_decision_longer_than_in_the_world_of_the_test():
     assert of_file(fast, SIX_GENES, own).duration == pytest.approx(20 * 15 / 1000)
 
 
-def test_a_file_within_the_limits_of_the_test_means_what_it_says():
+def test_file_within_limits_of_the_test_is_unchanged():
     short = Scenario(npcs=((PositionInstruction(1, 20.0),) * 2,))
     data = Highway(duration=60.0, hang_limit=5.0).to_dict()
     for own in (Highway(duration=20.0), Highway(duration=60.0, hang_limit=5.0), Highway(duration=3600.0)):
@@ -188,7 +188,7 @@ def test_a_file_within_the_limits_of_the_test_means_what_it_says():
 @table(
     "config", [{"simulation_frequency": 1000, "policy_frequency": 1, "duration": 400}, {"duration": 10**400}, {}, None]
 )
-def test_a_gym_world_in_a_file_is_cut_before_its_environment_is_made(config):
+def test_gym_world_is_cut_before_environment_is_made(config):
     data = {"kind": "gym", "env_id": "highway-v0", "config": config, "duration": None}
     world = of_file(data, SIX_GENES, Highway(duration=20.0))
     assert world.duration == pytest.approx(20 * 15 / (config or {}).get("simulation_frequency", 15), rel=1e-9)

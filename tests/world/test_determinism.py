@@ -106,12 +106,12 @@ def first():
 
 
 @pytest.mark.processes
-def test_another_process_with_another_hash_seed_gives_the_same_traces(first, elsewhere):
+def test_other_process_with_other_hash_seed_agrees(first, elsewhere):
     assert elsewhere["digests"] == first
 
 
 @pytest.mark.processes
-def test_nothing_large_is_imported_before_something_of_it_is_used(elsewhere):
+def test_large_imports_wait_until_they_are_used(elsewhere):
     assert elsewhere["with the examples"] == []
     assert elsewhere["by the kernel"] == ["collision", []]
     assert elsewhere["with highway-env"] == []
@@ -136,7 +136,7 @@ def test_runs_in_between_leave_no_mark():
         assert [trace.states.tobytes() for trace in a] == [trace.states.tobytes() for trace in b]
 
 
-def test_a_world_that_was_used_can_be_sent_to_another_process():
+def test_used_world_can_be_sent_to_another_process():
     scenario = Scenario.repaired(chains(random.Random(2), 2, 3, 26.8), gene_seconds=2.0)
     for world, ads in ((Highway(), constant_speed), (World("highway-v0"), policy)):
         trace = world.rollout(scenario, ads)

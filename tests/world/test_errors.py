@@ -54,7 +54,7 @@ def idle():
         ({"limits": {"jerk": 5}}, "limits: expected pafot.NpcLimits(...), received {'jerk': 5}"),
     ],
 )
-def test_a_wrong_option_of_the_highway_is_named_with_its_bounds(options, message):
+def test_wrong_highway_option_is_named_with_its_bounds(options, message):
     with raises(message):
         Highway(**options)
 
@@ -68,7 +68,7 @@ def test_a_wrong_option_of_the_highway_is_named_with_its_bounds(options, message
         (7, 2, "received 2; use one of 1, 7, or physics_hz=8"),
     ],
 )  # fmt: skip
-def test_frequencies_that_do_not_divide_are_refused_with_what_would(physics_hz, ads_hz, message):
+def test_frequencies_that_do_not_divide_are_refused(physics_hz, ads_hz, message):
     with raises(message):
         Highway(physics_hz=physics_hz, ads_hz=ads_hz)
     names = {"physics_hz=": "config.simulation_frequency="}
@@ -79,19 +79,19 @@ def test_frequencies_that_do_not_divide_are_refused_with_what_would(physics_hz, 
 
 
 @table(("physics_hz", "ads_hz"), [(15, 15), (15, 1), (30, 10), (1000, 8), (5, 5)])
-def test_frequencies_that_divide_are_accepted_as_the_fix_says(physics_hz, ads_hz):
+def test_frequencies_that_divide_are_accepted(physics_hz, ads_hz):
     assert Highway(physics_hz=physics_hz, ads_hz=ads_hz).ads_hz == ads_hz
 
 
 @table("name", ["acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"])
 @table("value", [0, -1, 1e-300, 1e300, math.nan, math.inf, "5", None, True])
-def test_a_limit_that_is_no_number_for_a_vehicle_is_refused(name, value):
+def test_invalid_number_for_a_limit_is_refused(name, value):
     received = re.escape(f"received {value!r}")
     with pytest.raises(WorldError, match=rf"^limits\.{name}: expected a number from [^,]*(, so that .*)?, {received}$"):
         NpcLimits(**{name: value})
 
 
-def test_limits_that_contradict_what_an_npc_is_are_refused():
+def test_limits_that_contradict_npc_behaviour_are_refused():
     with raises("limits.heading: expected a number from 0.01 to 0.785398, so that no NPC drives sideways, received 1"):
         NpcLimits(heading=1)
     with raises("limits.overspeed: expected a number from 1 to 8, so that target speeds up to the limit can be driven"):
@@ -146,7 +146,7 @@ def test_limits_that_contradict_what_an_npc_is_are_refused():
             {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}] * 20}] * 20}},
          "config.observation: expected at most 10000000 numbers, "),
     ])  # fmt: skip
-def test_an_environment_that_would_take_minutes_to_make_is_refused_at_once(env_id, config, message):
+def test_very_slow_environment_is_refused_at_once(env_id, config, message):
     with raises(message):
         World(env_id, config=config).check()
 
@@ -165,11 +165,11 @@ def test_a_large_observation_that_takes_milliseconds_is_accepted(observation):
     World("highway-v0", config={"observation": observation}).check()
 
 
-def test_how_much_random_traffic_a_configuration_asks_for_does_not_matter():
+def test_amount_of_random_traffic_in_configuration_is_ignored():
     World("highway-v0", config={"vehicles_count": 3_000_000}).check()
 
 
-def test_a_run_whose_record_would_not_fit_into_memory_is_refused():
+def test_run_too_large_for_memory_is_refused():
     with raises("duration: expected at most 400 s at 1000 ticks a second, received 3600"):
         Highway(duration=3600, physics_hz=1000)
     with raises("duration: expected at most 400 s at 1000 ticks a second, received 3600"):
@@ -177,13 +177,13 @@ def test_a_run_whose_record_would_not_fit_into_memory_is_refused():
 
 
 @table("env_id", ["", None, 7, "my_module:highway-v0", ":", "os:system"])
-def test_an_id_with_a_module_in_it_or_none_at_all_is_refused_before_anything_is_imported(env_id):
+def test_environment_id_with_module_is_refused_before_import(env_id):
     with raises(f"received {env_id!r}; import the module that registers it first"):
         World(env_id)
 
 
 @table("env_id", ["highway", "highway-v99", "Highway-v0", "nope-v0", "highway-v0 "])
-def test_an_unknown_id_is_refused_with_the_straight_roads_that_there_are(env_id):
+def test_unknown_environment_id_lists_the_straight_roads(env_id):
     with raises(f"received {env_id!r}; highway-env's straight roads are highway-fast-v0, highway-v0; an environment"):
         World(env_id).check()
 
@@ -191,7 +191,7 @@ def test_an_unknown_id_is_refused_with_the_straight_roads_that_there_are(env_id)
 @table(
     ("env_id", "meant"), [("highway-v9", "highway-v0"), ("Merge-v1", "merge-v1"), ("round-about-v0", "roundabout-v0")]
 )
-def test_an_unknown_id_comes_with_the_one_that_is_near(env_id, meant):
+def test_unknown_environment_id_suggests_a_similar_one(env_id, meant):
     with raises(f"did you mean {meant!r}?"):
         World(env_id).check()
 
@@ -206,7 +206,7 @@ def test_an_unknown_id_comes_with_the_one_that_is_near(env_id, meant):
         "parking-v0",
     ),
 )
-def test_every_environment_of_highway_env_either_runs_or_says_why_not(env_id):
+def test_every_highway_env_environment_runs_or_says_why(env_id):
     world = World(env_id)
     if "multi-agent" in env_id:
         with raises("config.controlled_vehicles: expected 1, the ego, received 2"):
@@ -221,7 +221,7 @@ def test_every_environment_of_highway_env_either_runs_or_says_why_not(env_id):
         assert (world.start is None) == env_id.startswith("highway-")
 
 
-def test_an_environment_leaves_highway_envs_vehicles_as_they_were():
+def test_environment_does_not_change_highway_env_vehicle_classes():
     """intersection-v2 writes to the class IDMVehicle when it is made and whenever it is reset."""
     from highway_env.vehicle.behavior import IDMVehicle
 
@@ -230,7 +230,7 @@ def test_an_environment_leaves_highway_envs_vehicles_as_they_were():
     assert (IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN) == (10.0, 3.0, -5.0)
 
 
-def test_an_environment_of_another_library_is_refused_by_its_class():
+def test_environment_of_another_library_is_refused():
     with raises("env_id: expected an environment that derives from highway-env's AbstractEnv, received"):
         World("CartPole-v1").check()
 
@@ -256,7 +256,7 @@ def test_an_environment_of_another_library_is_refused_by_its_class():
         ({"controlled_vehicles": 2}, "config.controlled_vehicles: expected 1, the ego, received 2"),
         ({"collision_reward": "-1"}, "config.collision_reward: expected a number such as -1, received '-1'"),
     ])  # fmt: skip
-def test_a_wrong_configuration_is_named_with_what_was_expected(config, message):
+def test_wrong_configuration_is_named_with_what_was_expected(config, message):
     with raises(message):
         World("highway-v0", config=config).check()
 
@@ -277,7 +277,7 @@ def test_a_wrong_configuration_is_named_with_what_was_expected(config, message):
         ({"action": {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction", "laterl": True}}},
          "config.action.action_config: expected options of highway-env, received laterl; did you mean 'l"),
     ])  # fmt: skip
-def test_a_misspelt_option_of_an_observation_or_action_is_named_which_highway_env_passes_over(config, message):
+def test_misspelt_observation_or_action_option_is_named(config, message):
     with raises(message):
         World("highway-v0", config=config).check()
 
@@ -290,11 +290,11 @@ def test_a_misspelt_option_of_an_observation_or_action_is_named_which_highway_en
         {"action": {"type": "ContinuousAction", "target_speeds": [0, 5, 10]}},
     ],
 )
-def test_options_of_other_observations_and_actions_are_passed_over_as_in_highway_envs_own_configurations(config):
+def test_options_of_other_observation_types_are_ignored(config):
     World("highway-v0", config=config).check()
 
 
-def test_what_observations_of_ones_own_and_environments_of_ones_own_take_is_theirs_to_say(monkeypatch):
+def test_custom_observations_and_environments_define_own_options(monkeypatch):
     class Own(highway_env.envs.HighwayEnv):
         @classmethod
         def default_config(cls):
@@ -329,12 +329,12 @@ def test_an_action_for_several_vehicles_has_no_ego():
         ({"limits": None}, "limits: expected pafot.NpcLimits(...), received None"),
     ],
 )
-def test_a_wrong_option_of_a_gym_world_is_named_with_its_bounds(options, message):
+def test_wrong_gym_world_option_is_named_with_bounds(options, message):
     with raises(message):
         World("highway-v0", **options)
 
 
-def test_a_run_too_short_for_a_tick_is_refused():
+def test_run_too_short_for_a_tick_is_refused():
     with raises("duration: expected a number from 0.2 to 3600, received 0.1"):
         World("highway-fast-v0", duration=0.1).check()
 
@@ -362,12 +362,12 @@ def test_the_callers_configuration_is_neither_changed_nor_followed():
         (hold(1, speed=30.5), "npcs[0][0].speed: expected at most the speed limit of "),  # less than the top speed
     ])  # fmt: skip
 @table("world", [Highway(), World("highway-v0")])
-def test_a_scenario_that_does_not_fit_the_world_is_refused_by_field(world, scenario, message):
+def test_unfitting_scenario_is_refused_with_its_field(world, scenario, message):
     with raises(message, ScenarioError):
         world.rollout(scenario, idle)
 
 
-def test_the_nearest_gene_duration_in_the_error_is_accepted():
+def test_nearest_gene_duration_from_error_is_accepted():
     with pytest.raises(ScenarioError) as caught:
         Highway().rollout(hold(1, gene_seconds=0.15), idle)
     nearest = float(str(caught.value).rsplit(" ", 1)[1])

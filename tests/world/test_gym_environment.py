@@ -118,7 +118,7 @@ CASES = {
         "actions that stick by chance",
     ),
 )
-def test_a_policy_sees_and_does_what_it_would_in_the_plain_loop(case, monkeypatch):
+def test_wrapped_policy_matches_the_plain_gymnasium_loop(case, monkeypatch):
     config, wrappers = CASES[case]
     world = World("highway-v0", config=config, duration=4.0, wrappers=wrappers)
     listener = Listener(world.environment.make().action_space)
@@ -142,7 +142,7 @@ def test_a_policy_sees_and_does_what_it_would_in_the_plain_loop(case, monkeypatc
     assert len(trace.actions) == len(listener.actions)
 
 
-def test_each_run_has_fresh_wrappers_and_its_confirmation_is_the_same_run():
+def test_each_run_has_fresh_wrappers_and_is_confirmed():
     world = World(
         "highway-v0",
         duration=4.0,
@@ -183,7 +183,7 @@ REGISTERED = {
 
 
 @pytest.mark.parametrize("how", REGISTERED)
-def test_an_environment_that_is_registered_with_a_wrapper_is_refused_with_its_name_and_the_way_out(how, register):
+def test_registered_wrapper_is_refused_with_the_way_out(how, register):
     register("mine-v0", **REGISTERED[how])
     message = r"received 'mine-v0', which is registered with FlattenObservation .*World\('mine-v0', wrappers=\[\]\)"
     with pytest.raises(WorldError, match=message):
@@ -191,7 +191,7 @@ def test_an_environment_that_is_registered_with_a_wrapper_is_refused_with_its_na
 
 
 @pytest.mark.parametrize("how", REGISTERED)
-def test_with_a_list_of_wrappers_those_of_the_registration_take_part_as_well(how, register):
+def test_wrapper_list_is_added_to_the_registered_wrappers(how, register):
     register("mine-v0", **REGISTERED[how])
     for wrappers, shape in [([], (25,)), ([partial(FrameStackObservation, stack_size=2)], (2, 25))]:
         world = World("mine-v0", wrappers=wrappers, duration=2.0)
@@ -201,14 +201,14 @@ def test_with_a_list_of_wrappers_those_of_the_registration_take_part_as_well(how
     assert world.to_dict()["wrappers"] == ["FlattenObservation", "FrameStackObservation"]
 
 
-def test_what_gymnasium_puts_around_every_environment_is_no_reason_to_refuse(register):
+def test_default_gymnasium_wrappers_are_no_reason_to_refuse(register):
     register("mine-v0", entry_point=HighwayEnv, max_episode_steps=3)
     assert gymnasium.make("mine-v0").spec.max_episode_steps == 3
     assert World("mine-v0", duration=5.0).rollout(SCENARIO, lambda: lambda seen: 1).duration == 5.0
     assert "wrappers" not in World("mine-v0").to_dict()
 
 
-def test_the_configuration_that_an_environment_is_registered_with_holds_unless_another_is_given(register):
+def test_registered_configuration_applies_unless_another_is_given(register):
     register("mine-v0", entry_point=HighwayEnv, kwargs={"config": {"lanes_count": 6, "policy_frequency": 5}})
     for config in (None, {"lanes_count": 3}):
         plain = gymnasium.make("mine-v0", **({} if config is None else {"config": config})).unwrapped
@@ -236,7 +236,7 @@ class Wet(HighwayEnv):
         super()._simulate(action)
 
 
-def test_a_step_of_its_own_is_taken_on_a_straight_road_too(register):
+def test_custom_step_is_used_on_straight_roads_too(register):
     register("mine-v0", entry_point=Doubled)
     own, stock = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(2))  # of one action
     World("mine-v0", duration=2.0).rollout(SCENARIO, lambda: own)
@@ -247,7 +247,7 @@ def test_a_step_of_its_own_is_taken_on_a_straight_road_too(register):
 
 
 @pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
-def test_a_reset_of_its_own_that_adds_vehicles_is_refused(wrappers, register):
+def test_custom_reset_that_adds_vehicles_is_refused(wrappers, register):
     class Crowded(Doubled):
         def reset(self, **options):
             first = super().reset(**options)
@@ -268,7 +268,7 @@ def test_a_simulation_of_its_own_is_too(register):
 # --- who drives, and what cannot be
 
 
-def test_runs_in_wrappers_do_not_take_place_in_lock_step():
+def test_runs_in_wrappers_are_not_in_lock_step():
     class Batching(Listener):
         def batch(self, observations):
             raise AssertionError
@@ -281,7 +281,7 @@ def test_runs_in_wrappers_do_not_take_place_in_lock_step():
 
 
 @pytest.mark.parametrize("factory", [IDMVehicle, lambda: IDMVehicle])
-def test_a_vehicle_class_sees_no_observation_and_drives_without_them(factory):
+def test_vehicle_class_drives_without_the_wrappers(factory):
     wrapped = World("highway-v0", duration=6.0, wrappers=[FlattenObservation]).rollout(SCENARIO, factory)
     bare = World("highway-v0", duration=6.0).rollout(SCENARIO, factory)
     assert np.abs(wrapped.states - bare.states).max() < 0.01
@@ -310,7 +310,7 @@ def test_what_is_no_wrapper_is_told(wrappers, message):
 
 
 @pytest.mark.parametrize("seen_before", [0, 3])
-def test_what_a_wrapper_raises_is_a_failure_of_the_ads_at_the_decision_that_it_was_for(seen_before):
+def test_wrapper_exception_is_ads_failure_at_its_decision(seen_before):
     left = []
 
     def broken(seen):
@@ -326,7 +326,7 @@ def test_what_a_wrapper_raises_is_a_failure_of_the_ads_at_the_decision_that_it_w
     assert "in broken" in trace.error.traceback
 
 
-def test_a_wrapper_that_does_not_step_the_environment_is_told_and_not_waited_for():
+def test_wrapper_that_does_not_step_is_reported():
     world = World("highway-v0", duration=5.0, wrappers=[partial(TimeLimit, max_episode_steps=2), Autoreset])
     with pytest.raises(WorldError, match=r"received one that did not, at 2.0 s; leave out wrappers .* reset episodes"):
         world.rollout(SCENARIO, lambda: lambda seen: 1)

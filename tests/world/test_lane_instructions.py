@@ -38,21 +38,21 @@ def drive(given, ego=constant_speed, **world):
     return Highway(**({"duration": 20.0} | world)).rollout(given, ego)
 
 
-def test_npcs_start_ahead_on_the_left_then_ahead_as_in_av_fuzzer():
+def test_npcs_start_like_those_of_av_fuzzer():
     trace = drive(scenario(chain("keep@22"), chain("keep@22")))
     assert trace.npcs[0, :, LANE].tolist() == [0, 1]
     assert np.all(trace.npcs[0, :, X] - trace.ego[0, X] > 40)
 
 
 @pytest.mark.parametrize("ego_lane", [0, 3])
-def test_beside_a_missing_lane_they_start_in_the_nearest_cells_that_exist(ego_lane):
+def test_missing_lane_makes_npcs_start_in_nearest_cells(ego_lane):
     trace = drive(scenario(*[chain("keep@22")] * 5, ego_lane=ego_lane, ego_speed=20.0))
     places = {tuple(row) for row in trace.npcs[0, :, [X, Y]].T.tolist()}
     assert len(places) == 5
     assert np.all(trace.npcs[0, :, LANE] >= 0)
 
 
-def test_keep_drives_the_speed_from_the_first_tick_in_the_own_lane():
+def test_keep_instruction_drives_its_speed_from_first_tick():
     trace = drive(scenario(chain("keep@10"), ego_speed=22.0))
     assert trace.npcs[75, 0, SPEED] == pytest.approx(10.0, abs=0.2)
     assert np.all(trace.npcs[:, 0, LANE] == 0)
@@ -60,7 +60,7 @@ def test_keep_drives_the_speed_from_the_first_tick_in_the_own_lane():
 
 
 @pytest.mark.parametrize(("lane", "end"), [("left", 0), ("right", 2)])
-def test_left_and_right_are_one_lane_from_where_the_npc_is(lane, end):
+def test_left_and_right_mean_one_lane_from_npc(lane, end):
     trace = drive(scenario(chain("keep@26"), chain(f"{lane}@15"), ego_speed=15.0))
     (tick,) = trace.arrivals[1]
     assert 0 < tick <= 75
@@ -82,14 +82,14 @@ def test_only_one_of_two_npcs_enters_a_gap():
     assert trace.npcs[-1, [0, 2], LANE].tolist() == [1, 2]
 
 
-def test_towards_a_lane_that_does_not_exist_an_npc_keeps_its_own():
+def test_npc_without_target_lane_stays_in_its_own():
     trace = drive(scenario(chain("left@20", "left@12")))
     assert np.all(trace.npcs[:, 0, LANE] == 0)
     assert trace.arrivals == ((0, 75),)
     assert trace.npcs[149, 0, SPEED] == pytest.approx(12.0, abs=0.2)
 
 
-def test_an_npc_does_not_steer_into_another_and_gives_up_at_the_end_of_the_gene():
+def test_npc_does_not_steer_into_another_npc():
     """NPC 0, to the left of NPC 1 and as fast, is told to move over; NPC 1 stays where it is."""
     trace = drive(scenario(chain("right@22", "keep@22"), chain("keep@22", "keep@22")), duration=10.0)
     assert trace.outcome is Outcome.SAFE
@@ -97,7 +97,7 @@ def test_an_npc_does_not_steer_into_another_and_gives_up_at_the_end_of_the_gene(
     assert np.all(trace.npcs[:, 0, LANE] == 0)
 
 
-def test_after_its_last_gene_an_npc_keeps_its_lane_and_speed():
+def test_npc_retains_lane_and_speed_after_last_gene():
     trace = drive(scenario(chain("right@26"), chain(*["left@26"] * 4), ego_speed=10.0))
     assert np.all(trace.npcs[80:, 0, LANE] == trace.npcs[80, 0, LANE])
     assert np.ptp(trace.npcs[80:, 0, SPEED]) < 0.5
@@ -109,7 +109,7 @@ def test_the_repair_changes_nothing_of_them():
 
 
 @pytest.mark.parametrize("ego", EGOS, ids=lambda ego: ego.__name__)
-def test_all_limits_of_npcs_hold_and_runs_repeat_to_the_last_bit(ego):
+def test_npc_limits_hold_and_runs_repeat_exactly(ego):
     rng = random.Random(ego.__name__)
     outcomes = set()
     for number in range(38):

@@ -40,7 +40,7 @@ def assert_fixed_point(world, trace, ego):
     ("physics_hz", "scenarios", "seed"),
     [(5, 16, 0), (15, 24, 0), (50, 8, 0), oracle(5, 140, 1), oracle(15, 130, 1), oracle(50, 50, 1)],
 )
-def test_all_limits_hold_and_the_executed_chain_is_a_fixed_point(physics_hz, scenarios, seed, ego):
+def test_all_limits_hold_and_executed_chain_stays_fixed(physics_hz, scenarios, seed, ego):
     rng = random.Random(f"{physics_hz} {ego.__name__} {seed}")
     outcomes = []
     for number in range(scenarios):
@@ -96,7 +96,7 @@ def test_limits_hold_on_the_environments_roads_too(env_id, lanes):
 
 
 @pytest.mark.parametrize(("ego", "runs"), [(constant_speed, 80), (IDMVehicle, 20)], ids=["constant_speed", "IDM"])
-def test_with_two_npcs_less_than_a_quarter_of_the_default_runs_is_invalid(ego, runs):
+def test_less_than_a_quarter_of_runs_is_invalid(ego, runs):
     rng = random.Random(7)
     world = Highway()
     traces = [world.rollout(Scenario.repaired(chains(rng, 2, 6, 26.8), seed=seed), ego) for seed in range(runs)]
@@ -105,7 +105,7 @@ def test_with_two_npcs_less_than_a_quarter_of_the_default_runs_is_invalid(ego, r
     assert sum(tick is not None for tick in started) > len(started) / 4, "hardly any gene reaches its cell"
 
 
-def test_an_npc_drives_into_its_cell_then_at_its_speed_in_its_lane():
+def test_npc_drives_to_cell_then_at_its_speed():
     """The ego drives 20 m/s in lane 1; the NPC is to go to the front left, then to cut in and brake."""
     chain = [PositionInstruction(1, 24.0), PositionInstruction(2, 8.0)]
     trace = Highway(clearance=3.0).rollout(Scenario(npcs=[chain], ego_speed=20.0), constant_speed)
@@ -120,7 +120,7 @@ def test_an_npc_drives_into_its_cell_then_at_its_speed_in_its_lane():
     assert trace.collision.cell == 2
 
 
-def test_an_npc_whose_chain_has_ended_keeps_its_lane_and_speed_though_it_never_arrived():
+def test_npc_with_ended_chain_retains_lane_and_speed():
     """Its cell is behind an ego that drives away; once its only gene is over it no longer follows."""
     short, long = [PositionInstruction(6, 25.0)], [PositionInstruction(4, 25.0)] * 6
     scenario = Scenario(npcs=[short, long], ego_speed=15.0, gene_seconds=2.0)
@@ -132,7 +132,7 @@ def test_an_npc_whose_chain_has_ended_keeps_its_lane_and_speed_though_it_never_a
     assert trace.ego[-1, SPEED] > trace.npcs[-1, 0, SPEED] + 10
 
 
-def test_a_lane_that_vanishes_inside_a_gene_is_not_driven_to():
+def test_lane_that_vanishes_inside_gene_is_not_approached():
     """The ego moves to the left lane while an NPC is on its way to the front left."""
 
     def to_the_left():
@@ -155,7 +155,7 @@ def test_npcs_brake_for_each_other():
     assert trace.npcs[-1, :, SPEED].max() < 0.1
 
 
-def test_limits_hold_around_an_ego_that_reverses_spins_or_turns_around():
+def test_limits_hold_around_reversing_or_spinning_ego():
     rng = random.Random(12)
     world = World("highway-v0", config={"action": {"type": "ContinuousAction"}}, duration=12.0)
     for _ in range(25):

@@ -80,23 +80,23 @@ def first(rows, condition):
 
 
 class TestCarefulHuman:
-    def test_brakes_1_15_s_after_a_slow_vehicle_has_left_its_lane_by_0_375_m(self):
+    def test_careful_human_brakes_after_perceiving_vehicle_leaving_lane(self):
         rows = drive(CarefulHuman(), cut_in(20.0, 8.0, begins=1.0))
         leaves = 1.0 + 0.375 / 2.0
         assert first(rows, lambda gap, speed, a: a < 0) == pytest.approx(leaves + 0.4 + 0.75, abs=2.5 / HZ)
 
-    def test_brakes_with_0_774_g_reached_in_0_6_s(self):
+    def test_careful_human_builds_up_full_braking_gradually(self):
         rows = drive(CarefulHuman(), cut_in(20.0, 8.0, begins=1.0))
         begins = first(rows, lambda gap, speed, a: a < 0)
         full = first(rows, lambda gap, speed, a: a <= -HARD_BRAKING)
         assert min(a for *_, a in rows) == pytest.approx(-7.593, abs=0.001)
         assert full - begins == pytest.approx(0.6, abs=1.5 / HZ)
 
-    def test_brakes_hard_1_15_s_after_a_leader_begins_to(self):
+    def test_careful_human_answers_braking_leader_after_delay(self):
         rows = drive(CarefulHuman(), leader(36.0, 20.0, brakes_at=0.2, braking=8.0))
         assert first(rows, lambda gap, speed, a: a < -4.1) == pytest.approx(0.2 + 1.15, abs=3 / HZ)
 
-    def test_avoids_a_leader_that_brakes_to_a_standstill_with_8(self):
+    def test_careful_human_avoids_leader_braking_to_standstill(self):
         assert min(gap for _, gap, *_ in drive(CarefulHuman(), leader(43.0, 20.0, 2.0, 8.0))) > 2.0
 
     def test_follows_two_seconds_behind_without_ever_braking_hard(self):
@@ -104,7 +104,7 @@ class TestCarefulHuman:
         assert rows[-1][1] == pytest.approx(3.0 + 2 * 15.0, abs=1.0)
         assert min(a for *_, a in rows) >= -4.0
 
-    def test_does_not_brake_hard_for_a_vehicle_that_cuts_in_at_its_own_speed(self):
+    def test_careful_human_brakes_gently_for_equally_fast_vehicle(self):
         rows = drive(CarefulHuman(), cut_in(10.0, 20.0, begins=1.0))
         assert -4.0 <= min(a for *_, a in rows) < -2.0
 
@@ -112,7 +112,7 @@ class TestCarefulHuman:
         rows = drive(CarefulHuman(), cut_in(5.0, 8.0, begins=1.0, seconds=0.5))
         assert min(gap for _, gap, *_ in rows) < 0
 
-    def test_a_vehicle_that_stays_in_the_next_lane_does_not_matter(self):
+    def test_careful_human_ignores_vehicle_in_next_lane(self):
         rows = drive(CarefulHuman(), lambda time: car(10.0 + 8 * time, 0.3, 8.0))
         assert all(a == 0.0 for *_, a in rows)
 
@@ -121,7 +121,7 @@ class TestFuzzySafety:
     def lead(self, gap, speed, own=20.0):
         return Leader(gap=gap, speed=speed, closing=own - speed, braking=0.0)
 
-    def test_proactive_danger_is_a_share_between_gentle_and_hard_braking(self):
+    def test_proactive_danger_is_between_gentle_and_hard_braking(self):
         model = FuzzySafety()
         gentle = 20 * 0.75 + 400 / 8 - 400 / 14 + 2.0
         hard = 20 * 0.75 + 400 / 12 - 400 / 14
@@ -140,11 +140,11 @@ class TestFuzzySafety:
         rows = drive(FuzzySafety(), leader(30.0, 20.0, brakes_at=2.0, braking=7.0))
         assert first(rows, lambda gap, speed, a: a < 0) == pytest.approx(0.75, abs=1.5 / HZ)
 
-    def test_brakes_with_at_most_6_where_a_slow_vehicle_cuts_in(self):
+    def test_fuzzy_driver_limits_braking_for_slow_cut_in(self):
         rows = drive(FuzzySafety(), cut_in(20.0, 8.0, begins=1.0))
         assert min(a for *_, a in rows) == -6.0
 
-    def test_hits_a_leader_that_brakes_hard_for_which_the_careful_human_stops(self):
+    def test_fuzzy_driver_hits_a_hard_braking_leader(self):
         """It takes the leader to keep its speed: 4 m/s^2 until that no longer is enough, then 6, too late."""
         brakes = leader(24.0, 20.0, brakes_at=0.0, braking=6.0)
         approach = list(takewhile(lambda row: row[1] > 0, drive(FuzzySafety(), brakes)))
@@ -153,7 +153,7 @@ class TestFuzzySafety:
         assert approach[-1][3] == -6.0
         assert min(gap for _, gap, *_ in drive(CarefulHuman(), brakes)) > 5.0
 
-    def test_reacts_to_a_vehicle_that_is_still_in_its_own_lane_but_comes(self):
+    def test_fuzzy_driver_reacts_to_vehicle_about_to_enter(self):
         other, ego = car(20.0, 0.8, 12.0), car(0.0)
         side = 1.0 if ego.y > other.y else -1.0
         assert FuzzySafety.will_be_in_the_way(ego, other, side * 1.8, self.lead(15.0, 12.0))
@@ -166,7 +166,7 @@ class TestIdmAeb:
         assert min(a for *_, a in rows) > -3.0
         assert 1.5 * 15.0 < rows[-1][1] < 1.5 * 15.0 + 10.0
 
-    def test_brakes_with_0_85_g_at_a_low_time_to_collision(self):
+    def test_aeb_brakes_hard_at_low_time_to_collision(self):
         rows = drive(IdmAeb(), cut_in(20.0, 5.0, begins=1.0))
         assert min(a for *_, a in rows) == pytest.approx(-0.85 * 9.81)
 
@@ -224,14 +224,14 @@ def test_what_nobody_survives_is_preventable_by_nobody():
     assert run.reference_drivers == dict.fromkeys(REFERENCES, "hit")
 
 
-def test_what_a_constant_speed_ego_hits_careful_drivers_avoid():
+def test_careful_driver_avoids_what_constant_speed_ego_hits():
     slow = scenario(22.0, 15.0, cell=2)
     run = constant_speed_in(slow)
     assert run.collision
     assert run.reference_drivers["careful-human"] == "avoids"
 
 
-def test_an_unknown_driver_is_refused_with_the_names_of_the_known():
+def test_unknown_driver_is_refused_with_the_known_names():
     with pytest.raises(WorldError, match="expected one of careful-human, fuzzy-safety, idm-aeb, received 'me'"):
         Highway().rollout_reference(BRAKES, "me")
 
@@ -269,30 +269,30 @@ def drive_up(driver, *, seconds=20.0, hz=HZ, **other):
 
 @pytest.mark.parametrize("name", NAMES)
 class TestAtAZone:
-    def test_waits_before_it_for_one_with_priority_and_goes_when_that_has_left(self, name):
+    def test_driver_waits_before_zone_for_vehicle_with_priority(self, name):
         rows = drive_up(REFERENCES[name](), distance=40.0, speed=8.0)
         entered = next(time for time, left, *_ in rows if left <= 0)
         assert entered > 50.0 / 8.0
         assert min(a for *_, a in rows) >= -4.0
 
-    def test_stands_at_the_line_while_somebody_stands_in_it(self, name):
+    def test_driver_stands_at_line_while_zone_is_occupied(self, name):
         rows = drive_up(REFERENCES[name](), distance=-5.0, speed=0.0)
         assert rows[-1][2] == pytest.approx(0.0, abs=0.05)
         assert 0.2 < rows[-1][1] < 2.0
 
-    def test_does_not_wait_for_one_that_comes_later_than_the_critical_headway(self, name):
+    def test_driver_does_not_wait_for_a_late_vehicle(self, name):
         for kind, seconds in CRITICAL.items():
             later = drive_up(REFERENCES[name](), kind=kind, distance=10.0 * (4.0 + seconds + 0.5), speed=10.0)
             sooner = drive_up(REFERENCES[name](), kind=kind, distance=10.0 * (4.0 + seconds - 1.5), speed=10.0)
             assert min(speed for _, left, speed, _ in later if left > 0) == 10.0
             assert min(speed for _, left, speed, _ in sooner if left > 0) < 9.0
 
-    def test_goes_before_one_that_has_waited_for_two_seconds(self, name):
+    def test_driver_goes_before_vehicle_that_has_waited(self, name):
         rows = drive_up(REFERENCES[name](), distance=2.0, speed=0.0)
         assert all(a >= 0.0 for time, *_, a in rows if time > 2.1)
         assert rows[-1][1] < 0
 
-    def test_with_priority_it_brakes_for_one_that_can_no_longer_stop_alone(self, name):
+    def test_driver_with_priority_brakes_for_unstoppable_vehicle_only(self, name):
         stops = drive_up(REFERENCES[name](), priority="ego", distance=20.0, speed=2.0, seconds=4.0)
         cannot = drive_up(REFERENCES[name](), priority="ego", distance=10.0, speed=4.0, seconds=4.0)
         assert all(a == 0.0 for *_, a in stops)

@@ -43,7 +43,7 @@ def ring(register):
 
 
 @pytest.mark.usefixtures("ring")
-def test_a_file_has_its_kind_and_data_and_gives_the_same_world_again():
+def test_file_with_kind_and_data_restores_the_world():
     data = described(Ring(3))
     assert data == {"kind": "ring", "data": {"lanes": 3}}
     assert not is_code(data)
@@ -52,16 +52,16 @@ def test_a_file_has_its_kind_and_data_and_gives_the_same_world_again():
     assert (type(again), again.lanes) == (Ring, 3)
 
 
-def test_without_its_registration_it_is_a_world_that_the_test_names():
+def test_unregistered_world_is_described_by_its_class():
     assert described(Ring(3)) == {"kind": "own", "class": "Ring", "data": {"lanes": 3}}
 
 
 @pytest.mark.usefixtures("ring")
-def test_a_class_that_derives_from_it_is_not_registered_with_it():
+def test_derived_class_is_not_registered_with_its_base():
     assert described(Broken(3))["kind"] == "own"
 
 
-def test_only_the_entry_points_of_its_own_package_are_imported_to_find_its_kind(register):
+def test_only_entry_points_of_its_package_are_imported(register):
     register(GROUP, other="no_such_package:Ring", ring=f"{__name__}:Ring")
     assert described(Ring(3))["kind"] == "ring"
 
@@ -74,7 +74,7 @@ def test_the_kinds_of_this_package_cannot_be_taken(register):
 
 @pytest.mark.usefixtures("ring")
 @table("kind", ["rings", "tests.world.test_registered_worlds:Ring", "os:system", "", None])
-def test_an_unknown_kind_is_refused_with_those_that_are_known_and_the_likely_cause(kind):
+def test_unknown_kind_is_refused_with_known_kinds(kind):
     message = r"world.kind: expected one of gym, highway, ring, received .*; a package .*pytest_pafot.worlds may not be"
     with pytest.raises(WorldError, match=message):
         from_dict({"kind": kind, "data": {"lanes": 3}})
@@ -93,7 +93,7 @@ def test_an_unknown_kind_is_refused_with_those_that_are_known_and_the_likely_cau
         (f"{__name__}:Broken", {}, r"returns a world, received 'no world', which has no rollout, to_dict, speed_limit"),
     ],
 )
-def test_what_makes_no_world_is_refused_with_its_place_and_cause(register, value, data, message):
+def test_data_without_world_is_refused_with_cause(register, value, data, message):
     register(GROUP, ring=value)
     with pytest.raises(WorldError, match=message):
         from_dict({"kind": "ring", "data": data})
@@ -106,7 +106,7 @@ def test_all_but_the_kind_is_in_its_data(world):
         from_dict(world)
 
 
-def test_data_that_no_file_can_hold_are_refused_before_a_find_would_be_lost(register):
+def test_unwritable_data_is_refused_before_finding_is_lost(register):
     register(GROUP, ring=f"{__name__}:Unwritable")
     with pytest.raises(WorldError, match=r"Unwritable.to_dict: .*expected plain data"):
         described(Unwritable(3))

@@ -32,7 +32,7 @@ def hold(*cells, **fields):
 
 @table("headway", [1.0, 2.0, 4.0])
 @table("speed", [0.0, 10.0, 22.0, 26.8])
-def test_npcs_start_in_their_lanes_beside_the_ego_or_at_the_headway_all_at_its_speed(headway, speed):
+def test_npcs_start_alongside_ego_or_at_the_headway(headway, speed):
     world = Highway(headway=headway)
     trace = starts(world, hold(*Cell, ego_speed=speed, ego_lane=2))
     ego, npcs = trace.ego[0], trace.npcs[0]
@@ -46,7 +46,7 @@ def test_npcs_start_in_their_lanes_beside_the_ego_or_at_the_headway_all_at_its_s
     assert not trace.states[0, :, 4:6].any(), "nobody has accelerated or steered yet"
 
 
-def test_at_tick_0_everybody_is_on_the_road_apart_and_out_of_danger():
+def test_all_vehicles_start_apart_on_the_road():
     rng = random.Random(3)
     for _ in range(150):
         world = Highway(lanes=rng.randint(3, 6), headway=rng.choice([1.0, 2.0, 10.0]), duration=0.2)
@@ -61,7 +61,7 @@ def test_at_tick_0_everybody_is_on_the_road_apart_and_out_of_danger():
 
 
 @table("ego_lane", range(4))
-def test_an_npc_whose_lane_does_not_exist_starts_in_the_nearest_cell_that_does(ego_lane):
+def test_npc_without_start_lane_uses_the_nearest_cell(ego_lane):
     for cell in Cell:
         trace = starts(Highway(), hold(cell, ego_lane=ego_lane))
         (started,) = trace.executed.npcs[0]
@@ -71,7 +71,7 @@ def test_an_npc_whose_lane_does_not_exist_starts_in_the_nearest_cell_that_does(e
         assert cell_at(dx, dy, LENGTH, 4.0) == started.cell
 
 
-def test_the_literal_grid_of_the_paper_starts_without_contact_too():
+def test_literal_grid_of_paper_starts_without_contact():
     world = Highway(clearance=0.0, headway=0.0)
     trace = starts(world, hold(*Cell, ego_lane=1, ego_speed=20.0))
     assert trace.duration == pytest.approx(0.2)
@@ -96,7 +96,7 @@ def test_a_long_ego_starts_with_the_same_gaps(speed):
     assert trace.duration == pytest.approx(0.2)
 
 
-def test_an_npc_starts_no_faster_than_it_can_turn_in_its_bend():
+def test_npc_starts_no_faster_than_bend_allows():
     """Lying in its lane as in the bend it turns by v sin(lean) / (length / 2) [rad/s], which v times is sideways."""
     world = World("racetrack-v0")
     rules, scenario, slowed = world.rules, hold(*Cell, ego_lane=0, ego_speed=20.0), 0
@@ -112,7 +112,7 @@ def test_an_npc_starts_no_faster_than_it_can_turn_in_its_bend():
     assert slowed
 
 
-def test_the_cells_ahead_of_and_behind_a_long_ego_are_reached_without_contact():
+def test_cells_around_a_long_ego_are_reached_safely():
     front = Scenario(npcs=[[PositionInstruction(2, 20.0)], [PositionInstruction(6, 20.0)]], ego_speed=20.0)
     trace = Highway().rollout(front, Truck)
     for npc, (arrival,) in enumerate(trace.arrivals):
@@ -129,7 +129,7 @@ def test_gym_worlds_start_in_the_same_way(ego):
     assert trace.states[0, :, :6].tolist() == reference.states[0, :, :6].tolist()
 
 
-def test_random_chains_keep_a_distance_of_a_lane_or_a_clearance():
+def test_random_chains_start_at_least_one_lane_apart():
     rng = random.Random(4)
     for _ in range(50):
         scenario = Scenario.repaired(chains(rng, 8, 1, 26.8), ego_lane=rng.choice([1, 2]), gene_seconds=0.2)

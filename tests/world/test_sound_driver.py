@@ -31,7 +31,7 @@ def lanes(*others, speed=22.0, seconds=25.0):
 
 
 @pytest.mark.parametrize("beside", [(-250.0, 2, 22.0, 0.0), (0.0, 0, 26.0, 0.0)], ids=["far behind", "two lanes away"])
-def test_it_overtakes_a_slow_leader_on_the_left_and_comes_back(beside):
+def test_sound_driver_overtakes_slow_leader_and_comes_back(beside):
     in_lane = lanes(SLOW_LEADER, beside)
     assert set(in_lane) == {2, 3}
     assert in_lane[-1] == 3
@@ -47,7 +47,7 @@ def test_it_reckons_with_one_behind_who_speeds_up(gain, overtakes):
 
 
 @pytest.mark.parametrize(("heading", "brakes"), [(0.0, False), (0.5, True)])
-def test_it_brakes_for_who_stands_in_the_way_that_it_will_take_to_the_middle_of_its_lane(heading, brakes):
+def test_sound_driver_brakes_for_obstacle_on_planned_path(heading, brakes):
     """One turned on the line reaches 20 cm into the ego's track there, and not into the one that it is in now."""
     driver, ego = SoundLaneChanger(), VehicleState(0.0, WIDTH + 0.5, -0.02, 8.0, 1, 5.0, 2.0)
     standing = VehicleState(15.0, 1.1, heading, 0.0, 0, 5.0, 2.0)

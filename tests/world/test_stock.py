@@ -23,5 +23,5 @@ assert heavy < set(sys.modules)
 
 
 @pytest.mark.processes
-def test_libraries_for_plots_and_tables_are_imported_when_something_of_them_is_used():
+def test_plot_and_table_libraries_are_imported_when_used():
     subprocess.run([sys.executable, "-c", HEAVY], check=True)

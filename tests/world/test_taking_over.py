@@ -54,7 +54,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", mostly_oracle(CASES, "kernel", "larger vehicle", "policy", "bend"))
-def test_up_to_there_the_run_is_the_recorded_one_to_the_bit(name):
+def test_run_before_taking_over_equals_the_recording(name):
     world, trace = CASES[name]()
     for tick in (0, trace.ticks // 2, trace.ticks - 1):
         taken = world.take_over(trace, tick, "careful-human")
@@ -64,13 +64,13 @@ def test_up_to_there_the_run_is_the_recorded_one_to_the_bit(name):
 
 
 @pytest.mark.parametrize("name", REFERENCES)
-def test_a_driver_that_relieves_its_like_goes_on_as_that_did(name):
+def test_driver_that_replaces_same_driver_continues_identically(name):
     trace = HIGHWAY.rollout_reference(BRAKES, name)
     for tick in (0, 1, 40, 90):
         assert HIGHWAY.take_over(trace, tick, name).states.tobytes() == trace.states.tobytes()
 
 
-def test_it_brakes_at_once_for_what_it_has_watched_and_never_goes_back_to_a_lane_that_the_ego_has_left():
+def test_new_driver_brakes_at_once_for_watched_leader():
     leader = Scenario(npcs=[[PositionInstruction(2, 16.0)]], ego_lane=1, ego_speed=22.0)
     trace = HIGHWAY.rollout(leader, lambda: lambda observation: (0.0, 0.0))
     taken = HIGHWAY.take_over(trace, trace.ticks - 9, "careful-human")
@@ -80,7 +80,7 @@ def test_it_brakes_at_once_for_what_it_has_watched_and_never_goes_back_to_a_lane
     assert (HIGHWAY.take_over(left, tick + 15, "idm-aeb").ego[tick + 15 :, 6] == left.ego[tick + 15, 6]).all()
 
 
-def test_it_wants_the_speed_that_the_ego_had_before_it_braked_for_nothing():
+def test_new_driver_wants_ego_speed_from_before_braking():
     far = Scenario(npcs=[[PositionInstruction(8, 22.0)]], ego_lane=1, ego_speed=22.0)
     trace = HIGHWAY.rollout(far, lambda: lambda observation: (-5.0 if observation.time > 2 else 0.0, 0.0))
     taken = HIGHWAY.take_over(trace, 60, "careful-human")
@@ -89,7 +89,7 @@ def test_it_wants_the_speed_that_the_ego_had_before_it_braked_for_nothing():
 
 
 @pytest.mark.parametrize("tick", [0, 40])
-def test_steady_braking_takes_six_off_at_once_down_to_a_standstill_in_the_lane_of_then(tick):
+def test_steady_braking_slows_by_six_to_a_standstill(tick):
     trace = HIGHWAY.rollout(BRAKES, changing_lanes)
     taken = HIGHWAY.take_over(trace, tick, "steady-braking")
     speed, lane = taken.ego[tick:, SPEED], taken.ego[tick:, LANE]
@@ -100,7 +100,7 @@ def test_steady_braking_takes_six_off_at_once_down_to_a_standstill_in_the_lane_o
     assert (lane == lane[0]).all()
 
 
-def test_it_takes_over_in_the_same_way_each_time():
+def test_taking_over_gives_the_same_run_each_time():
     trace = HIGHWAY.rollout(BRAKES, changing_lanes)
     once, again = (HIGHWAY.take_over(trace, 60, "careful-human") for _ in range(2))
     assert once.states.tobytes() == again.states.tobytes()
@@ -121,7 +121,7 @@ def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
         world.take_over(trace, tick, name)
 
 
-def test_who_does_not_give_way_had_its_last_chance_between_that_of_the_rules_and_its_entry():
+def test_last_chance_is_between_rules_and_zone_entry():
     """The rules let it respond for a second before it brakes."""
     world = World("roundabout-v0")
     scenario = Scenario(npcs=[[CrossingInstruction("wer>wxr", 0.0, 5.0)]], ego_lane=1, ego_speed=8.0)

@@ -35,7 +35,7 @@ def always(action):
 # --- kind (a): planners on the highway
 
 
-def test_a_planner_sees_the_scene_in_si_units_as_plain_floats():
+def test_planner_sees_scene_in_si_units():
     seen = []
     trace = HIGHWAY.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.5, 0.01))
     assert [observation.time for observation in seen] == [tick / 5 for tick in range(20)]
@@ -52,7 +52,7 @@ def test_a_planner_sees_the_scene_in_si_units_as_plain_floats():
         assert observation.array[1].tolist() == [float(value) for value in observation.others[0]]
 
 
-def test_a_planners_action_is_held_between_decisions_and_logged_as_given():
+def test_planner_action_is_held_and_logged_as_given():
     numbers = iter(range(100))
     trace = HIGHWAY.rollout(SCENARIO, lambda: lambda observation: (next(numbers) / 100, 0.001))
     assert trace.actions == tuple((number / 100, 0.001) for number in range(20))
@@ -67,20 +67,20 @@ def test_any_pair_of_numbers_is_an_action(action):
     assert set(trace.actions) == {(1.0, 0.0)}
 
 
-def test_a_planner_can_brake_to_a_standstill_and_stay_but_not_reverse():
+def test_planner_can_brake_to_standstill_but_not_reverse():
     trace = HIGHWAY.rollout(SCENARIO, always((-9.0, 0.0)))
     assert abs(trace.ego[-1, 3]) < 1e-9
     assert trace.ego[:, 3].min() > -1e-9
 
 
-def test_wishes_beyond_what_a_car_can_do_have_the_effect_of_the_strongest_that_it_can():
+def test_extreme_actions_are_limited_to_what_car_can():
     for wild, tame in (((1e9, 0.0), (6.0, 0.0)), ((-1e9, 0.0), (-9.81, 0.0)), ((0.0, 9.0), (0.0, math.pi / 4))):
         a, b = (HIGHWAY.rollout(SCENARIO, always(action)) for action in (wild, tame))
         assert a.states.tobytes() == b.states.tobytes()
         assert a.actions[0] == wild
 
 
-def test_ego_off_the_road_is_an_outcome_with_its_first_tick():
+def test_ego_off_road_records_its_first_tick():
     trace = HIGHWAY.rollout(Scenario(npcs=[[PositionInstruction(8, 20.0)]], ego_lane=3), always((0.0, 0.02)))
     assert trace.outcome is Outcome.OFF_ROAD
     off = trace.ego[:, 1] > 14.0
@@ -91,7 +91,7 @@ def test_ego_off_the_road_is_an_outcome_with_its_first_tick():
 # --- kind (b): policies of an environment
 
 
-def test_a_policy_gets_the_environments_observation_and_gives_its_action():
+def test_policy_gets_environment_observation_and_gives_its_action():
     seen = []
     trace = GYM.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or np.array([3]))
     assert {(array.shape, array.dtype) for array in seen} == {((5, 5), np.dtype(np.float32))}
@@ -106,7 +106,7 @@ def test_continuous_actions_may_be_lists_tuples_and_arrays(action):
     assert trace.actions[0].tolist() == pytest.approx(list(action))
 
 
-def test_a_policy_that_reuses_its_action_array_leaves_a_true_log():
+def test_reused_action_array_is_logged_with_true_values():
     buffer, numbers = np.zeros(2), iter(range(100))
 
     def policy(observation):
@@ -140,7 +140,7 @@ def test_a_vehicle_class_drives_itself_at_every_tick(world, idle, ego):
 
 
 @worlds
-def test_an_error_inside_a_vehicle_class_is_the_adss(world, idle):
+def test_error_in_vehicle_class_counts_as_ads_error(world, idle):
     class Broken(Vehicle):
         def act(self, action=None):
             raise RuntimeError("no brakes")
@@ -166,7 +166,7 @@ def genes_reachable_from(thing):
     return False
 
 
-def test_a_planner_that_copies_the_environment_finds_no_genes_in_it():
+def test_planner_that_copies_environment_finds_no_genes():
     found, traffic = [], []
 
     def factory(env):
@@ -188,7 +188,7 @@ def test_the_search_for_genes_would_find_them():
     assert genes_reachable_from([{"a": (SCENARIO,)}])
 
 
-def test_what_a_planner_does_in_its_environment_does_not_change_the_run():
+def test_planner_changing_its_environment_does_not_change_run():
     def meddler(env):
         def plan(observation):
             inside = copy.deepcopy(env)
@@ -208,7 +208,7 @@ def test_what_a_planner_does_in_its_environment_does_not_change_the_run():
     assert (trace.outcome, trace.actions) == (reference.outcome, reference.actions)
 
 
-def test_a_planners_environment_is_in_step_with_the_run():
+def test_planner_environment_stays_in_step_with_run():
     shown = []
 
     def factory(env):
@@ -224,7 +224,7 @@ def test_a_planners_environment_is_in_step_with_the_run():
     assert shown == [[tuple(row) for row in states.tolist()] for states in trace.states[:60:15, :, :4]]
 
 
-def test_a_planner_that_samples_and_simulates_plans_the_same_each_time():
+def test_planner_that_samples_plans_the_same_each_time():
     """Random shooting with the environment's own action space, and highway-env's random traffic behaviour."""
 
     def shooter(env):
@@ -245,7 +245,7 @@ def test_a_planner_that_samples_and_simulates_plans_the_same_each_time():
     assert len({(run.actions, run.states.tobytes()) for run in runs}) == 1
 
 
-def test_the_environment_of_a_planner_is_of_the_worlds_kind_and_config():
+def test_planner_environment_has_kind_and_config_of_world():
     world = World("highway-fast-v0", config={"lanes_count": 5, "action": {"type": "DiscreteAction"}})
     seen = []
     world.rollout(SCENARIO, lambda env: seen.append(env) or (lambda observation: 4))
@@ -258,7 +258,7 @@ def test_the_environment_of_a_planner_is_of_the_worlds_kind_and_config():
 
 
 @worlds
-def test_every_run_gets_a_fresh_ads_and_asks_the_factory_once(world, idle):
+def test_every_run_gets_a_fresh_ads_from_factory(world, idle):
     made = []
 
     class Counting:
@@ -300,7 +300,7 @@ def test_a_run_inside_a_run_disturbs_neither(world, busy):
 
 
 @busy_worlds
-def test_runs_in_several_threads_are_the_runs_of_one(world, busy):
+def test_runs_in_several_threads_equal_sequential_runs(world, busy):
     scenarios = [Scenario(npcs=[[PositionInstruction(cell, 20.0)]], gene_seconds=3.0) for cell in range(1, 9)]
     expected = [world.rollout(scenario, always(busy)).states.tobytes() for scenario in scenarios]
     received = {}
@@ -331,14 +331,14 @@ def test_what_cannot_be_called_is_no_factory(world, idle, factory):
 
 
 @worlds
-def test_an_ads_given_in_place_of_its_factory_is_recognised(world, idle):
+def test_ads_given_instead_of_its_factory_is_recognised(world, idle):
     with pytest.raises(AdsFactoryError, match=r"can be called without arguments, .*\(observation\).*lambda: MyPlanner"):
         world.rollout(SCENARIO, lambda observation: idle)
 
 
 @worlds
 @pytest.mark.parametrize("ads", [None, 3, (0.0, 0.0)])
-def test_a_factory_that_gives_nothing_that_drives_is_refused(world, idle, ads):
+def test_factory_that_returns_no_ads_is_refused(world, idle, ads):
     with pytest.raises(AdsFactoryError, match=r"expected the factory to return an ADS, .* received"):
         world.rollout(SCENARIO, lambda: ads)
 
@@ -358,7 +358,7 @@ def test_what_the_factory_itself_raises_comes_through(world, idle):
     assert world.rollout(SCENARIO, always(idle)).outcome is Outcome.SAFE
 
 
-def test_a_type_error_of_the_factorys_own_body_is_not_mistaken_for_a_wrong_signature():
+def test_factory_type_error_is_not_a_wrong_signature():
     def factory():
         return len(3)
 

@@ -52,12 +52,12 @@ def changing(seed):
 
 
 @table("seed", range(12))
-def test_both_engines_drive_to_lanes_the_same_to_the_last_bit(seed):
+def test_both_engines_drive_to_lanes_identically(seed):
     case = replace(Case.random(seed), ego=changing(seed))
     assert differences(case.run("kernel"), case.run("highway-env")) == []
 
 
-def test_env_step_of_highway_env_drives_to_lanes_the_same():
+def test_highway_env_step_drives_to_lanes_the_same():
     for seed in range(4):
         case = replace(Case.random(seed), ego=changing(seed))
         fast, stock = case.run("kernel"), case.world.rollout_in_gym(case.scenario, case.ego)
@@ -73,7 +73,7 @@ class ToSpeed25(ControlledVehicle):
         super().act()
 
 
-def test_a_speed_is_driven_by_the_controller_of_highway_envs_vehicles():
+def test_speed_follows_controller_of_highway_env_vehicles():
     world = Highway(duration=8.0)
     with c_library():
         stock = world.rollout(BEHIND, ToSpeed25)
@@ -114,7 +114,7 @@ limits = st.fixed_dictionaries(
 
 
 @given(st.lists(st.tuples(lanes, st.floats(0, 40)), min_size=5, max_size=5), st.floats(0, 39), frequencies, limits)
-def test_no_turn_is_sharper_than_the_limit_while_lanes_and_speeds_change(goals, speed, frequency, limits):
+def test_no_turn_is_sharper_than_the_limit(goals, speed, frequency, limits):
     physics_hz, ads_hz = frequency
 
     def decide(seen):
@@ -126,7 +126,7 @@ def test_no_turn_is_sharper_than_the_limit_while_lanes_and_speeds_change(goals, 
 
 
 @given(st.lists(lanes, min_size=5, max_size=5), st.floats(0.5, 3.0), st.floats(1, 39), frequencies, limits)
-def test_the_pull_changes_no_faster_than_the_limit_at_a_constant_speed(goals, every, speed, frequency, limits):
+def test_lateral_acceleration_changes_within_limit_at_constant_speed(goals, every, speed, frequency, limits):
     physics_hz, ads_hz = frequency
 
     def decide(seen):
@@ -138,7 +138,7 @@ def test_the_pull_changes_no_faster_than_the_limit_at_a_constant_speed(goals, ev
 
 @table(("speed", "seconds"), [(2.0, 7.5), (5.0, 4.5), (7.0, 4.0), (10.0, 4.0), (20.0, 4.0), (30.0, 4.0), (39.0, 4.0)])
 @table("physics_hz", [5, 15, 60])
-def test_the_next_lane_is_reached_in_time_and_not_overshot(speed, seconds, physics_hz):
+def test_next_lane_is_reached_in_time_without_overshoot(speed, seconds, physics_hz):
     trace = alone(always(Drive(lane=2, speed=speed))(), speed=speed, seconds=12.0, physics_hz=physics_hz, ads_hz=5)
     y = trace.ego[:, Y]
     assert abs(y[round(seconds * physics_hz) :] - 8.0).max() < 0.2
@@ -147,7 +147,7 @@ def test_the_next_lane_is_reached_in_time_and_not_overshot(speed, seconds, physi
 
 
 @given(st.floats(0.1, 4.0), st.floats(3, 39), st.sampled_from([5, 15, 30]), limits)
-def test_who_goes_back_leaves_neither_lane_to_the_other_side(turns, speed, physics_hz, limits):
+def test_lane_change_back_does_not_overshoot_either_lane(turns, speed, physics_hz, limits):
     def decide(seen):
         return Drive(lane=2 if seen.time < turns else 1, speed=speed, **limits)
 
@@ -158,13 +158,13 @@ def test_who_goes_back_leaves_neither_lane_to_the_other_side(turns, speed, physi
 
 
 @table("speed", [0.0, 1.0, 10.0, 30.0])
-def test_a_lane_change_is_the_same_however_often_it_is_decided(speed):
+def test_lane_change_does_not_depend_on_decision_rate(speed):
     drives = always(Drive(lane=2, speed=speed))()
     runs = [alone(drives, speed=speed, seconds=6.0, ads_hz=hz).states for hz in (1, 3, 5, 15)]
     assert all(np.array_equal(runs[0], run) for run in runs)
 
 
-def test_a_car_that_stands_stays_where_it_is_and_changes_lanes_once_it_moves():
+def test_standing_car_changes_lanes_once_it_moves():
     def decide(seen):
         return Drive(lane=2, speed=0.0 if seen.time < 3.0 else 15.0)
 
@@ -175,7 +175,7 @@ def test_a_car_that_stands_stays_where_it_is_and_changes_lanes_once_it_moves():
 
 
 @table(("angle", "speed"), [(0.7, 1.0), (-0.7, 8.0), (-0.1, 15.0), (0.03, 25.0), (0.1, 25.0)])
-def test_a_drive_takes_over_from_any_steering_and_finds_its_lane(angle, speed):
+def test_drive_takes_over_from_any_steering(angle, speed):
     def decide(seen):
         return (0.0, angle) if seen.time < 1.0 else Drive(lane=1, speed=speed)
 
@@ -190,14 +190,14 @@ def seconds_to_next_lane(*, speed=25.0, **limits):
     return np.flatnonzero(abs(y - 8.0) > 0.2).max() / 15
 
 
-def test_a_gentle_drive_takes_longer_and_a_sporty_one_is_there_sooner():
+def test_gentle_drive_takes_longer_than_sporty_drive():
     assert seconds_to_next_lane(lateral_acceleration=1.0) > 1.2 * seconds_to_next_lane()
     assert seconds_to_next_lane(lateral_acceleration=5.0, lateral_jerk=20.0) < 0.8 * seconds_to_next_lane()
 
 
 @table("speed", [10.0, 25.0])
 @table("jerk", [0.1, 0.5, 3.0, 20.0])
-def test_a_larger_limit_of_acceleration_makes_no_lane_change_slower(speed, jerk):
+def test_larger_acceleration_limit_never_slows_lane_change(speed, jerk):
     """The limit of jerk decides then: a change of 4 m under a jerk j takes at least (32 * 4 / j)^(1/3) seconds."""
     times = [
         seconds_to_next_lane(speed=speed, lateral_jerk=jerk, lateral_acceleration=most)
@@ -208,19 +208,19 @@ def test_a_larger_limit_of_acceleration_makes_no_lane_change_slower(speed, jerk)
 
 
 @table("lane", [2.0, np.float32(2), np.int64(2), Fraction(2)])
-def test_a_lane_is_a_whole_number_of_any_kind(lane):
+def test_lane_may_be_any_whole_number_type(lane):
     (action, *_) = Highway(duration=1.0).rollout(BEHIND, always(Drive(lane=lane, speed=25.0))).actions
     assert (action, type(action.lane)) == (Drive(lane=2, speed=25.0), int)
 
 
-def test_an_acceleration_is_held_as_far_as_it_has_an_effect_and_never_into_reverse():
+def test_acceleration_is_limited_and_never_reverses():
     trace = Highway(duration=8.0).rollout(BEHIND, always(Drive(lane=1, acceleration=-20.0)))
     assert trace.ego[1, ACCELERATION] == -9.81
     assert trace.ego[:, SPEED].min() == trace.ego[-1, SPEED] == 0.0
     assert set(trace.actions) == {Drive(lane=1, acceleration=-20.0)}
 
 
-def test_a_pair_after_a_drive_is_held_as_any_pair():
+def test_pair_after_a_drive_is_held_as_usual():
     actions = [Drive(lane=2, speed=25.0), (0.5, 0.01)]
     ego = Highway(duration=2.0).rollout(BEHIND, lambda: lambda seen: actions[seen.time > 1.0]).ego
     assert len(set(ego[4:16, STEERING].tolist())) == 12, "steers anew in every tick"
@@ -252,13 +252,13 @@ def test_a_pair_after_a_drive_is_held_as_any_pair():
     ],
 )
 @table("engine", ["kernel", "highway-env"])
-def test_a_drive_that_says_nothing_or_where_there_is_no_lane_is_a_bad_action(drive, said, engine):
+def test_empty_drive_or_missing_lane_is_bad_action(drive, said, engine):
     error = Highway(engine=engine).rollout(BEHIND, always(drive)).error
     assert error.kind == "BadAction"
     assert re.match(f"expected pafot.Drive with {said}.*, received Drive", error.message)
 
 
-def test_policies_of_an_environment_answer_in_its_own_actions():
+def test_policy_of_an_environment_cannot_answer_with_drive():
     error = World("highway-v0").rollout(BEHIND, always(Drive(lane=1, speed=20.0))).error
     assert error.kind == "BadAction"
     assert error.message.endswith(
@@ -283,7 +283,7 @@ class Weaving:
         return tuple(map(self, observations))
 
 
-def test_batches_may_answer_with_drives_and_pairs_in_any_order():
+def test_batches_may_mix_drives_and_pairs():
     world, two = Highway(duration=6.0), replace(BEHIND, npcs=[*BEHIND.npcs, [PositionInstruction(2, 20.0)]])
     together = world.rollout_batch([BEHIND, two, BEHIND], Weaving)
     assert [differences(a, world.rollout(a.scenario, Weaving)) for a in together] == [[], [], []]
@@ -324,7 +324,7 @@ def test_another_lane_of_a_bend_is_driven_to():
     assert max(kept) < 0.4
 
 
-def test_a_lane_that_is_not_there_yet_or_any_more_is_a_bad_action():
+def test_lane_missing_at_the_moment_is_bad_action():
     world, trace = driven_on("merge-v0", lambda seen: Drive(lane=2, speed=20.0))
     assert world.lanes == 3
     assert trace.error.message.startswith("expected pafot.Drive with a lane that exists at ")

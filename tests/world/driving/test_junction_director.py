@@ -79,7 +79,7 @@ def slot_of(trace, npc=0):
 
 
 @table("zone", [LEFT, AHEAD, RIGHT, INTO, "o1>o2", "o2>o1"])
-def test_an_ego_that_keeps_its_speed_meets_an_npc_as_its_slot_says(zone):
+def test_npc_meets_steady_ego_according_to_its_slot(zone):
     for slot, speed in ((-1.5, 8.6), (-0.5, 7.0), (0.5, 8.6), (1.2, 5.0), (3.0, 9.0)):
         trace = rollout((zone, slot, speed))
         assert slot_of(trace) == pytest.approx(slot, abs=0.3), (slot, speed)
@@ -94,14 +94,14 @@ def test_together_they_collide_where_nobody_gives_way(zone):
     assert np.isnan(trace.track[-1, 1, ALONG])
 
 
-def test_an_npc_follows_the_arrival_of_an_ego_that_is_slower():
+def test_npc_follows_arrival_of_a_slower_ego():
     """From 10 to 7 m/s at once: it comes two seconds later, and so does the NPC."""
     late = rollout((LEFT, 1.0, 7.0), ego=braking_at(0.0, 7.0))
     assert times_in(late)[0] - times_in(rollout((LEFT, 1.0, 7.0)))[0] > 1.5
     assert slot_of(late) == pytest.approx(1.0, abs=0.3)
 
 
-def test_three_seconds_before_it_enters_an_npc_no_longer_follows_the_ego():
+def test_npc_ignores_the_ego_shortly_before_it_enters():
     kept = rollout((LEFT, -1.0, 7.0))
     entered = kept.arrivals[0][0] / 15
     brakes = rollout((LEFT, -1.0, 7.0), ego=braking_at(entered - FREEZE + 0.2, 4.0))
@@ -110,7 +110,7 @@ def test_three_seconds_before_it_enters_an_npc_no_longer_follows_the_ego():
     assert earlier.arrivals[0][0] > kept.arrivals[0][0] + 2
 
 
-def test_an_npc_does_not_wait_for_an_ego_that_waits():
+def test_npc_does_not_wait_for_a_waiting_ego():
     stands = rollout((LEFT, -0.5, 8.0), ego=braking_at(0.0, 0.0))
     assert stands.ego[-1, SPEED] == pytest.approx(0.0, abs=0.1)
     assert stands.arrivals[0][0] is not None
@@ -120,7 +120,7 @@ def test_an_npc_does_not_wait_for_an_ego_that_waits():
 # Acts.
 
 
-def test_one_that_holds_waits_at_the_line_until_the_ego_has_passed():
+def test_holding_npc_waits_until_the_ego_has_passed():
     trace = rollout((AHEAD, 0.0, 8.0, "hold"))
     zone, place = trace.zones[0], trace.on_way[:, 0]
     passed = int(np.flatnonzero(trace.track[:, 0, ALONG] > zone.ego[1])[0])
@@ -141,7 +141,7 @@ def test_one_that_stops_does_so_in_the_zone():
     assert rollout((LEFT, -1.0, 8.0, "stop")).outcome is Outcome.COLLISION
 
 
-def test_a_late_one_starts_from_the_line_as_its_slot_says():
+def test_late_npc_starts_from_line_by_its_slot():
     trace = rollout((LEFT, 1.0, 8.0, "late"))
     entered = trace.arrivals[0][0]
     assert trace.npcs[:entered, 0, SPEED].min() < 0.5
@@ -156,7 +156,7 @@ def entering_and_standing():
     return braking_at(6.6, 0.0, 8.0)
 
 
-def test_an_npc_answers_an_ego_that_has_entered_its_zone_after_a_second():
+def test_npc_answers_ego_in_its_zone_after_second():
     trace = rollout((LEFT, 2.5, 8.0), ego=entering_and_standing())
     zone = trace.zones[0]
     assert zone.ego[0] < trace.track[-1, 0, ALONG] < zone.ego[1]
@@ -179,7 +179,7 @@ def test_one_that_can_no_longer_stop_drives_on():
 # Among each other.
 
 
-def test_behind_a_merge_an_npc_follows_a_slower_ego():
+def test_npc_follows_a_slower_ego_behind_a_merge():
     trace = rollout((INTO, 0.6, 9.0), ego=braking_at(7.0, 4.0, 3.0))
     assert trace.outcome is Outcome.SAFE
     on_way = np.isfinite(trace.track[:, 1, ALONG])
@@ -190,7 +190,7 @@ def test_behind_a_merge_an_npc_follows_a_slower_ego():
     assert (trace.npcs[on_way, 0, LANE] >= 0).all()
 
 
-def test_the_one_with_the_higher_number_waits_where_two_npcs_come_at_once():
+def test_npc_with_the_higher_number_waits():
     """Across each other's way, both as long after the ego; their windows clash, so that no search draws them."""
     first, second = (LEFT, 1.0, 8.0), ("o3>o0", 1.0, 6.0)
     world = world_of("intersection-v0")
@@ -269,7 +269,7 @@ EGOS = (Steady, slowing, IDMVehicle)
         oracle("roundabout-v0", 2, 60),
     ],
 )
-def test_npcs_that_do_not_clash_never_touch_each_other_and_keep_their_limits(env_id, on_grid, runs):
+def test_npcs_without_clash_never_touch_and_respect_limits(env_id, on_grid, runs):
     world, rng = world_of(env_id), np.random.default_rng(runs)
     egos = EGOS if env_id != "intersection-v1" else EGOS[::2]
     for run in range(runs):
@@ -304,7 +304,7 @@ def violations(trace, world):
 
 
 @table("zone", [LEFT, AHEAD, RIGHT])
-def test_of_one_on_the_grid_and_one_that_crosses_the_one_with_the_higher_number_waits(zone):
+def test_higher_numbered_of_grid_and_crossing_npc_waits(zone):
     """The one ahead of the ego and the one that crosses would be in the zone together."""
     ahead, crossing, ego = [PositionInstruction(2, 9.0)] * 3, (zone, -0.5, 8.0), braking_at(0.0, 7.0, 2.0)
     alone = [rollout(ahead, ego=ego).npcs[:, 0, SPEED], rollout(crossing, ego=ego).npcs[:, 0, SPEED]]
@@ -318,7 +318,7 @@ def test_of_one_on_the_grid_and_one_that_crosses_the_one_with_the_higher_number_
             assert (slower > 2.5) == (npc == waits), (npcs, npc, slower)
 
 
-def test_one_on_the_grid_does_not_move_in_beside_one_that_has_merged():
+def test_npc_on_grid_avoids_cell_next_to_merged():
     world = world_of("roundabout-v0")
     scenario = scenario_of(("wer>exr", 1.0, 8.0), [PositionInstruction(2, 8.0)], world=world)
     director, road = world.rules.director(scenario, 5.0), world.road
@@ -344,7 +344,7 @@ def steering():
 @pytest.mark.parametrize(
     ("env_id", "egos"), [("intersection-v0", EGOS), ("intersection-v1", [steering]), oracle("roundabout-v0", EGOS)]
 )
-def test_a_run_is_the_same_again_and_by_the_environments_own_steps(env_id, egos):
+def test_run_repeats_exactly_and_in_environment_steps(env_id, egos):
     world, rng = world_of(env_id), np.random.default_rng(8)
     for run in range(6 if len(egos) > 1 else 2):
         ego = egos[run % len(egos)]
@@ -358,7 +358,7 @@ def test_a_run_is_the_same_again_and_by_the_environments_own_steps(env_id, egos)
 
 
 @pytest.mark.parametrize("env_id", ["intersection-v0", "roundabout-v0"])
-def test_a_trace_tells_where_everybody_is_on_its_own_way(env_id):
+def test_trace_has_place_of_each_npc_on_way(env_id):
     world = world_of(env_id)
     trace = world.rollout(drawn(np.random.default_rng(3), world, on_grid=1), Steady)
     told = trace.scenario.crossings
@@ -380,7 +380,7 @@ def grid_alone():
     return rollout([PositionInstruction(2, 4.0)] * 3, [PositionInstruction(6, 9.0)] * 3)
 
 
-def test_a_run_without_npcs_that_cross_says_nothing_of_ways():
+def test_run_without_crossing_npcs_has_no_way_data():
     trace = grid_alone()
     assert (trace.zones, trace.on_way) == ((), None)
     assert np.isfinite(trace.track).all()
@@ -399,7 +399,7 @@ def test_a_run_without_npcs_that_cross_says_nothing_of_ways():
         ((LEFT, 0.0, 11.0), "npcs[0][0].speed", "at most the speed limit of 10 m/s"),
     ],
 )
-def test_an_instruction_that_does_not_fit_is_refused_with_what_would(npc, field, message):
+def test_unfitting_instruction_is_refused_with_what_would_fit(npc, field, message):
     world = world_of("intersection-v0")
     if field is None:
         world.check_fits(scenario_of(npc))
@@ -410,7 +410,7 @@ def test_an_instruction_that_does_not_fit_is_refused_with_what_would(npc, field,
     assert message in str(caught.value)
 
 
-def test_a_world_without_crossings_refuses_them_with_the_way_out():
+def test_world_without_crossings_refuses_them_with_a_hint():
     instruction = CrossingInstruction(LEFT, 0.0, 8.0)
     for world in (World("highway-v0"), world_of("merge-v1")):
         lane, speed = world.start or (1, 20.0)

@@ -55,13 +55,13 @@ states = st.tuples(positions, *motions)
 @pytest.mark.parametrize("ego_class", [Car, oracle(MDPVehicle), oracle(Vehicle)])
 @settings(max_examples=50)  # of eleven options, any of which may be left out
 @given(config=configs, others=st.lists(states, min_size=1, max_size=9))
-def test_observations_equal_highway_envs_own_to_the_last_bit(env, config, others, ego_class):
+def test_observations_equal_those_of_highway_env_exactly(env, config, others, ego_class):
     assert_the_same_is_observed(env, config, others, ego_class)
 
 
 @settings(max_examples=25)
 @given(config=configs, others=st.lists(st.tuples(crossroads, *motions), min_size=1, max_size=9))
-def test_observations_at_an_intersection_equal_highway_envs_own_to_the_last_bit(intersection, config, others):
+def test_intersection_observations_equal_those_of_highway_env(intersection, config, others):
     assert_the_same_is_observed(intersection, config, others, MDPVehicle)
 
 
@@ -80,7 +80,7 @@ def assert_the_same_is_observed(env, config, others, ego_class):
         assert received.tobytes() == expected.tobytes()
 
 
-def test_vehicles_at_equal_distance_come_in_the_order_of_the_road(env):
+def test_equally_distant_vehicles_come_in_road_order(env):
     ego = Car(env.road, (300.0, 4.0), 0.0, 20.0)
     env.road.vehicles = [ego, *(Car(env.road, (320.0, y), 0.0, 20.0 + y) for y in (8.0, 0.0, 4.0))]
     env.controlled_vehicles = [ego]
@@ -123,7 +123,7 @@ SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(6
     ],
     ids=lambda value: value["type"] if isinstance(value, dict) else "",
 )
-def test_policies_get_observations_of_their_space_that_change_and_repeat(observation, shape):
+def test_policy_observations_match_their_space_and_repeat(observation, shape):
     world = World("highway-v0", config={"observation": observation})
 
     def rollout():
@@ -142,7 +142,7 @@ def test_policies_get_observations_of_their_space_that_change_and_repeat(observa
     assert len({array.tobytes() for array in first}) > 1
 
 
-def test_an_observation_is_the_policys_own_and_may_be_changed():
+def test_policy_may_change_its_own_observation():
     world = World("highway-v0")
     seen = []
 

@@ -108,7 +108,7 @@ POLICIES = {
 
 
 @table("engine", PLANNERS)
-def test_a_planner_sees_others_as_a_delay_line_gives_them_out_and_itself_as_it_is(engine):
+def test_planner_sees_others_delayed_and_itself_exactly(engine):
     trace, ads = run(PLANNERS[engine], Watching, latency=0.5)  # 8 ticks, and decisions are 3 apart
     lines = list(delayed(trace.npcs, 8))
     assert len(ads.shown) > 20
@@ -120,7 +120,7 @@ def test_a_planner_sees_others_as_a_delay_line_gives_them_out_and_itself_as_it_i
 
 
 @pytest.mark.parametrize("engine", POLICIES)
-def test_a_policy_sees_others_as_a_delay_line_gives_them_out_and_itself_as_it_is(engine):
+def test_policy_sees_others_delayed_and_itself_exactly(engine):
     trace, ads = run(POLICIES[engine], WatchingPolicy, latency=0.5)
     lines = list(delayed(trace.npcs, 8))
     assert len(ads.shown) > 10
@@ -147,7 +147,7 @@ def test_all_engines_show_a_policy_the_same():
 
 
 @pytest.mark.parametrize("env_id", mostly_oracle(["merge-v0", "two-way-v0", "racetrack-v0"], "two-way-v0"))
-def test_a_policy_sees_the_same_by_either_means_on_any_road_and_in_any_observation(env_id):
+def test_policy_sees_the_same_on_any_road(env_id):
     world = pafot.World(env_id, duration=4.0)
     lane, speed = world.start or (1, 22.0)
     scenario = Scenario(npcs=[[PositionInstruction(2, 8.0)]], ego_lane=lane, ego_speed=speed, seed=5)
@@ -166,7 +166,7 @@ def test_a_policy_sees_the_same_by_either_means_on_any_road_and_in_any_observati
     assert not np.array_equal(direct, perfect)
 
 
-def test_an_environment_that_resets_itself_shows_a_policy_the_same(monkeypatch):
+def test_environment_that_resets_itself_shows_the_same(monkeypatch):
     class Resetting(HighwayEnv):
         def reset(self, **options):
             return super().reset(**options)
@@ -179,7 +179,7 @@ def test_an_environment_that_resets_itself_shows_a_policy_the_same(monkeypatch):
     assert np.array_equal(own.shown, stock.shown)
 
 
-def test_range_and_occlusion_are_those_of_the_moment_that_is_seen():
+def test_range_and_occlusion_apply_at_the_seen_moment():
     trace, ads = run(PLANNERS["kernel"], Watching, latency=1.0, range=50.0, occlusion=True)
     sizes = np.broadcast_to(trace.sizes, (len(trace.states), 4, 2))
     states = np.concatenate([trace.states[..., :4], np.zeros_like(sizes[..., :1]), sizes], axis=-1)
@@ -194,20 +194,20 @@ def test_range_and_occlusion_are_those_of_the_moment_that_is_seen():
     assert len(counts) > 1
 
 
-def test_the_lane_of_a_vehicle_is_that_in_which_it_is_seen():
+def test_vehicle_lane_is_that_of_its_seen_position():
     _, ads = run(PLANNERS["kernel"], Watching, noise={"position": 3.0})
     seen = [each for observation in ads.shown for each in observation.others]
     assert {each.lane == min(range(4), key=lambda lane: abs(each.y - 4.0 * lane)) for each in seen} == {True}
 
 
-def test_an_occupancy_grid_is_empty_where_nobody_is_seen():
+def test_occupancy_grid_is_empty_without_visible_vehicles():
     config = {"observation": {"type": "OccupancyGrid", "features": ["presence"]}, "duration": 3}
     rollout = pafot.World("highway-v0", config).rollout
     assert sum(grid.sum() for grid in run(rollout, WatchingPolicy)[1].shown) > 3  # of four times, the ego aside
     assert {grid.sum() for grid in run(rollout, WatchingPolicy, range=0.0)[1].shown} == {1.0}
 
 
-def test_a_planner_inside_of_the_environment_finds_only_those_on_its_road_that_are_seen():
+def test_planner_in_environment_finds_only_visible_vehicles():
     made = []
 
     def factory(env):
@@ -239,7 +239,7 @@ class OfItsOwn:
         self.closed.append(True)
 
 
-def test_runs_in_lock_step_are_those_one_by_one():
+def test_lock_step_runs_equal_single_runs():
     scenarios = [
         Scenario(npcs=SCENARIO.npcs[:count], seed=seed, ego_lane=1) for seed, count in ((1, 2), (2, 3), (3, 1))
     ]
@@ -250,7 +250,7 @@ def test_runs_in_lock_step_are_those_one_by_one():
         assert [each.states.tobytes() for each in together] == [each.states.tobytes() for each in alone]
 
 
-def test_policies_in_lock_step_are_shown_what_they_are_shown_one_by_one():
+def test_policies_in_lock_step_see_the_same():
     class Policy:
         def __call__(self, observation):
             return FASTER if observation[:, 0].sum() > 3 else IDLE
@@ -274,12 +274,12 @@ def test_policies_in_lock_step_are_shown_what_they_are_shown_one_by_one():
         ({"noise": {"speed": 1}}, False),
     ],
 )
-def test_an_ads_stays_pure_where_it_sees_what_is_there_alone(imperfections, is_pure):
+def test_ads_stays_pure_without_delay_or_noise(imperfections, is_pure):
     assert pafot.Perception(OfItsOwn, **imperfections)().pure is is_pure
     assert not getattr(pafot.Perception(Watching)(), "pure", False)
 
 
-def test_a_factory_that_knows_its_policy_is_asked_through_the_perception():
+def test_perception_passes_questions_to_the_policy_factory():
     class Loading:
         weights_digest = "sha256:abc"
 
@@ -295,7 +295,7 @@ def test_a_factory_that_knows_its_policy_is_asked_through_the_perception():
         pafot.Highway().rollout(SCENARIO, factory)
 
 
-def test_an_ads_is_closed_and_has_only_the_methods_of_its_own():
+def test_ads_is_closed_and_gains_no_methods():
     _, ads = run(PLANNERS["kernel"], OfItsOwn, latency=0.2)
     assert ads.closed == [True]
     assert not hasattr(pafot.Perception(Watching)(), "batch")
@@ -324,7 +324,7 @@ def test_what_cannot_be_is_refused(make, error, message):
 
 
 @pytest.mark.parametrize("world", [pafot.Highway(), pafot.World("highway-v0"), pafot.World("merge-v0")])
-def test_a_sight_that_the_factory_does_not_tell_is_refused(world):
+def test_hidden_perception_inside_a_factory_is_refused(world):
     def inner():
         return pafot.Perception(WatchingPolicy, noise={"speed": 1.0})()
 
@@ -333,7 +333,7 @@ def test_a_sight_that_the_factory_does_not_tell_is_refused(world):
             world.rollout(SCENARIO, factory)
 
 
-def test_a_wrapper_that_says_what_it_wraps_tells_the_sight():
+def test_functools_wrapper_reveals_the_perception_it_wraps():
     seeing = pafot.Perception(Watching, latency=0.2)
 
     @functools.wraps(seeing)
@@ -345,7 +345,7 @@ def test_a_wrapper_that_says_what_it_wraps_tells_the_sight():
 
 
 @pytest.mark.parametrize("rollout", ["rollout", "rollout_in_gym"])
-def test_an_observation_that_is_not_made_of_the_road_is_refused(rollout):
+def test_observation_without_road_data_is_refused(rollout):
     config = {"observation": {"type": "AttributesObservation", "attributes": ["steps"]}}
     world = pafot.World("highway-v0", config)
     with pytest.raises(WorldError, match=r"config\.observation: expected .*\"Kinemat.*received AttributesObservation"):

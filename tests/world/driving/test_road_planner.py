@@ -43,7 +43,7 @@ EAST = (HALF - 90.0, -2.0, math.pi, 8.0)
 """Who has driven 90 m from the east towards the west."""
 
 
-def test_a_vehicle_that_crosses_is_seen_on_its_own_way():
+def test_crossing_vehicle_is_seen_on_its_own_way():
     planner = planner_on((2.0, HALF - 75.0, -math.pi / 2, 9.0), EAST, ways=[None, FROM_THE_RIGHT])
     seen = planner.observe(0)
     assert seen.ids == (0,)
@@ -128,7 +128,7 @@ def follows():
 
 @pytest.mark.parametrize("env_id", ["intersection-v0", "roundabout-v0", "highway-v0"])
 @pytest.mark.parametrize("sight", [{}, {"latency": 0.4, "noise": {"position": 0.2}}])
-def test_a_planner_drives_the_same_in_an_environment_and_by_its_own_steps(env_id, sight):
+def test_planner_drives_the_same_in_environment_steps(env_id, sight):
     world = World(env_id, duration=10.0, planner_hz=5)
     ads = Perception(follows, **sight)
     runs = [roll(scenario_of(world), ads) for roll in (world.rollout, world.rollout_in_gym)]
@@ -143,7 +143,7 @@ def test_a_file_has_how_often_a_planner_decides():
     assert (WORLD.observation_space, WORLD.ads_hz) == (None, 5)
 
 
-def test_a_world_for_planners_refuses_what_is_for_policies():
+def test_world_for_planners_refuses_policy_options():
     with pytest.raises(WorldError, match="planner_hz: expected"):
         World("intersection-v0", planner_hz=0)
     with pytest.raises(WorldError, match="planner_hz"):

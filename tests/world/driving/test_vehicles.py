@@ -102,7 +102,7 @@ def places(network, rng, count):
     ("name", "count"),
     [("tangled", 600), oracle("racetrack-v1", 150), oracle("roundabout-v1", 100), oracle("intersection-v0", 100)],
 )
-def test_the_closest_lane_is_highway_envs_on_winding_roads(name, count):
+def test_closest_lane_equals_highway_env_on_winding_roads(name, count):
     network, found = tangled() if name == "tangled" else World(name).network, set()
     searched = SearchedLanes(network)
     for position, heading in places(network, np.random.default_rng(0), count):
@@ -113,7 +113,7 @@ def test_the_closest_lane_is_highway_envs_on_winding_roads(name, count):
 
 
 @table("position", [(math.nan, 0.0), (math.inf, 0.0), (0.0, -math.inf)])
-def test_a_position_that_is_no_place_has_the_closest_lane_that_highway_env_says(position):
+def test_invalid_position_gets_closest_lane_of_highway_env(position):
     network = tangled()
     with np.errstate(invalid="ignore"):
         closest = SearchedLanes(network).get_closest_lane_index(np.array(position), 0.0)
@@ -121,7 +121,7 @@ def test_a_position_that_is_no_place_has_the_closest_lane_that_highway_env_says(
 
 
 @given(st.floats(-1, 1), st.floats(-41, 42), controls, st.sampled_from([5, 15, 50]))
-def test_a_car_steps_as_a_highway_env_vehicle_does(heading, speed, steps, physics_hz):
+def test_car_steps_like_a_highway_env_vehicle(heading, speed, steps, physics_hz):
     road = Road(NETWORKS[0], np_random=np.random.default_rng(0))
     stock = Vehicle(road, [300.0, 4.0], heading, speed)
     car = Car(road, [300.0, 4.0], heading, speed)
@@ -162,7 +162,7 @@ def crossroads(kind, seed, ego_class):
 
 
 @pytest.mark.parametrize("ego_class", [IDMVehicle, MDPVehicle])
-def test_the_ego_is_told_to_yield_exactly_where_highway_envs_regulated_road_tells_it(ego_class):
+def test_ego_yields_exactly_where_regulated_road_says_so(ego_class):
     told = 0
     for seed in range(8):
         stock, own = (crossroads(kind, seed, ego_class) for kind in (RegulatedRoad, EgosRegulatedRoad))
@@ -180,7 +180,7 @@ def test_the_ego_is_told_to_yield_exactly_where_highway_envs_regulated_road_tell
     assert (told > 0) == (ego_class is IDMVehicle)
 
 
-def test_a_car_is_a_highway_env_vehicle_to_highway_envs_own_code():
+def test_car_works_as_vehicle_in_highway_env_code():
     road = Road(ParallelLanes(NETWORKS[0]), np_random=np.random.default_rng(0))
     car, stock = Car(road, [300.0, 4.5], 0.1, 20.0), Vehicle(road, [300.0, 4.5], 0.1, 20.0)
     car.control(1.0, 0.05)
@@ -198,7 +198,7 @@ def test_a_car_is_a_highway_env_vehicle_to_highway_envs_own_code():
     assert (car.x, car.y, car.position.tolist()) == (1.0, 2.0, [1.0, 2.0])
 
 
-def test_a_network_of_our_own_has_highway_envs_lanes_and_line_types():
+def test_own_network_has_lanes_of_highway_env():
     own, stock = (
         straight_network(4, 900.0, 4.0, 26.8),
         RoadNetwork.straight_road_network(4, length=900.0, speed_limit=26.8),
@@ -235,7 +235,7 @@ def from_the_right():
 @table(
     "network", [RoadNetwork(), curved(), unequal(), RoadNetwork.straight_road_network(3, angle=0.3), from_the_right()]
 )
-def test_roads_that_are_not_straight_along_x_are_told_apart(network):
+def test_roads_not_straight_along_x_are_recognised(network):
     assert straight_road(network) is None
 
 
@@ -254,7 +254,7 @@ def own_id():
 
 
 @pytest.mark.parametrize("ego", [IDMVehicle, lambda: lambda observation: 1], ids=["vehicle class", "policy"])
-def test_a_registered_environment_of_ones_own_is_driven_on_its_own_road(own_id, ego):
+def test_registered_custom_environment_is_driven_on_its_road(own_id, ego):
     world = World(own_id, duration=12.0)
     assert (world.lanes, world.speed_limit, world.road.lane_width) == (3, 25.0, 3.5)
     rng = random.Random(0)
@@ -274,7 +274,7 @@ def test_a_registered_environment_of_ones_own_is_driven_on_its_own_road(own_id, 
         assert world.rollout(trace.executed, ego).states.tobytes() == trace.states.tobytes()
 
 
-def test_lanes_are_told_apart_as_highway_env_does_and_off_the_road_is_minus_one():
+def test_lane_off_the_road_is_minus_one():
     grid = straight_road(parallel(3, x=100.0, y=-20.0, width=3.5)).grid
 
     def located(x, y):

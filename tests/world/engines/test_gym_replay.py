@@ -93,7 +93,7 @@ def test_a_policy_sees_the_observation_of_the_environment():
     assert all(np.allclose(a, b, atol=1e-3) for a, b in zip(seen[:half], seen[half:], strict=True))
 
 
-def test_planners_inside_of_an_environment_and_vehicle_classes_in_one():
+def test_planners_and_vehicle_classes_in_environment_are_confirmed():
     def inside(env):
         return lambda observation: 1 if env.vehicle.speed < 25 else 4
 
@@ -109,14 +109,14 @@ def test_every_way_to_end(outcome):
     assert first.outcome is outcome
 
 
-def test_a_collision_inside_of_a_decision_ends_the_run_at_that_tick():
+def test_collision_inside_a_decision_ends_run_at_tick():
     world = Highway(physics_hz=15, ads_hz=1)
     found = (each for each in scenarios(8, 100) if world.rollout(each, constant_speed).outcome is Outcome.COLLISION)
     ticks = [assert_confirmed(world, scenario, constant_speed).collision.tick for scenario in islice(found, 4)]
     assert any(tick % 15 for tick in ticks)
 
 
-def test_a_run_that_ends_inside_of_a_decision_is_as_long():
+def test_run_ending_inside_a_decision_has_same_length():
     world = Highway(duration=2.6)
     assert assert_confirmed(world, scenarios(2, 1)[0], constant_speed).ticks <= 39
 
@@ -140,7 +140,7 @@ def test_an_ads_that_raises_raises_there_too():
     )
 
 
-def test_it_is_the_environments_own_road_and_vehicles_that_drive(monkeypatch):
+def test_environment_drives_its_own_road_and_vehicles(monkeypatch):
     """Nothing of this package's physics takes part: break it, and the run in the environment stays as it is."""
     from pytest_pafot.world.driving.vehicles import Car
 

@@ -61,26 +61,26 @@ def differences(traces, others):
 
 
 @pytest.mark.parametrize("world", HIGHWAYS.values(), ids=HIGHWAYS)
-def test_a_planner_drives_in_lock_step_as_it_does_alone(world):
+def test_planner_in_lock_step_drives_as_alone(world):
     alone = [world.rollout(scenario, Planner) for scenario in scenarios()]
     assert differences(world.rollout_batch(scenarios(), Planner), alone) == []
     assert len({trace.ticks for trace in alone}) > 1, "they should end at different times"
 
 
-def test_a_policy_in_an_environment_drives_in_lock_step_as_it_does_alone():
+def test_policy_in_lock_step_drives_as_alone():
     alone = [ENVIRONMENT.rollout(scenario, MetaPolicy) for scenario in scenarios()]
     assert differences(ENVIRONMENT.rollout_batch(scenarios(), MetaPolicy), alone) == []
     assert len({trace.ticks for trace in alone}) > 1, "they should end at different times"
 
 
-def test_it_is_asked_once_at_each_tick_of_decision_for_the_runs_that_still_go_on():
+def test_batch_is_asked_once_per_decision_tick():
     asked = []
     traces = Highway(duration=12.0).rollout_batch(scenarios(), lambda: Planner(asked))
     decisions = [len(trace.actions) for trace in traces]
     assert asked == [sum(count > tick for count in decisions) for tick in range(max(decisions))]
 
 
-def test_one_fresh_ads_drives_all_runs_of_a_batch():
+def test_one_fresh_ads_drives_a_whole_batch():
     made = []
     Highway(duration=2.0).rollout_batch(scenarios(3), lambda: made.append(Planner()) or made[-1])
     assert len(made) == 1
@@ -96,7 +96,7 @@ def test_actions_may_be_rows_of_an_array():
 
 
 @pytest.mark.parametrize("world", HIGHWAYS.values(), ids=HIGHWAYS)
-def test_all_observations_of_a_tick_are_one_array_with_rows_of_nan_where_a_run_has_fewer_vehicles(world):
+def test_batch_array_has_nan_rows_for_missing_vehicles(world):
     class Looking(Planner):
         def batch(self, observations):
             values = observations.array
@@ -111,7 +111,7 @@ def test_all_observations_of_a_tick_are_one_array_with_rows_of_nan_where_a_run_h
     assert [trace.error for trace in traces] == [None] * 6
 
 
-def test_in_an_environment_the_array_is_the_stack_of_its_own_observations():
+def test_environment_array_is_stack_of_its_observations():
     class Looking(MetaPolicy):
         def batch(self, observations):
             assert np.array_equal(observations.array, np.stack(observations))
@@ -129,7 +129,7 @@ def test_an_ads_without_batch_drives_one_by_one():
     assert len(made) >= 3
 
 
-def test_vehicle_classes_and_planners_inside_of_an_environment_have_no_batch():
+def test_vehicle_classes_and_inside_planners_have_no_batch():
     from highway_env.vehicle.behavior import IDMVehicle
 
     factories = (IDMVehicle, lambda: IDMVehicle, lambda env: Planner())
@@ -178,7 +178,7 @@ class Panic(BaseException):
     ids=["raises", "panics", "hangs", "not finite", "no action"],
 )
 @pytest.mark.parametrize("engine", ["kernel", "highway-env"])
-def test_a_failing_decision_ends_its_own_run_and_no_other(engine, how, outcome, kind, monkeypatch):
+def test_failing_decision_ends_only_its_own_run(engine, how, outcome, kind, monkeypatch):
     world, clock = Highway(duration=4.0, engine=engine), StoppedClock(monkeypatch)
     traces = world.rollout_batch(scenarios(4), lambda: Failing(how or (lambda: clock.sleep(1000.0))))
     healthy = [world.rollout(scenario, Planner) for scenario in scenarios(4)]
@@ -195,7 +195,7 @@ def test_a_batch_has_the_time_of_its_runs(seconds, asked, monkeypatch):
     assert planner.asked == asked, "after a hang the runs are repeated one by one"
 
 
-def test_an_interrupt_in_a_decision_of_many_runs_is_the_users():
+def test_interrupt_in_a_batch_decision_reaches_the_user():
     def interrupt():
         raise KeyboardInterrupt
 
@@ -203,7 +203,7 @@ def test_an_interrupt_in_a_decision_of_many_runs_is_the_users():
         Highway(duration=4.0).rollout_batch(scenarios(4), lambda: Failing(interrupt))
 
 
-def test_actions_may_come_one_by_one_and_raise_meanwhile_as_a_decision_does():
+def test_batch_actions_may_be_generated_and_may_raise():
     class Lazy(Failing):
         def batch(self, observations):
             return (self.decided(observation) for observation in observations)
@@ -220,14 +220,14 @@ def test_a_wrong_number_of_actions_is_refused(answer):
         Highway(duration=2.0).rollout_batch(scenarios(3), lambda: planner)
 
 
-def test_a_scenario_that_does_not_fit_is_refused_before_anything_runs():
+def test_unfitting_scenario_is_refused_before_anything_runs():
     too_fast = Scenario(npcs=[[PositionInstruction(2, 60.0)]])
     for world in (Highway(), ENVIRONMENT):
         with pytest.raises(ScenarioError, match="speed"):
             world.rollout_batch([ALONE, too_fast], lambda: pytest.fail("the factory should not be called"))
 
 
-def test_a_decision_of_many_runs_takes_each_of_them_its_share_of_the_time():
+def test_batch_decision_time_is_shared_among_its_runs():
     class Slow(Planner):
         def batch(self, observations):
             time.sleep(0.04)

@@ -12,7 +12,7 @@ def weaving():
     return lambda observation: (0.0, 0.04 if int(observation.time / 3) % 2 else -0.04)
 
 
-def test_the_side_that_was_hit_is_that_of_the_tick_before_when_boxes_were_apart():
+def test_side_hit_is_that_of_last_tick_apart():
     rng, differ = random.Random(5), 0
     for _ in range(160):
         trace = Highway(duration=30.0).rollout(random_scenario(rng, lanes=4, speed_limit=26.8), weaving)

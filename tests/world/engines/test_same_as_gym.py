@@ -98,7 +98,7 @@ def lmap(action, low, high):
 
 
 @pytest.mark.parametrize(("physics_hz", "ads_hz"), [(15, 5), (20, 10), (5, 1)])
-def test_a_planner_on_the_highway_drives_as_continuous_actions_do(exact, physics_hz, ads_hz):
+def test_highway_planner_drives_like_continuous_actions(exact, physics_hz, ads_hz):
     world = Highway(physics_hz=physics_hz, ads_hz=ads_hz)
     (scenario,) = random_scenarios(1, lanes=4, speed_limit=26.8, seed=physics_hz)
     rng = np.random.default_rng(0)
@@ -145,7 +145,7 @@ def continuous(rng):
     ],
     ids=lambda value: "-".join(map(str, value.values())) if isinstance(value, dict) else "",
 )
-def test_a_policy_sees_and_does_what_it_sees_and_does_in_gymnasium(exact, env_id, action_type, choose):
+def test_policy_sees_and_acts_as_in_gymnasium(exact, env_id, action_type, choose):
     config = {"action": action_type, "observation": {"type": "Kinematics", "vehicles_count": 4, "see_behind": True}}
     world = World(env_id, config=config, duration=6.0)
     (scenario,) = random_scenarios(1, lanes=world.lanes, speed_limit=30.0, seed=env_id)
@@ -183,7 +183,7 @@ def test_a_policy_sees_and_does_what_it_sees_and_does_in_gymnasium(exact, env_id
     ids=lambda value: getattr(value, "__name__", type(value).__name__),
 )
 @only_exactly
-def test_vehicle_classes_drive_themselves_as_they_do_in_gymnasium(exact, world, ego_class):
+def test_vehicle_classes_drive_themselves_as_in_gymnasium(exact, world, ego_class):
     (scenario,) = random_scenarios(1, lanes=4, speed_limit=26.8, seed=ego_class.__name__)
     trace = world.rollout(scenario, ego_class)
     env, log = stock_env(trace, ego_class=ego_class)
@@ -194,7 +194,7 @@ def test_vehicle_classes_drive_themselves_as_they_do_in_gymnasium(exact, world, 
     assert_same(trace, log, exact)
 
 
-def test_collisions_are_found_at_the_first_tick_at_which_boxes_of_the_stock_vehicles_overlap():
+def test_collisions_start_at_first_overlap_of_stock_boxes():
     """highway-env's own polygons, tested for contact without its prediction."""
     from highway_env.utils import are_polygons_intersecting
 

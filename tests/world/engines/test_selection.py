@@ -51,7 +51,7 @@ def assert_same(case):
 
 @given(st.integers(10_000, 2**32))
 @example(133_539)  # where the dot product of numpy's linear algebra rounds otherwise than its products and their sum
-def test_both_engines_give_the_same_trace_to_the_last_bit(seed):
+def test_both_engines_give_exactly_the_same_trace(seed):
     assert_same(Case.random(seed))
 
 
@@ -59,12 +59,12 @@ def test_both_engines_give_the_same_trace_to_the_last_bit(seed):
 @pytest.mark.parametrize("ego", ALL_EGOS, ids=lambda ego: ego.__name__)
 @settings(max_examples=12)
 @given(seed=st.integers(10_000, 2**32))
-def test_both_engines_give_the_same_trace_for_every_ego(ego, seed):
+def test_both_engines_give_same_trace_for_every_ego(ego, seed):
     assert_same(replace(Case.random(seed), ego=ego))
 
 
 @pytest.mark.parametrize("first", [10_000, oracle(10_020)])
-def test_with_numpys_rounding_the_end_is_the_same_and_nobody_is_a_centimetre_away(first):
+def test_numpy_rounding_changes_positions_by_less_than_centimetre(first):
     """True of nearly all runs, as rounding can decide what a vehicle does, hence of these in particular."""
     cases = [Case.random(seed) for seed in range(first, first + 20)]
     # The model of an IDM ego that wants to stand trembles about 0 m/s, which makes any rounding grow.
@@ -76,7 +76,7 @@ def test_with_numpys_rounding_the_end_is_the_same_and_nobody_is_a_centimetre_awa
         assert abs(fast.states[..., :2] - stock.states[..., :2]).max() < 0.01
 
 
-def test_the_random_runs_that_are_compared_have_all_egos_and_ends():
+def test_compared_random_runs_cover_all_egos_and_ends():
     cases = [Case.random(seed) for seed in range(150)]
     outcomes = {case.run("kernel").outcome for case in cases}
     assert {case.ego for case in cases} == set(ALL_EGOS)
@@ -100,7 +100,7 @@ def interpreted():
 
 
 @pytest.mark.parametrize("seeds", [range(12), oracle(range(12, 40))], ids=str)
-def test_interpreted_and_compiled_the_kernel_gives_the_same_traces(interpreted, seeds):
+def test_interpreted_and_compiled_kernel_give_same_traces(interpreted, seeds):
     for case in map(Case.random, seeds):
         compiled = digest(case.run("kernel"))
         with interpreted.in_place():
@@ -109,7 +109,7 @@ def test_interpreted_and_compiled_the_kernel_gives_the_same_traces(interpreted, 
 
 
 @pytest.mark.parametrize("style", STYLES)
-def test_interpreted_and_compiled_npcs_drive_the_same_on_a_road_that_bends(interpreted, style):
+def test_interpreted_and_compiled_npcs_match_in_bends(interpreted, style):
     world = world_of("roundabout-v1", duration=10.0)
     scenario = sample(space_of(world, traffic=style), np.random.default_rng(2))
     compiled = digest(world.rollout(scenario, IDMVehicle))
@@ -195,7 +195,7 @@ def test_the_kernel_runs_whatever_it_can_drive(ran, ads, expected):
 
 
 @table("ads", [OwnRules, LinearVehicle, functools.partial(IDMVehicle, timer=0.3)])
-def test_a_world_that_insists_on_the_kernel_says_why_it_cannot(ads):
+def test_kernel_only_world_says_why_it_cannot_drive(ads):
     with pytest.raises(WorldError, match=r"engine: expected an ADS that the kernel can drive.*use engine=\"auto\""):
         Highway(engine="kernel").rollout(SCENARIO, ads)
 
@@ -206,7 +206,7 @@ def test_an_engine_has_a_name(engine):
         Highway(engine=engine)
 
 
-def test_the_engine_is_no_part_of_a_saved_world():
+def test_engine_is_not_part_of_a_saved_world():
     worlds = [Highway(engine=engine) for engine in ("auto", "kernel", "highway-env")]
     assert len({json.dumps(world.to_dict()) for world in worlds}) == 1
     assert all(from_dict(world.to_dict()) == world for world in worlds)
@@ -230,7 +230,7 @@ def test_reference_drivers_drive_the_same_by_both_engines(name):
 
 
 @pytest.mark.skipif(not kernel.is_compiled(), reason="the kernel is not compiled here")
-def test_the_compiled_kernel_is_that_of_the_present_source():
+def test_compiled_kernel_matches_the_present_source():
     folder = Path(kernel.__file__).parent
     for name in kernel.MODULES:
         compiled = Path(import_module(f"{kernel.__name__}.{name}").__file__).stat().st_mtime
@@ -238,13 +238,13 @@ def test_the_compiled_kernel_is_that_of_the_present_source():
             assert source.stat().st_mtime <= compiled + 1, f"{source.name} is newer; run: python -m pip install ."
 
 
-def test_every_module_of_the_kernel_has_types_for_the_compiler():
+def test_every_kernel_module_has_types_for_compiler():
     folder = Path(kernel.__file__).parent
     names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
     assert names == set(kernel.MODULES) == {path.stem for path in folder.glob("*.pxd")}
 
 
-def test_a_road_and_its_lanes_can_be_sent_to_another_process():
+def test_road_and_lanes_can_be_pickled():
     world = Highway()
     again = pickle.loads(pickle.dumps(world.rules))
     assert again == world.rules

@@ -47,7 +47,7 @@ def failing_after(decisions, fail, idle):
 
 
 @worlds
-def test_an_ads_that_raises_ends_the_run_with_a_traceback_of_its_own_code_alone(world, idle):
+def test_raising_ads_ends_run_with_its_own_traceback(world, idle):
     def deep():
         raise CustomFault("the map\nhas no  lane 7")
 
@@ -86,7 +86,7 @@ INTERRUPTIONS = [
 
 @worlds
 @pytest.mark.parametrize("fault", FAULTS, ids=repr)
-def test_whatever_an_ads_raises_is_an_ads_error_of_that_kind(world, idle, fault):
+def test_anything_an_ads_raises_is_an_ads_error(world, idle, fault):
     def fail():
         raise fault
 
@@ -96,7 +96,7 @@ def test_whatever_an_ads_raises_is_an_ads_error_of_that_kind(world, idle, fault)
 
 
 @pytest.mark.parametrize(("status", "ends_the_session"), [(None, True), (0, False)])
-def test_the_handler_of_a_signal_may_end_the_session_but_not_as_passed(status, ends_the_session):
+def test_signal_handler_may_end_session_only_as_failed(status, ends_the_session):
     def handler(number, frame):
         pytest.exit("terminated", returncode=status)
 
@@ -109,7 +109,7 @@ def test_the_handler_of_a_signal_may_end_the_session_but_not_as_passed(status, e
         signal.signal(signal.SIGTERM, before)
 
 
-def test_an_exception_that_cannot_even_be_printed_is_an_ads_error_too():
+def test_unprintable_exception_is_an_ads_error_too():
     class Mute(Exception):  # noqa: N818
         def __str__(self):
             raise RuntimeError("no words")
@@ -123,7 +123,7 @@ def test_an_exception_that_cannot_even_be_printed_is_an_ads_error_too():
 
 @worlds
 @pytest.mark.parametrize("interruption", INTERRUPTIONS, ids=repr)
-def test_the_end_of_a_session_or_a_debugger_inside_an_ads_is_the_users_and_no_finding(world, idle, interruption):
+def test_interruption_inside_an_ads_is_no_finding(world, idle, interruption):
     def fail():
         raise interruption
 
@@ -133,7 +133,7 @@ def test_the_end_of_a_session_or_a_debugger_inside_an_ads_is_the_users_and_no_fi
     assert hang_guard._WATCHDOG._guards == []
 
 
-def test_a_vehicle_class_that_raises_while_it_moves_is_an_ads_error_at_that_tick():
+def test_vehicle_class_raising_in_step_is_ads_error():
     class Breaks(IDMVehicle):
         steps = 0
 
@@ -158,7 +158,7 @@ PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or 
         ("1", "2"),
         {1, 2}, np.zeros(3), np.array([1.0, np.nan]), (None, 0.0), (1j, 0.0), (10**400, 0.0), np.zeros((2, 2)), ...,
     ])  # fmt: skip
-def test_what_is_no_pair_of_finite_numbers_is_a_bad_action(action):
+def test_anything_but_two_finite_numbers_is_bad_action(action):
     trace = HIGHWAY.rollout(SCENARIO, failing_after(1, lambda: action, (0.0, 0.0)))
     assert trace.outcome is Outcome.ADS_ERROR
     assert trace.error.kind == "BadAction"
@@ -167,7 +167,7 @@ def test_what_is_no_pair_of_finite_numbers_is_a_bad_action(action):
 
 
 @table("action", [None, 5, -1, 1.0, "1", [1, 2], np.array([]), np.float32(1), True, {}, np.zeros(5)])
-def test_what_is_no_action_of_a_discrete_space_is_a_bad_action(action):
+def test_wrong_discrete_action_is_a_bad_action(action):
     trace = GYM.rollout(SCENARIO, always(action))
     assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")
     assert trace.error.message.startswith("expected a whole number from 0 to 4, received ")
@@ -177,13 +177,13 @@ def test_what_is_no_action_of_a_discrete_space_is_a_bad_action(action):
     "action",
     [None, 0.1, [0.1], [0.1, 0.2, 0.3], [[0.1], [0.2]], [math.nan, 0.0], np.float32([0, np.inf]), "12", ["a", "b"],
      [1j, 0], [None, 0.0], [[1], [2, 3]], {}])  # fmt: skip
-def test_what_is_no_action_of_a_continuous_space_is_a_bad_action(action):
+def test_wrong_continuous_action_is_a_bad_action(action):
     trace = CONTINUOUS.rollout(SCENARIO, always(action))
     assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")
     assert trace.error.message.startswith("expected finite numbers of shape (2,), received ")
 
 
-def test_a_huge_wrong_action_is_shown_on_one_short_line():
+def test_huge_wrong_action_is_reported_on_short_line():
     trace = HIGHWAY.rollout(SCENARIO, always(np.zeros((1000, 3))))
     assert len(trace.error.message) < 250
     assert "\n" not in trace.error.message
@@ -217,7 +217,7 @@ def clock(monkeypatch):
 
 @worlds
 @pytest.mark.parametrize("hang", [sleeping, spinning, spinning_deaf])
-def test_a_hang_is_interrupted_and_shown_where_it_hung(world, idle, hang, clock):
+def test_hang_is_interrupted_and_reported_with_its_place(world, idle, hang, clock):
     def hangs():
         clock.now += 1.0
         hang()
@@ -233,7 +233,7 @@ def test_a_hang_is_interrupted_and_shown_where_it_hung(world, idle, hang, clock)
     assert world.rollout(SCENARIO, always(idle)).outcome is Outcome.SAFE
 
 
-def test_a_busy_hang_is_interrupted_outside_the_main_thread_too(clock):
+def test_busy_hang_outside_main_thread_is_interrupted(clock):
     received = []
     world = Highway(hang_limit=0.2)
 
@@ -252,7 +252,7 @@ def test_a_busy_hang_is_interrupted_outside_the_main_thread_too(clock):
     assert "spinning" in received[0].error.traceback
 
 
-def test_an_ads_inside_another_run_may_hang_without_the_outer_one():
+def test_nested_run_does_not_count_as_outer_hang():
     def nesting(observation):
         inner = HIGHWAY.rollout(SCENARIO, always((0.0, 0.0)))
         return (0.0, 0.0) if inner.outcome is Outcome.SAFE else None
@@ -260,7 +260,7 @@ def test_an_ads_inside_another_run_may_hang_without_the_outer_one():
     assert HIGHWAY.rollout(SCENARIO.truncated(1), lambda: nesting).outcome is Outcome.SAFE
 
 
-def test_time_between_decisions_is_not_counted_as_a_hang():
+def test_time_between_decisions_is_not_a_hang():
     now = [0.0]
     with HangGuard(0.05, clock=lambda: now[0]) as guard:
         for _ in range(3):
@@ -271,7 +271,7 @@ def test_time_between_decisions_is_not_counted_as_a_hang():
 
 
 @pytest.mark.parametrize("inside_thread", [False, True])
-def test_a_decision_that_ends_just_as_it_is_interrupted_never_breaks_what_comes_after(inside_thread):
+def test_late_interruption_never_breaks_the_following_code(inside_thread):
     """Decisions of about the limit, over and over: each is interrupted inside, or not at all."""
     from pytest_pafot.world.guard.hang_guard import AdsHang
 
@@ -318,7 +318,7 @@ def test_an_interruption_that_comes_late_interrupts_nothing():
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="no user signals here")
-def test_the_users_signal_handler_is_back_after_a_run():
+def test_user_signal_handler_is_restored_after_run():
     before = signal.signal(signal.SIGUSR1, handler := lambda number, frame: None)
     try:
         HIGHWAY.rollout(SCENARIO, always((0, 0)))
@@ -339,7 +339,7 @@ def test_slow_decisions_are_measured_and_change_nothing_else():
 
 
 @pytest.mark.processes
-def test_a_thread_can_be_traced_after_a_hang_in_another_one():
+def test_thread_can_be_traced_after_another_thread_hangs():
     # CPython 3.11 hangs in a traced function after an exception for a thread was taken back by its C interface.
     code = """
 import sys, threading

@@ -55,7 +55,7 @@ def test_it_is_closed_once_however_its_run_ends(scenario, then, outcome, drive, 
     assert (run(scenario, lambda: Program(log, then)).outcome, log) == (outcome, ["closed"])
 
 
-def test_it_is_closed_when_the_session_ends_inside_of_it():
+def test_ads_is_closed_when_the_session_ends_inside():
     log = []
     with pytest.raises(KeyboardInterrupt):
         Highway().rollout(BESIDE, lambda: Program(log, lambda: raises(KeyboardInterrupt)))
@@ -73,7 +73,7 @@ def test_it_is_closed_when_the_session_ends_inside_of_it():
         ("roundabout-v0", "rollout_in_gym", True),
     ),
 )
-def test_policies_and_planners_inside_of_an_environment_are_closed_as_well(env_id, drive, inside):
+def test_policies_and_planners_in_environment_are_closed(env_id, drive, inside):
     made = []
 
     class Policy(Program):
@@ -92,7 +92,7 @@ def test_policies_and_planners_inside_of_an_environment_are_closed_as_well(env_i
     assert [each.log for each in made] == [["closed"]]
 
 
-def test_one_that_drives_many_runs_is_closed_after_the_last_of_them():
+def test_batch_ads_is_closed_after_its_last_run():
     class Batching(Program):
         def batch(self, observations):
             return [self(observation) for observation in observations]
@@ -110,7 +110,7 @@ def test_one_that_drives_many_runs_is_closed_after_the_last_of_them():
     [(raises, "no exception, received LookupError: lost"), (None, "within the hang limit, at most 30 s")],
     ids=["raises", "hangs"],
 )
-def test_what_goes_wrong_in_closing_is_a_warning_and_leaves_the_run_as_it_was(end, said, monkeypatch):
+def test_error_in_closing_is_only_a_warning(end, said, monkeypatch):
     world, end = Highway(), end or functools.partial(StoppedClock(monkeypatch).sleep, 1000.0)
     with pytest.warns(
         RuntimeWarning, match=rf"^ads\.close: expected .*{said}.*; this does not change the result of the run"

@@ -50,7 +50,7 @@ def forks_once(fork, when):
 
 @forks
 @pytest.mark.parametrize("when", ["factory", "decision"])
-def test_a_copy_of_the_process_that_runs_on_ends_and_is_reported(when):
+def test_running_fork_of_the_process_ends_with_error(when):
     with pytest.raises(AdsFactoryError, match="lets a copy of this process run on"):
         Highway(duration=2.0).rollout(SCENARIO, forks_once(fork_and_go_on, when))
     assert Highway(duration=2.0).rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).error is None
@@ -58,7 +58,7 @@ def test_a_copy_of_the_process_that_runs_on_ends_and_is_reported(when):
 
 @forks
 @pytest.mark.parametrize("when", ["factory", "decision"])
-def test_a_process_that_the_ads_forks_and_ends_is_its_own(when):
+def test_fork_that_the_ads_ends_is_allowed(when):
     def fork():
         pid = os.fork()
         if not pid:
@@ -92,7 +92,7 @@ def hang(limit):
             return True
 
 
-def test_the_watching_thread_ends_when_no_run_is_under_way_and_comes_back_for_the_next(watchdog):
+def test_watching_thread_ends_and_returns_with_next_run(watchdog):
     for _ in range(2):
         with HangGuard(30.0):
             thread = watchdog._thread
@@ -112,7 +112,7 @@ def test_runs_one_after_the_other_share_a_thread(monkeypatch):
     assert len(threads) == 1
 
 
-def test_a_short_limit_is_kept_while_a_long_one_is_watched(monkeypatch):
+def test_short_limit_holds_while_long_one_is_watched(monkeypatch):
     monkeypatch.setattr(hang_guard, "LONGEST_PAUSE", 60.0)
     monkeypatch.setattr(hang_guard, "_WATCHDOG", hang_guard._Watchdog())
     with HangGuard(86400.0):
@@ -122,7 +122,7 @@ def test_a_short_limit_is_kept_while_a_long_one_is_watched(monkeypatch):
         assert time.monotonic() - started < 30
 
 
-def test_a_decision_that_ends_within_its_limit_has_nothing_to_settle():
+def test_decision_within_its_limit_is_not_overdue():
     """The order of :class:`HangGuard`: the watching thread reads the clock first, and then what is under way."""
     times = iter([0.0, 5.0, 5.1])
     watched = HangGuard(5.0, clock=lambda: next(times))
@@ -136,7 +136,7 @@ def test_a_decision_that_ends_within_its_limit_has_nothing_to_settle():
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="elsewhere a decision cannot be asked where it is")
-def test_a_debugger_may_stand_in_a_decision_for_longer_than_its_limit(watchdog):
+def test_debugger_may_pause_a_decision_beyond_its_limit(watchdog):
     tracer = sys.gettrace()
     try:
         with HangGuard(0.02) as watched:
@@ -186,7 +186,7 @@ def swallow(seconds, limit):
 
 
 @pytest.mark.parametrize(("grace", "is_ended"), [(0.05, True), (60.0, False)])
-def test_the_last_resort_is_for_decisions_that_ignore_their_interruption(watchdog, grace, is_ended):
+def test_last_resort_ends_decisions_that_ignore_interruption(watchdog, grace, is_ended):
     ends = []
     with hang_guard.last_resort(hang_guard.LastResort(end=lambda: ends.append(1), grace=grace)):
         swallow(0.05, limit=0.02)
@@ -218,7 +218,7 @@ def comes_true(condition):
     return condition()
 
 
-def test_the_timer_runs_while_runs_are_under_way_and_not_between_them_for_long(watchdog, monkeypatch):
+def test_timer_runs_only_while_runs_are_active(watchdog, monkeypatch):
     monkeypatch.setattr(hang_guard, "faulthandler", timer := Timer())
     monkeypatch.setattr(hang_guard, "_is_debugged", lambda: False)
     with hang_guard.last_resort(hang_guard.LastResort(end=lambda: None, grace=5.0, file=2)):
@@ -236,7 +236,7 @@ def test_the_timer_runs_while_runs_are_under_way_and_not_between_them_for_long(w
 
 @pytest.mark.processes
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
-def test_a_forked_process_need_not_wait_for_the_timer_of_the_one_that_it_comes_from():
+def test_forked_process_need_not_wait_for_parent_timer():
     code = """
 import faulthandler, os, sys
 from pytest_pafot.world.guard.hang_guard import HangGuard, LastResort, last_resort

@@ -63,7 +63,7 @@ def test_boxes_overlap_exactly_when_they_share_an_area(a, b):
         assert area < 1e-6
 
 
-def test_thousands_of_near_misses_and_grazes_are_told_apart():
+def test_near_misses_and_grazes_are_classified_correctly():
     rng = random.Random(0)
     seen = {True: 0, False: 0}
     for _ in range(6000):
@@ -78,7 +78,7 @@ def test_thousands_of_near_misses_and_grazes_are_told_apart():
 
 
 @given(boxes, boxes)
-def test_contact_is_mutual_and_does_not_depend_on_where_or_which_way_one_looks(a, b):
+def test_contact_is_symmetric_and_independent_of_position(a, b):
     met = overlap(a, b)
     assert overlap(b, a) == met
     for turned in (math.pi, -math.pi):
@@ -87,7 +87,7 @@ def test_contact_is_mutual_and_does_not_depend_on_where_or_which_way_one_looks(a
             assert overlap(moved(a, x=300.0), moved(b, x=300.0)) == met
 
 
-def test_boxes_that_share_only_a_border_do_not_touch():
+def test_boxes_sharing_only_a_border_do_not_touch():
     ego = Box(0.0, 0.0, 0.0, 5.0, 2.0)
     assert not overlap(ego, moved(ego, x=5.0))
     assert not overlap(ego, moved(ego, y=-2.0))
@@ -103,7 +103,7 @@ def test_a_box_inside_another_touches_it():
 
 
 @given(boxes, boxes)
-def test_separation_is_the_gap_between_projections_on_the_first_boxs_axes(a, b):
+def test_separation_is_projection_gap_on_first_box_axes(a, b):
     cos_h, sin_h = math.cos(a.heading), math.sin(a.heading)
     for gap, axis in zip(separation(a, b), ((cos_h, sin_h), (-sin_h, cos_h)), strict=True):
         along_a, along_b = ([x * axis[0] + y * axis[1] for x, y in corners(box)] for box in (a, b))
@@ -133,7 +133,7 @@ EGO = Box(0.0, 0.0, 0.0, 5.0, 2.0)
     ],
 )
 @table("turn", [0.0, 1.0, math.pi / 2, -2.5, math.pi])
-def test_the_side_is_that_of_the_ego_whatever_way_it_heads(other, side, turn):
+def test_side_hit_is_relative_to_ego_heading(other, side, turn):
     cos_t, sin_t = math.cos(turn), math.sin(turn)
     ego = moved(EGO, x=300.0, y=4.0, heading=turn)
     x, y = 300.0 + other.x * cos_t - other.y * sin_t, 4.0 + other.x * sin_t + other.y * cos_t

@@ -20,11 +20,11 @@ def seen_by(engine):
     return seen
 
 
-def test_both_engines_show_the_same_also_when_one_looks_after_the_run():
+def test_both_engines_show_the_same_after_the_run():
     assert seen_by("kernel") == seen_by("highway-env")
 
 
-def test_it_has_what_the_trace_has_of_the_last_tick():
+def test_observation_matches_last_tick_of_the_trace():
     seen = []
     trace = Highway(ads_hz=3).rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.5, 0.002))
     assert [(now.acceleration, now.steering) for now in seen] == [tuple(row) for row in trace.ego[:-1:5, 4:6].tolist()]

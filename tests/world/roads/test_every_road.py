@@ -45,7 +45,7 @@ def constant():
 
 
 @pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "roundabout-v1"))
-def test_limits_hold_and_the_executed_chain_is_a_fixed_point(env_id):
+def test_limits_hold_and_executed_chain_stays_fixed(env_id):
     world, rng = world_of(env_id, duration=10.0), np.random.default_rng(3)
     for ego, style in itertools.product((idm, constant), STYLES):
         trace = world.rollout(sample(space_of(world, traffic=style), rng), ego)
@@ -89,7 +89,7 @@ def test_limits_hold_where_lanes_are_changed_in_bends(seed, cells, speeds):
     assert violations(trace, world) == []
 
 
-def test_an_npc_that_starts_where_a_bend_ends_starts_no_faster_than_it_turns():
+def test_npc_at_bend_end_starts_with_turning_speed():
     world = World("racetrack-v1", limits=NpcLimits(lateral_acceleration=2.0), duration=2.0)
     trace = world.rollout(hold(world, 6), idm)
     assert violations(trace, world) == []
@@ -126,7 +126,7 @@ def test_the_plain_environment_agrees(env_id, ego):
         ("lane-keeping-v0", np.zeros(1)),
     ],
 )
-def test_a_policy_drives_with_the_environments_own_observations_and_actions(env_id, action):
+def test_policy_drives_with_own_observations_and_actions(env_id, action):
     world = World(env_id, duration=3.0)
     seen = []
 
@@ -149,7 +149,7 @@ def _flat(observation):
     return np.concatenate([np.ravel(value) for value in values])
 
 
-def test_cells_are_those_whose_centre_is_on_a_lane_in_the_egos_direction():
+def test_cells_exist_only_on_lanes_in_ego_direction():
     roundabout = world_of("roundabout-v1").road
     assert roundabout.start_lanes == (1,)
     assert roundabout.cells(roundabout.start, 1, 8.0) == {2, 6}  # before the circle there is one lane
@@ -164,7 +164,7 @@ def test_cells_are_those_whose_centre_is_on_a_lane_in_the_egos_direction():
     assert two_way.cells(100.0, 1, 8.0) == {1, 2, 6, 7, 8}  # the oncoming lane lies on the left one
 
 
-def test_more_npcs_than_cells_at_the_start_is_an_error_that_says_so():
+def test_more_npcs_than_start_cells_is_clear_error():
     world = world_of("roundabout-v1")
     with pytest.raises(ScenarioError, match="npcs: expected at most 2 NPCs, one per cell that exists around lane 1"):
         world.rollout(hold(world, 2, 6, 7), idm)
@@ -172,7 +172,7 @@ def test_more_npcs_than_cells_at_the_start_is_an_error_that_says_so():
         world.rollout(hold(world, 2, ego_lane=0), idm)
 
 
-def test_lane_instructions_are_refused_where_a_road_is_not_straight():
+def test_lane_instructions_are_refused_on_curved_roads():
     world = world_of("merge-v1")
     given = Scenario(npcs=[[LaneInstruction("left", 8.0)]], ego_lane=1, ego_speed=20.0, gene_seconds=1.0)
     with pytest.raises(WorldError, match="expected Position-Instructions on a road that is not straight"):
@@ -205,20 +205,20 @@ def test_npcs_never_exceed_what_bends_allow():
     "env_id",
     mostly_oracle(["racetrack-v1", "racetrack-oval-v1", "roundabout-v1", "intersection-v2"], "roundabout-v1"),
 )
-def test_npcs_keep_to_the_centre_of_their_lane_in_bends(env_id):
+def test_npcs_stay_near_lane_centre_in_bends(env_id):
     world = world_of(env_id, duration=15.0)
     trace = world.rollout(hold(world, 6, speed=6.0), constant)
     assert np.ptp(np.unwrap(trace.npcs[:, 0, HEADING])) > 0.7
     assert abs(trace.track[:, 1, OFFSET]).max() < 0.25
 
 
-def test_the_way_is_the_egos_route_and_else_what_highway_envs_vehicles_choose():
+def test_way_follows_ego_route_or_default_choice():
     assert ("ir0", "il1") in world_of("intersection-v0").road.sections  # planned, to the left
     assert ("ir0", "il2") in world_of("intersection-v1").road.sections  # straight on
     assert ("nx", "nxs") in world_of("roundabout-v1").road.sections
 
 
-def test_behind_the_ego_the_way_is_that_by_which_it_came():
+def test_way_behind_the_ego_leads_to_its_start():
     """On a circuit NPCs behind the ego are on the lanes that lead to its start."""
     road = world_of("racetrack-v1").road
     assert road.start > 150
@@ -227,20 +227,20 @@ def test_behind_the_ego_the_way_is_that_by_which_it_came():
     assert math.hypot(x - x0, y - y0) < 60
 
 
-def test_the_speed_limit_is_that_of_the_lane_or_the_egos_first_speed():
+def test_speed_limit_is_from_lane_or_ego_start():
     assert world_of("merge-v1").speed_limit == 30.0  # the lanes' is 20
     assert world_of("racetrack-v1").speed_limit == 10.0
 
 
 @pytest.mark.oracle
-def test_the_exit_is_driven_past_at_its_own_speed_limit():
+def test_exit_is_passed_at_its_own_speed_limit():
     """Its survey takes longer than those of the other roads together."""
     world = world_of("exit-v1")
     assert ("2", "3") in world.road.sections
     assert world.speed_limit == 26.0
 
 
-def test_a_run_lasts_as_long_as_the_shortest_of_option_environment_and_road():
+def test_run_lasts_as_long_as_shortest_limit_allows():
     assert world_of("roundabout-v1").longest_run == 11.0
     assert World("roundabout-v1", duration=5.0).longest_run == 5.0
     assert World("roundabout-v1", duration=50.0).longest_run == 11.0
@@ -280,7 +280,7 @@ def test_leaving_the_route_ends_a_run():
     assert "when the ego left its route" in Run(trace).explain()
 
 
-def test_lanes_of_a_trace_index_its_lanes_and_curved_ones_have_points():
+def test_trace_lanes_are_indexed_and_curves_have_points():
     world = world_of("racetrack-v1", duration=20.0)
     trace = world.rollout(hold(world, 1, 7), idm)
     for vehicle in range(3):
@@ -293,7 +293,7 @@ def test_lanes_of_a_trace_index_its_lanes_and_curved_ones_have_points():
 
 
 @pytest.mark.usefixtures("registered")
-def test_headway_is_along_the_road_and_not_through_the_bend():
+def test_headway_is_measured_along_the_road_in_bends():
     """Two seconds at 10 m/s and a vehicle's length, on a lane with a radius of 46 m."""
     world = World("OwnCircuit-v0", duration=2.0)
     trace = world.rollout(hold(world, 2, speed=10.0), constant)
@@ -303,7 +303,7 @@ def test_headway_is_along_the_road_and_not_through_the_bend():
     assert criticality.longitudinal_gap(trace)[0, 0] == pytest.approx(20, abs=0.15)
 
 
-def test_a_copied_vehicle_shares_the_way_it_drives_on():
+def test_copied_vehicle_shares_its_way_with_the_original():
     """highway-env's intersections copy every vehicle, with all that hangs on it, to see whether it must yield."""
     road = world_of("intersection-v0").road
     assert copy.deepcopy([road])[0] is road
@@ -435,7 +435,7 @@ def test_an_environment_of_ones_own_works_the_same():
 
 @pytest.mark.usefixtures("registered")
 @pytest.mark.parametrize("lane", [0, 1])
-def test_in_a_bend_an_attentive_npc_keeps_its_distance_in_metres_driven(lane):
+def test_attentive_npc_in_bend_holds_distance_along_road(lane):
     """At 10 m/s 6 m and a vehicle's length, on either lane; only one of them is as long as the way."""
     world = World("OwnCircuit-v0", duration=24.0)
     trace = world.rollout(hold(world, 6, speed=12.0, ego_lane=lane, ego_speed=10.0, traffic=Traffic()), constant)
@@ -444,7 +444,7 @@ def test_in_a_bend_an_attentive_npc_keeps_its_distance_in_metres_driven(lane):
 
 @pytest.mark.usefixtures("registered")
 @pytest.mark.parametrize("style", ["hostile", "paper"])
-def test_an_ego_that_brakes_in_a_bend_is_run_into_by_the_papers_npcs_alone(style):
+def test_only_paper_npcs_hit_braking_ego_in_bend(style):
     world = World("OwnCircuit-v0", duration=24.0)
 
     class Brakes(ControlledVehicle):
@@ -468,7 +468,7 @@ def test_an_ego_that_brakes_in_a_bend_is_run_into_by_the_papers_npcs_alone(style
     ("speed", "taper", "does_enter"),
     [(6.0, 100.0, False), oracle(6.0, 130.0, True), oracle(25.0, 350.0, False), (25.0, 500.0, True)],
 )
-def test_a_lane_that_ends_is_entered_only_with_room_to_drive_and_to_brake_in_it(speed, taper, does_enter):
+def test_ending_lane_is_entered_only_with_enough_room(speed, taper, does_enter):
     """Slow NPCs must have three seconds before its end, fast ones as much as it takes to stop gently."""
     world = World("OwnTaper-v0", config={"taper": taper}, duration=13.0)
     chain = [PositionInstruction(2, speed), PositionInstruction(3, speed)]
@@ -478,7 +478,7 @@ def test_a_lane_that_ends_is_entered_only_with_room_to_drive_and_to_brake_in_it(
 
 
 @pytest.mark.usefixtures("registered")
-def test_a_lane_that_ends_is_left_before_it_does():
+def test_ending_lane_is_left_before_its_end():
     world = World("OwnTaper-v0", config={"taper": 150.0}, duration=16.0)
     trace = world.rollout(hold(world, 3, speed=10.0, ego_lane=0, ego_speed=10.0), constant)
     assert trace.npcs[0, 0, Y] == pytest.approx(4.0)
@@ -486,7 +486,7 @@ def test_a_lane_that_ends_is_left_before_it_does():
 
 
 @pytest.mark.usefixtures("registered")
-def test_where_the_lane_of_its_cell_is_gone_an_npc_keeps_its_own_and_takes_the_genes_speed():
+def test_npc_without_target_lane_takes_only_the_speed():
     world = World("OwnTaper-v0", config={"taper": 60.0}, duration=12.0)
     trace = world.rollout(hold(world, 3, speed=14.0, ego_lane=0, ego_speed=10.0), constant)
     assert trace.arrivals == ((None,),)
@@ -494,7 +494,7 @@ def test_where_the_lane_of_its_cell_is_gone_an_npc_keeps_its_own_and_takes_the_g
 
 
 @pytest.mark.usefixtures("registered")
-def test_a_road_that_ends_in_front_of_the_ego_is_refused():
+def test_road_that_ends_ahead_of_ego_is_refused():
     with pytest.raises(WorldError, match="OwnDeadEnd-v0: expected a road that goes on ahead of the ego's start"):
         World("OwnDeadEnd-v0").check()
 
@@ -523,13 +523,13 @@ def test_a_world_knows_the_roads_that_nobody_uses():
         (("b", "a"), ([300, -4], [0, -4]), {"oncoming"}),
     ],
 )
-def test_how_a_road_meets_the_way_of_the_ego(other, points, unused):
+def test_crossing_roads_are_found_where_ways_meet(other, points, unused):
     config = {"other": list(other), "points": [list(map(float, point)) for point in points]}
     assert World("OwnMeeting-v0", config=config, duration=10.0).unused_roads == unused
 
 
 @pytest.mark.usefixtures("registered")
-def test_what_no_one_can_know_of_a_road_is_not_said():
+def test_unknown_facts_about_roads_are_not_reported():
     assert World("OwnTraffic-v0", duration=10.0).unused_roads == frozenset()
     assert World("OwnTraffic-v0", duration=10.0).road.unused == {"crosses"}
     halves = World("OwnHalves-v0", duration=3.0)

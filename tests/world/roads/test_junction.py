@@ -32,7 +32,7 @@ def zones_of(world):
     return {zone.way: (zone.kind, zone.origin, zone.priority) for zone in world.crossings.zones}
 
 
-def test_a_left_turn_meets_six_ways_that_all_have_priority():
+def test_left_turn_meets_six_ways_with_priority():
     """The ego comes from the south, o0, and turns to the west, o1; the road from west to east has priority."""
     assert zones_of(intersection("o1")) == {
         "o1>o3": ("crossing", "left", "npc"),
@@ -44,7 +44,7 @@ def test_a_left_turn_meets_six_ways_that_all_have_priority():
     }
 
 
-def test_straight_on_the_ego_has_priority_over_those_who_turn_across_its_way_from_ahead():
+def test_ego_straight_on_has_priority_over_oncoming_turners():
     assert zones_of(intersection("o2")) == {
         "o1>o2": ("merging", "left", "npc"),
         "o1>o3": ("crossing", "left", "npc"),
@@ -55,14 +55,14 @@ def test_straight_on_the_ego_has_priority_over_those_who_turn_across_its_way_fro
     }
 
 
-def test_a_right_turn_meets_who_comes_into_the_same_road():
+def test_right_turn_meets_vehicles_entering_the_same_road():
     assert zones_of(intersection("o3")) == {
         "o1>o3": ("merging", "left", "npc"),
         "o2>o3": ("merging", "ahead", "ego"),
     }
 
 
-def test_who_circulates_has_priority_and_all_zones_of_a_roundabout_are_merges():
+def test_circulating_vehicles_have_priority_and_roundabout_zones_merge():
     """The ego enters in the south and leaves in the north; the ring turns to the left, by way of the east."""
     circulating = ("wer>wxr", "wer>nxr", "wer>exr", "ner>nxr", "ner>exr")
     entering = ("eer>exr", "eer>wxr", "eer>sxr", "eer>nxr")
@@ -79,7 +79,7 @@ def test_other_roads_of_highway_env_have_no_crossings(env_id):
 
 
 @pytest.mark.parametrize("env_id", ["intersection-v0", "intersection-v1", "roundabout-v1", "roundabout-generic-v1"])
-def test_an_ego_at_its_first_speed_starts_six_seconds_before_its_first_zone(env_id):
+def test_ego_starts_six_seconds_before_first_zone(env_id):
     world = world_of(env_id)
     crossings, own = world.crossings, world.environment.unwrapped.vehicle
     first = min(zone.ego[0] for zone in crossings.zones)
@@ -91,7 +91,7 @@ def test_an_ego_at_its_first_speed_starts_six_seconds_before_its_first_zone(env_
 
 
 @table("destination", ["o1", "o2", "o3"])
-def test_speeds_of_a_way_hold_its_limit_and_its_bends(destination):
+def test_way_speeds_respect_its_limit_and_bends(destination):
     world = intersection(destination)
     for way in world.crossings.ways.values():
         line = world.rules.junction.ways[way.zone.way].line
@@ -155,7 +155,7 @@ def first_run(places, flags, since):
         oracle(world_of("roundabout-v1"), id="roundabout"),
     ],
 )
-def test_stretches_are_those_in_which_boxes_along_the_ways_touch(world):
+def test_zones_are_stretches_where_boxes_along_ways_touch(world):
     along_ego, ego = poses_of_ego(world)
     for zone in world.crossings.zones:
         along, npc = poses_of_way(world, zone.way)
@@ -174,7 +174,7 @@ def test_stretches_are_those_in_which_boxes_along_the_ways_touch(world):
 
 
 @pytest.mark.parametrize("destination", ["o1", oracle("o2"), oracle("o3")])
-def test_who_waits_before_a_zone_is_in_nobodys_way(destination):
+def test_vehicle_waiting_before_a_zone_blocks_no_way(destination):
     world = intersection(destination)
     along_ego, ego = poses_of_ego(world)
     for zone in world.crossings.zones:
@@ -183,7 +183,7 @@ def test_who_waits_before_a_zone_is_in_nobodys_way(destination):
         assert not touching(ego[along_ego <= zone.ego[0]][-20:], npc[::2], WIDER).any()
 
 
-def test_a_merging_zone_ends_a_vehicle_after_both_have_come_into_one_lane():
+def test_merging_zone_ends_one_vehicle_length_after_joining():
     for world in (intersection("o1"), intersection("o2"), intersection("o3"), world_of("roundabout-v1")):
         for zone in world.crossings.zones:
             if zone.kind != "merging":
@@ -197,7 +197,7 @@ def test_a_merging_zone_ends_a_vehicle_after_both_have_come_into_one_lane():
 
 
 @pytest.mark.parametrize("world", [pytest.param(intersection("o1"), id="left"), oracle(world_of("roundabout-v1"))])
-def test_ways_of_others_meet_each_other_wherever_boxes_along_them_touch(world):
+def test_ways_meet_wherever_boxes_along_them_touch(world):
     crossings, names = world.crossings, sorted(world.crossings.ways)
     for number, one in enumerate(names):
         for other in names[number + 1 :]:
@@ -267,12 +267,12 @@ def own_junction():
     del gymnasium.registry["OwnJunction-v0"]
 
 
-def test_who_joins_yields_to_whom_is_on_the_main_lane_and_nobody_where_roads_are_alike(own_junction):
+def test_joining_vehicle_yields_and_equal_roads_have_none(own_junction):
     assert zones_of(own_junction("w")) == {"n>s": ("crossing", "left", "none"), "b>e": ("merging", "right", "ego")}
     assert zones_of(own_junction("b")) == {"w>e": ("merging", "left", "npc")}
 
 
-def test_an_ego_starts_no_later_than_its_environment_has_it(own_junction):
+def test_ego_starts_no_later_than_its_environment_says(own_junction):
     for origin, before in (("w", 60.0), ("b", None)):
         world = own_junction(origin)
         zone = world.crossings.zones[0]

@@ -17,7 +17,7 @@ IN_THE_BEND = math.sqrt(BEND_SHARE * LIMITS.lateral_acceleration * RADIUS)
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_bend_to_either_side_is_driven_slowly_from_its_beginning_to_its_end(side):
+def test_bend_to_either_side_is_driven_slowly_throughout(side):
     speed = allowed_speeds(side * BEND, np.full(200, 20.0), None, LENGTHS, LIMITS)
     assert speed[100:141] == pytest.approx(IN_THE_BEND)
     assert speed[141:] == pytest.approx(LIMITS.overspeed * 20.0)
@@ -37,7 +37,7 @@ def test_nobody_drives_beyond_the_end_of_a_lane():
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_the_curvature_of_a_circle_is_that_of_its_radius_and_a_vehicle_leans_out_of_it(side):
+def test_curvature_of_a_circle_follows_its_radius(side):
     direction = side * LENGTHS / RADIUS
     assert _curvature(direction, LENGTHS) == pytest.approx(np.full(200, side / RADIUS))
     assert leans(direction, LENGTHS, 5.0)[-1] == pytest.approx(-side * math.asin(2.5 / RADIUS))
