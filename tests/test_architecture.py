@@ -49,7 +49,7 @@ def defined(body):
     return names
 
 
-def test_the_page_has_the_rooms_of_the_package_in_the_order_of_imports():
+def test_page_lists_the_rooms_in_import_order():
     there = {room_of(path) for path in MODULES}
     assert list(rooms_on_the_page()) == [room for room in ROOMS if room in there]
 
@@ -81,7 +81,7 @@ def test_what_is_named_is_there():
     assert [f"{path}:{name}" for path, name in mentions() if not is_there(path, name)] == []
 
 
-def test_a_file_or_a_name_that_is_absent_is_not_there():
+def test_missing_files_and_names_are_not_found():
     assert is_there("campaign/", "")
     assert is_there("findings/shrink.py", "shrink")
     assert not is_there("findings/absent.py", "")
@@ -95,5 +95,5 @@ def entries():
     return [*rows, *re.findall(r"^\*\*.*?(?=\n\n|\Z)", section("How to add a ..."), re.MULTILINE | re.DOTALL)]
 
 
-def test_every_rule_and_every_way_to_add_something_leads_into_the_code():
+def test_every_rule_and_recipe_mentions_the_code():
     assert [entry for entry in entries() if not MENTION.search(entry)] == []

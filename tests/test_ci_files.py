@@ -31,7 +31,7 @@ def expressions(value):
     return EXPRESSION.findall(str(value))
 
 
-def test_the_action_has_the_commands_that_are_tested_and_no_other():
+def test_action_has_exactly_the_tested_commands():
     steps = action()["runs"]["steps"]
     assert action()["runs"]["using"] == "composite"
     assert [step["run"] for step in steps if "run" in step] == COMMANDS
@@ -45,7 +45,7 @@ def test_what_is_found_is_uploaded_whatever_happened():
     assert last["with"]["path"].split() == ["pafot.html", "pafot.json", "pafot.xml", "**/*.pafot.yaml"]
 
 
-def test_each_input_is_described_has_a_default_and_is_used_and_nothing_else_is():
+def test_each_input_is_described_used_and_has_default():
     declared = action()["inputs"]
     conditions = [f"inputs.{name}" for name in re.findall(r"inputs\.([\w-]+)", str([s.get("if") for s in steps()]))]
     assert {f"inputs.{name}" for name in declared} == {*expressions(steps()), *conditions}
@@ -56,18 +56,18 @@ def steps():
     return action()["runs"]["steps"]
 
 
-def test_no_expression_stands_in_a_command_where_its_value_would_be_code():
+def test_commands_contain_no_github_expressions():
     assert not [step for step in steps() if expressions(step.get("run", ""))]
 
 
-def test_the_action_sets_every_variable_that_the_script_reads():
+def test_action_sets_every_variable_the_script_reads():
     set_ = {name for step in steps() for name in step.get("env", {})}
     read = set(re.findall(r"\$\{?([A-Z][A-Z_]+)", SCRIPT_TEXT)) - {"FILES", "FINDS", "PWD"}
     for_laptops = {"REMOTE", "GIT_NAME", "GIT_EMAIL", "GIT_INDEX_FILE"}
     assert set_ - {"TASK", "PYTEST_ADDOPTS"} <= read <= set_ | for_laptops
 
 
-def test_tasks_are_named_alike_in_the_script_its_head_and_the_action():
+def test_tasks_are_the_same_in_script_and_action():
     assert re.findall(r"^  ([a-z-]+)\) ", SCRIPT_TEXT, re.MULTILINE) == TASKS
     assert re.findall(r"^#   sh ci/pafot.sh ([a-z-]+) ", SCRIPT_TEXT, re.MULTILINE) == TASKS
     description = action()["inputs"]["task"]["description"]
@@ -75,7 +75,7 @@ def test_tasks_are_named_alike_in_the_script_its_head_and_the_action():
 
 
 @pytest.mark.parametrize("name", WORKFLOWS)
-def test_a_workflow_has_no_commands_of_its_own_and_gives_the_action_what_it_takes(name):
+def test_workflow_has_only_action_steps_with_valid_inputs(name):
     own = [step["with"] for _, step in steps_of(name) if step["uses"] == OWN]
     assert own
     assert all("run" not in step and step["uses"] in {OWN, *OTHERS} for _, step in steps_of(name))
@@ -84,7 +84,7 @@ def test_a_workflow_has_no_commands_of_its_own_and_gives_the_action_what_it_take
 
 
 @table("name", WORKFLOWS)
-def test_a_job_has_an_end_and_no_more_rights_than_its_branch_needs(name):
+def test_job_has_timeout_and_minimal_permissions(name):
     workflow = loaded(WORKFLOWS[name])
     for job in workflow["jobs"].values():
         rights = job.get("permissions", workflow["permissions"])
@@ -95,7 +95,7 @@ def test_a_job_has_an_end_and_no_more_rights_than_its_branch_needs(name):
 
 
 @table("name", WORKFLOWS)
-def test_a_job_that_looks_at_other_commits_has_them(name):
+def test_job_that_needs_history_fetches_all_of_it(name):
     for job in loaded(WORKFLOWS[name])["jobs"].values():
         first, *others = job["steps"]
         needs_history = any({"base", "branch"} & step.get("with", {}).keys() for step in others)
@@ -103,7 +103,7 @@ def test_a_job_that_looks_at_other_commits_has_them(name):
         assert (first.get("with", {}).get("fetch-depth") == 0) == needs_history
 
 
-def test_a_limit_of_time_leaves_a_job_room_for_installing_and_shrinking():
+def test_time_limit_leaves_room_for_installing_and_shrinking():
     limits = [
         (job["timeout-minutes"], step["with"]["limit"])
         for name in WORKFLOWS
@@ -114,7 +114,7 @@ def test_a_limit_of_time_leaves_a_job_room_for_installing_and_shrinking():
     assert all(int(limit) <= 60 * (minutes - 25) for minutes, limit in limits)
 
 
-def test_the_states_of_a_night_are_saved_even_when_it_found_something():
+def test_states_of_a_night_are_always_saved():
     cached = {step["uses"]: step for _, step in steps_of("night") if "cache" in step["uses"]}
     restore, save = (cached[f"actions/cache/{what}@v4"] for what in ("restore", "save"))
     assert save["if"] == "always()"

@@ -106,7 +106,7 @@ class TestAPullRequest:
         assert not (folder / "planner_before.py").exists()
         return code, printed
 
-    def test_one_that_brings_a_regression_fails_with_its_find_and_passes_once_that_is_mended(self, repository, summary):
+    def test_pull_request_fails_until_its_regression_is_fixed(self, repository, summary):
         commit(repository, {"planner.py": PLANNER, "test_safety.py": TEST}, "A planner")
         git(repository, "switch", "-q", "-c", "closer")
         commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #")}, "Keep less distance")
@@ -136,7 +136,7 @@ class TestAPullRequest:
         assert "### pafot: nothing new, 1 fixed before\n" in summary.read_text()
         assert [(each.file, each.result) for each in record_of(repository).findings] == [(file, "passed")]
 
-    def test_of_a_policy_that_is_new_each_failure_counts(self, repository, summary):
+    def test_every_failure_of_a_new_policy_counts(self, repository, summary):
         git(repository, "switch", "-q", "-c", "begins")
         commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #"), "test_safety.py": TEST}, "A planner")
         code, printed = self.run(repository, summary, runs="20")
@@ -161,21 +161,21 @@ class TestAPullRequest:
         ({"policy": "../../planner:Planner"}, "expected POLICY as module:factory"),
     ],
 )
-def test_a_pull_request_that_cannot_be_compared_is_refused_with_the_way_out(repository, changes, expected):
+def test_incomparable_pull_request_is_refused_with_advice(repository, changes, expected):
     commit(repository, {"planner.py": PLANNER}, "A planner")
     inputs = {"task": "pull-request", "policy": "planner:Planner", "base": "main"} | changes
     code, printed = run_action(inputs, repository)
     assert (code, expected in printed) == (2, True), printed
 
 
-def test_a_file_of_the_users_is_not_overwritten_by_the_policy_of_before(repository):
+def test_existing_planner_before_file_is_not_overwritten(repository):
     commit(repository, {"planner.py": PLANNER, "planner_before.py": "mine"}, "A planner")
     code, printed = run_action({"task": "pull-request", "policy": "planner:Planner", "base": "main"}, repository)
     assert (code, "expected no file planner_before.py" in printed) == (2, True), printed
     assert (repository / "planner_before.py").read_text() == "mine"
 
 
-def test_the_policy_of_before_is_not_written_through_a_link(repository, tmp_path):
+def test_earlier_policy_is_not_written_through_a_link(repository, tmp_path):
     commit(repository, {"planner.py": PLANNER}, "A planner")
     (repository / "planner_before.py").symlink_to(tmp_path / "elsewhere.py")
     code, printed = run_action({"task": "pull-request", "policy": "planner:Planner", "base": "main"}, repository)
@@ -183,7 +183,7 @@ def test_the_policy_of_before_is_not_written_through_a_link(repository, tmp_path
     assert not (tmp_path / "elsewhere.py").exists()
 
 
-def test_a_fleet_searches_with_seeds_of_its_own_and_merges_into_a_branch(repository, summary):
+def test_fleet_searches_with_own_seeds_and_merges(repository, summary):
     commit(repository, {"test_it.py": FAILS}, "A test")
     found = []
     for seed in (1, 2):
@@ -206,7 +206,7 @@ def test_a_fleet_searches_with_seeds_of_its_own_and_merges_into_a_branch(reposit
     assert kept == [f"pafot_corpus/{name}" for name in saved(repository / "pafot_corpus")]
 
 
-def test_a_night_goes_on_in_a_fresh_clone_from_the_states_that_a_cache_brings(repository, tmp_path):
+def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
     commit(repository, {"test_it.py": FAILS}, "A test")
     git(repository, "push", "-q", "origin", "main")
     git(tmp_path, "clone", "-q", "origin.git", "next")
@@ -246,7 +246,7 @@ def calls(fake):
 SESSION = "-m pytest -m pafot --pafot-json=pafot.json --pafot-report=pafot.html --junitxml=pafot.xml"
 
 
-def test_what_is_empty_is_left_out_and_the_rest_becomes_options(repository, fake):
+def test_empty_inputs_are_omitted_and_others_become_options(repository, fake):
     run_action({"task": "search"}, repository, **fake)
     run_action({"task": "search", "runs": "40", "seed": "3", "limit": "60"}, repository, **fake)
     run_action({"task": "replay"}, repository, **fake)
@@ -273,7 +273,7 @@ def test_the_exit_code_is_that_of_pytest(repository, fake, code):
         ("[", "received no JSON of a session"),
     ],
 )
-def test_a_session_is_green_only_by_the_exit_code_in_its_json(repository, fake, written, received):
+def test_session_passes_only_by_exit_code_in_json(repository, fake, written, received):
     (repository / "pafot.json").write_text('{"exit": 0}')  # of an earlier session
     code, printed = shell(
         f"sh {SCRIPT} night", repository, BRANCH="finds", FINDS_NOW="a", CODE="0", JSON=written, **fake
@@ -283,27 +283,27 @@ def test_a_session_is_green_only_by_the_exit_code_in_its_json(repository, fake, 
 
 
 @pytest.mark.parametrize("leave", ["os._exit(0)", "sys.exit(0)", "atexit.register(os._exit, 0)"])
-def test_a_process_that_leaves_by_0_behind_pytests_back_is_red(repository, leave):
+def test_bypassing_pytest_with_exit_code_0_fails(repository, leave):
     commit(repository, {"conftest.py": f"import atexit, os, sys; {leave}", "json.py": "exit = 0"}, "A policy")
     (repository / "test_it.py").write_text("import pytest\n\n@pytest.mark.pafot\ndef test_it():\n    assert 0\n")
     code, printed = shell(f"sh {SCRIPT} replay", repository)
     assert (code, "pytest ended with 0: expected 0 as exit in pafot.json" in printed) == (2, True), printed
 
 
-def test_an_unknown_task_is_refused_with_those_that_there_are(repository):
+def test_unknown_task_error_lists_the_known_tasks(repository):
     code, printed = shell(f"sh {SCRIPT} nihgt", repository)
     assert code == 2
     assert "expected install, replay, search, pull-request, night or merge, received 'nihgt'" in printed
 
 
-def test_what_tests_need_is_installed_and_the_package_where_that_did_not_bring_it(repository, fake):
+def test_install_adds_requirements_and_package_if_missing(repository, fake):
     shell(f"sh {SCRIPT} install", repository, REQUIREMENTS="needs.txt", **fake)
     assert calls(fake) == ["-m pip install -r needs.txt", "-c import pytest_pafot"]
     code, _ = shell(f"sh {SCRIPT} install", repository, IMPORTS="1", **fake)
     assert (code, calls(fake)[2:]) == (0, ["-c import pytest_pafot", f"-m pip install {SCRIPT.parent}/.."])
 
 
-def test_a_copy_of_the_action_without_the_package_says_what_to_do(repository, fake, tmp_path):
+def test_action_copied_without_package_says_what_to_do(repository, fake, tmp_path):
     shutil.copytree(SCRIPT.parent, tmp_path / "copy" / "ci")
     code, printed = shell(f"sh {tmp_path}/copy/ci/pafot.sh install", repository, IMPORTS="1", **fake)
     assert (code, "expected pytest-pafot among the requirements, found none; name it there" in printed) == (2, True)
@@ -335,14 +335,14 @@ class TestTheBranch:
         assert "no finds to keep" in self.night(repository, fake, code="0")
         assert git(repository, "ls-remote", "origin", "pafot-finds") == ""
 
-    def test_finds_are_one_commit_on_the_branch_and_the_checkout_stays_as_it_is(self, repository, fake):
+    def test_findings_are_one_commit_without_touching_the_checkout(self, repository, fake):
         before = git(repository, "rev-parse", "HEAD")
         assert "finds are on pafot-finds" in self.night(repository, fake, finds="a")
         assert self.kept(repository) == ["a"]
         assert git(repository, "rev-parse", "refs/kept^", "HEAD").splitlines() == [before, before]
         assert git(repository, "status", "--porcelain").splitlines() == ["?? pafot_corpus/"]
 
-    def test_the_next_night_in_a_fresh_clone_knows_them_and_adds_its_own(self, repository, fake, tmp_path):
+    def test_next_night_in_fresh_clone_adds_its_findings(self, repository, fake, tmp_path):
         self.night(repository, fake, finds="a")
         git(tmp_path, "clone", "-q", "origin.git", "next")
         self.night(tmp_path / "next", fake, finds="b")
@@ -351,7 +351,7 @@ class TestTheBranch:
         git(tmp_path, "clone", "-q", "origin.git", "third")
         assert "all finds are on pafot-finds" in self.night(tmp_path / "third", fake)
 
-    def test_what_was_merged_and_removed_since_does_not_come_back(self, repository, fake, tmp_path):
+    def test_findings_merged_and_removed_do_not_return(self, repository, fake, tmp_path):
         self.night(repository, fake, finds="a")
         self.kept(repository)
         shutil.rmtree(repository / "pafot_corpus")
@@ -363,7 +363,7 @@ class TestTheBranch:
         self.night(tmp_path / "next", fake, finds="b")
         assert self.kept(repository) == ["b"]
 
-    def test_a_shallow_clone_knows_them_after_the_branch_was_left_behind(self, repository, fake, tmp_path):
+    def test_shallow_clone_knows_findings_of_an_old_branch(self, repository, fake, tmp_path):
         self.night(repository, fake, finds="a")
         shutil.rmtree(repository / "pafot_corpus")
         commit(repository, {"planner.py": PLANNER}, "A planner")
@@ -377,16 +377,14 @@ class TestTheBranch:
         ("meanwhile", "kept"),
         [(f"FINDS_NOW=c sh {SCRIPT} night", ["a", "b", "c"]), ("git push -q origin :pafot-finds", ["a", "b"])],
     )
-    def test_a_branch_that_has_moved_meanwhile_gets_them_all_the_same(
-        self, repository, fake, tmp_path, meanwhile, kept
-    ):
+    def test_findings_reach_a_branch_that_moved_meanwhile(self, repository, fake, tmp_path, meanwhile, kept):
         self.night(repository, fake, finds="a")
         git(tmp_path, "clone", "-q", "origin.git", "next")
         other = f"cd {repository}; unset MEANWHILE; export CODE=0; {meanwhile}"
         assert "finds are on pafot-finds" in self.night(tmp_path / "next", fake | {"MEANWHILE": other}, finds="b")
         assert self.kept(repository) == kept
 
-    def test_a_branch_that_refuses_them_ends_the_job_with_where_they_are(self, repository, fake):
+    def test_rejected_push_ends_job_and_locates_findings(self, repository, fake):
         hook = repository.parent / "origin.git" / "hooks" / "pre-receive"
         hook.write_text("#!/bin/sh\nexit 1\n")
         hook.chmod(0o755)
@@ -413,7 +411,7 @@ class TestTheBranch:
         commit(other, files, "By a colleague")
         git(other, "push", "-q", "origin", branch)
 
-    def test_what_colleagues_do_on_the_branch_and_on_main_is_there_after_a_night(self, repository, fake):
+    def test_changes_by_colleagues_survive_a_night(self, repository, fake):
         self.colleague(repository, "main", {f"{FOLDER}/old.pafot.yaml": "old"})
         git(repository, "pull", "-q", "origin", "main")
         self.night(repository, fake, finds="a")
@@ -434,14 +432,14 @@ class TestTheBranch:
         changed = git(repository, "diff", "--name-only", "main...refs/kept").splitlines()
         assert changed == ["NOTES.md", *(f"{FOLDER}/{name}.pafot.yaml" for name in ("a", "b", "old"))]
 
-    def test_a_find_that_was_deleted_on_the_branch_does_not_come_back(self, repository, fake):
+    def test_finding_deleted_on_the_branch_does_not_return(self, repository, fake):
         self.night(repository, fake, finds="a")
         self.colleague(repository, "pafot-finds", {"NOTES.md": ""}, remove=[f"{FOLDER}/a.pafot.yaml"])
         assert "all finds are on pafot-finds" in self.night(repository, fake)
         self.night(repository, fake, finds="b")
         assert self.kept(repository) == ["N", "b"]
 
-    def test_what_else_both_have_changed_is_left_to_a_merge_by_hand(self, repository, fake):
+    def test_conflicting_changes_are_left_to_manual_merge(self, repository, fake):
         self.night(repository, fake, finds="a")
         self.colleague(repository, "pafot-finds", {"planner.py": "by a colleague"})
         self.colleague(repository, "main", {"planner.py": "on main"})
@@ -452,7 +450,7 @@ class TestTheBranch:
         assert git(repository, "log", "-1", "--format=%p", "refs/kept").count(" ") == 0
         assert self.on_branch(repository, f"{FOLDER}/b.pafot.yaml") == "b"
 
-    def test_a_text_that_is_in_no_commit_is_not_overwritten(self, repository, fake):
+    def test_uncommitted_text_of_finding_is_not_overwritten(self, repository, fake):
         self.night(repository, fake, finds="a")
         (repository / FOLDER / "a.pafot.yaml").write_text("mine")
         self.colleague(repository, "pafot-finds", {f"{FOLDER}/a.pafot.yaml": "theirs"})
@@ -471,7 +469,7 @@ class TestTheBranch:
         self.night(folder, fake)
         assert {(folder / name).read_text() for name in odd} == {"2"}
 
-    def test_a_branch_that_is_not_for_finds_is_refused_before_the_search(self, repository, fake):
+    def test_unsuitable_branch_is_refused_before_the_search(self, repository, fake):
         git(repository, "checkout", "-q", "-b", "here")
         before = git(repository, "ls-remote", "origin")
         for branch in ("main", "MAIN", "here", "HEAD", "-x", "refs/heads/x", "a b", "fin*", "@{-1}", "$(touch x)"):
@@ -483,7 +481,7 @@ class TestTheBranch:
         code, printed = shell(f"sh {SCRIPT} merge", repository, BRANCH="finds", MACHINES=str(tmp_path), **fake)
         assert (code, f"expected MACHINES in the repository, received {tmp_path}" in printed) == (2, True), printed
 
-    def test_a_remote_that_cannot_be_read_ends_the_job_before_it_searches(self, repository, fake):
+    def test_unreadable_remote_ends_job_before_the_search(self, repository, fake):
         shutil.move(repository.parent / "origin.git", repository.parent / "gone.git")
         inputs = inputs_of("night", "night") | {"requirements": ""}
         code, printed = run_action(inputs, repository, **fake)

@@ -62,7 +62,7 @@ def test_pytest_knows_every_option_of_a_command():
     assert used - known == set()
 
 
-def test_every_file_that_a_command_gives_to_pytest_exists():
+def test_every_file_in_a_pytest_command_exists():
     files = [word.removeprefix("@") for words in calls_of_pytest() for word in words if word.endswith((".py", ".txt"))]
     assert files
     assert [name for name in files if not (ROOT / name).is_file()] == []
@@ -86,7 +86,7 @@ def test_the_quick_part_names_files_that_exist():
     assert "@tests/quick.txt" in NOX
 
 
-def test_ci_and_nox_run_every_stage_that_the_readme_command_leaves_out():
+def test_ci_and_nox_run_every_omitted_stage():
     (*_, chosen) = PYTEST["addopts"]
     left_out = set(re.findall(r"not (\w+)", chosen))
     assert left_out == {line.partition(":")[0] for line in PYTEST["markers"]}
@@ -96,7 +96,7 @@ def test_ci_and_nox_run_every_stage_that_the_readme_command_leaves_out():
 
 
 @table("command", ["ruff check", "ruff format", "mypy"])
-def test_the_same_linters_run_by_hand_before_a_commit_in_nox_and_in_ci(command):
+def test_same_linters_run_locally_and_in_ci(command):
     words = command.split()
     assert any(each[: len(words)] == words for each in commands())
     assert any(hook["entry"].startswith(command) for repository in HOOKS["repos"] for hook in repository["hooks"])
@@ -104,14 +104,14 @@ def test_the_same_linters_run_by_hand_before_a_commit_in_nox_and_in_ci(command):
     assert re.search(rf"^part {command}\b", CI, re.MULTILINE)
 
 
-def test_the_site_is_built_strictly_and_everywhere_by_one_command():
+def test_site_is_built_strictly_by_one_command():
     readme, conf = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/conf.py"))
     assert "docs" in PROJECT["optional-dependencies"]
     for text in (readme, conf, TEXT, CI, NOX):
         assert re.search(r"python -m sphinx (-q )?-W --keep-going -n -b html docs build/site", text)
 
 
-def test_the_citation_is_of_this_version_and_of_the_paper_that_the_explanation_names():
+def test_citation_matches_version_and_paper():
     assert CITATION["version"] == PROJECT["version"] == pytest_pafot.__version__
     assert (CITATION["title"], CITATION["license"]) == (PROJECT["name"], PROJECT["license"])
     (paper,) = CITATION["references"]
@@ -120,7 +120,7 @@ def test_the_citation_is_of_this_version_and_of_the_paper_that_the_explanation_n
     assert address in (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
 
 
-def test_the_examples_of_hypothesis_are_the_same_whatever_is_imported(tmp_path, monkeypatch):
+def test_hypothesis_examples_do_not_depend_on_imports(tmp_path, monkeypatch):
     if not settings.default.derandomize:
         pytest.skip("another profile, which is to try others")
 

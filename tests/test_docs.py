@@ -283,7 +283,7 @@ PRINTED = (
 )
 
 
-def test_numbers_are_compared_but_for_seconds_of_wall_clock_and_those_that_a_comment_names():
+def test_numbers_are_compared_except_times_and_named_ones():
     (block,) = blocks_of(SAMPLE)
     assert check_output(block, PRINTED) == block.rest
 
@@ -292,7 +292,7 @@ def test_numbers_are_compared_but_for_seconds_of_wall_clock_and_those_that_a_com
     ("old", "new"),
     [("6.3", "6.4"), ("cell 2", "cell 12"), ("20 runs", "21 runs"), ("d175c6", "d175c7"), ("1 f", "2 f")],
 )
-def test_any_other_number_that_is_printed_differs_and_the_failure_tells_how_to_refresh(old, new, monkeypatch):
+def test_different_number_fails_and_says_how_to_refresh(old, new, monkeypatch):
     monkeypatch.delenv(REFRESH, raising=False)
     (block,) = blocks_of(SAMPLE)
     with pytest.raises(pytest.fail.Exception, match=f"(?s)the document says.*{old}.*with PAFOT_REFRESH=1 .*{new}"):
@@ -316,12 +316,12 @@ def test_a_sample_ends_where_what_is_printed_does():
         ("2 passed\n...\n", 0, False),
     ],
 )
-def test_a_sample_of_pytest_ends_with_its_summary_line_and_the_exit_status_that_this_tells(rest, code, holds):
+def test_pytest_sample_ends_with_summary_matching_exit_status(rest, code, holds):
     with nullcontext() if holds else pytest.raises(AssertionError):
         check_end(Block((), "console", "$ pytest", rest), SimpleNamespace(ret=code))
 
 
-def test_refreshing_writes_new_numbers_and_new_names_of_files_wherever_the_document_has_them(tmp_path, monkeypatch):
+def test_refreshing_updates_numbers_and_file_names_everywhere(tmp_path, monkeypatch):
     monkeypatch.setenv(REFRESH, "1")
     document = tmp_path / "document.md"
     document.write_text(f"See front-d175c6.\n{SAMPLE}")
@@ -339,7 +339,7 @@ def test_every_block_says_its_language():
     assert [each for each in languages if each[1] not in RUN | NOT_RUN] == []
 
 
-def test_the_readme_has_the_commands_that_install_and_run():
+def test_readme_has_commands_to_install_and_run():
     blocks = [f"<!-- {name} -->\n```sh\n{command}\n```" for name, command in COMMANDS.items()]
     assert [block for block in blocks if block not in text_of(ROOT / "README.md")] == []
 
@@ -390,7 +390,7 @@ def test_every_program_that_measures_can_be_imported():
         assert importlib.import_module(f"tests.benchmarks.{command.split()[0]}").main
 
 
-def test_the_overview_of_the_comparisons_says_what_their_reports_say():
+def test_comparison_overview_agrees_with_its_reports():
     figures = tool("figures")
     reports = {name: text_of(OVERVIEW.parent / name / "report.md") for name in figures.REPORTS}
     for name, overview in zip(OVERVIEWS, (figures.overview_of_the_paper, figures.overview_of_failures), strict=True):
@@ -398,7 +398,7 @@ def test_the_overview_of_the_comparisons_says_what_their_reports_say():
         assert f"<!-- measured: {name} -->\n{table}<!-- end of measured -->" in text_of(OVERVIEW)
 
 
-def test_the_reference_has_a_row_for_every_option_with_all_its_names():
+def test_reference_has_a_row_for_every_option():
     rows = generator().sections()["options"].splitlines()[2:]
     assert len(rows) == len(OPTIONS)
     for option, row in zip(OPTIONS, rows, strict=True):
@@ -408,7 +408,7 @@ def test_the_reference_has_a_row_for_every_option_with_all_its_names():
         assert option.flag in row
 
 
-def test_the_example_of_a_corpus_file_can_be_read_and_replayed():
+def test_example_of_a_corpus_file_can_be_read():
     (example,) = (
         block
         for name, block in GENERATED.findall(text_of(ROOT / "docs/reference/corpus-files.md"))
@@ -420,7 +420,7 @@ def test_the_example_of_a_corpus_file_can_be_read_and_replayed():
 
 
 @pytest.mark.stories
-def test_every_tool_of_the_documents_finds_what_it_imports():
+def test_every_documentation_tool_can_be_imported():
     tools = [f"docs/tools/{path.name}" for path in (ROOT / "docs" / "tools").glob("*.py")]
     if importlib.util.find_spec("rich") is None:
         tools.remove("docs/tools/picture.py")
@@ -436,7 +436,7 @@ def test_every_page_that_code_names_exists():
     assert {name for name in named if not (ROOT / name).is_file()} == set()
 
 
-def test_every_page_is_in_one_list_of_an_index_from_which_the_site_has_its_navigation():
+def test_every_page_is_listed_in_one_index():
     listed = []
     for index in (ROOT / "docs").rglob("index.md"):
         links = re.findall(r"^- \[[^\]]*\]\(([\w/.-]+)\)", text_of(index), re.MULTILINE)
@@ -445,7 +445,7 @@ def test_every_page_is_in_one_list_of_an_index_from_which_the_site_has_its_navig
     assert sorted([*listed, "docs/index"]) == sorted(map(place, pages))
 
 
-def test_the_site_has_every_public_name_and_every_package_that_lists_some():
+def test_site_has_every_public_name_and_package():
     pages = "".join(map(text_of, (ROOT / "docs" / "api").glob("*.rst")))
     modules = re.findall(r"^\.\. automodule:: (\S+)", pages, re.MULTILINE)
     lists = [path for path in (ROOT / "pytest_pafot").glob("*/__init__.py") if "__all__ = " in text_of(path)]
@@ -486,7 +486,7 @@ def test_every_link_inside_of_the_repository_leads_somewhere():
     ] == []
 
 
-def test_a_link_to_a_page_or_a_section_that_is_absent_leads_nowhere():
+def test_links_to_missing_pages_or_sections_are_detected():
     readme = ROOT / "README.md"
     assert leads_somewhere(readme, "docs/index.md")
     assert leads_somewhere(readme, "#try-it")
@@ -512,7 +512,7 @@ def workflows():
                 yield yaml.safe_load(block.rest)
 
 
-def test_a_job_that_searches_is_allowed_more_time_than_its_options_allow_the_searches():
+def test_searching_job_has_more_time_than_its_searches():
     for workflow in workflows():
         commands = {
             name: " ".join(step.get("run", "") for step in job["steps"]) for name, job in workflow["jobs"].items()

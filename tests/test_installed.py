@@ -39,7 +39,7 @@ def run(installed, folder, *arguments):
     )
 
 
-def test_one_package_is_installed_with_every_policy_and_no_test(installed):
+def test_package_contains_every_example_policy_and_no_tests(installed):
     assert [path.name for path in installed.iterdir()] == ["pytest_pafot"]
     examples = installed / "pytest_pafot" / "example_ads"
     source = {path.relative_to(ROOT / "example_ads") for path in (ROOT / "example_ads").rglob("*.py")}
@@ -48,7 +48,7 @@ def test_one_package_is_installed_with_every_policy_and_no_test(installed):
     assert not there - source
 
 
-def test_the_policies_that_the_documents_name_are_there_in_an_empty_folder(installed, tmp_path):
+def test_documented_policies_are_installed_and_importable_anywhere(installed, tmp_path):
     documents = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs").rglob("*.md"))
     named = {*re.findall(r"--ads ([a-z][\w.:-]+)", documents)}
     names = sorted(name for name in named if name.split(":")[0] not in ("policy", "test_policy"))  # files of documents
@@ -64,7 +64,7 @@ def test_the_policies_that_the_documents_name_are_there_in_an_empty_folder(insta
     assert done.stdout.split() == [str(len(names)), str(installed / "pytest_pafot" / "__init__.py")]
 
 
-def test_the_comparison_of_an_example_policy_runs_in_an_empty_folder(installed, tmp_path):
+def test_installed_comparison_of_example_policy_runs_anywhere(installed, tmp_path):
     arguments = "compare --ads idm_mobil --algorithms random --runs 1 --generations 1 --workers 1 --out compared"
     done = run(installed, tmp_path, "-m", "pytest_pafot", *arguments.split())
     assert (done.returncode, done.stdout) == (0, str(Path("compared", "report.md")) + "\n"), done.stderr

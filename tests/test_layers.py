@@ -162,7 +162,7 @@ def test_no_modules_import_each_other_in_a_circle():
     assert circles(arrows) == []
 
 
-def test_no_module_of_the_pure_rooms_touches_clock_or_global_randomness():
+def test_pure_rooms_use_no_clock_or_global_randomness():
     forbidden = {"time", "random", "datetime", "secrets", "uuid"}
     for path in MODULES:
         if room_of(path) in ("model", "oracle", "criticality", "attribution", "searching"):

@@ -32,7 +32,7 @@ def fences(text):
     return re.findall(r"^```.*?^```$", text, re.DOTALL | re.MULTILINE)
 
 
-def test_with_an_address_every_link_and_picture_of_the_readme_leads_into_the_repository_of_that_version():
+def test_readme_links_lead_into_the_versioned_repository():
     shown = long_description(README, "https://host.test/owner/name", "1.2.3")
     assert len(targets(shown)) == len(targets(README))
     for before, after in zip(targets(README), targets(shown), strict=True):
@@ -41,7 +41,7 @@ def test_with_an_address_every_link_and_picture_of_the_readme_leads_into_the_rep
         assert (ROOT / before.partition("#")[0]).exists()
 
 
-def test_without_an_address_no_link_leads_nowhere_and_no_word_or_sample_is_lost():
+def test_readme_without_address_loses_links_but_no_text():
     shown = long_description(README, None, "1.2.3")
     assert targets(shown) == []
     assert "<picture>" not in shown
@@ -49,7 +49,7 @@ def test_without_an_address_no_link_leads_nowhere_and_no_word_or_sample_is_lost(
     assert "a torch module, an ONNX file or a program in any language needs one\nline. Vehicle classes" in shown
 
 
-def test_links_that_are_absolute_or_within_the_page_stay():
+def test_absolute_and_internal_links_stay_unchanged():
     kept = "[a](https://host.test/b) [c](#d) [e](mailto:f@host.test)"
     assert long_description(kept, None, "1") == kept
     assert long_description(kept, "https://host.test/owner/name", "1") == kept
@@ -103,7 +103,7 @@ def test_a_release_has_its_day_in_the_changelog(check, tmp_path, monkeypatch, he
 
 
 @pytest.mark.parametrize("address", ["", "https://example.org/owner/name", "http://host.test/owner/name"])
-def test_a_release_has_the_public_address_of_the_repository_and_no_placeholder(check, monkeypatch, address):
+def test_release_requires_a_real_public_repository_address(check, monkeypatch, address):
     monkeypatch.setitem(check["public_address"].__globals__, "PROJECT", {"urls": {"Source": address}})
     with pytest.raises(check["NotYetError"], match=r"expected the repository's public address as Source"):
         check["public_address"]()
@@ -139,7 +139,7 @@ def members():
         ({LICENCE: None}, "the text of the licence is not in the wheel"),
     ],
 )
-def test_a_wheel_is_refused_for_what_it_lacks_or_has_too_much(check, tmp_path, change, told):
+def test_wheel_with_missing_or_extra_contents_is_refused(check, tmp_path, change, told):
     path = tmp_path / "any.whl"
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in (members() | change).items():
@@ -152,7 +152,7 @@ def test_a_wheel_is_refused_for_what_it_lacks_or_has_too_much(check, tmp_path, c
             check["contents"](path)
 
 
-def test_a_command_that_fails_is_told_with_the_end_of_what_it_printed(check, capsys):
+def test_failed_command_is_reported_with_its_output(check, capsys):
     def fails():
         return check["run"]("sh", "-c", "echo something went wrong; exit 3")
 
@@ -163,7 +163,7 @@ def test_a_command_that_fails_is_told_with_the_end_of_what_it_printed(check, cap
     assert re.fullmatch(r"ok       version \(\d+ s\): 1\.2\.3", last)
 
 
-def test_the_first_find_is_made_by_the_files_that_the_readme_shows(check):
+def test_release_check_extracts_the_files_from_readme(check):
     files = check["readme_files"]()
     assert sorted(files) == ["conftest.py", "test_safety.py"]
     assert "class MyPlanner" in files["conftest.py"]
@@ -171,7 +171,7 @@ def test_the_first_find_is_made_by_the_files_that_the_readme_shows(check):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs locks of POSIX")
-def test_two_builds_in_one_folder_wait_for_each_other(tmp_path, monkeypatch):
+def test_two_builds_in_one_folder_are_serialized(tmp_path, monkeypatch):
     import fcntl
 
     def is_free():

@@ -44,7 +44,7 @@ def following(gap, *, speed=20.0, leader=20.0):
     return trace_of(vehicle(0.0, OWN, speed=speed), vehicle(gap + LENGTH, OWN, speed=leader))
 
 
-def test_all_of_them_are_public_and_loaded_when_used():
+def test_every_property_is_listed_as_public():
     assert "properties" in pafot.__all__
     assert set(properties.__all__) == {name for name, each in vars(properties).items() if is_property(name, each)}
 
@@ -57,7 +57,7 @@ def is_property(name, each):
 
 
 @table("situation", COLLISIONS[::9])
-def test_a_collision_breaks_it_where_the_ego_answers_for_it(situation):
+def test_no_fault_fails_if_the_ego_is_responsible(situation):
     run = pafot.Run(situation.trace())
     if situation.responsibility == "npc":
         properties.no_fault(run)
@@ -66,7 +66,7 @@ def test_a_collision_breaks_it_where_the_ego_answers_for_it(situation):
             properties.no_fault(run)
 
 
-def test_without_a_collision_nobody_is_at_fault_and_there_is_no_margin():
+def test_no_fault_has_no_margin_without_collision():
     assert judged(properties.no_fault, following(1.0)) == []
 
 
@@ -75,9 +75,7 @@ def test_without_a_collision_nobody_is_at_fault_and_there_is_no_margin():
 
 @table(("speed", "leader", "safe"), [(20.0, 20.0, 85 / 3), (20.0, 10.0, 565 / 12), (0.0, 8.0, 0.0)])
 @table("beyond", [-0.5, 0.5])
-def test_behind_another_it_is_the_gap_less_one_second_of_driving_and_the_difference_of_the_stopping_ways(
-    speed, leader, safe, beyond
-):
+def test_rss_margin_is_gap_minus_safe_distance(speed, leader, safe, beyond):
     # v + v^2 / 12 - u^2 / 16
     if safe + beyond > 0:
         made = only(properties.rss_distance, following(safe + beyond, speed=speed, leader=leader))
@@ -142,7 +140,7 @@ def test_braking_is_the_mean_of_two_seconds(seconds, mean):
 
 
 @table(("step", "holds"), [(-2.4, True), (-2.5, True), (-2.6, False), (2.6, False)])
-def test_jerk_is_the_mean_of_one_second_either_way(step, holds):
+def test_jerk_is_the_mean_of_one_second(step, holds):
     ego = driven(0.0)
     ego[60:90, ACCELERATION] = step
     made = only(properties.comfort, trace_of(ego, driven(FARTHER)), braking=None, **STRAIGHT_ON)
@@ -150,7 +148,7 @@ def test_jerk_is_the_mean_of_one_second_either_way(step, holds):
     assert (made.name, made.unit, made.time) == ("jerk", "m/s^3", 4.0)
 
 
-def test_a_jerk_that_is_over_at_once_does_not_count_in_full():
+def test_brief_jerk_does_not_count_in_full():
     ego = driven(0.0)
     ego[60, ACCELERATION], ego[61:, ACCELERATION] = -2.0, 0.0
     assert only(properties.comfort, trace_of(ego, driven(FARTHER)), braking=None, **STRAIGHT_ON).value == pytest.approx(
@@ -170,7 +168,7 @@ def turning(rates, speed=20.0):
 
 @table(("ticks", "share"), [(4, 0.5), (8, 1.0), (60, 1.0)])
 @table("sign", [1.0, -1.0])
-def test_a_pull_to_the_side_is_the_mean_of_half_a_second(ticks, share, sign):
+def test_lateral_acceleration_is_mean_of_half_a_second(ticks, share, sign):
     """By the circle: a turning rate w at a speed v pulls with v w; half a second are eight ticks."""
     rates = np.zeros(200)
     rates[100 : 100 + ticks] = sign * 0.2
@@ -180,7 +178,7 @@ def test_a_pull_to_the_side_is_the_mean_of_half_a_second(ticks, share, sign):
 
 
 @table(("seconds", "holds"), [(0.2, False), (0.6, False), (0.9, True), (2.0, True)])
-def test_a_pull_that_builds_up_in_time_is_no_jerk(seconds, holds):
+def test_gradual_lateral_acceleration_is_no_jerk(seconds, holds):
     """A spiral: the pull goes from 0 to 4 m/s^2 in so many seconds, in half of one by at most as much of it."""
     rates = np.interp(np.arange(200) / 15, [5.0, 5.0 + seconds], [0.0, 4.0 / 20.0])
     made = only(properties.comfort, turning(rates), lateral_acceleration=None, **ONLY_SIDEWAYS)
@@ -202,7 +200,7 @@ def on_empty_road(ads, *, speed, seconds):
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.sampled_from([0.0, 10.0, 27.0])), min_size=9, max_size=9))
-def test_who_changes_lanes_by_a_drive_is_comfortable_sideways(goals):
+def test_lane_changes_by_drive_are_laterally_comfortable(goals):
     """However hard it brakes and speeds up while it does, at whatever speed."""
 
     def decide(now):
@@ -214,7 +212,7 @@ def test_who_changes_lanes_by_a_drive_is_comfortable_sideways(goals):
 
 
 @table("left_out", ["lateral_acceleration", "lateral_jerk"])
-def test_a_policy_that_jerks_the_wheel_is_not_comfortable(left_out):
+def test_policy_that_jerks_the_wheel_is_uncomfortable(left_out):
     trace = on_empty_road(lambda now: (0.0, 0.03 if int(now.time) % 2 else -0.03), speed=25.0, seconds=3)
     assert not only(properties.comfort, trace, **ONLY_SIDEWAYS, **{left_out: None}).holds
 
@@ -224,7 +222,7 @@ def test_a_policy_that_jerks_the_wheel_is_not_comfortable(left_out):
 
 @table("heading", [0.0, 0.7])
 @table(("y", "to_edge"), [(4.0, 6.0), (0.0, 2.0), (-1.9, 0.1), (-2.5, -0.5), (13.0, 1.0), (15.0, -1.0)])
-def test_it_is_the_way_of_the_centre_to_the_nearer_edge(y, to_edge, heading):
+def test_stays_on_road_measures_distance_to_nearer_edge(y, to_edge, heading):
     x, across = -y * np.sin(heading), y * np.cos(heading)
     ego = vehicle(x, across, heading=heading, speed=20.0, lane=1)
     made = only(properties.stays_on_road, trace_of(ego, ego, lanes=straight_lanes(heading=heading)))
@@ -232,7 +230,7 @@ def test_it_is_the_way_of_the_centre_to_the_nearer_edge(y, to_edge, heading):
     assert made.holds == (to_edge > 0)
 
 
-def test_in_a_bend_it_is_kept_until_the_ego_is_off_the_road():
+def test_stays_on_road_holds_in_a_bend():
     vehicles, road = bent(driven(0.0), driven(60.0, LEFT))
     assert only(properties.stays_on_road, trace_of(*vehicles, **road)).value == 2.0
     vehicles[0][-1, LANE] = -1
@@ -244,7 +242,7 @@ def test_in_a_bend_it_is_kept_until_the_ego_is_off_the_road():
 # Keeping up.
 
 
-def test_it_is_the_highest_speed_of_ten_seconds_over_the_limit():
+def test_keeps_up_measures_best_ten_seconds_against_limit():
     trace = trace_of(driven(0.0, speed=20.0, brakes=[(2.0, 1.0, 15.0)]), driven(-FARTHER))
     made = only(properties.keeps_up, trace)
     assert made.value == pytest.approx(15.0 / 26.8)
@@ -253,11 +251,11 @@ def test_it_is_the_highest_speed_of_ten_seconds_over_the_limit():
 
 
 @pytest.mark.parametrize(("speed", "holds"), [(0.7 * 26.8 - 0.1, False), (0.7 * 26.8 + 0.1, True)])
-def test_it_holds_from_the_share_of_the_limit_on(speed, holds):
+def test_keeps_up_holds_from_its_share_on(speed, holds):
     assert only(properties.keeps_up, trace_of(driven(0.0, speed=speed), driven(-FARTHER))).holds == holds
 
 
-def test_a_shorter_wait_and_a_shorter_run_are_not_held_against_it():
+def test_keeps_up_excuses_short_waits_and_short_runs():
     waits = driven(0.0, speed=24.0, brakes=[(1.0, 8.0, 0.0), (6.0, -4.0, 24.0)], seconds=20.0)
     assert only(properties.keeps_up, trace_of(waits, driven(-FARTHER))).holds
     assert (
@@ -265,7 +263,7 @@ def test_a_shorter_wait_and_a_shorter_run_are_not_held_against_it():
     )
 
 
-def test_whoever_is_behind_somebody_near_need_not_be_faster():
+def test_keeps_up_excuses_an_ego_behind_slow_traffic():
     near, far = 3.0 * 0.7 * 26.8 + LENGTH - 0.1, 3.0 * 0.7 * 26.8 + LENGTH + 0.1
     assert judged(properties.keeps_up, trace_of(driven(0.0, speed=5.0), driven(near, speed=5.0))) == []
     assert not only(properties.keeps_up, trace_of(driven(0.0, speed=5.0), driven(far, speed=5.0))).holds
@@ -273,7 +271,7 @@ def test_whoever_is_behind_somebody_near_need_not_be_faster():
     assert not only(properties.keeps_up, trace_of(driven(0.0, speed=5.0), driven(near, LEFT, speed=5.0))).holds
 
 
-def test_another_speed_than_the_limit_may_be_asked_for_at_each_tick():
+def test_keeps_up_accepts_another_speed_per_tick():
     trace = trace_of(driven(0.0, speed=10.0), driven(-FARTHER, speed=12.0))
     assert only(properties.keeps_up, trace, speed=pafot.Run(trace).npcs[0].speed).value == pytest.approx(10 / 12)
     assert only(properties.keeps_up, trace, speed=20.0, share=0.5).margin == 0.0
@@ -293,7 +291,7 @@ def test_another_speed_than_the_limit_may_be_asked_for_at_each_tick():
         (driven(-25.1, speed=0.0), "behind", np.inf),
     ],
 )
-def test_the_gap_at_a_lane_change_is_in_seconds_of_the_one_behind(npc, side, seconds):
+def test_lane_change_gap_is_in_seconds_of_follower(npc, side, seconds):
     trace = trace_of(driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)], seconds=10.0), npc[: 10 * HZ + 1])
     made = only(properties.lane_change_gaps, trace)
     assert (made.name, made.npc, made.unit) == (f"lane change gap {side}", 0, "s")
@@ -302,13 +300,13 @@ def test_the_gap_at_a_lane_change_is_in_seconds_of_the_one_behind(npc, side, sec
     assert made.margin == pytest.approx(made.value - 1.0)
 
 
-def test_only_lane_changes_into_a_lane_with_somebody_in_it_are_judged():
+def test_lane_changes_count_only_next_to_traffic():
     beside = driven(0.0, RIGHT)
     assert judged(properties.lane_change_gaps, trace_of(driven(0.0), beside)) == []
     assert judged(properties.lane_change_gaps, trace_of(driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), beside)) == []
 
 
-def test_each_npc_there_is_judged_and_the_bounds_are_yours():
+def test_lane_change_gaps_check_npcs_with_given_bounds():
     ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
     made = judged(properties.lane_change_gaps, trace_of(ego, driven(16.0), driven(-46.0)), ahead=0.5, behind=2.0)
     assert [(each.npc, each.at_least, each.holds) for each in made] == [(0, 0.5, True), (1, 2.0, True)]
@@ -322,19 +320,19 @@ def braked(deceleration, seconds, *npcs):
 
 
 @table(("deceleration", "seconds", "value"), [(6.0, 1.0, 6.0), (4.9, 2.0, 4.9), (7.5, 0.4, 7.5), (8.0, 0.2, 0.0)])
-def test_it_is_the_deceleration_that_lasts_with_nothing_in_the_way(deceleration, seconds, value):
+def test_braking_without_reason_is_the_lasting_deceleration(deceleration, seconds, value):
     made = only(properties.brakes_for_a_reason, braked(deceleration, seconds, driven(FARTHER)))
     assert made.value == pytest.approx(value)
     assert made.margin == pytest.approx((5.0 - value) / 5.0)
     assert (made.time >= 5.0) == (value > 0)
 
 
-def test_a_leader_that_is_near_is_a_reason_and_one_in_another_lane_is_none():
+def test_near_leader_in_own_lane_justifies_braking():
     assert only(properties.brakes_for_a_reason, braked(6.0, 1.5, driven(85.0, speed=10.0))).value == 0.0
     assert not only(properties.brakes_for_a_reason, braked(6.0, 1.5, driven(85.0, LEFT, speed=10.0))).holds
 
 
-def test_a_reason_that_goes_while_the_ego_still_brakes_has_been_one():
+def test_reason_that_vanishes_during_braking_still_counts():
     ego = driven(0.0, speed=35.0, brakes=[(5.0, 6.0, 5.0)])
     leaves = driven(120.0, speed=20.0, shifts=[(5.4, LEFT, 1.0)])
     assert only(properties.brakes_for_a_reason, trace_of(ego, leaves)).holds
@@ -357,7 +355,7 @@ def expected_needless(trace):
     return found
 
 
-def test_every_hard_braking_of_a_run_is_judged_as_the_rule_does():
+def test_needless_braking_agrees_with_the_fault_rule():
     for situation in COLLISIONS:
         trace = situation.trace()
         made = only(properties.brakes_for_a_reason, trace)
@@ -380,13 +378,13 @@ LEAST = 10.0 * (10.0 / 12 + 0.35)
 """The gap that an NPC that is 10 m/s slower must leave [m]."""
 
 
-def test_a_collision_after_a_cut_in_with_time_enough_breaks_it():
+def test_avoidable_collision_after_a_cut_in_fails():
     made = only(properties.answers_cut_ins, hit(*cut_in(LEAST + 1.0)))
     assert (made.holds, made.value, made.npc) == (False, 0.0, 0)
     assert made.margin == pytest.approx(-0.1 / 10)
 
 
-def test_whoever_brakes_for_it_has_the_least_gap_until_it_is_no_faster_as_its_margin():
+def test_cut_in_margin_is_smallest_gap_while_closing():
     trace = trace_of(*cut_in(30.0, ego_brakes=[(3.0, 6.0, 9.0)]))
     made = only(properties.answers_cut_ins, trace)
     slow = int(np.argmax(trace.ego[:, 3] <= 10.0))
@@ -410,31 +408,31 @@ def test_whoever_brakes_for_it_has_the_least_gap_until_it_is_no_faster_as_its_ma
         ("the ego changes lanes", (driven(0.0, LEFT, shifts=[(2.0, OWN, 3.0)]), driven(60.0, speed=10.0))),
     ],
 )
-def test_what_the_regulation_does_not_have_avoided_is_not_judged(why, vehicles):
+def test_unavoidable_cut_ins_by_regulation_are_not_checked(why, vehicles):
     assert judged(properties.answers_cut_ins, trace_of(*vehicles)) == []
 
 
-def test_a_cut_in_that_is_seen_for_less_than_a_second_is_judged():
+def test_cut_in_seen_under_a_second_is_checked():
     assert not only(properties.answers_cut_ins, hit(*cut_in(LEAST + 1.0, lasts=2.5))).holds
 
 
-def test_a_cut_in_of_an_npc_that_is_hardly_slower_is_judged():
+def test_cut_in_of_barely_slower_npc_is_checked():
     assert not only(properties.answers_cut_ins, hit(*cut_in(5.0, slower=0.5))).holds
 
 
-def test_what_happens_once_it_is_out_of_the_lane_again_is_not_judged():
+def test_cut_in_ends_when_npc_leaves_the_lane():
     ego, npc = driven(0.0), driven(80.0, LEFT, speed=10.0, shifts=[(2.0, OWN, 3.0), (5.1, LEFT, 1.0)])
     made = only(properties.answers_cut_ins, trace_of(ego, npc))
     assert made.value == pytest.approx(80.0 - 10.0 * made.time - LENGTH, abs=0.2)
     assert made.value > 15
 
 
-def test_a_collision_that_comes_of_later_braking_is_not_the_cut_in_s():
+def test_collision_from_later_braking_passes_answers_cut_ins():
     trace = hit(*cut_in(30.0, npc_brakes=[(3.5, 8.0, 0.0)]))
     assert only(properties.answers_cut_ins, trace).holds
 
 
-def test_an_npc_that_slows_down_counts_as_long_as_even_at_that_speed_there_was_time_enough():
+def test_slowing_npc_counts_while_braking_time_suffices():
     gap = 13.0 * (13.0 / 12 + 0.35)
     for beyond, holds in ((-0.5, True), (0.5, False)):
         trace = hit(*cut_in(gap + beyond, npc_brakes=[(3.3, 6.0, 7.0)]))
@@ -480,7 +478,7 @@ def test_odd_runs_are_judged_without_an_error(odd):
             assert not np.isnan(made.value), name
 
 
-def test_ordinary_traffic_is_no_trouble_for_a_careful_driver():
+def test_careful_driver_satisfies_all_properties_in_ordinary_traffic():
     """But for comfort and the distances of RSS where somebody cuts in on it, or brakes hard: it has to brake then."""
     world, rng = pafot.Highway(duration=20.0), np.random.default_rng(0)
     quiet = 0
@@ -496,14 +494,14 @@ def test_ordinary_traffic_is_no_trouble_for_a_careful_driver():
     assert quiet > 5
 
 
-def test_keeping_up_with_traffic_that_stands_asks_for_nothing():
+def test_keeps_up_requires_nothing_in_standing_traffic():
     trace = trace_of(driven(0.0, speed=0.0), driven(-FARTHER))
     assert judged(properties.keeps_up, trace, speed=0.0) == []
     assert only(properties.keeps_up, trace, speed=10.0).value == 0.0
 
 
 @table("speed", [[1.0, 2.0], -1.0, np.nan, np.inf, "2", True])
-def test_keeping_up_with_what_is_no_speed_is_refused(speed):
+def test_keeps_up_refuses_an_invalid_speed(speed):
     with pytest.raises(
         ValueError, match=r"expected a finite speed of at least 0, as a number or one number per tick, received"
     ):
@@ -524,7 +522,7 @@ def test_keeping_up_with_what_is_no_speed_is_refused(speed):
         (properties.lane_change_gaps, "behind"),
     ],
 )
-def test_what_is_no_finite_number_of_at_least_0_is_refused_whatever_the_run(holds, argument):
+def test_properties_refuse_negative_or_non_finite_arguments(holds, argument):
     for odd in (-1.0, np.nan, np.inf, "2", True):
         told = f"expected {argument}= as a finite number of at least 0, received {odd!r}"
         with pytest.raises(ValueError, match=told):
@@ -560,11 +558,11 @@ JUNCTIONS = (
 
 @table("name", sorted(set(properties.__all__) - {"rss_distance", "gives_way", "no_fault"}))
 @table("trace", JUNCTIONS)
-def test_a_steady_ego_breaks_nothing_by_somebody_who_is_not_on_its_way(name, trace):
+def test_steady_ego_at_a_junction_breaks_no_property(name, trace):
     assert all(made.holds for made in judged(getattr(properties, name), trace))
 
 
-def test_the_distance_of_rss_is_of_who_is_on_the_ego_s_way():
+def test_rss_distance_counts_only_npcs_on_ego_path():
     assert judged(properties.rss_distance, junction_trace((CROSSES, 10.0), seconds=4.5)) == []
     made = only(properties.rss_distance, junction_trace((CROSSES, 0.0), (MERGES, 0.0)))
     assert made.npc == 1
@@ -573,14 +571,14 @@ def test_the_distance_of_rss_is_of_who_is_on_the_ego_s_way():
     assert (behind.npc, behind.value) == (1, pytest.approx(15.0 - (10 + 100 / 12 - 100 / 16)))
 
 
-def test_an_ego_that_waits_at_a_junction_still_keeps_up():
+def test_ego_waiting_at_junction_still_keeps_up():
     waiting = slowed(junction_trace((CROSSES, -110.0), seconds=12.0), 3.0, since=0.0)
     assert judged(properties.keeps_up, waiting, speed=10.0) == []
     alone = slowed(junction_trace((CROSSES, 110.0), seconds=12.0), 3.0, since=0.0)
     assert not only(properties.keeps_up, alone, speed=10.0).holds
 
 
-def test_the_gaps_of_a_lane_change_are_to_those_in_the_lane_and_not_to_who_crosses_it():
+def test_lane_change_gaps_ignore_crossing_npcs():
     trace = junction_trace((CROSSES, 0.0), (None, -8.0))
     states = trace.states.copy()
     states[30:, :, LANE] = 1
@@ -589,12 +587,12 @@ def test_the_gaps_of_a_lane_change_are_to_those_in_the_lane_and_not_to_who_cross
 
 
 @table(("start", "holds"), [(5.0, True), (-110.0, False), (70.0, False)])
-def test_who_comes_to_the_same_zone_within_four_seconds_is_a_reason_to_brake(start, holds):
+def test_npc_arriving_at_same_zone_soon_justifies_braking(start, holds):
     braked = slowed(junction_trace((CROSSES, start), seconds=5.0), 6.0, since=2.0)
     assert only(properties.brakes_for_a_reason, braked).holds is holds
 
 
-def test_who_merges_from_a_way_of_its_own_cuts_in_nowhere():
+def test_merging_npc_from_another_way_cuts_in_nowhere():
     """At 20 m/s the ego reaches the NPC, which is in its lane at once when it is on its way at all."""
     trace = junction_trace((MERGES, 12.0), ego_speed=20.0, seconds=4.0)
     assert (Encounters(trace).gap == 0).any()
@@ -612,14 +610,14 @@ def test_who_merges_from_a_way_of_its_own_cuts_in_nowhere():
         (10.0, 0.0, False),  # both come at once
     ],
 )
-def test_the_ego_goes_first_only_where_time_is_left(start, left, holds):
+def test_gives_way_measures_time_left_before_the_npc(start, left, holds):
     made = only(properties.gives_way, junction_trace((CROSSES, start)))
     assert made.value == pytest.approx(left, abs=0.1)
     assert (made.holds, made.npc, made.unit) == (holds, 0, "s")
     assert made.time == pytest.approx(4.6)
 
 
-def test_who_came_first_or_has_no_priority_or_stands_is_given_way_to():
+def test_gives_way_ignores_earlier_unprioritised_or_stopped_npcs():
     for trace in (
         junction_trace((CROSSES, 12.0)),  # 0.2 s before the ego
         junction_trace((MERGES, -20.0)),  # has no priority

@@ -35,5 +35,5 @@ assert callable(pytest_pafot.reject), "a module in the place of the function"
 """
 
 
-def test_importing_the_package_imports_nothing_else_a_world_no_highway_env_and_reject_stays_a_function():
+def test_package_import_loads_only_the_standard_library():
     subprocess.run([sys.executable, "-c", FRESH], check=True)

@@ -42,7 +42,7 @@ def test_scenarios_are_valid_whatever_the_number_of_npcs(scenario):
 
 
 @given(strategies.scenarios())
-def test_scenarios_have_two_npcs_at_most_unless_told_otherwise(scenario):
+def test_scenarios_have_two_npcs_at_most_by_default(scenario):
     assert len(scenario.npcs) <= 2
 
 
@@ -62,7 +62,7 @@ def test_a_style_alone_is_a_traffic(scenario):
 
 
 @given(strategies.scenarios(traffic=Traffic("everyday", least_speed_share=0.748), min_speed=3.0))
-def test_instructions_keep_to_the_least_speed_of_their_traffic(scenario):
+def test_instructions_respect_the_minimum_speed_of_traffic(scenario):
     assert scenario.traffic.style == "everyday"
     assert all(0.748 * 26.8 <= gene.speed <= 26.8 for chain in scenario.npcs for gene in chain)
 
@@ -73,18 +73,18 @@ def test_types_alone_give_strategies(data):
     assert isinstance(data.draw(st.from_type(PositionInstruction)), PositionInstruction)
 
 
-def test_the_simplest_scenario_is_one_npc_that_stays_at_standstill():
+def test_simplest_scenario_is_one_stationary_npc():
     simplest = find(strategies.scenarios(), lambda _: True, settings=SIMPLEST)
     assert simplest == Scenario(npcs=((PositionInstruction(1, 0.0),),), ego_lane=1, traffic=Traffic())
 
 
-def test_a_failing_chain_shrinks_to_staying_and_to_round_speeds():
+def test_failing_chain_shrinks_to_staying_and_round_speeds():
     found = find(strategies.chromosomes(min_genes=3), lambda chain: chain[1].speed > 7.35, settings=SIMPLEST)
     assert [int(gene.cell) for gene in found] == [1, 1, 1]
     assert [gene.speed for gene in found] == [0.0, 8.0, 0.0]
 
 
-def test_one_npc_may_follow_another_round_the_ring_in_either_direction():
+def test_npcs_may_follow_each_other_around_the_ring():
     def follows(step):
         def both_move(scenario):
             return all((chain[1].cell - chain[0].cell) % 8 == step % 8 for chain in scenario.npcs) and is_adjacent(
@@ -130,26 +130,26 @@ INTERSECTION = World("intersection-v0")
 
 
 @given(strategies.scenarios_in(INTERSECTION, max_npcs=4, acts=("pass", "hold", "stop", "late")))
-def test_scenarios_in_a_world_whose_ways_cross_fit_it_and_nobody_clashes(scenario):
+def test_junction_scenarios_fit_the_world_without_clashes(scenario):
     INTERSECTION.check_fits(scenario)
     assert not INTERSECTION.crossings.clashes(scenario)
     assert 1 <= len(scenario.npcs) <= 4
 
 
 @given(strategies.scenarios_in(Highway(lanes=3, speed_limit=20.0), max_npcs=4))
-def test_scenarios_in_a_world_fit_its_lanes_and_speeds(scenario):
+def test_scenarios_fit_the_lanes_and_speeds_of_world(scenario):
     Highway(lanes=3, speed_limit=20.0).check_fits(scenario)
     assert not scenario.crossings
 
 
-def test_the_simplest_scenario_at_a_junction_comes_together_with_the_ego():
+def test_simplest_junction_scenario_meets_the_ego_exactly():
     simplest = find(strategies.scenarios_in(INTERSECTION), lambda _: True, settings=SIMPLEST)
     ((instruction,),) = simplest.npcs
     assert (instruction.slot, instruction.act) == (0.0, "pass")
 
 
 @pytest.mark.parametrize("kind", ["both", "late", "two zones"])
-def test_every_kind_of_traffic_at_a_junction_is_drawn(kind):
+def test_every_kind_of_junction_traffic_is_drawn(kind):
     wanted = {
         "both": lambda scenario: scenario.positions and scenario.crossings,
         "late": lambda scenario: any(each and each.act == "late" for each in scenario.crossings),
@@ -159,7 +159,7 @@ def test_every_kind_of_traffic_at_a_junction_is_drawn(kind):
     assert wanted(find(drawn, lambda scenario: bool(wanted(scenario)), settings=SIMPLEST))
 
 
-def test_more_npcs_than_cells_are_refused_where_nobody_crosses():
+def test_too_many_npcs_without_crossings_are_refused():
     with pytest.raises(
         ValueError, match="max_npcs: expected at most one NPC per cell that exists at the start, received 8; use fewer"
     ):

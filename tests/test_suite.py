@@ -27,7 +27,7 @@ def test_every_warning_is_an_error():
 
 
 @pytest.mark.processes
-def test_a_plugin_that_warns_while_it_is_configured_does_not_end_the_session(pytester, monkeypatch):
+def test_warning_of_a_plugin_does_not_end_session(pytester, monkeypatch):
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     for name in ("conftest.py", "pyproject.toml"):
         shutil.copy(ROOT / name, pytester.path)
@@ -40,7 +40,7 @@ def test_a_plugin_that_warns_while_it_is_configured_does_not_end_the_session(pyt
     result.stdout.fnmatch_lines(["*UserWarning: ran"])
 
 
-def test_wheels_are_built_for_every_python_that_is_supported():
+def test_wheels_are_built_for_every_supported_python():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     supported = re.findall(r"Python :: 3\.(\d+)", " ".join(project["project"]["classifiers"]))
     assert project["project"]["requires-python"] == f">=3.{supported[0]}"
@@ -75,16 +75,16 @@ def test_no_two_classes_have_one_name():
     assert repeated(node.name for path in MODULES for node in nodes_of(path) if isinstance(node, ast.ClassDef)) == set()
 
 
-def test_modules_of_one_name_are_few_and_have_a_reason():
+def test_modules_with_equal_names_are_listed_exceptions():
     assert repeated(path.stem for path in MODULES if path.name != "__init__.py") == set(OF_ONE_NAME)
 
 
-def test_the_folders_of_tests_are_named_after_what_they_test():
+def test_folders_of_tests_are_named_after_rooms():
     folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("test_*.py"))}
     assert folders <= {*ROOMS, "example_ads"}
 
 
-def test_a_table_runs_every_row_and_names_those_that_fail():
+def test_table_runs_every_row_and_names_failures():
     seen = []
 
     @table(("one", "other"), [(1, 1), (1, 2), (3, 4)])

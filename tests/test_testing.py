@@ -68,7 +68,7 @@ def test_a_world_that_keeps_its_promises_passes(world, given):
 
 
 @pytest.mark.oracle
-def test_an_environment_whose_road_says_how_the_ego_starts_passes():
+def test_environment_with_predefined_ego_start_passes():
     check_world(World("roundabout-v0", duration=4.0), runs=2, ads=lambda: lambda seen: 1, npcs=2)
 
 
@@ -108,7 +108,7 @@ def test_an_environment_in_which_npcs_cross_passes():
         ("merge-v0", {"track": np.full((46, 3, 5), np.nan)}, "track has NaN only for crossing NPCs"),
     ],
 )
-def test_who_crosses_and_nobody_else_must_be_recorded_as_crossing(env_id, change, promise):
+def test_only_crossing_npcs_must_be_recorded_as_crossing(env_id, change, promise):
     def changed(trace):
         return replace(trace, **change) if any(trace.zones) or env_id == "merge-v0" else trace
 
@@ -249,13 +249,13 @@ BROKEN = [
 
 
 @table(("broken", "promise"), BROKEN)
-def test_a_world_that_breaks_a_promise_is_refused_with_the_promise(broken, promise):
+def test_broken_promise_of_a_world_is_named(broken, promise):
     with pytest.raises(AssertionError, match=f"^expected that {promise}"):
         check_world(broken(), runs=3, **SHORT)
 
 
 @table("name", ["rollout", "to_dict", "speed_limit", "longest_run"])
-def test_a_world_without_what_a_search_needs_is_refused(name):
+def test_incomplete_world_is_refused_by_the_check(name):
     parts = {each: getattr(Own, each) for each in ("rollout", "to_dict", "speed_limit", "longest_run") if each != name}
     with pytest.raises(
         AssertionError, match=f"^expected that a world has all that a search needs, received no {name}$"
@@ -263,13 +263,13 @@ def test_a_world_without_what_a_search_needs_is_refused(name):
         check_world(type("Lacking", (), parts)())
 
 
-def test_an_ads_that_does_not_drive_in_the_world_is_told_from_a_fault_of_the_world():
+def test_unsuitable_ads_is_distinguished_from_world_fault():
     with pytest.raises(
         AssertionError, match=r"the ADS of the check drives in this world, received .*; give a different ads="
     ):
         check_world(World("highway-v0", duration=4.0), runs=1, **SHORT)
 
 
-def test_hanging_is_not_tried_where_it_would_take_long(monkeypatch):
+def test_check_skips_hanging_if_it_takes_long(monkeypatch):
     monkeypatch.setattr("pytest_pafot.testing.time.sleep", lambda seconds: pytest.fail("tried"))
     check_world(Highway(duration=4.0), runs=1, **SHORT)

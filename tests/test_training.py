@@ -57,7 +57,7 @@ def test_gymnasium_finds_no_fault(share):
     check_env(env.unwrapped)
 
 
-def test_scenarios_are_the_runs_of_the_world_to_the_last_bit():
+def test_training_scenarios_equal_the_runs_exactly():
     env = pafot.training_env(FAST, share=1.0)
     for seed in range(5):
         first, results = driven(env, seed, ppo.make())
@@ -69,7 +69,7 @@ def test_scenarios_are_the_runs_of_the_world_to_the_last_bit():
 
 
 @pytest.mark.parametrize(("env_id", "action"), [("highway-fast-v0", 4), oracle("merge-v0", 0)])
-def test_observations_and_rewards_of_scenarios_are_those_of_the_environments_own_steps(env_id, action):
+def test_observations_and_rewards_match_the_original_environment(env_id, action):
     own = []
 
     def told(env):
@@ -85,7 +85,7 @@ def test_observations_and_rewards_of_scenarios_are_those_of_the_environments_own
         assert ours[1:4] == (pytest.approx(theirs[1], abs=1e-9), *theirs[2:4])
 
 
-def test_a_crash_ends_a_scenario_with_the_reward_that_the_environment_has_for_crashes():
+def test_crash_ends_scenario_with_the_reward_for_crashes():
     """At speeds below those that are rewarded, in the second of three lanes: -1 of -1 to 0.5, and half of 0.1."""
     env = pafot.training_env(FAST, [Scenario(npcs=BRAKING.npcs, ego_speed=18.0)], share=1.0)
     _, results = driven(env, 0, keeping(1))
@@ -116,7 +116,7 @@ def kinds(env, seed, count):
     return [info["scenario"] for info in infos]
 
 
-def test_a_share_of_the_episodes_are_scenarios_and_all_chance_follows_from_the_seed():
+def test_share_of_scenarios_follows_from_the_seed():
     env = pafot.training_env(FAST, share=0.75)
     drawn = kinds(env, 7, 24)
     assert 14 <= sum(map(bool, drawn)) <= 22
@@ -125,7 +125,7 @@ def test_a_share_of_the_episodes_are_scenarios_and_all_chance_follows_from_the_s
     assert kinds(env, 8, 24) != drawn
 
 
-def test_scenarios_come_from_a_folder_from_a_list_or_from_a_function(tmp_path):
+def test_scenarios_come_from_folder_list_or_function(tmp_path):
     for number, each in enumerate((BRAKING, SLOW)):
         write(tmp_path / "test_safety" / f"test_{number}" / "front-2.pafot.yaml", plain_finding(scenario=each))
     both = {BRAKING.id, SLOW.id}
@@ -135,7 +135,7 @@ def test_scenarios_come_from_a_folder_from_a_list_or_from_a_function(tmp_path):
     assert set(kinds(pafot.training_env(FAST, lambda rng: SLOW, share=1.0), 0, 3)) == {SLOW.id}
 
 
-def test_environments_of_one_world_do_not_disturb_each_other():
+def test_environments_of_one_world_do_not_interfere():
     make = partial(pafot.training_env, FAST, share=0.5)
     together = gym.vector.SyncVectorEnv([make, make])
     seen, _ = together.reset(seed=[5, 6])
@@ -167,12 +167,12 @@ NOWHERE = Scenario(npcs=BRAKING.npcs, ego_lane=5)
         ({"scenarios": [NOWHERE]}, ScenarioError, "ego_lane"),
     ],
 )
-def test_what_cannot_be_trained_in_is_refused_with_the_way_out(arguments, error, message):
+def test_unsuitable_training_arguments_are_refused_with_advice(arguments, error, message):
     with pytest.raises(error, match=message):
         pafot.training_env(**{"world": FAST, **arguments})
 
 
-def test_a_saved_scenario_that_does_not_fit_is_named_with_its_line(tmp_path):
+def test_unfit_saved_scenario_is_named_with_its_line(tmp_path):
     write(tmp_path / "front-2.pafot.yaml", plain_finding(scenario=NOWHERE))
     with pytest.raises(CorpusError, match=r"front-2.pafot.yaml:\d+: scenario.ego.lane"):
         pafot.training_env(FAST, tmp_path)
@@ -183,7 +183,7 @@ def test_a_folder_without_scenarios_is_refused(tmp_path):
         pafot.training_env(FAST, tmp_path)
 
 
-def test_a_step_needs_an_episode_and_an_action_that_there_is():
+def test_step_requires_an_episode_and_valid_action():
     env = pafot.training_env(FAST, [BRAKING], share=1.0)
     with pytest.raises(ResetNeeded, match="call reset"):
         env.step(1)

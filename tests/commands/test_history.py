@@ -44,7 +44,7 @@ def names_in(tree):
     return {path.relative_to(tree).as_posix() for path in tree.rglob("*") if path.is_file() and path.name != ".git"}
 
 
-def test_halving_leaves_the_first_that_fails_and_those_right_before_it_that_cannot_be_judged():
+def test_halving_finds_first_failure_and_preceding_untestable_commits():
     rng = random.Random(5)
     for count in range(1, 40):
         first = rng.randrange(count)
@@ -64,7 +64,7 @@ def test_halving_leaves_the_first_that_fails_and_those_right_before_it_that_cann
             assert len(tried) <= math.ceil(math.log2(count))
 
 
-def test_halving_leaves_a_row_of_commits_behind_that_cannot_be_judged():
+def test_halving_skips_a_row_of_untestable_commits():
     tried = []
 
     def passes(commit):
@@ -75,7 +75,7 @@ def test_halving_leaves_a_row_of_commits_behind_that_cannot_be_judged():
     assert len(tried) < 15
 
 
-def test_a_worktree_has_the_files_of_now_and_the_policy_of_a_commit(repository):
+def test_worktree_combines_current_files_with_a_committed_policy(repository):
     (repository / "test_it.py").write_text("not committed")
     (repository / "helper.py").write_text("new")
     (repository / "weights.npz").write_text("ignored")
@@ -97,7 +97,7 @@ def test_a_worktree_has_the_files_of_now_and_the_policy_of_a_commit(repository):
     assert state_of(repository) == before
 
 
-def test_a_link_of_now_is_copied_as_one_and_nothing_is_written_behind_a_committed_one(repository, tmp_path):
+def test_worktree_copies_links_and_never_writes_through_them(repository, tmp_path):
     (tmp_path / "outside").mkdir()
     (repository / "data").symlink_to(tmp_path / "outside")
     git(repository, "add", "data")
@@ -112,7 +112,7 @@ def test_a_link_of_now_is_copied_as_one_and_nothing_is_written_behind_a_committe
     assert not list((tmp_path / "outside").iterdir())
 
 
-def test_neither_hooks_nor_variables_of_a_caller_come_into_it(repository, monkeypatch, tmp_path):
+def test_git_hooks_and_environment_variables_are_ignored(repository, monkeypatch, tmp_path):
     hook = repository / ".git/hooks/post-checkout"
     hook.parent.mkdir(exist_ok=True)
     hook.write_text(f"#!/bin/sh\ntouch {tmp_path}/ran\n")

@@ -32,13 +32,13 @@ def test_the_list_has_a_line_for_each_file(folder, capsys):
     assert other.endswith(", accepted until 2027-01-31: issue 12")
 
 
-def test_the_list_for_programs_says_the_same_and_each_file_once(folder, capsys):
+def test_json_list_has_each_file_once(folder, capsys):
     assert main(["corpus", "list", "--json", str(folder), str(folder / "test_it")]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [(row["id"], row["xfail"]) for row in rows] == [("a-111111", None), ("b-222222", "issue 12")]
 
 
-def test_a_file_that_cannot_be_read_is_told_and_counted_and_the_exit_code_is_1(folder, capsys):
+def test_unreadable_file_is_counted_and_exits_with_1(folder, capsys):
     (folder / "test_it" / "test_x" / "c.pafot.yaml").write_text("pafot: 99\n")
     assert main(["corpus", "stats", "--json", str(folder)]) == 1
     counts = json.loads(capsys.readouterr().out)
@@ -53,7 +53,7 @@ def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
     assert "corpus: expected a folder, received" in capsys.readouterr().err
 
 
-def test_an_output_that_cannot_be_written_is_a_line_and_one_that_has_read_enough_is_none(folder, monkeypatch, capsys):
+def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch, capsys):
     end, start = os.pipe()
     os.close(end)
     with os.fdopen(start, "w") as head, monkeypatch.context() as patch:
@@ -87,7 +87,7 @@ def join(folder, capsys, *options):
     return code, capsys.readouterr().out.replace(f"{folder}{os.sep}", "").splitlines()
 
 
-def test_join_keeps_the_simplest_of_each_kind_of_a_folder_once_it_may_write(tmp_path, capsys):
+def test_join_leaves_the_simplest_file_of_each_kind(tmp_path, capsys):
     other_kind = {"expect": replace(plain_finding().expect, outcome=Outcome.OFF_ROAD, npc=None, cell=None, side=None)}
     one, two = tmp_path / "test_it" / "test x", tmp_path / "test_it" / "test_y[a b]"
     save(one, a=(3, {}), b=(1, {}), c=(2, {}), d=(4, other_kind), e=(4, {"test": "tests/test_safety.py::test_other"}))
@@ -103,7 +103,7 @@ def test_join_keeps_the_simplest_of_each_kind_of_a_folder_once_it_may_write(tmp_
     assert join(tmp_path, capsys, "--write") == (0, ["nothing to join"])
 
 
-def test_join_leaves_lane_changes_alone_of_which_a_file_tells_no_mistake(tmp_path, capsys):
+def test_join_leaves_files_with_entered_lane_fault_alone(tmp_path, capsys):
     """Into the side of one and in front of another are two failures, and the fault in a file is one name of both."""
     entered = {"expect": replace(plain_finding().expect, fault="entered-lane")}
     unanswered = {"expect": replace(plain_finding().expect, fault="leader-unanswered")}
@@ -134,7 +134,7 @@ def test_join_loses_no_acceptance_and_keeps_firm_ones(tmp_path, capsys):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
-def test_join_leaves_broken_files_and_what_lies_behind_links_alone(tmp_path, capsys, monkeypatch):
+def test_join_ignores_broken_files_and_linked_folders(tmp_path, capsys, monkeypatch):
     own, elsewhere = tmp_path / "own", tmp_path / "elsewhere"
     save(own, a=(1, {}))
     save(elsewhere, b=(2, {}), c=(3, {}))
@@ -152,7 +152,7 @@ def test_join_leaves_broken_files_and_what_lies_behind_links_alone(tmp_path, cap
     assert names(elsewhere) == ["b", "c"]
 
 
-def test_join_tells_of_a_file_that_cannot_be_removed(tmp_path, capsys, monkeypatch):
+def test_join_reports_a_file_that_cannot_be_removed(tmp_path, capsys, monkeypatch):
     save(tmp_path, a=(1, {}), b=(2, {}))
 
     def refuse(path, missing_ok=False):
@@ -169,7 +169,7 @@ def accept(*arguments):
     return main(["corpus", "accept", *arguments, "--reason", "TICKET-7"])
 
 
-def test_an_accepted_failure_is_one_changed_line_that_the_list_tells(folder, capsys, monkeypatch):
+def test_accepting_a_failure_changes_one_listed_line(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
     before = file.read_text().replace("scenario:", "# ours\nscenario:")
@@ -185,7 +185,7 @@ def test_an_accepted_failure_is_one_changed_line_that_the_list_tells(folder, cap
     assert told.endswith(", accepted for good: TICKET-7")
 
 
-def test_without_the_hint_it_is_written_at_the_end_and_over_lines_left_to_a_person(folder, capsys, monkeypatch):
+def test_xfail_is_appended_but_never_replaces_several_lines(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
     bare = file.read_text().replace('# xfail: "reason"\n', "")
@@ -237,7 +237,7 @@ def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, monke
     )
 
 
-def test_of_two_files_of_one_name_the_one_that_is_given_is_accepted(folder, capsys, monkeypatch):
+def test_accept_refuses_ambiguous_id_but_takes_file_path(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))
     assert accept("a-111111") == 1

@@ -49,7 +49,7 @@ def finding_at_zone(**changes):
 TEXT = text_of(finding_at_zone())
 
 
-def test_they_stand_on_a_line_each_and_what_they_pass_by_is_left_out():
+def test_instructions_are_written_one_per_line_without_defaults():
     lines = TEXT[TEXT.index("  npcs:") : TEXT.index("expect:")].splitlines()
     assert lines == [
         "  npcs:",
@@ -74,7 +74,7 @@ def test_every_instruction_is_read_as_it_was_written(instruction):
     assert parsed(Path(f"{finding.id}.pafot.yaml"), text_of(finding).encode()) == finding
 
 
-def test_an_act_may_be_said_that_need_not_be():
+def test_redundant_act_is_read_without_error():
     text = TEXT.replace("speed: 8.6}\n", "speed: 8.6, act: pass}\n")
     assert text != TEXT
     assert parsed(PATH, text.encode()) == finding_at_zone()
@@ -110,7 +110,7 @@ def test_an_act_may_be_said_that_need_not_be():
         ("npc_enters: 1.8", "npc_enters: 1.8, lane: 0", "expect.situation.lane", "one of npc, time, npc_enters"),
     ],
 )
-def test_each_broken_rule_is_one_error_at_its_field(old, new, field, expected):
+def test_each_broken_rule_is_reported_at_its_field(old, new, field, expected):
     assert TEXT.count(old) == 1
     with pytest.raises(CorpusError) as caught:
         parsed(PATH, TEXT.replace(old, new).encode())
@@ -119,7 +119,7 @@ def test_each_broken_rule_is_one_error_at_its_field(old, new, field, expected):
 
 
 @given(scenarios())
-def test_what_was_in_flight_when_a_process_died_is_named(tmp_path_factory, scenario):
+def test_crash_record_names_the_scenario_in_flight(tmp_path_factory, scenario):
     folder = tmp_path_factory.mktemp("inflight")
     with CrashRecord(folder, "test_it.py::test_it") as record:
         record.write(scenario)

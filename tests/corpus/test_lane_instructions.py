@@ -52,7 +52,7 @@ def test_what_is_written_is_read(npcs):
 
 
 @given(chains)
-def test_what_was_in_flight_when_a_process_died_is_named(tmp_path_factory, npcs):
+def test_crash_record_names_the_scenario_in_flight(tmp_path_factory, npcs):
     folder = tmp_path_factory.mktemp("inflight")
     with CrashRecord(folder, "test_it.py::test_it") as record:
         record.write(Scenario(npcs=npcs, seed=3))
@@ -78,13 +78,13 @@ def test_a_file_names_the_lane():
         ("{lane: left, speed: 22.35}", r"speed: expected m/s"),
     ],
 )
-def test_a_fault_in_a_file_is_told_at_its_place(tmp_path, wrong, message):
+def test_file_error_is_reported_at_its_place(tmp_path, wrong, message):
     text = text_of(plain_finding(scenario=BUSY)).replace("{lane: left, speed: 22.3}", wrong)
     with pytest.raises(CorpusError, match=message):
         parsed(tmp_path / PATH, text.encode())
 
 
-def test_one_manoeuvre_that_matters_is_all_that_is_left():
+def test_shrinking_leaves_only_the_manoeuvre_that_matters():
     def fails(each):
         return any(gene.lane == "left" and gene.speed >= 20 for chain in each.npcs for gene in chain)
 

@@ -26,7 +26,7 @@ from tests.helpers.tables import table
 RESERVED = {"con", "prn", "aux", "nul"} | {f"{port}{n}" for port in ("com", "lpt") for n in range(10)}
 
 
-def test_a_corpus_lies_beside_the_file_of_its_test():
+def test_corpus_folder_lies_next_to_its_test_file():
     folder = folder_of_test(Path("tests/deep/test_safety.py"), "test_it[4-slow]", CORPUS, Path())
     assert folder == Path("tests/deep/pafot_corpus/test_safety/test_it@4-slow")
 
@@ -98,7 +98,7 @@ def test_every_name_is_valid_on_every_file_system(text):
 
 
 @given(texts, texts)
-def test_distinct_tests_have_distinct_folders_even_where_case_is_ignored(one, other):
+def test_distinct_tests_have_distinct_folders_ignoring_case(one, other):
     same = safe_name(one).casefold() == safe_name(other).casefold()
     assert same == (one == other)
 
@@ -109,23 +109,23 @@ def test_a_name_is_no_other_test_s_name(text):
     assert name == text or safe_name(name) != name
 
 
-def test_files_are_listed_by_name_and_nothing_else_is(tmp_path):
+def test_only_saved_scenarios_are_listed_sorted_by_name(tmp_path):
     for name in ("b-2.pafot.yaml", "a-1.pafot.yaml", ".pafot-x.tmp", "notes.txt", "c.yaml"):
         (tmp_path / name).write_text("")
     assert [path.name for path in files_in(tmp_path)] == ["a-1.pafot.yaml", "b-2.pafot.yaml"]
 
 
-def test_a_folder_that_is_not_there_has_no_files(tmp_path):
+def test_missing_folder_contains_no_saved_files(tmp_path):
     assert files_in(tmp_path / "none") == []
 
 
-def test_a_file_in_place_of_the_folder_and_a_loop_of_links_have_no_files(tmp_path):
+def test_file_or_link_loop_contains_no_saved_files(tmp_path):
     (tmp_path / "corpus").write_text("")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     assert files_in(tmp_path / "corpus") == files_in(tmp_path / "loop") == []
 
 
-def test_folders_are_listed_once_whatever_links_lie_in_them(tmp_path):
+def test_folders_are_listed_once_despite_links(tmp_path):
     place = tmp_path / "corpus" / "test_a" / "test_it"
     place.mkdir(parents=True)
     (place / "a-1.pafot.yaml").write_text("")
@@ -148,7 +148,7 @@ ROOT = Path("/projects/project")
         ("/all", "/all/tests/deep"),
     ],
 )
-def test_a_test_file_has_its_corpus_beside_it_or_in_one_place_for_all(corpus, root):
+def test_corpus_folder_maps_back_to_its_test_file(corpus, root):
     test_file = ROOT / "tests" / "deep" / "test_safety.py"
     assert corpus_root(test_file, corpus, ROOT) == Path(root)
     assert folder_of_module(test_file, corpus, ROOT) == Path(root) / "test_safety"
@@ -157,7 +157,7 @@ def test_a_test_file_has_its_corpus_beside_it_or_in_one_place_for_all(corpus, ro
 
 
 @pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
-def test_a_test_file_outside_of_the_rootdir_has_the_top_of_a_corpus_for_all():
+def test_file_outside_rootdir_uses_top_of_shared_corpus():
     assert corpus_root(Path("/elsewhere/test_safety.py"), "/all", ROOT) == Path("/all")
 
 
@@ -171,7 +171,7 @@ def test_a_test_file_outside_of_the_rootdir_has_the_top_of_a_corpus_for_all():
         ("/other/test_safety/test_it/a.pafot.yaml", "/all"),
     ],
 )
-def test_a_file_outside_of_any_corpus_belongs_to_no_test_file(file, corpus):
+def test_file_outside_any_corpus_has_no_test_file(file, corpus):
     assert module_of_file(Path(file), corpus, ROOT) is None
 
 
@@ -186,11 +186,11 @@ def test_a_file_outside_of_any_corpus_belongs_to_no_test_file(file, corpus):
         ("/elsewhere/projects/all", "/projects/all", False),
     ],
 )
-def test_a_folder_is_a_corpus_where_the_option_names_it(path, corpus, holds):
+def test_folder_named_by_the_option_is_a_corpus(path, corpus, holds):
     assert is_corpus(Path(path), Path(corpus)) is holds
 
 
-def test_the_test_file_of_a_folder_is_the_one_whose_name_gives_it(tmp_path):
+def test_folder_name_leads_to_its_test_file(tmp_path):
     (tmp_path / "Test_Safety.py").write_text("")
     assert module_named(tmp_path, safe_name("Test_Safety")) == tmp_path / "Test_Safety.py"
     assert module_named(tmp_path, "test_gone") == tmp_path / "test_gone.py"
@@ -202,22 +202,22 @@ IDENTIFIERS = st.from_regex(r"[^\W\d]\w{0,70}", fullmatch=True, alphabet=CHARACT
 
 
 @given(test=st.lists(IDENTIFIERS, min_size=1, max_size=3).map("::".join), parameters=st.text(CHARACTERS, max_size=20))
-def test_each_folder_of_a_test_can_be_of_it(test, parameters):
+def test_folder_of_a_test_matches_its_name(test, parameters):
     assert may_be_of(safe_name(test), test)
     assert may_be_of(safe_name(f"{test}[{parameters}]"), test)
 
 
-def test_a_name_whose_end_is_not_readable_finds_its_folder_with_parameters():
+def test_unreadable_name_ending_still_matches_folder_with_parameters():
     assert may_be_of(safe_name("TestA::\u00aa[0]"), "TestA::\u00aa")
 
 
-def test_a_folder_that_begins_with_the_name_of_a_test_is_of_another():
+def test_folder_of_longer_name_belongs_to_another_test():
     for other in ("test_ab", "test_ab[1]", "test_ab[A]", "test_a_b[A]", "TestX::test_a"):
         assert not may_be_of(safe_name(other), "test_a")
         assert not may_be_of(safe_name(f"TestX::{other}"), "TestX::test_a")
 
 
-def test_a_name_of_eighty_characters_stays_and_a_longer_one_is_cut_with_its_digest():
+def test_names_over_eighty_characters_end_with_a_digest():
     assert safe_name("a" * 80) == "a" * 80
     assert safe_name("a" * 81).startswith("a" * 68 + "~")
     assert len(safe_name("a" * 81)) == 79

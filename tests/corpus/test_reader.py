@@ -67,7 +67,7 @@ def swapped(old, new):
 
 @table("ends", ["\n", "\r\n"])
 @table("mark", ["", "\ufeff"])
-def test_line_ends_and_byte_order_marks_of_any_editor_are_accepted(path, ends, mark):
+def test_all_line_endings_and_byte_order_marks_work(path, ends, mark):
     path.write_bytes((mark + TEXT.replace("\n", ends)).encode())
     assert load(path) == plain_finding()
 
@@ -85,12 +85,12 @@ def test_the_name_of_the_file_is_the_id(path):
 
 
 @table("name", ["my case.pafot.yaml", "a[1].pafot.yaml", ".pafot.yaml", "-x.pafot.yaml", "a.yaml"])
-def test_a_name_that_cannot_be_part_of_a_node_id_is_refused(path, name):
+def test_name_unfit_for_a_node_id_is_refused(path, name):
     error = fault(path.with_name(name), TEXT)
     assert (error.received, error.fix) == (name, "rename the file")
 
 
-def test_an_error_says_where_what_and_the_way_out(path):
+def test_error_gives_place_expected_value_and_remedy(path):
     error = fault(path, swapped("{cell: 2, speed: 8.0}", "{cell: 5, speed: 8.0}"))
     assert (error.line, error.field) == (12, "scenario.npcs[0][1].cell")
     assert str(error) == (
@@ -213,7 +213,7 @@ def test_an_error_says_where_what_and_the_way_out(path):
         ('# xfail: "reason"', "xfail: 2027-01-31", 17, ""),
     ],
 )
-def test_each_broken_rule_is_one_error_at_its_line_and_field(path, old, new, line, field):
+def test_each_broken_rule_is_reported_at_its_place(path, old, new, line, field):
     error = fault(path, swapped(old, new))
     assert (error.line, error.field) == (line, field)
 
@@ -229,7 +229,7 @@ def test_each_broken_rule_is_one_error_at_its_line_and_field(path, old, new, lin
         ("{time: 11.6, driver: idm-aeb, action: [-4.0, 0.0], ego_action: [0.8, .nan]}", ".ego_action[1]"),
     ],
 )
-def test_a_last_chance_has_a_time_a_driver_and_two_actions(path, chance, field):
+def test_last_chance_requires_time_driver_and_two_actions(path, chance, field):
     error = fault(path, swapped(DRIVERS, f"{DRIVERS}, last_chance: {chance}"))
     assert (error.line, error.field) == (14, f"expect.last_chance{field}")
 
@@ -243,7 +243,7 @@ def test_a_last_chance_has_a_time_a_driver_and_two_actions(path, chance, field):
         ("{time: 9.8, braking: x}", ".braking"),
     ],
 )
-def test_what_avoids_it_has_a_time_and_a_braking(path, avoided, field):
+def test_avoided_by_requires_a_time_and_a_braking(path, avoided, field):
     error = fault(path, swapped(DRIVERS, f"{DRIVERS}, avoided_by: {avoided}"))
     assert (error.line, error.field) == (14, f"expect.avoided_by{field}")
 
@@ -259,32 +259,32 @@ def test_what_avoids_it_has_a_time_and_a_braking(path, avoided, field):
         ("{npc: 0, time: 6.6, ahead: 15.0, lane: left, ego_speed: 6.7, npc_speed: 0.8}", ".lane"),
     ],
 )
-def test_a_situation_has_an_npc_its_place_and_two_speeds(path, situation, field):
+def test_situation_requires_an_npc_its_place_and_speeds(path, situation, field):
     error = fault(path, swapped(DRIVERS, f"{DRIVERS}, situation: {situation}"))
     assert (error.line, error.field) == (14, f"expect.situation{field}")
 
 
 @table("number", ["07", "+7", "0x7", "0o7", "0b111", "7_", "1:30", "7.", ".7e+1", "7e0", "7E+0", "\uff17"])
-def test_a_number_that_can_be_read_in_two_ways_is_refused(path, number):
+def test_number_with_two_possible_readings_is_refused(path, number):
     error = fault(path, swapped("seed: 7", f"seed: {number}"))
     assert error.line == 8
 
 
 @pytest.mark.parametrize("word", ["yes", "On", "TRUE", "True", "y", "~", "Null"])
-def test_a_word_that_can_be_read_in_two_ways_is_no_truth_value(path, word):
+def test_word_with_two_possible_readings_is_refused(path, word):
     text = text_of(SHRUNK).replace("is_minimal: false", f"is_minimal: {word}")
     assert fault(path, text).line == text[: text.index("is_minimal")].count("\n") + 1
 
 
 @table("day", ["2027-01-31", "'2027-01-31'", '"2027-01-31"'])
-def test_the_last_day_of_xfail_is_read_with_quotes_and_without(path, day):
+def test_last_xfail_day_is_read_quoted_or_unquoted(path, day):
     path.write_text(swapped('# xfail: "reason"', f"xfail: {{reason: issue 12, until: {day}}}"))
     finding = load(path)
     assert (finding.xfail, finding.xfail_until) == ("issue 12", date(2027, 1, 31))
     assert finding.accepted == "issue 12, until 2027-01-31"
 
 
-def test_a_wrong_day_comes_with_how_to_write_it(path):
+def test_invalid_xfail_day_error_shows_the_correct_format(path):
     error = fault(path, swapped('# xfail: "reason"', "xfail: {reason: slow, until: 2027-02-30}"))
     assert str(error).endswith(
         ":17: xfail.until: expected a day of the calendar, as year-month-day, received '2027-02-30'; "
@@ -292,14 +292,14 @@ def test_a_wrong_day_comes_with_how_to_write_it(path):
     )
 
 
-def test_a_misspelt_key_of_xfail_is_named_before_its_date(path):
+def test_misspelt_xfail_key_is_named_before_its_date(path):
     error = fault(path, swapped('# xfail: "reason"', "xfail: {reason: slow, untill: 2027-01-31}"))
     assert str(error).endswith(
         ":17: xfail.untill: expected one of reason, until (format 2), received 'untill'; did you mean 'until'?"
     )
 
 
-def test_xfail_as_a_mapping_without_a_day_is_the_plain_text(path):
+def test_xfail_mapping_without_day_equals_plain_text(path):
     path.write_text(swapped('# xfail: "reason"', "xfail: {reason: issue 12}"))
     assert (load(path).xfail, load(path).xfail_until) == ("issue 12", None)
 
@@ -308,7 +308,7 @@ def test_a_misspelt_key_comes_with_the_right_one(path):
     assert "did you mean 'xfail'?" in str(fault(path, swapped('# xfail: "reason"', "xfial: 'issue 12'")))
 
 
-def test_an_unknown_key_comes_with_the_version_that_does_not_have_it(path):
+def test_unknown_key_error_names_the_format_version(path):
     error = fault(path, swapped('# xfail: "reason"', "zzz: 1"))
     assert error.expected.endswith("flaky, xfail (format 2)")
 
@@ -318,7 +318,7 @@ def test_a_missing_key_is_named(path):
     assert "expected the key 'found', received only pafot, test, world, scenario, expect" in str(error)
 
 
-def test_a_newer_version_is_refused_before_anything_else_is_judged(path):
+def test_newer_format_version_is_refused_first(path):
     error = fault(path, "pafot: 3\nnew_things: []\n")
     assert (error.field, error.received) == ("pafot", "3")
     assert "install the pytest-pafot that wrote it" in error.fix
@@ -376,7 +376,7 @@ def test_an_alias_is_refused_where_it_stands(path):
     assert "'a'" in str(fault(path, "pafot: 1\ntest: *a\n"))
 
 
-def test_a_billion_laughs_are_refused_before_they_are_told(path):
+def test_billion_laughs_file_is_refused_without_expansion(path):
     laughs = ["a0: &a0 [lol]"] + [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
     text, errors = "pafot: 1\n" + "\n".join(laughs), []
     assert calls_in(lambda: errors.append(fault(path, text))) < 10_000
@@ -391,7 +391,7 @@ def test_nesting_without_end_is_refused(path, opening):
 
 
 @table("levels", range(14, 20))
-def test_a_world_is_read_or_refused_at_its_line_however_deep_it_is(path, levels):
+def test_deeply_nested_world_is_refused_beyond_a_limit(path, levels):
     text = text_of(plain_finding(world={"kind": "own", "data": "x"})).replace(
         "data: x", f"data: {'[' * levels}{']' * levels}"
     )
@@ -405,7 +405,7 @@ def test_a_huge_file_is_refused_unread(path):
     assert "at most 256 KiB" in str(fault(path, TEXT + "#" * 256 * 1024))
 
 
-def test_more_values_than_a_written_file_has_are_refused(path, monkeypatch):
+def test_too_many_values_are_refused_at_their_line(path, monkeypatch):
     assert yaml_document.MOST_VALUES == 40_000
     monkeypatch.setattr(yaml_document, "MOST_VALUES", 400)
     for values in ("1," * 400, "[]," * 400, "{a: 1}," * 200):
@@ -420,12 +420,12 @@ def test_a_sparse_file_of_any_size_costs_nothing(path):
         load(path)
 
 
-def test_a_file_that_has_gone_is_an_error_of_its_own(path):
+def test_vanished_file_is_a_corpus_error(path):
     with pytest.raises(CorpusError, match="a file that can be read"):
         load(path)
 
 
-def test_a_folder_in_place_of_a_file_is_named_as_such(path):
+def test_folder_in_place_of_a_file_is_named(path):
     path.mkdir()
     with pytest.raises(CorpusError, match="received a folder"):
         load(path)
@@ -471,14 +471,14 @@ SECRETS = {
 
 
 @table("secret", SECRETS.values())
-def test_nothing_of_a_file_that_is_no_saved_scenario_is_shown(path, secret):
+def test_error_shows_no_content_of_a_foreign_file(path, secret):
     error = fault(path, secret)
     text = str(error).replace(str(path), "")
     assert not any(word in text for word in ("HUSH", "github", "48", "20", "a4", "1b", "001B")), text
     assert "\n" not in text
 
 
-def test_a_saved_scenario_shows_its_faults_after_comments_and_with_its_version_at_the_end(path):
+def test_error_in_saved_scenario_shows_the_wrong_value(path):
     assert "'oops'" in str(fault(path, f"# mine\n\n{swapped('seed: 7', 'seed: oops')}"))
     late = swapped("pafot: 2 ", "# ").replace("seed: 7", "seed: oops") + "pafot: 2\n"
     assert "'oops'" in str(fault(path, late))
@@ -505,7 +505,7 @@ def refused(place):
 @pytest.mark.parametrize(
     "target", ["secret", "valid.pafot.yaml", "none", "/dev/zero", "/proc/self/environ", "/", "pipe"]
 )
-def test_a_link_that_leads_out_of_its_corpus_is_refused_whatever_is_there(tmp_path, place, target):
+def test_link_out_of_the_corpus_is_refused(tmp_path, place, target):
     (tmp_path / "secret").write_text("HUSH")
     (tmp_path / "valid.pafot.yaml").write_text(TEXT)
     os.mkfifo(tmp_path / "pipe")
@@ -519,7 +519,7 @@ def test_a_link_that_leads_out_of_its_corpus_is_refused_whatever_is_there(tmp_pa
 
 @links
 @pytest.mark.parametrize("level", [0, 1])
-def test_a_file_in_a_folder_that_is_a_link_out_of_the_corpus_is_refused(tmp_path, place, level):
+def test_file_in_folder_linked_outside_corpus_is_refused(tmp_path, place, level):
     place.write_text(TEXT)
     folder = place.parents[level]
     folder.rename(tmp_path / folder.name)
@@ -528,7 +528,7 @@ def test_a_file_in_a_folder_that_is_a_link_out_of_the_corpus_is_refused(tmp_path
 
 
 @links
-def test_links_that_stay_in_the_corpus_are_read_if_they_lead_to_a_saved_scenario(place):
+def test_links_to_saved_scenarios_within_corpus_are_read(place):
     real = place.parents[1] / "test_other" / "front-2-1f3a9c.pafot.yaml"
     real.parent.mkdir()
     real.write_text(TEXT)
@@ -544,7 +544,7 @@ def test_links_that_stay_in_the_corpus_are_read_if_they_lead_to_a_saved_scenario
 
 @links
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-def test_a_link_within_the_corpus_to_what_is_no_file_does_not_block(place):
+def test_link_to_a_named_pipe_does_not_block(place):
     os.mkfifo(place.with_name("pipe.pafot.yaml"))
     place.symlink_to("pipe.pafot.yaml")
     with pytest.raises(CorpusError, match="received something else"):
@@ -552,7 +552,7 @@ def test_a_link_within_the_corpus_to_what_is_no_file_does_not_block(place):
 
 
 @links
-def test_the_stores_of_git_annex_and_the_trees_of_build_systems_are_read(tmp_path, place):
+def test_links_by_git_annex_and_build_systems_work(tmp_path, place):
     store = tmp_path / "project" / ".git" / "annex" / "objects" / "k" / "SHA256E-s9--1f.yaml"
     store.parent.mkdir(parents=True)
     store.write_text(TEXT)
@@ -591,7 +591,7 @@ def test_no_damage_gives_any_other_error(tmp_path_factory, data):
         parsed(path, (TEXT[:start] + patch + TEXT[end:]).encode())
 
 
-def test_how_a_finding_was_seen_and_shrunk_stands_in_its_file(path):
+def test_file_contains_original_perception_shrinking_and_flakiness(path):
     assert "\noriginal:\n  seed: 9\n" in text_of(SHRUNK)
     assert (
         "\nperception: {latency: 0.3, noise: {position: 0.5}, dropout: 0.1, needed: [latency, noise]}\norig"
@@ -623,13 +623,13 @@ def test_how_a_finding_was_seen_and_shrunk_stands_in_its_file(path):
         ("[latency, noise]", "[latency, range]", "perception.needed[1]"),
     ],
 )
-def test_a_fault_in_what_came_after_the_find_is_one_error_at_its_field(path, old, new, field):
+def test_error_in_a_later_section_names_its_field(path, old, new, field):
     assert text_of(SHRUNK).count(old) == 1
     assert fault(path, text_of(SHRUNK).replace(old, new)).field == field
 
 
 @pytest.mark.parametrize("received", ["[]", "3", "null"])
-def test_what_is_no_traffic_is_told_with_both_ways_to_write_one(path, received):
+def test_invalid_traffic_error_shows_both_valid_forms(path, received):
     error = fault(path, TEXT.replace("seed: 7", f"seed: 7\n  traffic: {received}"))
     assert error.expected == "one of paper, hostile, assertive, everyday, or a mapping with a style and parts"
     assert error.fix == "write such as `everyday`, or `{style: everyday, least_gap: 4.0}`"
@@ -649,7 +649,7 @@ def test_what_is_no_traffic_is_told_with_both_ways_to_write_one(path, received):
         ("world", TypeError("no road, received none"), 3, "world", "expected a world that can run, received no road"),
     ],
 )  # fmt: skip
-def test_what_a_world_finds_wrong_with_a_file_is_told_at_its_line(path, part, error, line, field, told):
+def test_errors_of_a_world_are_given_a_line(path, part, error, line, field, told):
     path.write_text(TEXT)
     fault = located(path, part, error)
     assert (fault.line, fault.field) == (line, field)
@@ -657,7 +657,7 @@ def test_what_a_world_finds_wrong_with_a_file_is_told_at_its_line(path, part, er
 
 
 @pytest.mark.parametrize("most", [1, 10])
-def test_a_file_has_so_many_values_and_not_one_more(path, monkeypatch, most):
+def test_number_of_values_is_limited_exactly(path, monkeypatch, most):
     monkeypatch.setattr(yaml_document, "MOST_VALUES", most)
     assert fault(path, f"[{', '.join('0' * most)}]").expected == f"at most {most} values"
     assert fault(path, f"[{', '.join('0' * (most - 1))}]").expected != f"at most {most} values"

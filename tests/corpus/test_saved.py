@@ -20,7 +20,7 @@ def test_a_file_comes_with_its_finding(tmp_path):
     assert saved.xfail == "planner issue 12"
 
 
-def test_a_file_that_cannot_be_read_comes_with_the_reason(tmp_path):
+def test_unreadable_file_is_returned_with_the_reason(tmp_path):
     (tmp_path / NAME).write_text("pafot: 3")
     saved = read_saved_file(tmp_path / NAME)
     assert saved.finding is None
@@ -28,7 +28,7 @@ def test_a_file_that_cannot_be_read_comes_with_the_reason(tmp_path):
     assert (saved.xfail, saved.is_crash, saved.needs_own_process) == (None, False, False)
 
 
-def test_the_files_of_a_test_come_by_name_broken_ones_among_them(tmp_path):
+def test_files_of_a_test_include_broken_ones_sorted(tmp_path):
     write(tmp_path / "b-2.pafot.yaml", plain_finding(id="b-2"))
     (tmp_path / "a-1.pafot.yaml").write_text("broken")
     (tmp_path / "notes.txt").write_text("mine")
@@ -44,7 +44,7 @@ def test_the_files_of_a_test_come_by_name_broken_ones_among_them(tmp_path):
         ({"outcome": Outcome.HANG}, False, True),
     ],
 )
-def test_what_may_end_its_process_or_never_end_is_told(tmp_path, changes, is_crash, needs_own_process):
+def test_crashes_and_hangs_need_their_own_process(tmp_path, changes, is_crash, needs_own_process):
     finding = plain_finding(expect=replace(plain_finding().expect, **changes))
     saved = Saved(path=tmp_path / NAME, finding=finding)
     assert (saved.is_crash, saved.needs_own_process) == (is_crash, needs_own_process)

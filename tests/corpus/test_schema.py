@@ -14,7 +14,7 @@ FILES = sorted(Path(__file__).with_name("saved").glob("*.pafot.yaml"))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_a_saved_file_is_written_as_it_was_read(path):
+def test_saved_file_is_rewritten_byte_for_byte(path):
     finding = load(path)
     assert text_of(finding) == path.read_text(encoding="utf-8")
     assert finding.world["kind"] == "own" or from_dict(dict(finding.world)).to_dict() == finding.world

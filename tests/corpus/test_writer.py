@@ -25,13 +25,13 @@ def other_scenario():
     return Scenario(npcs=[[PositionInstruction(6, 25.0)]])
 
 
-def test_a_new_file_comes_with_its_folders_and_nothing_beside_it(path):
+def test_new_file_comes_with_folders_and_no_leftovers(path):
     assert write(path, plain_finding())
     assert load(path) == plain_finding()
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_a_check_is_read_with_its_bounds_as_they_were(path):
+def test_check_is_read_back_with_its_bounds(path):
     expect = replace(plain_finding().expect, check=Bounded(value=4.0, at_most=3.0, at_least=1.0, unit="m"))
     write(path, plain_finding(expect=expect))
     assert load(path).expect == expect
@@ -44,7 +44,7 @@ def test_who_comes_second_changes_nothing(path):
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_a_file_is_whole_whenever_it_can_be_seen(path):
+def test_file_is_never_visible_half_written(path):
     write(path, plain_finding())
     finding = plain_finding(test="t" * 5000)
     stop = threading.Event()
@@ -63,7 +63,7 @@ def test_a_file_is_whole_whenever_it_can_be_seen(path):
     assert seen <= {5000, len(plain_finding().test)}
 
 
-def test_a_rewrite_keeps_the_name_and_the_user_s_reason(path):
+def test_rewrite_preserves_file_name_and_xfail_reason(path):
     write(path, plain_finding())
     path.write_text(text_of(plain_finding()).replace('# xfail: "reason"', "xfail: planner issue 12"))
     smaller = plain_finding(scenario=other_scenario())
@@ -78,18 +78,18 @@ def test_a_rewrite_takes_a_reason_of_its_own(path):
     assert load(path).xfail == "new"
 
 
-def test_the_last_day_of_an_xfail_stays_with_it(tmp_path):
+def test_rewrite_preserves_the_last_day_of_an_xfail(tmp_path):
     path = tmp_path / "front-2-1f3a9c.pafot.yaml"
     write(path, plain_finding(xfail="issue 12", xfail_until=date(2027, 1, 31)))
     assert rewrite(path, plain_finding()).xfail_until == load(path).xfail_until == date(2027, 1, 31)
 
 
-def test_a_rewrite_of_a_file_that_has_gone_writes_it_anew(path):
+def test_rewrite_of_a_vanished_file_creates_it_again(path):
     rewrite(path, plain_finding())
     assert load(path) == plain_finding()
 
 
-def test_a_file_that_cannot_be_read_is_never_overwritten(path):
+def test_unreadable_file_is_never_overwritten(path):
     path.parent.mkdir(parents=True)
     path.write_text("the user is editing this")
     with pytest.raises(CorpusWriteError, match="correct or delete it"):
@@ -105,28 +105,28 @@ def test_an_unchanged_finding_gives_an_unchanged_file(path):
     assert b"\r" not in before
 
 
-def test_a_finding_takes_its_own_id_where_that_is_free(path):
+def test_finding_gets_its_own_id_if_free(path):
     assert free_path(path.parent, plain_finding()) == (path, plain_finding())
 
 
-def test_a_finding_that_is_saved_already_keeps_its_path(path):
+def test_finding_already_saved_retains_its_path(path):
     write(path, plain_finding())
     assert free_path(path.parent, plain_finding())[0] == path
 
 
-def test_a_finding_whose_file_was_shrunk_meanwhile_keeps_its_path(path):
+def test_finding_with_a_shrunk_file_retains_its_path(path):
     simpler = plain_finding().scenario.truncated(1)
     write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
     assert free_path(path.parent, plain_finding())[0] == path
 
 
-def test_a_shrunk_file_that_no_longer_fails_is_a_guard_of_its_own(path):
+def test_finding_whose_shrunk_file_passes_gets_new_path(path):
     simpler = plain_finding().scenario.truncated(1)
     write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
     assert free_path(path.parent, plain_finding(), passed=[path])[0] != path
 
 
-def test_a_name_that_holds_another_finding_by_now_is_not_reused(path):
+def test_name_taken_by_another_finding_gets_a_number(path):
     write(path, plain_finding(scenario=other_scenario()))
     second, finding = free_path(path.parent, plain_finding())
     assert (second.name, finding.id) == ("front-2-1f3a9c-2.pafot.yaml", "front-2-1f3a9c-2")
@@ -134,7 +134,7 @@ def test_a_name_that_holds_another_finding_by_now_is_not_reused(path):
     assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-3"
 
 
-def test_a_name_that_holds_a_broken_file_is_not_reused(path):
+def test_name_of_a_broken_file_is_not_reused(path):
     path.parent.mkdir(parents=True)
     path.write_text("broken")
     assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-2"
@@ -148,7 +148,7 @@ def test_a_read_only_folder_is_one_clear_error(tmp_path):
 
 
 @pytest.mark.parametrize("function", [write, rewrite])
-def test_a_folder_that_cannot_be_made_is_one_clear_error(tmp_path, function):
+def test_folder_creation_failure_is_one_clear_error(tmp_path, function):
     (tmp_path / "pafot_corpus").write_text("a file where the folder should be")
     path = tmp_path / "pafot_corpus" / "test_it" / "front-2-1f3a9c.pafot.yaml"
     with pytest.raises(CorpusWriteError, match="--pafot-corpus") as caught:
@@ -156,7 +156,7 @@ def test_a_folder_that_cannot_be_made_is_one_clear_error(tmp_path, function):
     assert str(caught.value).startswith(str(path))
 
 
-def test_a_finding_too_large_to_be_read_back_is_refused(path):
+def test_finding_too_large_to_read_back_is_refused(path):
     with pytest.raises(CorpusWriteError, match="256 KiB"):
         write(path, plain_finding(test="t" * 300_000))
     assert not path.exists()
@@ -177,7 +177,7 @@ def test_a_finding_too_large_to_be_read_back_is_refused(path):
         (errno.EIO, "the disk or the network has failed"),
     ],
 )
-def test_the_way_out_of_a_failed_write_depends_on_the_failure(path, monkeypatch, number, way_out):
+def test_failed_write_suggests_a_remedy_for_its_cause(path, monkeypatch, number, way_out):
     def fail(descriptor):
         raise OSError(number, os.strerror(number))
 

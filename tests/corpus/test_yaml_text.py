@@ -62,16 +62,16 @@ def test_a_file_is_for_people_to_read():
     assert text_of(plain_finding()) == FILE
 
 
-def test_the_reason_for_xfail_stands_where_the_hint_was():
+def test_xfail_reason_replaces_the_hint():
     assert text_of(plain_finding(xfail='planner "issue" 12')).endswith('}}\nxfail: "planner \\"issue\\" 12"\n')
 
 
-def test_the_last_day_of_xfail_stands_beside_its_reason():
+def test_last_xfail_day_is_written_with_its_reason():
     text = text_of(plain_finding(xfail='planner "issue" 12', xfail_until=date(2027, 1, 31)))
     assert text.endswith('}}\nxfail: {reason: "planner \\"issue\\" 12", until: 2027-01-31}\n')
 
 
-def test_the_duration_of_a_gene_is_written_where_it_is_not_the_default():
+def test_gene_duration_is_written_unless_default():
     scenario = replace(plain_finding().scenario, gene_seconds=2.5)
     assert "  ego: {lane: 1, speed: 22.0}\n  gene_seconds: 2.5\n" in text_of(plain_finding(scenario=scenario))
 
@@ -85,12 +85,12 @@ def test_the_duration_of_a_gene_is_written_where_it_is_not_the_default():
         (Traffic("paper"), ""),
     ],
 )
-def test_the_traffic_is_written_where_it_is_not_the_papers(traffic, line):
+def test_traffic_is_written_unless_that_of_the_paper(traffic, line):
     text = text_of(plain_finding(scenario=replace(plain_finding().scenario, traffic=traffic)))
     assert f"  ego: {{lane: 1, speed: 22.0}}\n{line}  npcs:\n" in text
 
 
-def test_each_npc_begins_with_a_bullet_of_its_own_and_each_cell_has_its_name():
+def test_npcs_have_bullets_and_cells_have_names():
     chains = [[PositionInstruction(Cell(cell), 20.0) for cell in row] for row in ((8, 1), (4, 5))]
     lines = text_of(plain_finding(scenario=Scenario(npcs=chains))).splitlines()[10:14]
     assert lines == [
@@ -101,7 +101,7 @@ def test_each_npc_begins_with_a_bullet_of_its_own_and_each_cell_has_its_name():
     ]
 
 
-def test_the_traceback_of_an_ads_is_a_literal_block():
+def test_ads_traceback_is_written_as_literal_block():
     expect = Expect(
         failure="ZeroDivisionError",
         message="division by zero",
@@ -124,20 +124,20 @@ def test_the_situation_is_written_in_one_line():
     assert "situation: {npc: 0, time: 6.6, ahead: -15.0, lane: -1, ego_speed: 6.7, npc_speed: 0.8}}\n" in text
 
 
-def test_the_last_chance_says_what_the_driver_and_the_ego_did():
+def test_last_chance_contains_actions_of_driver_and_ego():
     text = text_of(plain_finding(expect=replace(plain_finding().expect, last_chance=CHANCE)))
     assert (
         "         last_chance: {time: 11.6, driver: careful-human, action: [-4.0, 0.0], ego_action: [0.8, -0.001]}}\n"
     ) in text
 
 
-def test_what_avoids_it_says_from_when_on_and_how_hard():
+def test_avoidance_contains_its_time_and_braking():
     avoided = Avoidance(time=9.8, braking=6.0)
     text = text_of(plain_finding(expect=replace(plain_finding().expect, avoided_by=avoided)))
     assert "avoided_by: {time: 9.8, braking: 6.0}}\n" in text
 
 
-def test_a_property_that_is_no_collision_names_the_worst_moment():
+def test_failed_property_without_collision_names_its_worst_moment():
     expect = Expect(
         failure="AssertionError", assertion="run.min_ttc > N", outcome=Outcome.SAFE, time=31.2, npc=1, cell=Cell.LEFT
     )
@@ -153,7 +153,7 @@ def test_a_parametrised_test_needs_no_quotes():
     )
 
 
-def test_a_wide_world_is_broken_between_its_entries_and_goes_on_below_the_first_of_each_mapping():
+def test_wide_world_is_wrapped_between_its_entries():
     config = {"observation": {"type": "Kinematics", "features": ["presence"] * 12}, "action": {"type": "Discrete" * 3}}
     world = {"kind": "gym", "env_id": "own-v0", "config": config | {f"key_{index}": index for index in range(18)}}
     text = text_of(plain_finding(world=world | {"duration": 40.0, "limits": {}}))
@@ -162,7 +162,7 @@ def test_a_wide_world_is_broken_between_its_entries_and_goes_on_below_the_first_
 
 @settings(max_examples=settings.default.max_examples // 2)  # PyYAML's own parser is slow
 @given(findings())
-def test_every_finding_is_read_as_it_was_written_also_by_an_ordinary_reader(finding):
+def test_every_finding_is_readable_by_any_yaml_parser(finding):
     text = text_of(finding)
     for base in (yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
         assert parsed(Path(f"{finding.id}.pafot.yaml"), text.encode(), base) == finding
@@ -187,7 +187,7 @@ def test_nasty_texts_survive_everywhere(tmp_path, text):
     assert load(path) == finding
 
 
-def test_a_lone_surrogate_is_written_as_the_replacement_character(tmp_path):
+def test_lone_surrogate_is_written_as_the_replacement_character(tmp_path):
     path = tmp_path / "a.pafot.yaml"
     write(path, plain_finding(test="t\udc80"))
     assert load(path).test == "t\ufffd"

@@ -37,7 +37,7 @@ def abandoned(folder, name, content):
     (folder / name).write_bytes(content)
 
 
-def test_a_crash_of_the_process_names_its_scenario_in_the_next_session(tmp_path):
+def test_next_session_names_the_scenario_of_a_crash(tmp_path):
     with child(tmp_path, "os._exit(139)") as process:
         assert process.wait() == 139
     (left,) = leftovers(tmp_path)
@@ -46,7 +46,7 @@ def test_a_crash_of_the_process_names_its_scenario_in_the_next_session(tmp_path)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_the_record_of_a_live_process_is_left_alone_until_it_is_killed(tmp_path):
+def test_record_of_a_live_process_is_no_leftover(tmp_path):
     process = child(tmp_path, "print('ready', flush=True); __import__('time').sleep(60)")
     try:
         assert process.stdout.readline().strip() == b"ready"
@@ -71,7 +71,7 @@ def test_a_leftover_stays_until_it_is_discarded(tmp_path):
     assert leftovers(tmp_path) == leftovers(tmp_path) != ()
 
 
-def test_the_process_itself_is_alive_also_after_a_crash_with_its_process_id(tmp_path):
+def test_record_of_reused_process_id_is_a_leftover(tmp_path):
     with CrashRecord(tmp_path, OWNER) as record:
         record.write(SCENARIO)
         content = next(tmp_path.iterdir()).read_bytes()
@@ -79,7 +79,7 @@ def test_the_process_itself_is_alive_also_after_a_crash_with_its_process_id(tmp_
         assert [left.path.name for left in leftovers(tmp_path)] == [f"{os.getpid()}-before.inflight"]
 
 
-def test_two_searches_of_one_process_do_not_disturb_each_other(tmp_path):
+def test_two_searches_of_one_process_do_not_interfere(tmp_path):
     with CrashRecord(tmp_path, "a") as one, CrashRecord(tmp_path, "b") as other:
         one.write(SCENARIO)
         other.write(SCENARIO)
@@ -109,7 +109,7 @@ def test_between_two_scenarios_nobody_is_to_blame(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_record_can_be_used_again_after_it_is_closed(tmp_path):
+def test_closed_record_can_be_used_again(tmp_path):
     record = CrashRecord(tmp_path, OWNER)
     for _ in range(2):
         record.write(SCENARIO)
@@ -120,7 +120,7 @@ def test_a_record_can_be_used_again_after_it_is_closed(tmp_path):
 
 
 @given(one=scenarios(), other=scenarios())
-def test_every_scenario_comes_back_also_after_a_longer_one(tmp_path_factory, one, other):
+def test_last_written_scenario_is_always_recovered(tmp_path_factory, one, other):
     folder = tmp_path_factory.mktemp("inflight")
     record = CrashRecord(folder, 'nasty "owner"\n\ud800')
     record.write(one)
@@ -152,7 +152,7 @@ def test_a_garbled_record_is_still_a_leftover(tmp_path, content):
     assert (left.pid, left.owner, left.scenarios) == (77, "", ())
 
 
-def test_a_record_is_believed_in_its_folder_with_its_content_alone(tmp_path, monkeypatch):
+def test_only_signed_records_of_this_folder_are_trusted(tmp_path, monkeypatch):
     own, other = tmp_path / "own", tmp_path / "other"
     with child(own, "os._exit(9)") as process:
         process.wait()
@@ -172,7 +172,7 @@ def test_a_record_is_believed_in_its_folder_with_its_content_alone(tmp_path, mon
 
 @pytest.mark.skipif(os.name == "nt", reason="each user has a folder for temporary files on Windows")
 @pytest.mark.parametrize("fault", ["open to others", "a link", "empty", "key is a link"])
-def test_a_key_that_others_could_have_put_there_is_not_used(tmp_path, monkeypatch, fault):
+def test_key_that_others_could_have_planted_is_refused(tmp_path, monkeypatch, fault):
     monkeypatch.setattr(crash_records.tempfile, "tempdir", str(tmp_path))
     home = tmp_path / f"pytest-pafot-{os.getuid()}"
     secret = tmp_path / "secret"
@@ -192,7 +192,7 @@ def test_a_key_that_others_could_have_put_there_is_not_used(tmp_path, monkeypatc
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
-def test_no_link_is_followed_in_or_to_the_folder_of_records(tmp_path):
+def test_folder_of_records_follows_no_links(tmp_path):
     folder, secret = tmp_path / "records", tmp_path / "secret"
     secret.write_text('{"owner": "HUSH"}')
     folder.mkdir()
@@ -221,13 +221,13 @@ def test_only_records_are_looked_at(tmp_path):
     assert leftovers(tmp_path / "none") == ()
 
 
-def test_a_folder_that_cannot_be_read_is_a_typed_error(tmp_path):
+def test_unreadable_folder_of_records_is_a_typed_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(CrashRecordError, match="expected a folder"):
         leftovers(tmp_path / "file")
 
 
-def test_a_folder_that_cannot_be_written_never_stops_the_search(tmp_path):
+def test_unwritable_folder_never_stops_the_search(tmp_path):
     (tmp_path / "file").write_text("")
     with CrashRecord(tmp_path / "file" / "inflight", OWNER) as record:
         record.write(SCENARIO)
@@ -239,7 +239,7 @@ def test_a_folder_that_cannot_be_written_never_stops_the_search(tmp_path):
     assert "a hard crash of this process will not name the scenario" in str(error)
 
 
-def test_a_disk_that_is_full_never_stops_the_search(tmp_path, monkeypatch):
+def test_full_disk_never_stops_the_search(tmp_path, monkeypatch):
     record = CrashRecord(tmp_path, OWNER)
     record.write(SCENARIO)
 
@@ -269,7 +269,7 @@ def test_without_locks_the_process_id_decides(tmp_path, monkeypatch):
         assert [left.pid for left in leftovers(tmp_path)] == [gone.pid]
 
 
-def test_a_record_that_another_session_took_for_dead_is_made_anew(tmp_path, monkeypatch):
+def test_record_removed_by_another_session_is_created_again(tmp_path, monkeypatch):
     lock, taken = files._lock, []
 
     def interrupted(descriptor):
@@ -298,7 +298,7 @@ def test_recording_is_cheap_beside_any_run(tmp_path, monkeypatch):
     assert calls == ["lseek", "write"] * 2
 
 
-def test_of_scenarios_that_ran_at_once_none_is_named_but_all_are_known(tmp_path):
+def test_lock_step_record_contains_all_its_scenarios(tmp_path):
     rest = """
 several = [Scenario(npcs=[[PositionInstruction(cell, 2.0)]]) for cell in (1, 2, 3)]
 record.write(*several)

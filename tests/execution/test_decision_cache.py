@@ -84,9 +84,7 @@ def shared_decisions(child, parent=PARENT):
     ego_lane=st.sampled_from([0, 1, 3]),
 )
 @example(seed=0, npcs=4, lanes=True, gene_seconds=2.6, ego_lane=3)
-def test_a_family_of_runs_drives_the_same_with_the_decisions_of_those_before(
-    name, seed, npcs, lanes, gene_seconds, ego_lane
-):
+def test_related_runs_with_recalled_decisions_drive_the_same(name, seed, npcs, lanes, gene_seconds, ego_lane):
     world, prefixes, rng = WORLDS[name], DecisionCache(decisions=200), np.random.default_rng(seed)
     space = SearchSpace(npcs=npcs, genes=4, gene_seconds=gene_seconds, ego_lane=ego_lane)
     scenario = laned(sample(space, rng), rng) if lanes else sample(space, rng)
@@ -132,12 +130,12 @@ def changed(npc, gene, *instead):
 
 @table(("gene", "other"), [(1, PI(1, 24.1)), (2, PI(2, 20.1)), (2, PI(1, 20.0))])
 @table("npc", [0, 1])
-def test_decisions_are_shared_up_to_the_first_gene_that_differs_and_at_its_first_tick(npc, gene, other):
+def test_decisions_are_shared_until_the_first_different_gene(npc, gene, other):
     instead = other if npc == 0 else PI({1: 7, 2: 6}[int(other.cell)], other.speed)
     assert shared_decisions(changed(npc, gene, instead)) == EVERY_GENE * gene + 1
 
 
-def test_nothing_is_shared_with_another_first_gene_or_start_or_length_of_genes():
+def test_other_starts_and_gene_lengths_share_no_decisions():
     others = [
         changed(0, 0, PI(2, 22.1)),
         replace(PARENT, ego_speed=21.0),
@@ -156,7 +154,7 @@ def test_shorter_and_longer_chains_share_what_both_have():
     assert shared_decisions(ends_sooner) == 2 * EVERY_GENE + 1
 
 
-def test_the_seed_matters_where_genes_were_repaired_and_not_for_chains_as_driven():
+def test_seed_matters_only_if_genes_were_repaired():
     to_the_left = Scenario(npcs=((PI(8, 22.0), PI(8, 22.0)),), ego_lane=0, gene_seconds=3.0)
     trace, _ = driven(to_the_left)
     assert trace.executed.npcs != to_the_left.npcs, "there is no lane to the left"
@@ -167,7 +165,7 @@ def test_the_seed_matters_where_genes_were_repaired_and_not_for_chains_as_driven
     assert prefixes.recall(replace(trace.executed, seed=5)) == trace.actions
 
 
-def test_the_seed_always_matters_for_lane_instructions_since_starts_may_be_drawn_by_it():
+def test_seed_always_matters_for_lane_instructions():
     chains = (tuple(LaneInstruction("keep", 22.0) for _ in range(2)),) * 3
     scenarios = [Scenario(npcs=chains, ego_lane=3, gene_seconds=3.0, seed=seed) for seed in range(8)]
     starts = {driven(each)[0].states[0].tobytes() for each in scenarios}
@@ -176,7 +174,7 @@ def test_the_seed_always_matters_for_lane_instructions_since_starts_may_be_drawn
     assert [len(prefixes.recall(each)) for each in scenarios] == [30, *[0] * 7]
 
 
-def test_of_a_run_that_a_collision_ended_all_decisions_are_shared_by_what_began_like_it():
+def test_decisions_before_a_collision_are_shared_completely():
     crash = Scenario(npcs=((PI(2, 5.0), PI(2, 0.0), PI(2, 0.0), PI(2, 9.0)),), gene_seconds=3.0)
     careless = [(1.0, 0.0)] * 60
     trace = WORLD.rollout(crash, Counting, decisions=careless)
@@ -192,7 +190,7 @@ def test_of_a_run_that_a_collision_ended_all_decisions_are_shared_by_what_began_
     assert again.states.tobytes() == trace.states.tobytes()
 
 
-def test_an_ads_that_raised_is_asked_again_and_raises_again():
+def test_raising_ads_is_asked_again_and_raises_again():
     class Failing(Counting):
         def __call__(self, observation):
             if observation.time > 1.0:
@@ -206,7 +204,7 @@ def test_an_ads_that_raised_is_asked_again_and_raises_again():
     assert differences(WORLD.rollout(PARENT, Failing, decisions=prefixes.recall(PARENT)), trace) == []
 
 
-def test_the_oldest_runs_are_forgotten_first_and_what_is_seen_again_stays():
+def test_oldest_runs_are_forgotten_before_recently_used_ones():
     scenarios = [replace(PARENT, ego_speed=float(speed)) for speed in (18, 19, 20)]
     runs = [driven(scenario)[0] for scenario in scenarios]
     counts = [len(run.actions) for run in runs]
@@ -219,7 +217,7 @@ def test_the_oldest_runs_are_forgotten_first_and_what_is_seen_again_stays():
     assert [len(prefixes.recall(each)) for each in scenarios] == [*counts[:2], 0]
 
 
-def test_a_run_with_more_decisions_than_there_is_room_for_is_not_kept():
+def test_run_larger_than_the_cache_is_not_stored():
     prefixes = DecisionCache(decisions=10)
     prefixes.remember(driven(PARENT)[0])
     assert prefixes.recall(PARENT) == ()

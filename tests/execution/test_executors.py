@@ -89,13 +89,13 @@ def numbers(answers):
     return [trace.scenario.seed for trace, *_ in answers]
 
 
-def test_runs_are_those_of_this_process_in_the_order_in_which_they_are_asked_for(pool_of):
+def test_executor_runs_equal_local_runs_in_their_order(pool_of):
     answers = fetched(pool_of(Inline()))
     assert all(np.array_equal(trace.states, trace_of(trace.scenario).states) for trace, *_ in answers)
     assert numbers(answers) == list(range(48))
 
 
-def test_cheap_runs_go_twenty_to_a_task_once_it_is_known_what_they_take(pool_of, monkeypatch):
+def test_cheap_runs_are_sent_twenty_to_a_task(pool_of, monkeypatch):
     monkeypatch.setattr(executors, "timed", lambda world, scenario, ads: (trace_of(scenario), 0.001))
     pool = pool_of(Inline())
     fetched(pool, SCENARIOS[:4])
@@ -110,7 +110,7 @@ def test_dear_runs_have_a_task_each(pool_of):
     assert ran == [1] * 6
 
 
-def test_world_and_ads_travel_until_a_worker_has_them_and_to_one_that_joins_later(pool_of):
+def test_world_and_ads_are_sent_once_per_worker(pool_of):
     executor, large = Inline(), os.urandom(100_000)
     pool = pool_of(executor, ads=lambda: lambda number: large)
     fetched(pool, SCENARIOS[:1])
@@ -121,7 +121,7 @@ def test_world_and_ads_travel_until_a_worker_has_them_and_to_one_that_joins_late
     assert [size > 100_000 for size in executor.sizes] == [True, False, False, True, False]
 
 
-def test_a_task_that_is_lost_is_tried_once_more_scenario_by_scenario(pool_of):
+def test_lost_task_is_retried_scenario_by_scenario(pool_of):
     executor = Inline(lost=(2,))
     pool = pool_of(executor)
     fetched(pool, SCENARIOS[:2])
@@ -131,7 +131,7 @@ def test_a_task_that_is_lost_is_tried_once_more_scenario_by_scenario(pool_of):
     assert recovery_note(pool.recovered[0]).startswith("a worker was lost (KilledWorker) while it ran <Scenario ")
 
 
-def test_a_scenario_that_is_lost_twice_is_named_and_the_others_go_on(pool_of):
+def test_scenario_lost_twice_is_named_and_others_continue(pool_of):
     first, lost, last = fetched(pool_of(Inline(lost=(1, 3))), SCENARIOS[:3])
     assert numbers([first, last]) == [0, 2]
     assert isinstance(lost, ProcessLostError)
@@ -139,7 +139,7 @@ def test_a_scenario_that_is_lost_twice_is_named_and_the_others_go_on(pool_of):
     assert str(lost).startswith("the worker that ran <Scenario ")
 
 
-def test_an_executor_that_is_broken_is_used_no_more(pool_of):
+def test_broken_executor_is_not_used_again(pool_of):
     class Broken(Inline):
         def submit(self, run, task):
             if self.sizes:
@@ -159,7 +159,7 @@ def test_a_connection_that_fails_is_tried_once_more(pool_of):
     assert [lost.how for lost in pool.recovered] == ["was lost (ConnectionResetError)"]
 
 
-def test_an_executor_whose_connections_go_on_failing_is_used_no_more_and_no_scenario_is_to_blame(pool_of):
+def test_executor_with_failing_connections_is_not_used_again(pool_of):
     executor = Inline(lost=range(1, 99), error=OSError)
     pool = pool_of(executor)
     assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [tuple, RuntimeError, RuntimeError]
@@ -168,7 +168,7 @@ def test_an_executor_whose_connections_go_on_failing_is_used_no_more_and_no_scen
     assert pool.notes == ["pafot_executor: this process ran the scenarios; the executor failed: OSError: pafot-1"]
 
 
-def test_a_worker_with_other_versions_is_refused_and_both_are_named(pool_of, monkeypatch):
+def test_worker_with_different_package_versions_is_refused(pool_of, monkeypatch):
     pool = pool_of(Inline())
     here = versions_here()
     monkeypatch.setattr(executors, "versions_here", lambda: here | {"numpy": "1.0", "python": "3.9.1"})
@@ -200,7 +200,7 @@ class Unable(InThisProcess):
         return LookupError("my-env-v0 is not registered") if scenario.seed else super().fetch(scenario)
 
 
-def test_what_workers_cannot_run_is_left_to_the_session_and_the_notes_say_why(pool_of):
+def test_runs_impossible_on_workers_happen_in_the_session(pool_of):
     pool = pool_of(Inline(), worker=Unable)
     assert [type(each) for each in fetched(pool, SCENARIOS[:3])] == [tuple, LookupError, LookupError]
     (note,) = pool.notes
@@ -217,7 +217,7 @@ def test_isolated_runs_by_an_executor_say_so_too(tmp_path, monkeypatch):
     assert isolated.notes == ["pafot_executor: Inline made the runs of the generations"]
 
 
-def test_an_isolated_run_that_workers_cannot_make_is_refused_and_not_made_by_the_session(tmp_path, monkeypatch):
+def test_isolated_run_impossible_on_workers_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "WorkerPool", Unable)
     executors._bench.cache_clear()
     isolated = Isolated(job_of(tmp_path), workers=1, executor=Inline())
@@ -233,14 +233,14 @@ def test_what_cannot_travel_is_refused(tmp_path):
         packed(job_of(tmp_path, lambda: lambda number: lock))
 
 
-def test_without_the_package_by_which_it_travels_the_way_out_is_told(tmp_path, monkeypatch):
+def test_missing_cloudpickle_error_says_how_to_install_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "cloudpickle", None)
     with pytest.raises(ExecutionError, match=r"expected the package cloudpickle, .*'pytest-pafot\[dask\]'"):
         packed(job_of(tmp_path))
 
 
 @pytest.mark.processes
-def test_a_run_that_hangs_or_ends_its_process_costs_the_worker_neither_its_thread_nor_its_life(tmp_path):
+def test_hanging_or_dying_run_leaves_its_worker_alive(tmp_path):
     def drive(observation):
         if len(observation.others) == 2:
             time.sleep(60)

@@ -50,7 +50,7 @@ def fetched(pool, tasks=TASKS):
 
 
 @pytest.mark.processes
-def test_its_processes_look_for_no_garbage_in_what_they_are_copies_of_and_the_session_still_does(pool_of):
+def test_pool_processes_skip_garbage_collection_of_inherited_objects(pool_of):
     def frozen(number):
         assert gc.get_freeze_count() >= before + len(young)
 
@@ -62,7 +62,7 @@ def test_its_processes_look_for_no_garbage_in_what_they_are_copies_of_and_the_se
 @pytest.mark.parametrize(
     "size", [pytest.param(1, marks=pytest.mark.processes), 2, pytest.param(5, marks=pytest.mark.processes)]
 )
-def test_answers_are_fetched_in_any_order_from_no_more_processes_than_asked_for(pool_of, tmp_path, size):
+def test_answers_are_fetched_in_any_order(pool_of, tmp_path, size):
     def work(number):
         (tmp_path / f"{os.getpid()}").touch()
         time.sleep(0.01 * (5 - number))
@@ -76,7 +76,7 @@ def test_answers_are_fetched_in_any_order_from_no_more_processes_than_asked_for(
 
 
 @pytest.mark.processes
-def test_a_process_that_waits_long_for_a_task_ends_by_itself_and_the_next_task_has_another(pool_of):
+def test_idle_process_ends_and_is_replaced_on_demand(pool_of):
     pool = pool_of(lambda number: None, 1, idle=0.05)
     assert pool.fetch(2) == 4
     (worker,) = pool._workers
@@ -136,7 +136,7 @@ class Unportable(Exception):  # noqa: N818
         self.part = Unreadable()
 
 
-def test_what_is_raised_or_cannot_travel_is_an_answer_that_says_what_and_where():
+def test_exceptions_and_unsendable_results_are_clear_answers():
     def work(number, tell):
         if number == 1:
             raise LookupError("no such planner")
@@ -175,7 +175,7 @@ def test_an_interrupt_while_a_process_starts_is_for_the_session_alone_too():
         assert pool.fetch(3) == 9
 
 
-def test_what_is_not_fetched_is_forgotten_with_the_next_tasks(pool_of):
+def test_unfetched_answers_are_forgotten_with_the_next_tasks(pool_of):
     pool = pool_of(lambda number: time.sleep(0.05))
     pool.expect(TASKS[:4])
     pool.expect(TASKS[4:])
@@ -183,7 +183,7 @@ def test_what_is_not_fetched_is_forgotten_with_the_next_tasks(pool_of):
     assert list(pool.completed(lambda share: None)) == []
 
 
-def test_a_task_that_was_not_expected_is_run_before_those_that_are(pool_of, tmp_path):
+def test_unexpected_task_runs_before_expected_ones(pool_of, tmp_path):
     def note(number):
         time.sleep(0.05)
         with (tmp_path / "order").open("a") as order:
@@ -195,7 +195,7 @@ def test_a_task_that_was_not_expected_is_run_before_those_that_are(pool_of, tmp_
     assert (tmp_path / "order").read_text() == "0 9 1 0 "
 
 
-def test_a_process_that_dies_names_its_task_and_the_others_are_answered(pool_of):
+def test_dying_process_names_its_task_and_others_continue(pool_of):
     def work(number):
         if number == 1:
             faulthandler.disable()
@@ -217,7 +217,7 @@ def test_a_process_that_dies_names_its_task_and_the_others_are_answered(pool_of)
 
 
 @pytest.mark.processes
-def test_a_process_that_prints_into_the_pipe_of_the_pool_is_ended_and_named(pool_of):
+def test_process_that_writes_into_the_pipe_is_ended(pool_of):
     def scribble(number):
         for descriptor in range(3, 256) if number == 3 else ():
             with contextlib.suppress(OSError):
@@ -232,7 +232,7 @@ def test_a_process_that_prints_into_the_pipe_of_the_pool_is_ended_and_named(pool
     assert [*answers[:3], *answers[4:]] == [0, 1, 4, 16, 25]
 
 
-def test_a_task_in_which_a_process_died_is_tried_once_more_alone(pool_of, tmp_path):
+def test_task_of_a_dead_process_is_retried_alone(pool_of, tmp_path):
     def work(number):
         running = tmp_path / f"running-{number}"
         if number == 0 and running.exists():
@@ -260,7 +260,7 @@ def test_every_task_that_kills_its_process_is_named(pool_of):
 
 
 @pytest.mark.processes
-def test_a_process_that_dies_between_two_tasks_is_replaced_and_blames_nobody(pool_of):
+def test_process_that_dies_between_tasks_is_replaced(pool_of):
     pool = pool_of(lambda number: None, size=1)
     for task in TASKS[:2]:
         pool.expect([task])
@@ -271,7 +271,7 @@ def test_a_process_that_dies_between_two_tasks_is_replaced_and_blames_nobody(poo
     assert pool.recovered == []
 
 
-def test_a_process_that_falls_silent_is_killed_and_its_task_is_a_hang(pool_of):
+def test_silent_process_is_killed_as_a_hang(pool_of):
     def work(number):
         if number == 1:  # Not a signal in the world reaches Python code in this thread.
             signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR2])
@@ -293,7 +293,7 @@ def answering(then):
 
 
 @pytest.mark.processes
-def test_a_process_that_is_slow_and_answers_signals_lives(pool_of):
+def test_slow_process_that_answers_signals_is_not_killed(pool_of):
     now = multiprocessing.RawValue("d", 0.0)  # moves with each answer, however long that takes on a busy machine
 
     def later():
@@ -309,7 +309,7 @@ def test_a_process_that_is_slow_and_answers_signals_lives(pool_of):
     assert pool.fetch(3) == 9
 
 
-def test_a_process_that_is_not_looked_at_for_long_is_not_silent(pool_of, tmp_path):
+def test_process_is_not_silent_while_nobody_looks(pool_of, tmp_path):
     now, answers = [0.0], []
 
     def work(number):
@@ -337,7 +337,7 @@ def test_an_exception_kills_those_at_work_at_once(pool_of):
 
 
 @pytest.mark.processes
-def test_a_program_that_a_process_at_work_waits_for_ends_with_it(pool_of, tmp_path):
+def test_program_awaited_by_a_process_ends_with_it(pool_of, tmp_path):
     def start_one(number):
         busy = subprocess.Popen([sys.executable, "-c", "while True: pass"], process_group=0)
         (tmp_path / "unfinished").write_text(str(busy.pid))
@@ -364,7 +364,7 @@ def _is_running(pid):
         return False
 
 
-def test_the_end_does_not_wait_for_answers_that_nobody_asks_for_any_more(pool_of, monkeypatch):
+def test_closing_pool_does_not_wait_for_unfetched_answers(pool_of, monkeypatch):
     monkeypatch.setattr(execution_pool, "FAREWELL", 600.0)
     with pool_of(lambda number: time.sleep(600)) as pool:
         pool.expect(TASKS[:2])
@@ -372,7 +372,7 @@ def test_the_end_does_not_wait_for_answers_that_nobody_asks_for_any_more(pool_of
     assert time.monotonic() - started < 300
 
 
-def test_a_process_that_is_not_needed_any_more_ends_by_itself(pool_of, tmp_path):
+def test_unneeded_process_ends_by_itself(pool_of, tmp_path):
     def work(number):
         multiprocessing.util.Finalize(None, (tmp_path / "ended").touch, exitpriority=1)
 
@@ -423,7 +423,7 @@ def is_alive(pid):
         return False
 
 
-def test_where_no_process_can_be_started_each_answer_says_so(pool_of, monkeypatch):
+def test_every_answer_explains_that_no_process_could_start(pool_of, monkeypatch):
     pool = pool_of(lambda number: None)
 
     def refuse():
@@ -437,7 +437,7 @@ def test_where_no_process_can_be_started_each_answer_says_so(pool_of, monkeypatc
     assert isinstance(pool.fetch(7), RuntimeError), "what was told once should hold"
 
 
-def test_tasks_are_completed_in_the_order_in_which_they_are_done_and_tell_their_shares(tmp_path):
+def test_tasks_complete_as_they_finish_and_report_progress(tmp_path):
     def work(task, tell):
         tell(0.25)
         while task == "long" and not (tmp_path / "others are done").exists():
@@ -468,7 +468,7 @@ def test_processes_that_are_not_forked_complete_tasks_too():
         assert dict(pool.completed(lambda share: None)) == {1: 2, 2: 4}
 
 
-def test_a_task_to_complete_in_which_a_process_died_is_not_tried_again(pool_of):
+def test_completed_does_not_retry_a_task_that_died(pool_of):
     pool = pool_of(lambda number: os._exit(5) if number == 1 else None)
     pool.expect([0, 1, 2])
     answers = dict(pool.completed(lambda share: None))
@@ -477,7 +477,7 @@ def test_a_task_to_complete_in_which_a_process_died_is_not_tried_again(pool_of):
 
 
 @pytest.mark.processes
-def test_starting_processes_beside_the_threads_of_others_warns_of_nothing(pool_of):
+def test_starting_processes_next_to_threads_emits_no_warning(pool_of):
     pool = pool_of(lambda number: None, 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -486,7 +486,7 @@ def test_starting_processes_beside_the_threads_of_others_warns_of_nothing(pool_o
 
 
 @pytest.mark.processes
-def test_a_process_without_memory_is_lost_by_name_and_the_others_go_on(pool_of):
+def test_process_out_of_memory_is_named_others_continue(pool_of):
     def greedy(number):
         if number == 1:
             bytearray(1 << 32)

@@ -79,27 +79,27 @@ def asked(runner, scenarios=SCENARIOS):
 
 
 class TestProcesses:
-    def test_after_a_dear_run_the_rest_of_the_generation_is_made_by_them(self, runner_of):
+    def test_processes_make_the_generation_after_an_expensive_run(self, runner_of):
         world, pool = World(0.02), Pool()
         assert asked(runner_of(world, pool)) == list(range(8))
         assert world.ran == [0]
         assert pool.fetched == [1, 2, 3, 4, 5, 6, 7]
 
-    def test_the_next_generation_is_made_by_them_from_its_beginning(self, runner_of):
+    def test_processes_make_the_next_generation_from_its_start(self, runner_of):
         world, pool = World(0.02), Pool()
         runner = runner_of(world, pool)
         asked(runner, SCENARIOS[:4])
         asked(runner, SCENARIOS[4:])
         assert pool.fetched == [1, 2, 3, 4, 5, 6, 7]
 
-    def test_cheap_runs_stay_in_this_one_and_the_note_says_what_a_run_took(self, runner_of):
+    def test_cheap_runs_stay_in_process_with_a_note(self, runner_of):
         world = World(0.005)
         with runner_of(world) as runner:
             asked(runner)
         assert world.ran == list(range(8))
         assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays off from 10 ms on"]
 
-    def test_they_end_where_only_the_first_run_was_dear_since_it_loads_what_the_others_use(self, runner_of):
+    def test_processes_end_if_only_first_run_was_expensive(self, runner_of):
         world, pool = World(1.5), Pool(seconds=0.005)
         with runner_of(world, pool) as runner:
             runner.announce(SCENARIOS)
@@ -110,7 +110,7 @@ class TestProcesses:
         assert world.ran == [0, 3, 4, 5, 6, 7]
         assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays off from 10 ms on"]
 
-    def test_they_begin_later_where_the_first_run_was_not_dear_and_the_others_are(self, runner_of):
+    def test_processes_start_later_if_runs_become_expensive(self, runner_of):
         world, pool = World(0.005), Pool()
         runner = runner_of(world, pool)
         runner.announce(SCENARIOS)
@@ -121,7 +121,7 @@ class TestProcesses:
 
     @pytest.mark.parametrize("seconds", [0.0, 0.02])
     @pytest.mark.parametrize("workers", [1, 2, 3])
-    def test_the_runs_are_the_same_wherever_they_are_made(self, runner_of, workers, seconds):
+    def test_runs_are_the_same_in_every_process(self, runner_of, workers, seconds):
         runner = runner_of(World(seconds), Pool(), workers)
         runner.announce(SCENARIOS)
         for each in SCENARIOS:
@@ -134,14 +134,14 @@ class TestProcesses:
         assert world.ran == list(range(8))
         assert runner.notes == []
 
-    def test_what_was_not_announced_runs_in_this_one_and_is_not_measured(self, runner_of):
+    def test_unannounced_runs_stay_in_this_process_unmeasured(self, runner_of):
         world = World(1.0)
         runner = runner_of(world)
         for each in SCENARIOS:
             runner.run(each)
         assert world.ran == list(range(8))
 
-    def test_what_is_asked_for_afresh_runs_in_this_one(self, runner_of):
+    def test_fresh_runs_are_made_in_this_process(self, runner_of):
         world, pool = World(0.02), Pool()
         runner = runner_of(world, pool)
         asked(runner)
@@ -149,24 +149,24 @@ class TestProcesses:
         runner.run(SCENARIOS[5], afresh=True)
         assert world.ran == [0, 5]
 
-    def test_a_run_that_none_of_them_can_make_is_made_in_this_one(self, runner_of):
+    def test_run_impossible_in_other_processes_is_made_here(self, runner_of):
         world, pool = World(0.02), Pool({4: ValueError()})
         assert asked(runner_of(world, pool)) == list(range(8))
         assert world.ran == [0, 4]
 
-    def test_what_was_said_in_them_is_said_here_in_the_order_of_the_scenarios(self, runner_of, capsys):
+    def test_output_of_processes_is_replayed_in_scenario_order(self, runner_of, capsys):
         answers = {n: (trace_of(scenario(n)), CapturedOutput(out=f"run {n}\n"), 0.02) for n in range(1, 8)}
         asked(runner_of(World(0.02), Pool(answers)))
         assert capsys.readouterr().out == "run 1\nrun 2\nrun 3\nrun 4\nrun 5\nrun 6\nrun 7\n"
 
-    def test_a_scenario_whose_process_did_not_come_back_raises(self, runner_of):
+    def test_scenario_of_a_lost_process_raises_an_error(self, runner_of):
         lost = ProcessLostError(SCENARIOS[3], pid=7, how="ended with exit code 9")
         runner = runner_of(World(0.02), Pool({3: lost}))
         with pytest.raises(ProcessLostError, match=r"pid 7\) that ran .* ended with exit code 9") as raised:
             asked(runner)
         assert raised.value is lost
 
-    def test_where_none_can_be_given_what_it_needs_all_runs_are_made_in_this_one(self, runner_of, monkeypatch):
+    def test_unpicklable_factory_keeps_all_runs_in_process(self, runner_of, monkeypatch):
         def refuse(job, size):
             raise ExecutionError("the factory cannot be pickled")
 
@@ -191,7 +191,7 @@ class TestProcesses:
             raise KeyboardInterrupt
         assert pool.closed is True
 
-    def test_after_their_end_runs_are_made_in_this_one(self, runner_of):
+    def test_runs_after_closing_are_made_in_this_process(self, runner_of):
         world = World(0.02)
         with runner_of(world, Pool()) as runner:
             asked(runner)
@@ -199,7 +199,7 @@ class TestProcesses:
         runner.run(SCENARIOS[7])
         assert world.ran == [0, 7]
 
-    def test_the_notes_say_what_was_used_and_what_came_back_at_the_second_try(self, runner_of):
+    def test_notes_mention_used_processes_and_recovered_runs(self, runner_of):
         pool = Pool()
         pool.recovered = [ProcessLostError(SCENARIOS[3], pid=7, how="was ended by SIGKILL")]
         with runner_of(World(0.02), pool) as runner:
@@ -228,14 +228,14 @@ class TestLockStep:
         world.ran.clear()
         return runner
 
-    def test_makes_all_announced_runs_when_the_first_of_them_is_asked_for(self, world, runner):
+    def test_first_request_makes_all_announced_runs_together(self, world, runner):
         with runner:
             runner.announce(SCENARIOS[:4])
             assert world.together == []
             assert [runner.run(each).scenario for each in SCENARIOS[:4]] == SCENARIOS[:4]
         assert (world.together, world.ran) == ([[0, 1, 2, 3]], [])
 
-    def test_puts_runs_with_as_many_npcs_into_a_batch_so_that_no_network_is_given_nan(self):
+    def test_batches_have_equal_npc_counts_and_no_nan(self):
         batches = []
 
         class Network:
@@ -250,7 +250,7 @@ class TestLockStep:
         assert len({batch.shape[1] for batch in batches}) > 3
         assert not any(np.isnan(batch).any() for batch in batches)
 
-    def test_makes_by_itself_what_was_not_announced_and_what_is_asked_for_again(self, world, runner):
+    def test_unannounced_and_repeated_runs_are_made_alone(self, world, runner):
         runner.announce(SCENARIOS[:2])
         for number in (7, 0, 0, 1, 1):
             assert runner.run(SCENARIOS[number]).scenario.seed == number
@@ -261,7 +261,7 @@ class TestLockStep:
         runner.run(SCENARIOS[0], afresh=True)
         assert (world.together, world.ran, runner.is_alone) == ([], [0], True)
 
-    def test_tells_of_the_last_run_whether_it_was_made_together_with_others(self, runner):
+    def test_runner_knows_whether_the_last_run_was_alone(self, runner):
         runner.announce(SCENARIOS[:2])
         runner.run(SCENARIOS[0])
         assert not runner.is_alone
@@ -282,7 +282,7 @@ class TestLockStep:
         runner.run(SCENARIOS[2])
         assert (world.together, world.ran) == ([[0, 1], [1, 2]], [2])
 
-    def test_puts_all_scenarios_on_disk_before_and_the_one_that_is_judged_after(self, world, runner, tmp_path):
+    def test_crash_record_narrows_to_the_requested_scenario(self, world, runner, tmp_path):
         def on_disk():
             (path,) = tmp_path.iterdir()
             record = json.loads(path.read_text().partition("\n")[0])
@@ -300,7 +300,7 @@ class TestLockStep:
         assert on_disk() == (plain[1], None)
 
     @pytest.mark.parametrize(("ads", "expected"), [(Batched, [[1, 2]]), (object, [])])
-    def test_the_first_ads_shows_whether_it_decides_for_many(self, runner_of, world, ads, expected):
+    def test_first_ads_shows_whether_batches_are_possible(self, runner_of, world, ads, expected):
         runner = runner_of(world, ads=ads)
         asked(runner, SCENARIOS[:3])
         assert world.together == expected

@@ -74,27 +74,27 @@ def runner_of(job_of):
 
 
 @pytest.mark.parametrize(("engine", "function"), [("kernel", "run_planner"), ("highway-env", "run")])
-def test_from_the_search_to_the_engine_there_are_at_most_eight_calls(runner_of, engine, function):
+def test_call_depth_from_search_to_engine_is_limited(runner_of, engine, function):
     with runner_of(Planner, engine=engine) as runner:
         runner.announce(SCENARIOS[:4])
         for scenario in SCENARIOS[:4]:
             runner.run(scenario)
     names = callers[-1]
-    here = names.index("test_from_the_search_to_the_engine_there_are_at_most_eight_calls")
+    here = names.index("test_call_depth_from_search_to_engine_is_limited")
     engines = [place for place, name in enumerate(names[:here]) if name == function]
     assert here - engines[0] + 1 <= FRAMES, names[: here + 1]
 
 
-def test_from_the_search_to_a_batch_of_decisions_there_are_at_most_eight_calls(runner_of):
+def test_call_depth_from_search_to_batch_is_limited(runner_of):
     with runner_of(Batched) as runner:
         runner.announce(SCENARIOS[:4])
         for scenario in SCENARIOS[:4]:
             runner.run(scenario)
     names = callers[-1]
-    assert names.index("test_from_the_search_to_a_batch_of_decisions_there_are_at_most_eight_calls") + 1 <= FRAMES
+    assert names.index("test_call_depth_from_search_to_batch_is_limited") + 1 <= FRAMES
 
 
-def test_the_crash_record_is_left_written_for_the_verdict(runner_of, tmp_path):
+def test_crash_record_stays_written_during_the_verdict(runner_of, tmp_path):
     runner = runner_of(Planner)
     runner.run(SCENARIOS[3])
     (path,) = tmp_path.iterdir()
@@ -103,7 +103,7 @@ def test_the_crash_record_is_left_written_for_the_verdict(runner_of, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-def test_isolated_runs_never_call_the_ads_in_this_process(runner_of):
+def test_isolated_runs_never_call_the_ads_here(runner_of):
     with runner_of(Planner, isolate=True, workers=2) as runner:
         runner.announce(SCENARIOS[:3])
         traces = [runner.run(each) for each in SCENARIOS[:3]]
@@ -114,7 +114,7 @@ def test_isolated_runs_never_call_the_ads_in_this_process(runner_of):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-def test_isolated_runs_raise_here_what_the_factory_raises_there(runner_of):
+def test_isolated_runs_raise_the_exception_of_the_factory(runner_of):
     def factory():
         raise LookupError("no such planner")
 
@@ -122,7 +122,7 @@ def test_isolated_runs_raise_here_what_the_factory_raises_there(runner_of):
         runner.run(SCENARIOS[0])
 
 
-def test_isolated_runs_refuse_a_factory_that_no_process_can_be_given(runner_of, monkeypatch):
+def test_isolated_runs_refuse_an_unpicklable_factory(runner_of, monkeypatch):
     monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
     with pytest.raises(ExecutionError, match=r"^--pafot-isolate: expected an ADS factory .* pickled"):
         runner_of(lambda: None, isolate=True).run(SCENARIOS[0])
@@ -139,7 +139,7 @@ def test_isolated_runs_are_refused_where_no_process_starts(runner_of, monkeypatc
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-def test_isolated_runs_go_on_with_new_processes_after_the_end_of_the_first(runner_of):
+def test_isolated_runs_start_new_processes_after_closing(runner_of):
     runner = runner_of(Planner, isolate=True)
     for _ in range(2):
         with runner:
@@ -147,7 +147,7 @@ def test_isolated_runs_go_on_with_new_processes_after_the_end_of_the_first(runne
     assert callers == []
 
 
-def test_decisions_of_a_pure_ads_are_taken_from_earlier_runs_unless_it_is_asked_afresh(runner_of):
+def test_pure_ads_decisions_are_reused_unless_fresh(runner_of):
     runner = runner_of(Pure)
     first, asked = runner.run(SCENARIOS[0]), len(callers)
     second, again = runner.run(SCENARIOS[0]), len(callers)

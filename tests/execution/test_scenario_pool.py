@@ -60,14 +60,14 @@ def test_what_raises_is_left_to_this_process(pool_of):
     assert trace_from(fetched(pool_of(fail))) is None
 
 
-def test_what_cannot_be_sent_is_left_to_this_process(pool_of):
+def test_result_that_cannot_be_sent_is_an_exception(pool_of):
     class Local(UserWarning):
         """Of no module, so that it cannot be pickled."""
 
     assert isinstance(fetched(pool_of(lambda number: warnings.warn("a warning", Local, stacklevel=1))), Exception)
 
 
-def test_the_scenario_is_on_disk_while_it_runs_and_not_after_its_process_died(pool_of, tmp_path):
+def test_scenario_is_on_disk_only_while_it_runs(pool_of, tmp_path):
     def copy_and_die(number):
         (path,) = (tmp_path / "records").iterdir()
         (tmp_path / "copy").write_text(f"{os.getpid()} {path.read_text()}")
@@ -81,7 +81,7 @@ def test_the_scenario_is_on_disk_while_it_runs_and_not_after_its_process_died(po
     assert expectation(lost).outcome is Outcome.ADS_ERROR
 
 
-def test_a_process_that_is_killed_at_work_leaves_no_record(pool_of, tmp_path):
+def test_process_killed_while_working_leaves_no_record(pool_of, tmp_path):
     def work(number):
         (tmp_path / "at work").touch()
         time.sleep(60)
@@ -111,7 +111,7 @@ def test_what_the_ads_says_is_said_again_here(pool_of, capsys, caplog):
     assert caplog.record_tuples == [("planner", logging.WARNING, "gap of 0 m")]
 
 
-def test_an_ads_that_closes_a_standard_stream_closes_that_of_nobody_else(pool_of, capsys):
+def test_ads_that_closes_stdout_closes_only_its_own(pool_of, capsys):
     def close(number):
         print("last words")
         sys.stdout.close()
@@ -120,7 +120,7 @@ def test_an_ads_that_closes_a_standard_stream_closes_that_of_nobody_else(pool_of
     assert capsys.readouterr().out == "last words\n"
 
 
-def test_filters_of_warnings_act_in_the_process_that_runs_the_scenario(pool_of, recwarn):
+def test_warning_filters_apply_in_the_scenario_process(pool_of, recwarn):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         answer = fetched(pool_of(lambda number: warnings.warn("old interface", DeprecationWarning, stacklevel=1)))
@@ -129,14 +129,14 @@ def test_filters_of_warnings_act_in_the_process_that_runs_the_scenario(pool_of, 
 
 
 @pytest.mark.processes
-def test_processes_that_are_not_forked_run_a_factory_that_can_be_pickled(job_of, monkeypatch):
+def test_spawned_processes_run_a_picklable_factory(job_of, monkeypatch):
     monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
     with pool_for(job_of(idle), 1) as pool:
         assert trace_from(fetched(pool, SCENARIOS[1])).scenario == SCENARIOS[1]
     assert pool.failure == ""
 
 
-def test_a_factory_that_cannot_be_pickled_where_processes_are_not_forked_is_told(job_of, monkeypatch):
+def test_unpicklable_factory_is_refused_without_forking(job_of, monkeypatch):
     monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
     with pytest.raises(ExecutionError, match="such as a class in a module that can be imported"):
         pool_for(job_of(lambda: print), 2)

@@ -44,7 +44,7 @@ def die_in_first(number):
 
 
 @needs_fork
-def test_each_scenario_is_run_and_judged_in_another_process(job_of, tmp_path, capfd):
+def test_scenario_and_its_verdict_run_in_another_process(job_of, tmp_path, capfd):
     def judge(trace):
         print("judged")
         (tmp_path / f"{trace.scenario.seed}").write_text(f"{os.getpid()}")
@@ -57,14 +57,14 @@ def test_each_scenario_is_run_and_judged_in_another_process(job_of, tmp_path, ca
 
 @needs_fork
 @pytest.mark.parametrize("part", ["run", "verdict"])
-def test_a_process_that_dies_in_the_run_or_in_the_verdict_is_lost(job_of, part):
+def test_process_dying_in_run_or_verdict_is_lost(job_of, part):
     drive, judge = (os._exit, praise) if part == "run" else (idle, lambda trace: os._exit(trace.scenario.seed))
     with pytest.raises(ProcessLostError, match="ended with exit code 1"):
         run_apart(job_of(drive), ONE, judge, isolate=False, in_own_session=pytest.fail)
 
 
 @needs_fork
-def test_a_process_counts_as_lost_that_lived_when_it_was_tried_again(job_of, tmp_path):
+def test_lost_process_counts_despite_a_successful_retry(job_of, tmp_path):
     def die_once(number):
         if not (tmp_path / "died").exists():
             (tmp_path / "died").touch()
@@ -75,7 +75,7 @@ def test_a_process_counts_as_lost_that_lived_when_it_was_tried_again(job_of, tmp
 
 
 @needs_fork
-def test_what_the_verdict_raises_is_seen_where_it_counts(job_of):
+def test_exception_of_the_verdict_is_not_raised_here(job_of):
     def fail(trace):
         raise LookupError("no such fixture")
 
@@ -88,7 +88,7 @@ def open_nothing():
 
 @needs_fork
 @pytest.mark.parametrize("isolate", [True, False])
-def test_what_the_factory_raises_is_the_outcome_and_is_not_repeated_here(job_of, isolate):
+def test_exception_of_the_factory_is_raised_with_advice(job_of, isolate):
     job = replace(job_of(idle), ads=open_nothing)
     kind = OSError if isolate else ExecutionError
     with pytest.raises(kind, match="cannot re-initialize CUDA") as raised:
@@ -98,7 +98,7 @@ def test_what_the_factory_raises_is_the_outcome_and_is_not_repeated_here(job_of,
     assert ("delete the file" in told) is not isolate
 
 
-def test_where_no_process_can_be_forked_a_session_of_its_own_goes_first(job_of, no_fork):
+def test_session_of_its_own_is_used_without_forking(job_of, no_fork):
     went = []
     assert run_apart(job_of(idle), ONE, praise, isolate=False, in_own_session=lambda: went.append(1)) is None
     assert went == [1]
@@ -137,7 +137,7 @@ class TestRetrying:
 
     @needs_fork
     @pytest.mark.parametrize("scenarios", [(ONE,), (ONE, TWO)])
-    def test_what_runs_to_its_end_is_told_and_pending_until_the_search_is_through(self, retried, tmp_path, scenarios):
+    def test_retried_scenario_that_completes_is_noted_and_pending(self, retried, tmp_path, scenarios):
         came, kept, here = retried(*scenarios)
         assert (kept, here) == ([], [])
         assert "ran to its end when it was tried again" in came.notes[0]
@@ -145,23 +145,23 @@ class TestRetrying:
         assert [each.path for each in leftovers(tmp_path / "records")] == [came.pending.path]
 
     @needs_fork
-    def test_what_dies_again_is_kept_and_its_record_removed(self, retried, tmp_path):
+    def test_retried_scenario_that_dies_again_is_saved(self, retried, tmp_path):
         came, kept, here = retried(ONE, TWO, drive=die_in_first)
         assert (kept, here) == ([(ONE, "ended with exit code 9")], [])
         assert (came.notes, came.pending) == ((), None)
         assert leftovers(tmp_path / "records") == ()
 
     @needs_fork
-    def test_what_was_tried_before_the_next_session_died_as_well_is_kept(self, retried):
+    def test_scenario_tried_before_a_second_death_is_saved(self, retried):
         retried(ONE)
         came, kept, _ = retried.again()
         assert (kept, came.pending) == ([(ONE, None)], None)
 
-    def test_where_nothing_can_be_tried_one_death_is_enough_for_what_was_alone_in_flight(self, retried, no_fork):
+    def test_without_retrying_one_death_of_lone_scenario_suffices(self, retried, no_fork):
         _, kept, here = retried(ONE)
         assert (kept, here) == ([(ONE, None)], [])
 
-    def test_where_nothing_can_be_tried_what_was_in_lock_step_runs_in_this_process(self, retried, no_fork):
+    def test_without_retrying_lock_step_scenarios_run_here(self, retried, no_fork):
         came, kept, here = retried(ONE, TWO)
         assert (kept, here) == ([], [(ONE, TWO)])
         assert came.pending is None

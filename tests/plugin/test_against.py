@@ -35,7 +35,7 @@ def changed(project):
     return project
 
 
-def test_a_regression_is_saved_with_the_reference_that_passes_it(changed):
+def test_regression_is_saved_with_its_passing_reference(changed):
     changed.result.assert_outcomes(failed=2)
     assert load(changed.only_file).expect.against == "planner_before:make"
     changed.result.stdout.fnmatch_lines(
@@ -46,7 +46,7 @@ def test_a_regression_is_saved_with_the_reference_that_passes_it(changed):
     )
 
 
-def test_a_saved_scenario_is_labelled_by_what_both_do_in_it(changed):
+def test_saved_scenario_label_compares_policy_and_reference(changed):
     for now, before, label, told in (
         (SPEEDS, KEEPS, "introduced", "introduces 1 failure, fixes 0, 0 as before"),
         (SPEEDS, BREAKS, "common", "introduces 0 failures, fixes 0, 1 as before"),
@@ -66,7 +66,7 @@ def test_never_collides(run):
 """
 
 
-def test_what_both_fail_says_where_the_policy_hits_harder_than_the_reference(project):
+def test_common_failure_reports_harder_hits_than_the_reference(project):
     project.write("import planner\n" + CRASHES)
     brakes = KEEPS.replace("0.0, 0.0", "-1.0, 0.0")
     policies(project, KEEPS, brakes)
@@ -86,13 +86,13 @@ def test_what_both_fail_says_where_the_policy_hits_harder_than_the_reference(pro
     project.run(AGAINST, generations=0).stdout.no_fnmatch_line("*became worse*")
 
 
-def test_without_the_reference_a_saved_scenario_is_replayed_as_any_other(changed):
+def test_saved_scenario_replays_normally_without_the_reference(changed):
     result = changed.run(generations=0)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
     result.stdout.no_fnmatch_line("against *")
 
 
-def test_a_saved_failure_that_is_common_hides_no_regression_of_the_same_kind(changed):
+def test_common_failure_hides_no_regression_of_same_kind(changed):
     # Before, the policy failed in the saved scenario, by the number of vehicles there, and in no other.
     others = len(load(changed.only_file).scenario.npcs)
     policies(changed, SPEEDS, SPEEDS.replace("1.25", f"1.25 * (len(observation.others) == {others})"))
@@ -101,7 +101,7 @@ def test_a_saved_failure_that_is_common_hides_no_regression_of_the_same_kind(cha
     assert len(changed.files) == 2
 
 
-def test_the_reference_may_come_from_a_fixture_by_its_name(project):
+def test_reference_may_come_from_a_named_fixture(project):
     project.write(
         TEST.replace("MORE", ", against='old_ads'")
         + "\n@pytest.fixture\ndef old_ads():\n    import planner_before\n    return planner_before.make\n"
@@ -110,7 +110,7 @@ def test_the_reference_may_come_from_a_fixture_by_its_name(project):
     project.run().stdout.fnmatch_lines(["against old_ads: introduces 1 failure, fixes 0, 0 as before"])
 
 
-def test_a_fixture_that_the_mark_does_not_ask_for_is_refused_with_what_to_give(failing):
+def test_unrequested_fixture_as_reference_is_refused(failing):
     failing.run("--pafot-against=old_ads").stdout.fnmatch_lines(
         ["*against: expected module:factory, such as planner_before:make, received 'old_ads'*"]
     )
@@ -118,7 +118,7 @@ def test_a_fixture_that_the_mark_does_not_ask_for_is_refused_with_what_to_give(f
 
 @pytest.mark.processes
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-def test_a_reference_that_ends_the_session_is_named_by_the_next_one_and_the_ads_is_not_blamed(project):
+def test_next_session_names_reference_that_ended_the_last(project):
     project.write(TEST.replace("MORE", ""))
     policies(project, SPEEDS, "import os\n\ndef make():\n    return lambda observation: os._exit(9)\n")
     assert project.run(AGAINST, "-p", "cacheprovider", apart=True).ret == 9
@@ -133,7 +133,7 @@ def test_a_reference_that_ends_the_session_is_named_by_the_next_one_and_the_ads_
     assert (project.files, list(project.path.rglob("*.inflight"))) == ([], [])
 
 
-def test_a_search_whose_reference_breaks_wherever_it_is_run_fails(project):
+def test_search_fails_if_its_reference_always_fails(project):
     project.write(TEST.replace("MORE", ""))
     policies(project, SPEEDS, "def make():\n    return lambda observation: observation.lanes\n")
     result = project.run(AGAINST)

@@ -11,7 +11,7 @@ TEST = "@pafot.search(SHORT, algorithm={!r}, stop_after=1)\ndef test_it(run):\n 
 
 
 @pytest.mark.parametrize("algorithm", ["av-fuzzer", "random-manoeuvre"])
-def test_a_find_without_cells_is_saved_confirmed_shrunk_and_replayed(project, algorithm, in_highway_env):
+def test_lane_finding_is_saved_confirmed_shrunk_and_replayed(project, algorithm, in_highway_env):
     project.write(TEST.format(algorithm))
     result = project.run("--pafot-shrink-rollouts=50", generations=6)
     result.assert_outcomes(failed=2)
@@ -53,7 +53,7 @@ def test_a_find_without_cells_is_on_the_page(project):
     assert '"lane": "' in page or '"lane":"' in page
 
 
-def test_av_fuzzer_climbs_its_own_fitness_unless_another_is_asked_for(project):
+def test_av_fuzzer_uses_its_own_fitness_by_default(project):
     project.write(
         "from pytest_pafot.plugin.option_sources import request_of_mark\n"
         "def test_it(pytestconfig):\n"
@@ -66,7 +66,7 @@ def test_av_fuzzer_climbs_its_own_fitness_unless_another_is_asked_for(project):
     project.run().assert_outcomes(passed=1)
 
 
-def test_a_library_that_is_not_installed_fails_the_item_with_the_command_that_installs_it(project, monkeypatch):
+def test_missing_library_error_gives_the_install_command(project, monkeypatch):
     monkeypatch.setitem(sys.modules, "cmaes", None)
     project.write(TEST.format("cma-es"))
     result = project.run()
@@ -74,7 +74,7 @@ def test_a_library_that_is_not_installed_fails_the_item_with_the_command_that_in
     result.stdout.fnmatch_lines(["*pip install 'pytest-pafot?search?'*"])
 
 
-def test_an_algorithm_that_does_not_exist_or_fit_is_answered_with_those_that_do(project):
+def test_unknown_or_unsuitable_algorithm_error_lists_the_choices(project):
     road = "ads=lambda: lambda observation: 1, world=pafot.World('merge-v1')"
     told = {
         f"algorithm='av-fuzzer', {road}": "*algorithm: expected one of distinct, * on a road that is not straight, "
@@ -107,7 +107,7 @@ OWN = (
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_an_algorithm_of_ones_own_is_given_by_its_class_and_named_in_files_and_summary(project, workers):
+def test_custom_algorithm_class_is_named_in_all_output(project, workers):
     project.pytester.makepyfile(own=OWN)
     project.write(
         "from own import Own\n@pafot.search(SHORT, algorithm=Own, stop_after=1)\n"
@@ -119,7 +119,7 @@ def test_an_algorithm_of_ones_own_is_given_by_its_class_and_named_in_files_and_s
     assert "algorithm: own" in project.only_file.read_text()
 
 
-def test_the_option_takes_a_class_by_its_module_and_name(project):
+def test_algorithm_option_takes_a_class_by_module_name(project):
     project.pytester.makepyfile(own=OWN)
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_it(run):\n    assert not run.collision\n")
     project.run("--pafot-algorithm=own:Own", generations=8).assert_outcomes(failed=2)
@@ -133,7 +133,7 @@ def test_the_option_takes_a_class_by_its_module_and_name(project):
         ("onw:Own", "algorithm: expected a module that can be imported, received 'onw:Own' (ModuleNotFoundError*"),
     ],
 )
-def test_a_class_that_is_not_there_fails_the_item_alone(project, given, message):
+def test_missing_algorithm_class_fails_only_its_item(project, given, message):
     project.pytester.makepyfile(own=OWN)
     project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n\ndef test_ordinary():\n    pass\n")
     result = project.run(f"--pafot-algorithm={given}")

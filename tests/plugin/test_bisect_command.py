@@ -96,7 +96,7 @@ def bisect(*arguments):
     return main(["bisect", FILE, "--policy", "planner.py", *arguments])
 
 
-def test_it_tells_the_commit_what_it_changed_and_since_when_it_decides_otherwise(commit, tried, capsys):
+def test_bisect_reports_commit_changes_and_first_different_decision(commit, tried, capsys):
     first = commit(GOOD)
     for number in range(8):
         commit(f"{GOOD} # {number}")
@@ -120,7 +120,7 @@ def test_it_tells_the_commit_what_it_changed_and_since_when_it_decides_otherwise
     assert (git("status"), git("worktree", "list"), Path(".git/index").read_bytes()) == before
 
 
-def test_commits_that_cannot_be_judged_are_passed_over_and_named_where_they_hide_the_first(commit, tried, capsys):
+def test_untestable_commits_are_skipped_and_listed_if_suspect(commit, tried, capsys):
     first = commit(GOOD)
     commit(BROKEN)
     commit(GOOD)
@@ -135,7 +135,7 @@ def test_commits_that_cannot_be_judged_are_passed_over_and_named_where_they_hide
     assert len(tried) == len(set(tried)), "the same policy is tried once"
 
 
-def test_a_merge_is_looked_into_and_is_to_blame_itself_where_both_its_parents_pass(commit, tried, capsys):
+def test_merge_is_searched_and_blamed_if_parents_pass(commit, tried, capsys):
     first = commit(GOOD)
     git("checkout", "-qb", "side")
     commit(f"{GOOD} # side")
@@ -162,7 +162,7 @@ def test_a_merge_is_looked_into_and_is_to_blame_itself_where_both_its_parents_pa
     assert f"\n{merge} is the first that fails" in capsys.readouterr().out
 
 
-def test_a_good_commit_beside_the_line_of_the_bad_one_vouches_for_nothing_on_it(commit, tried, capsys):
+def test_good_commit_on_another_branch_proves_nothing(commit, tried, capsys):
     commit(BAD)
     git("checkout", "-qb", "side")
     good = commit(GOOD)
@@ -173,7 +173,7 @@ def test_a_good_commit_beside_the_line_of_the_bad_one_vouches_for_nothing_on_it(
     assert "expected the commit before these to pass, received: fails" in capsys.readouterr().err
 
 
-def test_a_run_that_passes_outside_of_the_situation_passes_where_that_is_asked_for(commit, tried, capsys):
+def test_pass_outside_the_situation_counts_only_on_request(commit, tried, capsys):
     first = commit(OTHER)
     last = commit(BAD)
     assert bisect("--good", first) == 2
@@ -182,7 +182,7 @@ def test_a_run_that_passes_outside_of_the_situation_passes_where_that_is_asked_f
     assert f"\n{last} is the first that fails" in capsys.readouterr().out
 
 
-def test_what_is_not_committed_is_told_and_not_tried(commit, tried, capsys):
+def test_uncommitted_changes_are_reported_and_not_tried(commit, tried, capsys):
     first = commit(GOOD)
     commit(f"{GOOD} # more")
     Path("planner.py").write_text(BAD)
@@ -287,7 +287,7 @@ class Planner:
         ("        ego =", "        raise OSError('\x1b')\n        ego =", None, "a different failure: "),
     ],
 )
-def test_a_session_tells_whether_the_failure_of_the_file_is_there(safety, told, old, new, passes, why):
+def test_session_reports_whether_the_saved_failure_occurs(safety, told, old, new, passes, why):
     (safety.path / "planner.py").write_text(PLANNER.replace(old, new))
     found = replay(safety, told)
     assert found["passes"] is passes
@@ -300,7 +300,7 @@ def test_a_session_tells_whether_the_failure_of_the_file_is_there(safety, told, 
         assert (found["every"], found["hz"]) == (3, 15)
 
 
-def test_a_policy_that_is_imported_from_elsewhere_is_not_judged(safety, told, monkeypatch, tmp_path):
+def test_policy_imported_from_elsewhere_gives_no_verdict(safety, told, monkeypatch, tmp_path):
     (tmp_path / "elsewhere").mkdir(exist_ok=True)
     (tmp_path / "elsewhere/planner.py").write_text(PLANNER)
     monkeypatch.syspath_prepend(tmp_path / "elsewhere")
@@ -318,7 +318,7 @@ def real(commit, monkeypatch):
     return commit
 
 
-def test_a_session_that_takes_too_long_is_ended_and_not_judged(real, capfd):
+def test_slow_session_is_ended_without_a_verdict(real, capfd):
     first = real(PLANNER)
     real(f"import time\ntime.sleep(100)\n{PLANNER}")
     assert bisect("--good", first, "--timeout", "0.5") == 2
@@ -337,7 +337,7 @@ def test_a_session_has_ended_when_an_interrupt_goes_on(tmp_path):
 
 
 @pytest.mark.processes
-def test_the_sample_of_the_guide_is_what_sessions_tell(real, capfd):
+def test_guide_shows_the_real_output_of_bisect(real, capfd):
     now = '"""Keeps its distance."""\n\n' + PLANNER
     before = now.replace("0.6", "0.9")
     real(PLANNER.replace("0.6", "0.9"), "Follow the leader")
@@ -354,7 +354,7 @@ def test_the_sample_of_the_guide_is_what_sessions_tell(real, capfd):
 
 
 @pytest.mark.processes
-def test_an_interrupt_leaves_nothing_behind_neither_processes_nor_folders(real, tmp_path, monkeypatch):
+def test_interrupt_leaves_no_processes_or_folders_behind(real, tmp_path, monkeypatch):
     first = real(PLANNER.replace("0.6", "0.9"))
     pid = tmp_path / "pid"
     real(

@@ -30,7 +30,7 @@ GARBLED = {
 }
 
 
-def test_each_garbled_file_is_one_failing_item_with_its_place(saved):
+def test_each_garbled_file_fails_one_item_with_location(saved):
     text, first = saved.only_file.read_text(), saved.only_file
     for number, (pattern, replacement, _) in enumerate(GARBLED.values()):
         garbled = re.sub(pattern, replacement, text, count=1, flags=re.MULTILINE)
@@ -45,7 +45,7 @@ def test_each_garbled_file_is_one_failing_item_with_its_place(saved):
         shown.fnmatch_lines([f"*garbled-{number}.pafot.yaml*{field}*expected *, received *"])
 
 
-def test_each_file_whose_name_is_no_id_is_one_failing_item(saved):
+def test_each_invalid_file_name_fails_one_item(saved):
     names = ["with space", "\xfcber", "a%b", "copy (1)", "[x]"]
     for name in names:
         saved.only_file.with_name(f"{name}.pafot.yaml.new").write_text(saved.only_file.read_text())
@@ -67,14 +67,14 @@ def test_crlf_line_ends_are_accepted(saved):
     result.stdout.fnmatch_lines(["replay: still failing"])
 
 
-def test_a_garbled_file_does_not_stop_the_search_of_its_item(saved):
+def test_garbled_file_does_not_stop_its_search(saved):
     saved.only_file.write_text("[")
     result = saved.run()
     assert result.parseoutcomes()["failed"] == 3
     assert len(saved.files) == 2
 
 
-def test_a_deleted_file_is_found_again_under_its_name(failing):
+def test_deleted_file_is_found_again_with_same_name(failing):
     failing.run_once()
     first = failing.contents
     failing.only_file.unlink()
@@ -94,7 +94,7 @@ def test_a_read_only_checkout_loses_no_find(failing):
     result.stdout.fnmatch_lines(["not saved  *", "the file would be:", "  pafot: 2*"])
 
 
-def test_a_corpus_that_cannot_be_written_loses_no_find(failing):
+def test_unwritable_corpus_loses_no_finding(failing):
     (failing.path / "pafot_corpus").write_text("a file where the folder should be")
     result = failing.run()
     result.assert_outcomes(failed=2)
@@ -118,7 +118,7 @@ def test_fails(run):
 
 
 @pytest.mark.processes
-def test_the_same_seed_gives_the_same_bytes_in_another_process_and_folder(project):
+def test_same_seed_gives_same_bytes_in_another_process(project):
     texts = []
     for folder, process in (("first", {"apart": True}), ("second", {"fresh": True})):
         project.write(RAISES, name=f"{folder}/test_it")
@@ -130,14 +130,14 @@ def test_the_same_seed_gives_the_same_bytes_in_another_process_and_folder(projec
     assert b"Planner object at ADDRESS> of <_MainThread(MainThread, started N)>, pid N: no TMP/model.bin in" in texts[0]
 
 
-def test_what_a_killed_process_left_half_written_goes_with_the_next_session(saved):
+def test_half_written_leftovers_disappear_in_the_next_session(saved):
     leftover = saved.only_file.with_name(".pafot-1-0123456789abcdef.tmp")
     leftover.write_text("half a fi")
     saved.run(generations=0).assert_outcomes(failed=1, skipped=1)
     assert not leftover.exists()
 
 
-def test_a_name_that_another_finding_has_taken_is_not_overwritten(saved):
+def test_name_of_another_finding_is_not_overwritten(saved):
     text = saved.only_file.read_text().replace("AssertionError", "ValueError")
     saved.only_file.write_text(text)
     (saved.path / "test_it.py").write_text(
@@ -149,7 +149,7 @@ def test_a_name_that_another_finding_has_taken_is_not_overwritten(saved):
     assert text in saved.contents.values()
 
 
-def test_a_file_that_is_copied_to_another_parametrisation_keeps_its_id(project):
+def test_file_copied_to_another_parametrisation_retains_its_id(project):
     project.write(
         """
 @pytest.mark.parametrize("limit", [1, 2])
@@ -192,7 +192,7 @@ def pytest_unconfigure():
 """
 
 
-def test_each_file_of_the_methods_of_a_class_is_read_once(project):
+def test_each_file_of_class_methods_is_read_once(project):
     """Their folders end with a digest, and the name of one may begin with that of another."""
     project.write("""
 class TestAll:
@@ -223,7 +223,7 @@ class TestAll:
     result.stdout.fnmatch_lines(["{'read': 4, 'made': 11}"])  # the items, and pytest's own of each function
 
 
-def test_a_failure_that_another_session_saves_meanwhile_still_fails(saved):
+def test_failure_saved_meanwhile_by_another_session_still_fails(saved):
     """The file covers it, but came too late for an item that would fail for it."""
     file, id_, elsewhere = saved.only_file, saved.only_id, saved.path / "late"
     file.rename(elsewhere)

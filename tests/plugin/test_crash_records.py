@@ -3,7 +3,7 @@
 import pytest
 
 
-def test_what_a_died_process_ran_is_reported_and_saved_in_the_next_session(project):
+def test_next_session_saves_scenario_of_a_dead_process(project):
     project.write(
         """
 import os
@@ -38,7 +38,7 @@ def test_lives(run):
 """
 
 
-def test_what_a_died_process_ran_is_reported_even_when_only_replays_run(project):
+def test_scenario_of_dead_process_is_reported_without_searching(project):
     project.write(PASSES)
     project.leave_crash("test_it.py::test_lives")
     project.run(generations=0).assert_outcomes(failed=2)
@@ -46,7 +46,7 @@ def test_what_a_died_process_ran_is_reported_even_when_only_replays_run(project)
     project.run(generations=0).assert_outcomes(passed=1, skipped=1)
 
 
-def test_a_crash_that_is_an_ordinary_failure_now_says_so(failing):
+def test_crash_that_became_an_ordinary_failure_is_labelled(failing):
     failing.leave_crash("test_it.py::test_fails")
     failing.run(generations=0)
     failing.mend()
@@ -56,7 +56,7 @@ def test_a_crash_that_is_an_ordinary_failure_now_says_so(failing):
 
 
 @pytest.mark.processes
-def test_a_search_in_which_a_process_died_runs_nothing_in_the_session_and_covers_further_deaths(project):
+def test_search_after_a_death_runs_isolated(project):
     project.write(PASSES)
     project.leave_crash("test_it.py::test_lives")
     project.run().assert_outcomes(failed=2)
@@ -66,7 +66,7 @@ def test_a_search_in_which_a_process_died_runs_nothing_in_the_session_and_covers
     result.stdout.fnmatch_lines([f"*known: 4 runs covered by saved-{project.only_id}*", "*note: ran as with *"])
 
 
-def test_a_killed_session_leaves_no_false_crash_of_a_replay(failing):
+def test_killed_session_causes_no_false_crash_of_replay(failing):
     failing.run_once()
     failing.leave_behind(f"test_it.py::test_fails[saved-{failing.only_id}]")
     for _ in range(2):
@@ -75,7 +75,7 @@ def test_a_killed_session_leaves_no_false_crash_of_a_replay(failing):
         result.stdout.fnmatch_lines(["replay: still failing"])
 
 
-def test_what_a_died_process_ran_is_told_even_when_its_test_does_not_run(project):
+def test_crash_record_of_an_absent_test_is_reported(project):
     project.write(PASSES)
     project.leave_behind("test_old.py::test_dies")
     result = project.run()

@@ -66,7 +66,7 @@ def replayed(project, *args, **options):
 
 @pytest.mark.parametrize("more", ["", SPAWNS], ids=["this platform", "where nothing is forked"])
 @pytest.mark.parametrize("generations", [0, 1])
-def test_a_crash_that_comes_again_fails_its_own_item_and_the_session_goes_on(crash, more, generations):
+def test_repeated_crash_fails_only_its_own_item(crash, more, generations):
     crash.pytester.makeconftest(DIES + more)
     asked = "-k", "saved or ordinary"
     result = replayed(crash, *asked, generations=generations)
@@ -79,7 +79,7 @@ def test_a_crash_that_comes_again_fails_its_own_item_and_the_session_goes_on(cra
 
 
 @forks
-def test_a_search_in_which_a_process_died_before_runs_in_other_processes(crash):
+def test_search_after_a_saved_crash_runs_isolated(crash):
     result = crash.run(apart=True)
     result.assert_outcomes(failed=2, passed=1)
     result.stdout.fnmatch_lines(
@@ -93,7 +93,7 @@ def test_a_search_in_which_a_process_died_before_runs_in_other_processes(crash):
 
 
 @forks
-def test_once_the_crash_is_mended_it_runs_in_the_session_again(crash):
+def test_search_runs_in_session_once_crash_is_fixed(crash):
     crash.mend()
     result = crash.run()
     result.assert_outcomes(passed=3)
@@ -101,7 +101,7 @@ def test_once_the_crash_is_mended_it_runs_in_the_session_again(crash):
 
 
 @forks
-def test_so_it_does_in_the_session_after_one_that_died(project):
+def test_search_runs_isolated_after_a_session_died(project):
     project.write(TESTS)
     project.pytester.makeconftest(DIES)
     assert project.run("-p", "cacheprovider", apart=True).ret == -signal.SIGSEGV
@@ -120,7 +120,7 @@ def test_a_crash_that_comes_no_more_is_fixed(crash, more):
     result.stdout.fnmatch_lines(["*1 saved scenario: 1 fixed*"])
 
 
-def test_an_accepted_crash_is_tried_and_a_mended_one_asks_for_the_removal_of_the_mark(crash):
+def test_accepted_crash_is_tried_and_expires_when_fixed(crash):
     text = crash.only_file.read_text()
     crash.only_file.write_text(text.replace('# xfail: "reason"', 'xfail: "native code"'))
     replayed(crash).assert_outcomes(xfailed=1, passed=1, skipped=1)
@@ -131,7 +131,7 @@ def test_an_accepted_crash_is_tried_and_a_mended_one_asks_for_the_removal_of_the
 
 
 @forks
-def test_what_was_another_failure_and_kills_the_process_now_has_drifted(project):
+def test_ordinary_failure_that_now_kills_process_has_drifted(project):
     project.write(TESTS.replace("pass", "assert run.duration < 1", 1))
     project.run("--pafot-stop-after=1")
     id_ = project.only_id
@@ -145,7 +145,7 @@ def test_what_was_another_failure_and_kills_the_process_now_has_drifted(project)
 
 
 @forks
-def test_a_process_dies_of_the_test_function_as_well(crash):
+def test_process_may_die_of_the_test_function(crash):
     crash.mend()
     crash.write(TESTS.replace("pass", "import os; os._exit(9)", 1))
     result = replayed(crash)
@@ -154,7 +154,7 @@ def test_a_process_dies_of_the_test_function_as_well(crash):
 
 
 @forks
-def test_beside_a_reference_it_is_introduced_or_common_and_covers_nothing_where_it_is_common(crash):
+def test_crash_against_a_reference_is_introduced_or_common(crash):
     drives, keeps = "def make():\n    return drive\n", "def make():\n    return lambda seen: (0.0, 0.0)\n"
     # In the saved scenario there is one other vehicle, in those of the search there are two.
     once = "def make():\n    return lambda seen: drive(seen) if len(seen.others) == 1 else (0.0, 0.0)\n"
@@ -176,7 +176,7 @@ def test_a_page_shows_a_crash_that_comes_again(crash):
 
 
 @forks
-def test_what_is_printed_in_the_other_process_is_captured_once(crash):
+def test_output_of_the_other_process_is_captured_once(crash):
     crash.mend()
     crash.write(TESTS.replace("pass", "print('judged'); assert run.duration < 1", 1))
     result = replayed(crash)
@@ -186,7 +186,7 @@ def test_what_is_printed_in_the_other_process_is_captured_once(crash):
 
 
 @forks
-def test_a_hang_replays_in_a_process_that_can_be_killed(crash, monkeypatch):
+def test_hang_replays_in_a_process_that_is_killed(crash, monkeypatch):
     monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
     text = crash.only_file.read_text()
     crash.only_file.write_text(text.replace("hang_limit: 30.0", "hang_limit: 0.1").replace("ads_error", "hang"))
@@ -196,7 +196,7 @@ def test_a_hang_replays_in_a_process_that_can_be_killed(crash, monkeypatch):
     result.stdout.fnmatch_lines(["*that ran this scenario did not answer for 0.5 s and was killed*"])
 
 
-def test_a_hang_replays_in_a_session_that_ends_where_nothing_is_forked(crash):
+def test_hang_replays_in_own_session_without_forking(crash):
     text = crash.only_file.read_text()
     crash.only_file.write_text(text.replace("hang_limit: 30.0", "hang_limit: 0.1").replace("ads_error", "hang"))
     swallow = (

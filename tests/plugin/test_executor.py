@@ -76,7 +76,7 @@ def told(result):
     return [line for line in summary(result) if "pafot_executor" not in line]
 
 
-def test_an_executor_finds_says_and_saves_what_one_process_does(elsewhere):
+def test_executor_gives_same_results_as_one_process(elsewhere):
     project, alone, contents = elsewhere
     project.pytester.makeconftest(CONFTEST + PROCESSES)
     several, same = session(project)
@@ -101,7 +101,7 @@ def cluster():
         yield started
 
 
-def test_the_workers_of_dask_find_say_and_save_what_one_process_does(elsewhere, cluster):
+def test_dask_workers_give_same_results_as_one_process(elsewhere, cluster):
     project, alone, contents = elsewhere
     several, same = session(project, f"--pafot-dask={cluster.scheduler_address}")
     several.stdout.fnmatch_lines([NOTE.format("ClientExecutor")])
@@ -110,7 +110,7 @@ def test_the_workers_of_dask_find_say_and_save_what_one_process_does(elsewhere, 
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
-def test_a_worker_may_be_killed_and_another_one_join(cluster, tmp_path):
+def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
     def make():
         (tmp_path / f"{os.getppid()}").touch()
         return lambda number: time.sleep(0.01)

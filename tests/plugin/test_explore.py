@@ -29,7 +29,7 @@ def contents(folder):
     return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*.yaml")}
 
 
-def test_with_the_node_id_and_the_base_seed_of_a_test_it_finds_what_the_test_finds_file_for_file(project):
+def test_explore_saves_the_same_files_as_its_test(project):
     project.write(SOURCE)
     project.run(generations=3)
     assert contents(project.path / "elsewhere") == contents(project.path / "pafot_corpus") != {}

@@ -50,7 +50,7 @@ def buggy(project, monkeypatch, shrinking):
     return project
 
 
-def test_two_checks_make_one_finding_each_with_its_name_and_shrunk(buggy):
+def test_two_checks_make_one_shrunk_finding_each(buggy):
     result = buggy.run_once(generations=12, seed=4)
     result.assert_outcomes(failed=3)
     assert sorted(re.findall(r"(\w+)-[0-9a-f]{6}\.pafot\.yaml", " ".join(buggy.files))) == ["headway", "jerk"]
@@ -62,7 +62,7 @@ def test_two_checks_make_one_finding_each_with_its_name_and_shrunk(buggy):
     assert len(re.findall(r"^shrunk     from \d NPCs?, \d+ instructions, 6\d s to ", text, re.MULTILINE)) == 2
 
 
-def test_a_planner_without_these_bugs_keeps_what_was_found_as_a_guard(buggy):
+def test_fixed_planner_retains_saved_scenarios_as_guards(buggy):
     buggy.run_once(generations=12, seed=4)
     buggy.run(generations=0).stdout.fnmatch_lines(["replayed 2 saved scenarios: 2 still failing"])
     buggy.pytester.makeconftest(FIXED)

@@ -42,7 +42,7 @@ def summary(result):
 
 
 @pytest.mark.parametrize("is_ci", [True, False])
-def test_the_summary_says_in_one_line_each_what_was_found(explained, monkeypatch, is_ci):
+def test_summary_describes_each_finding_in_one_line(explained, monkeypatch, is_ci):
     if is_ci:
         monkeypatch.setenv("CI", "1")
     first, second = summary(search(explained))
@@ -50,14 +50,14 @@ def test_the_summary_says_in_one_line_each_what_was_found(explained, monkeypatch
     assert re.fullmatch(r"collision after \d+\.\d s at \d+\.\d m/s: NPC \d ahead, ego at fault", second)
 
 
-def test_under_ci_the_summary_has_no_line_without_a_test(explained, monkeypatch):
+def test_summary_under_ci_lists_only_tests(explained, monkeypatch):
     monkeypatch.setenv("CI", "1")
     lines = search(explained).stdout.str().splitlines()
     listed = lines[next(n for n, line in enumerate(lines) if "short test summary info" in line) + 1 : -1]
     assert [line.split()[0] for line in listed] == ["FAILED", "FAILED"]
 
 
-def test_a_replay_says_in_the_summary_what_its_find_said(explained):
+def test_replay_summary_repeats_that_of_the_finding(explained):
     (_, found) = summary(search(explained))
     assert summary(explained.run(generations=0)) == [found]
 
@@ -69,19 +69,19 @@ def test_a_replay_says_in_the_summary_what_its_find_said(explained):
         ("if run.min_ttc < 1: raise ValueError('no plan')", r"ValueError: no plan \((no )?collision .*\)"),
     ],
 )
-def test_the_words_of_the_test_come_first_in_the_summary(project, source, told):
+def test_summary_starts_with_the_message_of_the_test(project, source, told):
     project.write(f"@pafot.search(SHORT, stop_after=1)\ndef test_it(run):\n    {source}\n")
     assert re.fullmatch(told, summary(project.run(generations=3))[1])
 
 
-def test_a_search_that_tested_nothing_says_why_in_the_summary(project):
+def test_summary_explains_a_search_that_tested_nothing(project):
     project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pafot.reject()\n")
     (line,) = summary(project.run())
     assert re.fullmatch(r"the search tested nothing: \S.*", line)
 
 
 @pytest.mark.parametrize(("columns", "at_most"), [(60, 23), (80, 20), (120, 20)])
-def test_a_find_is_a_block_of_20_lines_that_fits_the_terminal(explained, monkeypatch, columns, at_most):
+def test_finding_report_fits_terminal_and_line_limit(explained, monkeypatch, columns, at_most):
     monkeypatch.setenv("COLUMNS", str(columns))
     lines = block(search(explained), f"test_collides[saved-{explained.only_id}]")
     assert len(lines) <= at_most
@@ -91,9 +91,7 @@ def test_a_find_is_a_block_of_20_lines_that_fits_the_terminal(explained, monkeyp
 
 
 @pytest.mark.parametrize(("flags", "is_named"), [((), False), (("-v",), True)], ids=["compact", "verbose"])
-def test_an_explanation_that_the_message_lacks_names_the_scenario_only_to_those_who_ask(
-    shrinking, failing, flags, is_named
-):
+def test_scenario_is_explained_in_full_only_on_request(shrinking, failing, flags, is_named):
     lines = block(search(failing, *flags), f"test_fails[saved-{failing.only_id}]")
     assert "no collision in 5.0 s" in lines
     assert any(line.startswith("  scenario ") for line in lines) is is_named
@@ -109,7 +107,7 @@ def test_the_words_of_a_message_are_not_broken(explained, monkeypatch):
     assert all(each in narrow for each in told)
 
 
-def test_the_record_has_the_sentences_with_what_avoids_the_collision(explained):
+def test_record_contains_explanation_and_avoidance_of_the_collision(explained):
     results = [search(explained, "--pafot-json=1.json"), search(explained, "--pafot-json=2.json", generations=0)]
     records = [read_record((explained.path / name).read_text(encoding="utf-8")) for name in ("1.json", "2.json")]
     found, replayed = (record.findings[0].sentences for record in records)
@@ -127,18 +125,18 @@ def test_an_id_is_not_repeated_without_need(explained):
 
 
 @pytest.mark.parametrize("flag", ["-v", "--tb=long"])
-def test_a_verbose_session_and_one_that_asks_for_it_show_frames_in_full(explained, flag):
+def test_frames_are_shown_in_full_if_requested(explained, flag):
     lines = block(search(explained, flag), f"test_collides[saved-{explained.only_id}]")
     assert any(line.startswith("run = <Run collision") for line in lines)
     assert '"""A property."""' in [line.strip() for line in lines]
 
 
-def test_frames_of_other_tests_stay_as_pytest_shows_them(explained):
+def test_frames_of_other_tests_are_unchanged(explained):
     explained.write("def test_other():\n    '''Other.'''\n    assert 1 == 2\n", name="test_other")
     assert "'''Other.'''" in [line.strip() for line in block(search(explained), "test_other")]
 
 
-def test_junit_has_the_summary_as_message_and_names_the_file(explained):
+def test_junit_contains_summary_message_and_file_name(explained):
     search(explained, "--junitxml=junit.xml")
     cases = ElementTree.parse(explained.path / "junit.xml").getroot().iter("testcase")
     searched, saved = (case for case in cases)
@@ -149,7 +147,7 @@ def test_junit_has_the_summary_as_message_and_names_the_file(explained):
     assert named["pafot_file"] == explained.files[0]
 
 
-def test_a_worker_is_given_the_columns_of_the_session(monkeypatch):
+def test_worker_receives_terminal_width_of_the_session(monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
     controller = SimpleNamespace(stash={SHARED: Shared()})
     node = SimpleNamespace(config=controller, workerinput={})
@@ -159,7 +157,7 @@ def test_a_worker_is_given_the_columns_of_the_session(monkeypatch):
 
 
 @pytest.mark.processes
-def test_workers_fit_their_lines_to_the_terminal_of_the_session(explained, monkeypatch):
+def test_workers_fit_their_lines_to_the_terminal(explained, monkeypatch):
     pytest.importorskip("xdist")
     monkeypatch.setenv("COLUMNS", "60")
     monkeypatch.setenv("CI", "1")
@@ -171,6 +169,6 @@ def test_workers_fit_their_lines_to_the_terminal_of_the_session(explained, monke
     assert summary(result)[0] == f"1 new finding: {explained.only_id}"
 
 
-def test_a_run_is_short_in_the_header_of_a_traceback(failing):
+def test_run_is_short_in_a_traceback_header(failing):
     (header,) = re.findall(r"^run = .*$", failing.run_once("-v").stdout.str(), re.MULTILINE)
     assert len(header) < 80

@@ -21,7 +21,7 @@ def test_takes_another_world(pafot_simulate):
     project.run().assert_outcomes(passed=2)
 
 
-def test_pafot_simulate_fails_a_test_whose_ads_fails_as_its_run_would_pass_nearly_anything(project):
+def test_pafot_simulate_fails_the_test_if_ads_fails(project):
     project.write(
         """
 def broken(observation):
@@ -38,7 +38,7 @@ def test_simulates(pafot_simulate):
 
 
 @pytest.mark.processes
-def test_pafot_simulate_drives_given_tests_and_its_first_run_loads_no_more_than_others(project):
+def test_pafot_simulate_works_in_hypothesis_without_late_imports(project):
     project.write(
         """
 import sys
@@ -56,7 +56,7 @@ def test_any(pafot_simulate, scenario):
     project.run(fresh=True, plugins=("hypothesispytest",)).assert_outcomes(passed=1)
 
 
-def test_an_overridden_world_is_used_by_searches_and_by_simulate(project):
+def test_overridden_world_applies_to_searches_and_pafot_simulate(project):
     project.write(
         """
 @pytest.fixture(scope="session")
@@ -84,7 +84,7 @@ def test_simulate(pafot_simulate):
     project.run().assert_outcomes(passed=4)
 
 
-def test_a_world_fixture_that_gives_no_world_is_one_clear_error(project):
+def test_invalid_world_fixture_is_one_clear_error(project):
     project.write(
         """
 @pytest.fixture(scope="session")
@@ -103,7 +103,7 @@ def test_search(run):
     )
 
 
-def test_pafot_corpus_gives_the_saved_scenarios_of_the_module(saved):
+def test_pafot_corpus_contains_saved_scenarios_of_the_module(saved):
     saved.write(
         """
 @pafot.search(SHORT, stop_after=1)

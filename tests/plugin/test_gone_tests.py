@@ -93,7 +93,7 @@ def test_what_lets_a_session_pass_all_the_same(saved, ci, monkeypatch):
     assert is_red(replay(saved, "--pafot-prune"))  # which leaves it alone
 
 
-def test_what_expressions_leave_out_is_not_gone_and_names_blame_nobody(saved, ci):
+def test_deselected_tests_do_not_count_as_gone(saved, ci):
     saved.write(FAILING + "\n\ndef test_ordinary():\n    pass\n")
     for args in (["-k", "ordinary"], ["-m", "not pafot"], ["--deselect", "test_it.py::test_fails"], ["test_it.py"]):
         assert not is_red(replay(saved, *args)), args
@@ -108,7 +108,7 @@ def test_what_expressions_leave_out_is_not_gone_and_names_blame_nobody(saved, ci
     assert replay(saved, "other").ret == 0
 
 
-def test_a_module_that_is_gone_fails_also_where_no_test_is_left(saved, ci):
+def test_missing_module_fails_the_session_without_any_test(saved, ci):
     (saved.path / "test_it.py").unlink()
     result = replay(saved)
     assert is_red(result)
@@ -120,7 +120,7 @@ def test_a_module_that_is_gone_fails_also_where_no_test_is_left(saved, ci):
     assert is_red(replay(saved, "--pafot-corpus", saved.path / "all"))
 
 
-def test_the_way_out_names_where_the_test_is_now(saved, ci):
+def test_advice_names_the_new_place_of_a_test(saved, ci):
     source = (saved.path / "test_it.py").read_text()
     (saved.path / "test_it.py").rename(saved.path / "test_new.py")
     place = "pafot_corpus/test_new/test_fails"
@@ -146,7 +146,7 @@ def test_the_way_out_names_where_the_test_is_now(saved, ci):
     assert way_out(saved).startswith(f"{told}files to ")
 
 
-def test_modules_that_failed_or_skipped_at_import_and_lost_parameters_blame_nobody(project, ci):
+def test_modules_not_imported_and_lost_parameters_are_excused(project, ci):
     source = """
 class TestClass:
     @pytest.mark.parametrize("limit", ["a b", 2])
@@ -173,7 +173,7 @@ class TestClass:
 
 
 @links
-def test_links_broken_files_and_huge_names_are_told_in_short_and_kept(saved, ci, tmp_path_factory):
+def test_links_and_broken_files_are_reported_and_preserved(saved, ci, tmp_path_factory):
     elsewhere = tmp_path_factory.mktemp("elsewhere") / "gone"
     folder = saved.only_file.parent
     shutil.move(folder, elsewhere)
@@ -196,7 +196,7 @@ def test_links_broken_files_and_huge_names_are_told_in_short_and_kept(saved, ci,
     assert len(saved.files) == 4
 
 
-def test_what_reruns_failures_does_not_wait_for_the_error(saved, ci):
+def test_rerunning_failures_still_reports_the_missing_test(saved, ci):
     saved.write("def test_ordinary():\n    pass\n")
     shutil.rmtree(saved.path / ".pytest_cache")
     assert is_red(replay(saved))
@@ -213,7 +213,7 @@ def test_workers_fail_the_session_by_one_error(saved, ci):
     assert is_red(replay(saved, "-n2"))
 
 
-def test_two_files_of_one_kind_that_both_fail_are_told_with_the_command(saved):
+def test_two_failing_duplicates_suggest_the_join_command(saved):
     first = saved.only_file
     second = first.with_name("a-000000.pafot.yaml")
     shutil.copy(first, second)

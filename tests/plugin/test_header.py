@@ -20,7 +20,7 @@ def test_a_verbose_session_says_it_once(project):
     assert told[0].startswith(f"pafot: kernel {expected}")
 
 
-def test_an_environment_that_demands_the_interpreted_one_is_named(project, monkeypatch):
+def test_header_names_kernel_forced_by_the_environment(project, monkeypatch):
     monkeypatch.setenv("PAFOT_KERNEL", "interpreted")
     project.run("-v").stdout.fnmatch_lines(["pafot: kernel interpreted (*"])
 

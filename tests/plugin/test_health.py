@@ -1,14 +1,14 @@
 """A search that tested nothing fails, and one that tested little warns."""
 
 
-def test_a_search_in_which_no_scenario_gave_a_valid_run_fails(project):
+def test_search_without_any_valid_run_fails(project):
     project.write("@pafot.search(SHORT)\ndef test_rejects_all(run):\n    pafot.reject()\n")
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["the search tested nothing:", "*none of * simulated scenarios gave a valid run*"])
 
 
-def test_health_warnings_are_shown_and_fail_only_when_asked(project):
+def test_health_warnings_fail_only_in_strict_mode(project):
     project.write(
         """
 def parked():
@@ -41,7 +41,7 @@ def test_keeps_up(run):
 """
 
 
-def test_a_search_that_is_left_with_a_known_check_says_so_and_nothing_of_units(project):
+def test_search_with_only_known_failures_says_so(project):
     project.write(STOPS)
     first = project.run(generations=3)
     first.stdout.fnmatch_lines(["  warning: * mean speed below 2 m/s; check that the ADS returns accelerations*"])
@@ -54,7 +54,7 @@ def test_a_search_that_is_left_with_a_known_check_says_so_and_nothing_of_units(p
     result.stdout.no_fnmatch_line("*accelerations in m/s^2*")
 
 
-def test_an_ego_that_collides_before_anybody_can_have_caused_it_is_a_health_warning(project):
+def test_immediate_collisions_give_a_health_warning(project):
     project.write(
         """
 def swerving():
@@ -69,7 +69,7 @@ def test_swerves(run):
     result.stdout.fnmatch_lines(["  warning: * valid runs collided within the first*"])
 
 
-def test_a_session_that_only_lists_marked_tests_does_not_wait_for_the_simulation(project):
+def test_listing_tests_does_not_import_the_simulation(project):
     project.pytester.makeconftest(
         """
 import sys

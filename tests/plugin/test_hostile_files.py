@@ -59,7 +59,7 @@ def write_hostile(project):
     return len(files) + 1  # with the one that was saved; of the crash there is only a note
 
 
-def test_no_output_of_a_session_with_hostile_files_is_obeyed(saved, monkeypatch):
+def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
     saved.write(TEST)
     (saved.path / "quoted.txt").write_text(WORST, encoding="utf-8", newline="")
     count = write_hostile(saved)
@@ -113,7 +113,7 @@ def pytest_sessionfinish():
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names are text on other systems")
 @pytest.mark.parametrize("workers", [[], pytest.param(["-n1"], marks=pytest.mark.processes)], ids=["alone", "a worker"])
-def test_workers_end_with_names_whose_bytes_are_no_characters(saved, workers):
+def test_workers_accept_file_names_that_are_not_text(saved, workers):
     """An item's file, an orphan and a stray: a worker that could not send such a name was replaced without end."""
     saved.pytester.makeconftest(CONFTEST if workers else CONFTEST + SENDS)
     saved.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")

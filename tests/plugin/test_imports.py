@@ -19,7 +19,7 @@ def test_modules():
 """
 
 
-def test_a_session_without_marked_tests_imports_nothing_but_the_plugin(project):
+def test_session_without_marked_tests_imports_only_the_plugin(project):
     project.pytester.makeconftest("")
     found = []
     # With another plugin in both: for the first that is installed as a package, pytest reads that package's metadata.
@@ -34,7 +34,7 @@ def test_a_session_without_marked_tests_imports_nothing_but_the_plugin(project):
     assert {name for name in gained if not name.startswith("pytest_pafot.plugin")} <= light
 
 
-def test_a_search_imports_neither_hypothesis_nor_without_the_option_anything_of_the_page(project):
+def test_search_imports_neither_hypothesis_nor_page(project):
     project.write(
         """
 import atexit, json, sys

@@ -104,7 +104,7 @@ def fails(observation):
     [("keep", ""), ("Batching()", BATCH), ("fails", FAILS)],
     ids=["plain", "batch", "raises"],
 )
-def test_what_is_found_said_and_saved_is_the_same(isolated, drive, more):
+def test_isolated_search_finds_and_saves_the_same(isolated, drive, more):
     project = isolated(drive, more)
     here, contents = session(project)
     assert any("shrunk: {" in text for text in contents.values())
@@ -116,7 +116,7 @@ def test_what_is_found_said_and_saved_is_the_same(isolated, drive, more):
     assert summary(several) == summary(here)
 
 
-def test_the_ads_never_runs_in_the_process_of_the_session(isolated):
+def test_ads_never_runs_in_the_session_process(isolated):
     project = isolated(test=MANY.replace("npcs=2", "npcs=2, isolate=True"))
     _, contents = session(project, generations=2)
     assert contents
@@ -126,7 +126,7 @@ def test_the_ads_never_runs_in_the_process_of_the_session(isolated):
     assert f"pid-{os.getpid()}" not in pids
 
 
-def test_an_ads_that_ends_its_process_is_a_finding_and_the_session_goes_on(isolated):
+def test_ads_that_ends_its_process_is_a_finding(isolated):
     project = isolated("drive", DIES)
     result = project.run("--pafot-isolate", *QUICK, generations=3, apart=True)
     (crash,) = [name for name in project.files if "crash-" in name]
@@ -139,14 +139,14 @@ def test_an_ads_that_ends_its_process_is_a_finding_and_the_session_goes_on(isola
     assert not list(project.path.rglob("*.inflight"))
 
 
-def test_so_it_is_in_the_first_run_of_all(isolated):
+def test_process_death_in_first_run_is_a_finding(isolated):
     project = isolated("os._exit(9)")
     result = project.run("--pafot-isolate", generations=1, apart=True)
     assert result.parseoutcomes()["passed"] == 1
     assert project.only_id.startswith("crash-")
 
 
-def test_what_only_another_process_raises_is_the_outcome_and_no_decision_is_made_here(isolated):
+def test_exception_of_another_process_is_not_retried_here(isolated):
     more = "import json\n\ndef breaks(observation):\n    note()\n    json.dumps = None\n    return 0.0, 0.0\n"
     project = isolated("breaks", more)
     result = project.run("--pafot-isolate", "-p", "no:cacheprovider", generations=1)
@@ -174,7 +174,7 @@ def drive(observation):
 """
 
 
-def test_a_process_that_dies_of_a_simplification_is_a_finding_too(isolated):
+def test_process_death_while_shrinking_is_a_finding(isolated):
     project = isolated("drive", LONE)
     few = "--pafot-shrink-rollouts=20"  # each that leaves one NPC ends a process
     result = project.run("--pafot-isolate", "--pafot-stop-after=1", few, generations=1, apart=True)
@@ -197,14 +197,14 @@ def drive(observation):
 """
 
 
-def test_a_find_whose_process_dies_when_it_runs_again_is_flaky(isolated):
+def test_finding_whose_rerun_kills_process_is_flaky(isolated):
     project = isolated("drive", ONCE, MANY.replace("assert not run.collision", "assert run.duration < 1"))
     result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, apart=True)
     assert load(project.only_file).flaky == "the process that ran it again ended with exit code 9"
     result.assert_outcomes(failed=2, passed=1)
 
 
-def test_where_processes_are_not_forked_the_factory_must_be_one_that_can_be_pickled(isolated, monkeypatch):
+def test_factory_must_be_picklable_without_forking(isolated, monkeypatch):
     for module in (pytest_pafot.execution.scenario_pool, pytest_pafot.execution.scenario_pool):
         monkeypatch.setattr(module, "METHOD", "spawn")
     project = isolated()

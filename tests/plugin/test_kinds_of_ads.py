@@ -61,7 +61,7 @@ def test_vehicle(run):
 
 
 class TestAVehicleClassIsItsOwnFactory:
-    def test_for_a_search_and_for_the_replay_of_what_it_finds(self, project, in_highway_env):
+    def test_vehicle_class_works_in_search_and_replay(self, project, in_highway_env):
         for given, source in VEHICLES.items():
             project.write(textwrap.dedent(source), name=f"test_{given}")
         result = project.run("--pafot-shrink-rollouts=5")
@@ -125,7 +125,7 @@ RAISED = {
 
 
 class TestWhatAnAdsRaisesIsAFinding:
-    def test_of_a_search_and_of_the_replay_of_its_file(self, project, in_highway_env):
+    def test_any_exception_of_ads_is_saved_and_replayed(self, project, in_highway_env):
         for number, statement in enumerate(RAISED):
             source = RAISING.replace("RAISE", statement).replace("test_drive", f"test_drive_{number}")
             source = source.replace("SHORT", "SHORT, population=2")
@@ -160,7 +160,7 @@ class TestWhatAnAdsRaisesIsAFinding:
         result.stdout.fnmatch_lines(["*ended: interrupted*"])
         assert (result.ret, project.files) == (pytest.ExitCode.INTERRUPTED, [])
 
-    def test_a_factory_that_ends_the_session_fails_its_search(self, project):
+    def test_factory_that_ends_the_session_fails_its_search(self, project):
         ends = "def ends():\n    pytest.exit('green', returncode=0)\n\n"
         project.write(ends + "@pafot.search(SHORT, ads=ends)\ndef test_drive(run):\n    pass\n")
         result = project.run()

@@ -23,7 +23,7 @@ def all_in(folder):
     return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
-def test_links_to_anything_fail_in_one_line_each_and_show_nothing(failing, elsewhere):
+def test_links_out_of_corpus_fail_and_show_nothing(failing, elsewhere):
     (failing.path / ".env").write_text("TOKEN=HUSH\n")
     failing.run_once()
     folder = failing.only_file.parent
@@ -55,7 +55,7 @@ def test_links_to_anything_fail_in_one_line_each_and_show_nothing(failing, elsew
     assert failing.run(folder / "l-6.pafot.yaml").ret == pytest.ExitCode.USAGE_ERROR  # leads to itself
 
 
-def test_links_and_names_that_are_too_long_end_no_session(failing):
+def test_overlong_links_and_names_do_not_end_session(failing):
     failing.run()
     file = failing.only_file
     folder, module, corpus = file.parents[:3]
@@ -70,7 +70,7 @@ def test_links_and_names_that_are_too_long_end_no_session(failing):
 
 
 @pytest.mark.parametrize(("level", "cache"), [(0, ()), (1, ()), (2, ("-p", "no:cacheprovider"))])
-def test_a_search_writes_and_removes_nothing_behind_a_linked_folder(failing, elsewhere, level, cache):
+def test_search_changes_nothing_behind_a_linked_folder(failing, elsewhere, level, cache):
     """A link in the place of the test's folder, the module's or the corpus."""
     failing.run_once()
     file = failing.only_file
@@ -88,7 +88,7 @@ def test_a_search_writes_and_removes_nothing_behind_a_linked_folder(failing, els
     assert all_in(elsewhere) == before
 
 
-def test_a_link_within_the_project_is_read_and_not_written_through(failing):
+def test_link_within_project_is_read_but_not_written(failing):
     failing.run_once()
     id_, corpus = failing.only_id, failing.path / "pafot_corpus"
     corpus.rename(failing.path / "shared")
@@ -101,14 +101,14 @@ def test_a_link_within_the_project_is_read_and_not_written_through(failing):
     assert all_in(failing.path / "shared") == before
 
 
-def test_a_corpus_that_the_user_names_by_its_absolute_path_may_be_a_link(failing, elsewhere):
+def test_corpus_given_by_absolute_path_may_be_link(failing, elsewhere):
     (failing.path / "link").symlink_to(elsewhere)
     failing.run("--pafot-corpus", failing.path / "link")
     assert len(list(elsewhere.glob("test_it/test_fails/*.pafot.yaml"))) == 1
     failing.run("--pafot-corpus", failing.path / "link", generations=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_no_output_of_a_relative_name_is_written_behind_a_linked_folder(failing, elsewhere):
+def test_relative_output_is_not_written_through_linked_folder(failing, elsewhere):
     (elsewhere / "o.json").write_text("KEEP")
     (failing.path / "out").symlink_to(elsewhere)
     before = all_in(elsewhere)
@@ -121,7 +121,7 @@ def test_no_output_of_a_relative_name_is_written_behind_a_linked_folder(failing,
     assert all_in(elsewhere) != before
 
 
-def test_nothing_behind_a_corpus_that_leads_out_is_listed(project, elsewhere):
+def test_corpus_link_out_of_project_is_not_listed(project, elsewhere):
     project.write("@pafot.search(SHORT)\ndef test_lives(run):\n    pass\n")
     (elsewhere / "secret_name").mkdir()
     (elsewhere / "secret_name" / "a.pafot.yaml").write_text("")
@@ -132,7 +132,7 @@ def test_nothing_behind_a_corpus_that_leads_out_is_listed(project, elsewhere):
     assert "secret_name" not in result.stdout.str()
 
 
-def test_states_and_crash_records_behind_links_are_left_alone(failing, elsewhere):
+def test_states_and_crash_records_behind_links_stay_unchanged(failing, elsewhere):
     (elsewhere / "d" / "pafot").mkdir(parents=True)
     (elsewhere / "d" / "pafot" / "1-x.inflight").write_text("\n")  # which would be removed
     (failing.path / "states").symlink_to(elsewhere)
@@ -149,7 +149,7 @@ def test_states_and_crash_records_behind_links_are_left_alone(failing, elsewhere
     assert all_in(of_pafot) == {path: content for path, content in before.items() if path.parent == of_pafot}
 
 
-def test_a_crash_record_that_a_checkout_brings_is_reported_and_not_taken_up(project):
+def test_foreign_crash_record_is_reported_but_not_used(project):
     project.write("@pafot.search(SHORT)\ndef test_lives(run):\n    pass\n")
     project.leave_crash("test_it.py::test_lives")
     (record,) = (project.path / ".pytest_cache" / "d" / "pafot").iterdir()

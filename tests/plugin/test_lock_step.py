@@ -53,7 +53,7 @@ def searched(project, ads, source=PLANNERS + SEARCH, **more):
     return finds, calls, output
 
 
-def test_a_search_in_lock_step_finds_and_saves_what_one_by_one_finds(project, in_highway_env):
+def test_lock_step_search_finds_the_same_files(project, in_highway_env):
     together, calls, output = searched(project, "Batched")
     alone, calls_alone, output_alone = searched(project, "Planner")
     assert together == alone != {}
@@ -82,7 +82,7 @@ def test_a_search_tells_once_why_workers_are_idle(project, ads, workers, notes, 
 @pytest.mark.parametrize(
     "search", ["decision_limit=1.0", "world=Own()"], ids=["a limit of time for decisions", "a world of ones own"]
 )
-def test_runs_take_place_one_by_one_where_lock_step_would_not_do(project, search):
+def test_runs_are_single_where_lock_step_is_impossible(project, search):
     world = """
 class Own(pafot.Highway):
     rollout_batch = property()
@@ -91,7 +91,7 @@ class Own(pafot.Highway):
     assert set(calls) == {"call", "judged"}
 
 
-def test_an_ads_that_mixes_its_rows_has_finds_that_repeat(project):
+def test_findings_of_ads_that_mixes_rows_repeat(project):
     mixing = """
 class Mixing(Planner):
     def batch(self, observations):
@@ -120,7 +120,7 @@ class Raising(Batched):
     assert {"2", "3", "4"} & set(calls)
 
 
-def test_a_wrong_number_of_actions_is_one_clear_error(project):
+def test_wrong_number_of_actions_is_one_clear_error(project):
     project.write(
         PLANNERS
         + """
@@ -157,9 +157,7 @@ def test_dies(run):
     [("len(calls) > 70", ([9, 1], ["crash-"])), ("False", ([0, 0], []))],  # a run by itself is 50 calls
     ids=["and the second dies again", "and none dies again"],
 )
-def test_after_a_death_in_lock_step_its_scenarios_are_tried_here_where_no_process_can_be_forked(
-    project, alone, expected
-):
+def test_lock_step_scenarios_are_retried_here_without_forking(project, alone, expected):
     project.pytester.makeconftest(
         "import pytest_pafot.execution.scenario_pool\npytest_pafot.execution.scenario_pool.METHOD = 'spawn'\n"
     )

@@ -8,7 +8,7 @@ from pytest_pafot.oracle.checks import Rejected
 from tests.helpers.sessions import section
 
 
-def test_a_test_that_returns_a_value_is_refused_since_it_asserts_nothing(project):
+def test_function_that_returns_a_value_is_refused(project):
     project.write("@pafot.search(SHORT)\ndef test_returns(run):\n    return run.min_ttc > 1\n")
     result = project.run()
     result.assert_outcomes(failed=1)
@@ -16,7 +16,7 @@ def test_a_test_that_returns_a_value_is_refused_since_it_asserts_nothing(project
     assert project.files == []
 
 
-def test_the_fixture_subtests_is_refused_since_its_failures_do_not_leave_the_function(project):
+def test_subtests_fixture_is_refused_in_a_search(project):
     source = """
 @pafot.search(SHORT)
 def test_parts_THROUGH(run, THROUGH):
@@ -37,7 +37,7 @@ def test_other_THROUGH(THROUGH):
     assert project.files == []
 
 
-def test_failures_that_pytest_check_has_collected_are_refused_and_not_passed_over(project):
+def test_failures_collected_by_pytest_check_fail_the_search(project):
     project.pytester.makepyfile(
         pytest_check="failures = []\n\ndef is_true(x):\n    x or failures.append(x)\n\n"
         "def any_failures():\n    return bool(failures)\n"
@@ -54,7 +54,7 @@ def test_failures_that_pytest_check_has_collected_are_refused_and_not_passed_ove
     result.stdout.fnmatch_lines(["*received one with pytest-check, which collects failures*"])
 
 
-def test_a_function_that_cannot_be_searched_is_one_clear_error_and_others_run(project):
+def test_unsuitable_function_is_one_error_and_others_run(project):
     project.write(
         """
 import unittest
@@ -103,7 +103,7 @@ def test_other():
         pytest.LineMatcher(section(result, name).splitlines()).fnmatch_lines([line])
 
 
-def test_arg_renames_the_parameter_also_where_it_is_keyword_only(project):
+def test_arg_may_rename_a_keyword_only_parameter(project):
     project.write('@pafot.search(SHORT, arg="drive")\ndef test_renamed(*, drive):\n    assert drive.duration > 0\n')
     project.run().assert_outcomes(passed=1)
 
@@ -181,7 +181,7 @@ def shown_of(project, cases, before=""):
     return result, [pytest.LineMatcher(section(result, f"test_{n}").splitlines()) for n in range(len(cases))]
 
 
-def test_a_wrong_argument_is_an_error_of_its_item_before_any_fixture(project):
+def test_wrong_argument_is_an_error_before_any_fixture(project):
     result, shown = shown_of(project, WRONG, "@pytest.fixture\ndef ads():\n    raise RuntimeError('set up')\n")
     result.assert_outcomes(errors=len(WRONG), passed=1)
     for lines, (_, message) in zip(shown, WRONG, strict=True):
@@ -205,7 +205,7 @@ REFUSED = [
 """Arguments that only a world or a run can refuse."""
 
 
-def test_an_argument_that_only_a_world_or_a_run_can_refuse_fails_its_item(project):
+def test_argument_refused_by_world_or_run_fails_item(project):
     result, shown = shown_of(project, REFUSED)
     result.assert_outcomes(failed=len(REFUSED), passed=1)
     for lines, (_, message) in zip(shown, REFUSED, strict=True):
@@ -222,7 +222,7 @@ def test_a_missing_ads_fixture_says_what_to_write(project):
     result.stdout.fnmatch_lines(["*the fixture 'ads' that gives the ADS factory was not found*", "*    def ads():"])
 
 
-def test_a_missing_ads_fixture_comes_with_the_one_that_is_near_in_lines_of_the_terminal(project, monkeypatch):
+def test_missing_ads_fixture_suggests_a_similar_name(project, monkeypatch):
     monkeypatch.setenv("COLUMNS", "70")
     project.write("@pafot.search(ads='adss')\ndef test_drive(run):\n    pass\n")
     project.run().stdout.fnmatch_lines(
@@ -236,7 +236,7 @@ def test_a_missing_ads_fixture_comes_with_the_one_that_is_near_in_lines_of_the_t
     )
 
 
-def test_the_line_of_the_summary_says_the_name_of_the_test_once(project):
+def test_summary_line_names_the_test_only_once(project):
     project.write(
         "@pafot.search(ads='tmp_path')\ndef test_drive(run):\n    pass\n\n@pafot.search\ndef test_other():\n    pass\n"
     )
@@ -248,7 +248,7 @@ def test_the_line_of_the_summary_says_the_name_of_the_test_once(project):
     )
 
 
-def test_an_ads_fixture_that_is_no_factory_says_what_to_write(project):
+def test_invalid_ads_fixture_error_says_what_to_return(project):
     project.write(
         "@pytest.fixture\ndef ads():\n    return 'planner'\n\n@pafot.search\ndef test_drive(run):\n    pass\n"
     )
@@ -257,7 +257,7 @@ def test_an_ads_fixture_that_is_no_factory_says_what_to_write(project):
     result.stdout.fnmatch_lines(["*expected the fixture 'ads' to return a factory*received 'planner'*"])
 
 
-def test_a_factory_that_raises_shows_its_own_traceback_and_is_no_find(project):
+def test_failing_factory_shows_traceback_and_is_no_finding(project):
     project.write("def broken():\n    return 1 / 0\n\n@pafot.search(ads=broken)\ndef test_drive(run):\n    pass\n")
     result = project.run()
     result.assert_outcomes(failed=1)
@@ -265,7 +265,7 @@ def test_a_factory_that_raises_shows_its_own_traceback_and_is_no_find(project):
     assert project.files == []
 
 
-def test_a_skip_in_the_middle_of_a_search_is_an_error_and_not_green(project):
+def test_skip_outside_the_test_function_is_an_error(project):
     calls = ["pytest.skip('no GPU')", "pytest.importorskip('no_such_module')", "pytest.xfail('')"]
     cases = [(where, call) for where in ("factory", "fitness") for call in calls]
     arguments = {"factory": "ads", "fitness": "fitness"}
@@ -302,7 +302,7 @@ def test_skips_later(run):
     result.stdout.fnmatch_lines(["*2 skipped*"])
 
 
-def test_a_test_that_skips_every_scenario_is_skipped_with_its_reason(project):
+def test_skipping_every_scenario_skips_the_test(project):
     project.write("@pafot.search(SHORT)\ndef test_skips(run):\n    pytest.skip('not today')\n")
     result = project.run("-rs")
     result.assert_outcomes(skipped=1)
@@ -318,12 +318,12 @@ def test_rejected_scenarios_are_counted_and_found_nothing(project):
     result.stdout.fnmatch_lines(["*rejected*"])
 
 
-def test_reject_outside_of_a_search_says_where_it_belongs():
+def test_reject_outside_a_search_explains_its_use():
     with pytest.raises(Rejected, match=r"discards a scenario of a @pafot.search test"):
         pafot.reject()
 
 
-def test_whatever_else_the_test_function_raises_is_a_find(project):
+def test_any_other_exception_of_test_function_is_finding(project):
     raised = ["GeneratorExit", "Panic('lost')", "Mute", "MuteAndExits"]
     classes = """
 class Panic(BaseException):
@@ -362,7 +362,7 @@ def test_pytest_fail_inside_a_scenario_is_a_find(project):
     assert "failure: Failed" in project.only_file.read_text()
 
 
-def test_a_timeout_is_no_find_and_keeps_the_finds_before_it(project):
+def test_timeout_is_no_finding_and_preserves_earlier_ones(project):
     project.write(
         """
 import signal
@@ -382,7 +382,7 @@ def test_hangs(run):
     result.stdout.fnmatch_lines(["*Timeout*", f"FAILED test_it.py::test_hangs[[]saved-{project.only_id}[]]*"])
 
 
-def test_a_timeout_in_a_decision_of_the_ads_is_no_find(project):
+def test_timeout_in_an_ads_decision_is_no_finding(project):
     project.write(
         """
 import signal
@@ -400,7 +400,7 @@ def test_hangs(run):
     assert project.files == []
 
 
-def test_an_interrupt_keeps_and_reports_the_finds_before_it(project):
+def test_interrupt_preserves_and_reports_earlier_findings(project):
     project.write(
         """
 seen = []
@@ -421,7 +421,7 @@ def test_interrupted(run):
     )
 
 
-def test_an_interrupt_in_the_simulation_keeps_the_finds_too(project):
+def test_interrupt_during_simulation_preserves_the_findings(project):
     project.write(
         """
 made = []

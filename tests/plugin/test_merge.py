@@ -55,7 +55,7 @@ def the_file(folder):
     return file
 
 
-def test_three_folders_in_all_six_orders_at_once_or_one_after_the_other_are_the_same_bytes(project, machines):
+def test_merge_result_does_not_depend_on_folder_order(project, machines):
     digests = set()
     for order in permutations(machines):
         for steps in ([order], [[each] for each in order]):
@@ -86,7 +86,7 @@ def test_merging_again_changes_nothing_not_even_a_comment(failing, other):
     assert file.read_text().endswith("# ours\n")
 
 
-def test_a_simpler_one_takes_the_place_of_the_own_and_its_reason(failing, other):
+def test_simpler_scenario_replaces_own_but_retains_xfail_reason(failing, other):
     failing.run(seed=1)
     simple = shutil.move(failing.path / "pafot_corpus", failing.path / "simple")
     merge(failing, other)
@@ -102,7 +102,7 @@ def test_a_simpler_one_takes_the_place_of_the_own_and_its_reason(failing, other)
     merge(failing, other).stdout.fnmatch_lines(["  0 saved scenarios from other folders added, 0 of this corpus *"])
 
 
-def test_two_reasons_for_one_kind_fail_and_leave_the_own_file(failing, other):
+def test_conflicting_xfail_reasons_fail_and_change_nothing(failing, other):
     merge(failing, other)
     for folder, reason in ((failing.path / "pafot_corpus", "issue 12"), (other, "issue 13")):
         file = the_file(folder)
@@ -116,7 +116,7 @@ def test_two_reasons_for_one_kind_fail_and_leave_the_own_file(failing, other):
     assert corpus(failing) == before
 
 
-def test_the_last_day_of_a_reason_goes_with_it_and_another_day_is_a_conflict(failing, other):
+def test_xfail_day_is_merged_and_may_conflict(failing, other):
     file = the_file(other)
     file.write_text(file.read_text().replace('# xfail: "reason"', "xfail: {reason: issue 12, until: 2027-01-31}"))
     merge(failing, other)
@@ -131,7 +131,7 @@ def test_the_last_day_of_a_reason_goes_with_it_and_another_day_is_a_conflict(fai
     assert load(own).accepted == "issue 12, until 2027-02-28"
 
 
-def test_the_summary_of_a_job_says_that_a_merge_failed_and_calls_it_no_search(failing, other, monkeypatch):
+def test_job_summary_reports_failed_merge_and_no_search(failing, other, monkeypatch):
     the_file(other).write_text("pafot: 99\n")
     summary = failing.path / "summary.md"
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
@@ -142,7 +142,7 @@ def test_the_summary_of_a_job_says_that_a_merge_failed_and_calls_it_no_search(fa
     assert "expected the format version 2, received 99" in lines[6]
 
 
-def test_a_scenario_in_which_the_process_dies_is_run_in_another_one_and_merged(failing):
+def test_crash_scenario_is_merged_via_another_process(failing):
     failing.leave_crash("test_it.py::test_fails")
     failing.run(generations=0)
     there = shutil.move(failing.path / "pafot_corpus", failing.path / "other")
@@ -151,7 +151,7 @@ def test_a_scenario_in_which_the_process_dies_is_run_in_another_one_and_merged(f
     assert not list((failing.path / ".pytest_cache" / "d" / "pafot").iterdir())
 
 
-def test_one_that_is_fixed_here_is_told_and_not_merged(failing, other):
+def test_scenario_fixed_here_is_reported_and_not_merged(failing, other):
     failing.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
     result = merge(failing, other)
     result.assert_outcomes(passed=1)
@@ -159,14 +159,14 @@ def test_one_that_is_fixed_here_is_told_and_not_merged(failing, other):
     assert corpus(failing) == {}
 
 
-def test_files_of_a_test_that_is_not_collected_are_told_and_left_alone(failing, other):
+def test_files_of_an_uncollected_test_are_not_merged(failing, other):
     (other / "test_it" / "test_fails").rename(other / "test_it" / "test_gone")
     result = merge(failing, other, args=["-n1"])
     result.stdout.fnmatch_lines(["not merged: other/test_it/test_gone: no test was collected"])
     assert corpus(failing) == {}
 
 
-def test_a_broken_file_fails_the_item_and_the_others_are_merged(failing, other):
+def test_broken_file_fails_while_others_are_merged(failing, other):
     the_file(other).with_name("broken.pafot.yaml").write_text("pafot: 99\n")
     result = merge(failing, other)
     result.assert_outcomes(failed=1)
@@ -174,13 +174,13 @@ def test_a_broken_file_fails_the_item_and_the_others_are_merged(failing, other):
     assert len(corpus(failing)) == 1
 
 
-def test_with_save_none_it_tells_what_it_would_do(failing, other):
+def test_merge_with_save_none_is_a_dry_run(failing, other):
     result = merge(failing, other, args=["--pafot-save=none"])
     result.stdout.fnmatch_lines(["to merge (--pafot-save=none): *", "  1 saved scenario from other folders added, *"])
     assert corpus(failing) == {}
 
 
-def test_the_corpora_of_several_folders_are_told_apart_by_what_lies_above(project):
+def test_corpora_of_several_folders_need_their_parent_folder(project):
     fails = "@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.duration < 1\n"
     for folder in ("a", "b"):
         project.write(fails, name=f"{folder}/test_it")

@@ -30,18 +30,18 @@ NAMES = [
 
 
 @pytest.mark.parametrize(("base", "search", "saved"), NAMES)
-def test_a_search_and_its_saved_scenarios_have_the_name_of_their_test(base, search, saved):
+def test_search_and_saved_items_share_their_base_name(base, search, saved):
     assert base_name(Item(search)) == base_name(Item(saved, "cut-in-3fa9c1")) == base
     assert base_id(Item(search)) == f"test_it.py::TestBraking::{base}"
 
 
 @pytest.mark.parametrize(("base", "search", "saved"), NAMES)
-def test_a_find_of_a_search_is_named_as_the_item_that_it_will_be(base, search, saved):
+def test_finding_is_named_like_its_future_item(base, search, saved):
     assert saved_node_id(Item(search), "cut-in-3fa9c1") == f"test_it.py::TestBraking::{saved}"
     assert saved_name(Item(search), "cut-in-3fa9c1") == f"TestBraking.{saved}"
 
 
-def test_an_item_that_pytest_did_not_parametrise_keeps_its_name():
+def test_item_without_parameters_retains_its_name():
     assert base_name(Item("test_x[1]")) == "test_x[1]"
     assert base_id(Item("test_x", parent=None)) == "test_x"
 
@@ -55,5 +55,5 @@ def test_an_item_that_pytest_did_not_parametrise_keeps_its_name():
         ("\u00e9", "saved-%C3%A9"),
     ],
 )
-def test_what_pytest_would_rewrite_in_an_id_is_quoted(id_, part):
+def test_characters_rewritten_by_pytest_are_quoted_in_ids(id_, part):
     assert saved_part(id_) == part

@@ -20,7 +20,7 @@ def settings(project, *args, ini="", marker=None, environ=None):
     return resolve(project.found[ini, args], marker or {}, fresh_seed=77, environ=environ or {})
 
 
-def test_a_variable_that_nothing_reads_is_named_with_the_one_that_was_meant(failing, monkeypatch):
+def test_misspelt_environment_variable_suggests_the_right_one(failing, monkeypatch):
     monkeypatch.setenv("PAFOT_SEDE", "3")
     monkeypatch.setenv("PAFOT_REFRESH", "1")  # nobody's misspelling, so somebody's own
     told = [line for line in failing.run().outlines if "environment variable" in line]
@@ -30,16 +30,16 @@ def test_a_variable_that_nothing_reads_is_named_with_the_one_that_was_meant(fail
 
 
 @pytest.mark.parametrize("name", ["PAFOT_SEED", "PAFOT_KERNEL", "PAFOT_REPLAY_HERE", "MY_PAFOT_SEDE"])
-def test_of_variables_that_are_read_or_of_others_nothing_is_said(name):
+def test_known_and_foreign_environment_variables_cause_no_warning(name):
     assert not misspelt({name: "1"})
 
 
-def test_locally_a_search_is_small_and_its_seed_fresh(project):
+def test_local_search_is_small_with_fresh_seed(project):
     local = settings(project)
     assert (local.profile, local.runs, local.generations, local.population, local.seed) == ("local", 40, None, None, 77)
 
 
-def test_under_ci_a_search_is_large_and_its_seed_fixed(project):
+def test_ci_search_is_large_with_fixed_seed(project):
     ci = settings(project, environ={"CI": "true"})
     assert (ci.profile, ci.runs, ci.generations, ci.seed) == ("ci", 400, None, 0)
 
@@ -47,7 +47,7 @@ def test_under_ci_a_search_is_large_and_its_seed_fixed(project):
 @pytest.mark.parametrize(
     ("value", "expected"), [("true", True), ("1", True), ("", False), ("0", False), ("false", False)]
 )
-def test_ci_is_set_by_anything_but_an_empty_or_negative_word(value, expected):
+def test_ci_is_set_unless_empty_or_negative(value, expected):
     assert is_ci({"CI": value}) is expected
 
 
@@ -89,7 +89,7 @@ def test_a_profile_may_be_named_anywhere(project, source):
         ({"marker": {"generations": 0}}, None, 0),
     ],
 )
-def test_a_budget_comes_from_one_place_and_no_profile_cuts_what_is_asked_for(project, sources, runs, generations):
+def test_budget_comes_from_one_source_and_overrides_profile(project, sources, runs, generations):
     found = settings(project, **sources)
     assert (found.runs, found.generations) == (runs, generations)
 
@@ -109,7 +109,7 @@ def text_of(option, switch):
 
 
 @pytest.mark.parametrize("switch", SWITCHES)
-def test_every_option_is_an_ini_key_a_variable_and_unless_it_is_the_sessions_a_marker_argument(project, switch):
+def test_options_work_as_argument_variable_and_ini_key(project, switch):
     texts = {option.name: text_of(option, switch) for option in EVERYWHERE}
     expected = {option.name: option.read(texts[option.name]) for option in EVERYWHERE}
     arguments = {option.name: expected[option.name] for option in EVERYWHERE if option.is_argument}
@@ -156,19 +156,19 @@ def test_native_toml_takes_native_types(project):
         ({"ini": "pafot_isolate = perhaps"}, "^ini key pafot_isolate: expected true or false, received 'perhaps'$"),
     ],
 )
-def test_a_wrong_value_names_its_place_what_was_expected_and_received(project, source, place):
+def test_wrong_value_error_names_source_expected_and_received(project, source, place):
     with pytest.raises(OptionError, match=place):
         settings(project, **source)
 
 
-def test_a_wrong_value_on_the_command_line_is_a_usage_error(project):
+def test_wrong_command_line_value_is_a_usage_error(project):
     project.write("def test_ordinary():\n    pass\n")
     result = project.run("--pafot-population=one", generations=None)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*--pafot-population: expected a whole number, at least 2, received 'one'*"])
 
 
-def test_a_wrong_value_elsewhere_fails_the_marked_items_alone(project):
+def test_wrong_value_elsewhere_fails_only_marked_items(project):
     project.pytester.makeini("[pytest]\npafot_algorithm = magic\n")
     project.write("@pafot.search\ndef test_marked(run):\n    pass\n\ndef test_ordinary():\n    pass\n")
     result = project.run()
@@ -176,7 +176,7 @@ def test_a_wrong_value_elsewhere_fails_the_marked_items_alone(project):
     result.stdout.fnmatch_lines(["ini key pafot_algorithm: expected distinct, pafot, * or cma-es, received 'magic'*"])
 
 
-def test_the_decorators_arguments_are_those_of_the_table_and_the_rest_of_the_design():
+def test_search_arguments_match_the_table_of_options():
     own = {"world", "ads", "arg", "fitness", "blame", "decision_limit", *ROAD_ARGUMENTS, *SPACE_ARGUMENTS}
     options = {option.name for option in OPTIONS if option.everywhere and option.is_argument}
     assert set(SearchArguments.__annotations__) == own | options

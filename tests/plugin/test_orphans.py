@@ -1,7 +1,7 @@
 """Saved scenarios that no test runs are told and kept; only what is no test's own is pruned."""
 
 
-def test_a_renamed_test_leaves_an_orphan_that_is_reported_and_kept(saved):
+def test_renamed_test_leaves_a_reported_orphan(saved):
     saved.write("@pafot.search(SHORT)\ndef test_renamed(run):\n    pass\n")
     result = saved.run()
     result.assert_outcomes(passed=1)
@@ -25,7 +25,7 @@ class TestClass:
 """
 
 
-def test_a_renamed_class_and_a_renamed_method_leave_orphans(project):
+def test_renamed_class_or_method_leaves_an_orphan(project):
     source = METHOD
     project.write(source)
     project.run_once()
@@ -50,7 +50,7 @@ def test_it(run, limit):
     )
 
 
-def test_files_that_lie_too_high_are_told_with_the_folder_where_they_should_be(saved):
+def test_misplaced_files_are_reported_with_the_right_folder(saved):
     home = saved.only_file
     text, places = home.read_text(), ["pafot_corpus/test_it", "pafot_corpus", "."]
     home.unlink()
@@ -72,7 +72,7 @@ def told(result):
     return [line.removeprefix("not run: ") for line in result.stdout.lines if line.startswith("not run: ")]
 
 
-def test_a_file_in_a_folder_above_its_test_is_told_and_one_elsewhere_is_not_looked_for(saved):
+def test_misplaced_file_is_found_only_above_its_test(saved):
     for folder in ("safety/near", "notes"):
         (saved.path / folder).mkdir(parents=True)
     (saved.path / "test_it.py").rename(saved.path / "safety" / "near" / "test_it.py")
@@ -88,7 +88,7 @@ def test_a_file_in_a_folder_above_its_test_is_told_and_one_elsewhere_is_not_look
     ]
 
 
-def test_files_that_lie_too_high_and_name_no_collected_test_are_told(failing):
+def test_misplaced_files_without_collected_test_are_reported(failing):
     (failing.path / "a.pafot.yaml").write_text("test: test_old.py::test_it")
     (failing.path / "b.pafot.yaml").write_text("")
     assert told(failing.run(generations=0)) == [
@@ -97,7 +97,7 @@ def test_files_that_lie_too_high_and_name_no_collected_test_are_told(failing):
     ]
 
 
-def test_without_a_search_nobody_looks_for_files_that_lie_too_high(project):
+def test_misplaced_files_are_ignored_without_a_search(project):
     project.write("def test_ordinary():\n    pass\n")
     (project.path / "a.pafot.yaml").write_text("test: test_it.py::test_ordinary")
     assert "pafot.yaml" not in project.run(generations=None).stdout.str()
@@ -149,7 +149,7 @@ def test_a_skipped_test_is_no_orphan(saved):
     assert "orphaned:" not in saved.run(generations=0).stdout.str()
 
 
-def test_a_module_that_cannot_be_imported_makes_no_orphans(saved):
+def test_module_with_import_error_makes_no_orphans(saved):
     saved.write("import nothing_of_this_name\n")
     assert "orphaned:" not in saved.run("--pafot-prune").stdout.str()
     assert saved.files
@@ -165,7 +165,7 @@ def test_prune_removes_orphans_and_nothing_else(project):
     assert [name.split("/")[2] for name in project.files] == ["test_a"]
 
 
-def test_prune_spares_what_lies_below_a_file_that_lies_too_high(project):
+def test_prune_spares_files_below_a_misplaced_one(project):
     one = "@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert not run\n"
     project.write(one, name="test_top")
     project.write(one, name="tests/test_low")

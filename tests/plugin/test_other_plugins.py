@@ -40,7 +40,7 @@ def runs(project):
 
 
 @pytest.mark.parametrize("plugins", [["terminal"], ["cacheprovider", "capture", "junitxml", "logging"]], ids=" ".join)
-def test_without_some_of_pytests_plugins_finds_are_still_saved_and_failed(failing, plugins):
+def test_findings_are_saved_without_some_builtin_plugins(failing, plugins):
     result = failing.run(*(part for name in plugins for part in ("-p", f"no:{name}")))
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     assert len(failing.files) == 1
@@ -56,7 +56,7 @@ OTHERS = {
 }
 
 
-def test_without_a_cache_a_search_that_finds_nothing_leaves_nothing_behind(project):
+def test_passing_search_without_cache_leaves_no_files(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
     project.run("-p", "no:cacheprovider").assert_outcomes(passed=1)
     assert {path.name for path in project.path.iterdir()} - {"__pycache__"} == {"conftest.py", "test_it.py"}
@@ -82,14 +82,14 @@ def test_with_another_plugin_finds_are_reported_once(project, plugin):
 
 
 @pytest.mark.parametrize("family", ["xunit1", "xunit2"])
-def test_junit_has_a_case_for_the_search_and_each_find(failing, family):
+def test_junit_has_a_case_for_search_and_finding(failing, family):
     failing.run("--junitxml=junit.xml", "-o", f"junit_family={family}")
     text = (failing.path / "junit.xml").read_text()
     assert text.count("<testcase ") == text.count("<failure ") == 1 + len(failing.files) == 2
 
 
 @pytest.mark.parametrize("option", ["-x", "--maxfail=1"])
-def test_a_search_stops_at_the_first_find_when_the_session_stops_at_the_first_failure(project, option):
+def test_search_stops_at_first_finding_with_exitfirst(project, option):
     project.write(TWO.replace("stop_after=1, ", ""))
     result = project.run(option, generations=5)
     assert len(project.files) == 1
@@ -97,13 +97,13 @@ def test_a_search_stops_at_the_first_find_when_the_session_stops_at_the_first_fa
     assert "test_second" not in result.stdout.str()
 
 
-def test_maxfail_of_more_than_one_lets_a_search_go_on(project):
+def test_search_continues_when_maxfail_exceeds_one(project):
     project.write(MANY)
     project.run("--maxfail=9")
     assert len(project.files) > 1
 
 
-def test_pdb_stands_in_the_test_function_at_the_first_find(project):
+def test_pdb_stops_in_function_at_first_finding(project):
     project.write(MANY)
     project.pytester.makepyfile(
         quiet="""
@@ -150,19 +150,19 @@ def test_setup_plan_simulates_nothing(project):
     assert runs(project) == 0
 
 
-def test_last_failed_runs_the_finds_and_not_the_search_that_found_them(failing):
+def test_last_failed_runs_findings_without_their_search(failing):
     failing.run_once()
     result = failing.run("--lf", "-v")
     result.assert_outcomes(failed=1, deselected=1)
     result.stdout.fnmatch_lines([f"*saved-{failing.only_id}[]] FAILED*"])
 
 
-def test_last_failed_runs_a_search_whose_finds_are_no_items(failing):
+def test_last_failed_repeats_search_of_unsaved_findings(failing):
     failing.run("--pafot-save=none")
     failing.run("--lf", "--pafot-save=none").assert_outcomes(failed=2)
 
 
-def test_last_failed_runs_the_search_again_once_its_finds_pass(failing):
+def test_last_failed_repeats_search_once_findings_pass(failing):
     failing.run_once()
     failing.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run\n")
     failing.run("--lf").assert_outcomes(passed=1, deselected=1)
@@ -172,7 +172,7 @@ def test_last_failed_runs_the_search_again_once_its_finds_pass(failing):
     failing.run("--lf").assert_outcomes(passed=2)
 
 
-def test_stepwise_starts_over_after_a_find_and_then_goes_on_at_it(project):
+def test_stepwise_restarts_after_a_finding_then_continues_there(project):
     project.write(ONE_SIGNATURE)
     project.run("--stepwise", generations=None)
     # Looked at closely: pytest starts over whenever the number of tests has changed, which a find does.
@@ -180,7 +180,7 @@ def test_stepwise_starts_over_after_a_find_and_then_goes_on_at_it(project):
     project.run("--stepwise", generations=None).assert_outcomes(failed=1, deselected=1)
 
 
-def test_an_xfail_mark_of_the_function_covers_its_search_and_its_finds(project):
+def test_xfail_mark_covers_search_and_its_findings(project):
     project.write("@pytest.mark.xfail(reason='known')\n" + MANY.strip() + "\n")
     result = project.run()
     assert result.ret == pytest.ExitCode.OK
@@ -198,7 +198,7 @@ def test_durations_and_summaries_know_nothing_of_messages(failing):
     failing.run("--durations=0", "-rA").stdout.no_fnmatch_line("*s pafot *")
 
 
-def test_a_log_gets_a_line_of_progress_every_ten_seconds_and_not_more(project):
+def test_log_gets_progress_at_most_every_ten_seconds(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
     assert "generations, " not in project.run(generations=3).stdout.str().partition("pafot ====")[0]
 

@@ -84,7 +84,7 @@ def saved_wrapped(project):
     return project
 
 
-def test_a_find_in_a_world_of_ones_own_is_replayed_in_the_world_that_the_test_names(saved):
+def test_finding_in_own_world_replays_in_named_world(saved):
     assert "\nworld: {kind: own, class: Ring, data: {lanes: 3}}\n" in saved.only_file.read_text()
     result = saved.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
@@ -93,12 +93,12 @@ def test_a_find_in_a_world_of_ones_own_is_replayed_in_the_world_that_the_test_na
     saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
 
 
-def test_a_later_search_in_a_world_of_ones_own_knows_the_find(saved):
+def test_later_search_in_own_world_knows_the_finding(saved):
     known = saved.only_id
     saved.run(generations=5).stdout.fnmatch_lines([f"  known: * covered by saved-{known}"])
 
 
-def test_where_the_world_differs_from_the_file_a_replay_that_passes_has_drifted(saved):
+def test_passing_replay_in_a_changed_world_has_drifted(saved):
     own(saved, lanes="4", verdict=PASSES)
     result = saved.run("--pafot-strict-drift", generations=0)
     result.assert_outcomes(failed=1, skipped=1)
@@ -107,7 +107,7 @@ def test_where_the_world_differs_from_the_file_a_replay_that_passes_has_drifted(
     saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
 
-def test_a_world_of_another_class_is_refused_with_the_file_the_line_and_the_way_out(saved):
+def test_world_of_another_class_is_refused_with_location(saved):
     own(saved, name="Circle")
     result = saved.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
@@ -121,7 +121,7 @@ def test_a_world_of_another_class_is_refused_with_the_file_the_line_and_the_way_
     )
 
 
-def test_a_scenario_that_does_not_fit_a_world_of_ones_own_names_its_file_and_line(saved):
+def test_scenario_unfit_for_own_world_names_its_line(saved):
     text = saved.only_file.read_text()
     saved.only_file.write_text(re.sub("ego: {lane: [0-9]", "ego: {lane: 7", text))
     result = saved.run(generations=0)
@@ -131,14 +131,14 @@ def test_a_scenario_that_does_not_fit_a_world_of_ones_own_names_its_file_and_lin
 
 
 @pytest.mark.parametrize("data", ["object()", "{'road': {1: 2}}", "[float('nan')]"])
-def test_a_world_that_gives_no_plain_data_is_replayed_all_the_same(project, data):
+def test_world_without_plain_data_is_replayed_too(project, data):
     own(project, data=data)
     project.run(generations=5)
     assert load(project.only_file).world == {"kind": "own", "class": "Ring"}
     project.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
 
-def test_a_class_derived_from_a_world_of_this_package_is_a_world_of_ones_own(project):
+def test_subclass_of_a_builtin_world_is_own_world(project):
     project.write(
         textwrap.dedent(
             """
@@ -158,7 +158,7 @@ def test_a_class_derived_from_a_world_of_this_package_is_a_world_of_ones_own(pro
     project.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
 
-def test_a_world_without_what_a_search_needs_is_refused_with_what_is_missing(project):
+def test_incomplete_world_error_lists_what_is_missing(project):
     own(project)
     text = project.path.joinpath("test_it.py").read_text().replace("speed_limit, longest_run", "nothing, else_")
     project.path.joinpath("test_it.py").write_text(text)
@@ -171,7 +171,7 @@ def test_a_world_without_what_a_search_needs_is_refused_with_what_is_missing(pro
 # --- environments in wrappers
 
 
-def test_a_find_in_a_wrapped_environment_is_replayed_in_the_wrappers_that_the_test_names(in_highway_env, saved_wrapped):
+def test_finding_in_wrapped_environment_replays_in_its_wrappers(in_highway_env, saved_wrapped):
     assert load(saved_wrapped.only_file).world["wrappers"] == ["FlattenObservation"]
     assert load(saved_wrapped.only_file).flaky is None
     saved_wrapped.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
@@ -202,7 +202,7 @@ def test_a_test_that_names_another_environment_is_refused(saved_wrapped):
     )
 
 
-def test_an_environment_that_is_registered_with_a_wrapper_fails_its_item_alone(project):
+def test_environment_registered_with_wrapper_fails_its_item(project):
     project.write(
         textwrap.dedent(
             """
@@ -231,7 +231,7 @@ def test_an_environment_that_is_registered_with_a_wrapper_fails_its_item_alone(p
     result.stdout.fnmatch_lines(["*(world=...): env_id: *registered with FlattenObservation *wrappers=[[]])*"])
 
 
-def test_an_ads_with_batch_decides_one_by_one_in_wrappers_and_the_summary_does_not_say_otherwise(project):
+def test_batch_of_ads_is_not_used_in_wrappers(project):
     project.write(
         textwrap.dedent(
             """
@@ -292,7 +292,7 @@ def registered(project, monkeypatch):
     return project
 
 
-def test_a_find_in_a_registered_world_is_replayed_in_it_by_a_test_that_does_not_name_it(registered):
+def test_finding_in_registered_world_replays_without_naming_it(registered):
     assert "\nworld: {kind: ring, data: {lanes: 3}}\n" in registered.only_file.read_text()
     registered.write(FINDS.replace("world=Ring(3), ", ""))
     result = registered.run(generations=0)
@@ -300,7 +300,7 @@ def test_a_find_in_a_registered_world_is_replayed_in_it_by_a_test_that_does_not_
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
 
-def test_a_file_of_a_kind_that_no_package_registers_fails_its_item_with_the_line_and_the_likely_cause(registered):
+def test_unregistered_kind_of_world_fails_with_likely_cause(registered):
     file = registered.only_file
     file.write_text(file.read_text().replace("kind: ring", "kind: wring"))
     result = registered.run(generations=0)

@@ -13,7 +13,7 @@ def test_fails(run):
 """
 
 
-def test_a_find_tells_what_it_needs_and_its_replay_how_the_ads_sees_now(project, tmp_path):
+def test_finding_names_needed_perception_and_replay_the_change(project, tmp_path):
     page = tmp_path / "page.html"
     project.write(TEST.replace("PERCEPTION", "latency=0.1, range=0.0"))
     told = project.run(f"--pafot-report={page}")

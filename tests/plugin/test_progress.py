@@ -23,7 +23,7 @@ def impatient(monkeypatch):
     monkeypatch.setattr("pytest_pafot.plugin.terminal_reporter.TERMINAL_SECONDS", 0.0)
 
 
-def test_a_log_gets_whole_lines_while_the_search_runs(project, impatient):
+def test_log_gets_whole_lines_during_the_search(project, impatient):
     project.write(PASSES)
     result = project.run(generations=2)
     result.stdout.fnmatch_lines(["pafot: *test_passes[[]search[]] 1/2 generations, 1 run, 0 failing, 0 new, *"])
@@ -39,7 +39,7 @@ def test_a_quiet_session_shows_no_progress(project, impatient):
     assert "/2 generations" not in project.run("-q", generations=2).stdout.str().partition("pafot =")[0]
 
 
-def test_a_terminal_gets_one_line_that_is_rewritten_and_erased(project, impatient):
+def test_terminal_gets_one_line_rewritten_and_erased(project, impatient):
     project.pytester.makeconftest(ON_A_TERMINAL)
     project.write(PASSES)
     output = project.run(generations=2).stdout.str()

@@ -43,7 +43,7 @@ def left_alone(result):
     result.stdout.no_fnmatch_line("removed: *")
 
 
-def test_what_is_removed_is_listed_before_it_goes_and_empty_folders_go_with_it(orphaned):
+def test_removed_files_are_listed_and_empty_folders_deleted(orphaned):
     file = gone(orphaned)
     result = prune(orphaned)
     name = file.relative_to(orphaned.path).as_posix()
@@ -54,7 +54,7 @@ def test_what_is_removed_is_listed_before_it_goes_and_empty_folders_go_with_it(o
     assert len(orphaned.files) == 1
 
 
-def test_a_file_that_cannot_be_removed_is_a_problem_with_the_way_out(orphaned, monkeypatch):
+def test_undeletable_file_is_a_problem_with_advice(orphaned, monkeypatch):
     unlink = Path.unlink
 
     def refuse(path, missing_ok=False):
@@ -88,7 +88,7 @@ def test_notes_beside_orphans_stay(orphaned):
     assert notes.exists()
 
 
-def test_files_that_name_a_test_of_another_folder_stay(orphaned):
+def test_files_naming_a_test_elsewhere_stay(orphaned):
     file = gone(orphaned)
     text = file.read_text()
     lines = ["test: test_it.py::test_other", "test: sub/test_it.py::test_gone", "", "test: 3"]
@@ -128,7 +128,7 @@ def test_nothing_behind_a_link_is_touched(orphaned, level, tmp_path_factory):
 
 
 @links
-def test_a_link_in_the_place_of_a_file_stays(orphaned, tmp_path_factory):
+def test_link_in_place_of_a_file_stays(orphaned, tmp_path_factory):
     file = gone(orphaned)
     target = tmp_path_factory.mktemp("elsewhere") / file.name
     shutil.move(file, target)
@@ -138,7 +138,7 @@ def test_a_link_in_the_place_of_a_file_stays(orphaned, tmp_path_factory):
     assert target.exists()
 
 
-def test_finds_of_another_project_in_the_same_absolute_corpus_stay(orphaned, tmp_path_factory):
+def test_files_of_another_project_in_shared_corpus_stay(orphaned, tmp_path_factory):
     """The other project's test files are not in this rootdir; what this project's own tests left behind goes."""
     shared = tmp_path_factory.mktemp("shared")
     shutil.copytree(orphaned.path / "pafot_corpus" / "test_it", shared / "test_it")
@@ -159,7 +159,7 @@ def test_finds_of_another_project_in_the_same_absolute_corpus_stay(orphaned, tmp
     assert any((shared / "test_it" / "test_fails").iterdir())
 
 
-def test_a_file_of_a_nested_project_with_a_rootdir_of_its_own_stays(orphaned):
+def test_file_of_a_nested_project_stays(orphaned):
     """Collected from above, it names its test by its own rootdir."""
     nested = orphaned.path / "nested"
     nested.mkdir()
@@ -181,7 +181,7 @@ def test_test_files_in_a_corpus_are_not_collected(failing, name):
     failing.run("--pafot-corpus", name, generations=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_test_files_in_an_absolute_corpus_are_not_collected(failing):
+def test_files_in_an_absolute_corpus_are_not_collected(failing):
     corpus = failing.path / "all"
     failing.run("--pafot-corpus", corpus)
     (corpus / "test_extra.py").write_text(TEST_FILE)
@@ -189,7 +189,7 @@ def test_test_files_in_an_absolute_corpus_are_not_collected(failing):
 
 
 @pytest.mark.parametrize("args", [(), ("pafot_corpus",), pytest.param(("-n2",), marks=pytest.mark.processes)])
-def test_nothing_in_a_corpus_of_the_usual_name_is_collected_without_a_search_either(project, args):
+def test_files_in_default_corpus_are_never_collected(project, args):
     project.write("def test_ordinary():\n    pass\n")
     project.pytester.makeini("[pytest]")
     (project.path / "pafot_corpus").mkdir()
@@ -198,14 +198,14 @@ def test_nothing_in_a_corpus_of_the_usual_name_is_collected_without_a_search_eit
 
 
 @pytest.mark.parametrize("corpus", ["tests", "."])
-def test_folders_of_tests_are_collected_whatever_the_corpus_is_called(project, corpus):
+def test_folders_of_tests_are_collected_despite_corpus_name(project, corpus):
     project.write(FAILING, name="tests/test_low")
     args = ("--pafot-corpus", corpus if corpus == "tests" else project.path)
     project.run(*args, "tests", "--pafot-shrink-rollouts=0").assert_outcomes(failed=2)
     project.run(*args, "tests", generations=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_a_project_that_lies_in_a_folder_of_that_name_is_collected(project):
+def test_project_inside_folder_named_like_corpus_is_collected(project):
     inner = project.path / "pafot_corpus" / "planner"
     inner.mkdir(parents=True)
     (inner / "pytest.ini").write_text("[pytest]\n")

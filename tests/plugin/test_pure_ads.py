@@ -46,7 +46,7 @@ def searched(project, ads, source=PLANNERS + SEARCH, args=()):
     return finds, int(re.search(r"calls: (\d+)", output).group(1)), output
 
 
-def test_a_pure_ads_is_asked_less_for_the_same_finds_in_the_same_runs(project):
+def test_pure_ads_is_asked_less_for_same_findings(project):
     finds, calls, output = searched(project, "lambda: Pure()")
     plain_finds, plain_calls, plain_output = searched(project, "Planner")
     assert finds == plain_finds != {}
@@ -55,7 +55,7 @@ def test_a_pure_ads_is_asked_less_for_the_same_finds_in_the_same_runs(project):
     assert counts[0] == counts[1] != []
 
 
-def test_an_ads_that_is_wrongly_declared_pure_has_finds_that_are_flaky(project):
+def test_ads_wrongly_declared_pure_has_flaky_findings(project):
     stateful = """
 class Stateful(Pure):
     def decided(self, observation):
@@ -73,7 +73,7 @@ def test_drives(run):
     assert len(project.files) == 1
 
 
-def test_a_stateful_ads_that_shrinking_alone_resumes_keeps_the_scenario_that_was_found(project):
+def test_stateful_ads_shrunk_as_pure_retains_its_scenario(project):
     """Whatever a shorter scenario seemed to do, the file is of a run that asked for everything."""
     stateful = """
 class Stateful(Pure):
@@ -103,12 +103,12 @@ class Own(pafot.Highway):
 @pytest.mark.parametrize(
     "search", ["decision_limit=1.0", "world=Own()"], ids=["a limit of time for decisions", "a world of ones own"]
 )
-def test_it_is_asked_for_everything_where_decisions_cannot_be_given(project, search):
+def test_without_resuming_a_pure_ads_makes_all_decisions(project, search):
     source = PLANNERS + OWN_WORLD + SEARCH.replace("genes=4", f"{search}, genes=4")
     assert searched(project, "Pure", source)[:2] == searched(project, "Planner", source)[:2]
 
 
-def test_beside_lock_step_only_what_is_decided_alone_is_resumed(project):
+def test_only_single_runs_are_resumed_with_lock_step(project):
     batched = """
 class Batched(Planner):
     def batch(self, observations):
@@ -123,7 +123,7 @@ class PureBatched(Batched):
     assert calls < plain_calls
 
 
-def test_nothing_is_taken_from_runs_in_lock_step_in_which_an_ads_mixes_its_rows(project):
+def test_row_mixing_ads_reuses_no_lock_step_decisions(project):
     mixing = """
 class Mixing(Planner):
     def batch(self, observations):
@@ -139,7 +139,7 @@ class PureMixing(Mixing):
 
 @pytest.mark.processes
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-def test_runs_of_other_processes_are_resumed_by_none_and_change_nothing(project):
+def test_runs_of_other_processes_are_not_resumed(project):
     slow = """
 import time
 

@@ -12,7 +12,7 @@ def rated(arguments, body="pass", parameters=""):
     return f"@pafot.rate({arguments})\ndef test_rate({parameters}):\n    {body}\n"
 
 
-def test_it_passes_where_crashes_are_few_and_fails_where_they_are_not(project):
+def test_rate_test_passes_only_if_crashes_are_rare(project):
     project.write(rated(f"at_most=0.9, episodes=8, planner=True, {WORLD}"))
     project.write(rated(f"at_most=0.1, episodes=8, planner=True, {WORLD}"), name="test_too_many")
     result = project.run()
@@ -37,7 +37,7 @@ def test_the_function_may_look_at_the_rate_besides(project):
     result.stdout.fnmatch_lines(["*assert 0.01* > 1*"])
 
 
-def test_with_a_confidence_it_passes_only_where_the_episodes_show_it(project):
+def test_rate_with_confidence_passes_only_with_enough_evidence(project):
     mark = f"ads=idm_mobil.make, confidence=0.9, {WORLD}"
     project.write(
         "from example_ads import idm_mobil\n\n" + rated(f"at_most=0.2, episodes=11, {mark}"), name="test_enough"
@@ -60,7 +60,7 @@ def test_an_ads_that_fails_fails_the_test(project):
     assert "expected an ADS that drives all episodes, received one that failed; planner=True says that it is a " in told
 
 
-def test_a_rate_that_is_too_high_is_told_in_lines_that_fit_and_by_nothing_else(project, monkeypatch):
+def test_excessive_rate_is_reported_in_fitting_lines_only(project, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     project.write(rated(f"at_most=0.1, episodes=10, planner=True, {WORLD}"))
     result = project.run()
@@ -82,7 +82,7 @@ WRONG = [
 ]
 
 
-def test_a_wrong_argument_fails_the_test_with_a_way_out(project):
+def test_wrong_argument_fails_the_test_with_advice(project):
     tests = [rated(given).replace("test_rate", f"test_{number}") for number, (given, _) in enumerate(WRONG)]
     project.write("\n".join(tests))
     result = project.run()
@@ -91,14 +91,14 @@ def test_a_wrong_argument_fails_the_test_with_a_way_out(project):
         pytest.LineMatcher(section(result, f"test_{number}").splitlines()).fnmatch_lines([f"{text}*"])
 
 
-def test_a_bare_mark_fails_the_test_with_what_it_lacks(project):
+def test_bare_mark_fails_and_names_missing_argument(project):
     project.write("@pafot.rate\ndef test_rate(rate):\n    pass\n")
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["@pafot.rate(at_most=...): expected it to be given, as in at_most=0.02*"])
 
 
-def test_a_mark_with_an_argument_by_position_fails_the_test_with_its_name(project):
+def test_positional_argument_fails_the_test_with_its_name(project):
     project.write(rated('"highway-fast-v0", at_most=0.1'))
     result = project.run()
     result.assert_outcomes(failed=1)
@@ -121,7 +121,7 @@ def test_other_processes_give_the_same_rate(project, option):
 
 
 @pytest.mark.processes
-def test_a_process_that_does_not_come_back_is_told_with_its_seed(project):
+def test_lost_process_is_reported_with_its_seed(project):
     project.write("import os\n\n" + rated(f"at_most=0.9, episodes=2, ads=lambda: os._exit(3), planner=True, {WORLD}"))
     result = project.run("--pafot-workers=2")
     result.assert_outcomes(failed=1)

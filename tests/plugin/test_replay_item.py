@@ -40,7 +40,7 @@ def edited(project, old, new):
     project.only_file.write_text(text.replace(old, new))
 
 
-def test_a_saved_scenario_that_passes_is_called_fixed_and_kept(saved):
+def test_passing_scenario_is_labelled_fixed_but_not_removed(saved):
     before = saved.contents
     saved.write(PASSES)
     result = saved.run("-v", generations=0)
@@ -49,7 +49,7 @@ def test_a_saved_scenario_that_passes_is_called_fixed_and_kept(saved):
     assert saved.contents == before
 
 
-def test_a_saved_scenario_that_fails_as_before_is_still_failing(saved):
+def test_scenario_failing_as_before_is_still_failing(saved):
     saved.run(generations=0).stdout.fnmatch_lines(
         ["replay: still failing", "replayed 1 saved scenario: 1 still failing"]
     )
@@ -69,7 +69,7 @@ def test_a_rediscovered_scenario_is_known(saved):
     assert len(saved.files) == 1
 
 
-def test_an_xfailed_file_lets_the_session_pass_and_its_failure_is_known(saved):
+def test_accepted_failure_lets_the_session_pass(saved):
     edited(saved, '# xfail: "reason"', 'xfail: "planner issue 12"')
     result = saved.run(generations=5)
     assert result.ret == 0
@@ -77,7 +77,7 @@ def test_an_xfailed_file_lets_the_session_pass_and_its_failure_is_known(saved):
     result.stdout.fnmatch_lines([f"  known: * covered by saved-{saved.only_id}"])
 
 
-def test_an_xfailed_file_that_passes_fails_and_asks_for_the_removal_of_the_line(saved):
+def test_accepted_file_that_passes_fails_until_line_removed(saved):
     edited(saved, '# xfail: "reason"', 'xfail: "planner issue 12"')
     saved.write(PASSES)
     result = saved.run(generations=0)
@@ -91,7 +91,7 @@ UNTIL = 'xfail: {reason: "planner issue 12", until: 2027-01-31}'
 OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day is over: mend *"
 
 
-def test_a_failure_is_accepted_on_its_last_day_and_counts_with_a_warning_on_the_next(saved):
+def test_xfail_is_valid_through_its_last_day(saved):
     edited(saved, '# xfail: "reason"', UNTIL)
     last = saved.run("--pafot-today=2027-01-31", generations=0)
     last.assert_outcomes(xfailed=1, skipped=1)
@@ -101,7 +101,7 @@ def test_a_failure_is_accepted_on_its_last_day_and_counts_with_a_warning_on_the_
 
 
 @pytest.mark.processes
-def test_workers_hold_the_last_day_against_the_day_of_the_controller(saved):
+def test_workers_use_the_date_of_the_controller(saved):
     edited(saved, '# xfail: "reason"', UNTIL)
     saved.run("-n1", "--pafot-today=2027-01-31", generations=0).assert_outcomes(xfailed=1, skipped=1)
     next_day = saved.run("-n1", "--pafot-today=2027-02-01", generations=0)
@@ -109,7 +109,7 @@ def test_workers_hold_the_last_day_against_the_day_of_the_controller(saved):
     next_day.stdout.fnmatch_lines([OVER])
 
 
-def test_what_is_over_and_passes_is_warned_of_and_passes(saved):
+def test_expired_xfail_that_passes_is_only_a_warning(saved):
     edited(saved, '# xfail: "reason"', UNTIL)
     saved.write(PASSES)
     saved.run("--pafot-today=2027-01-31", generations=0).assert_outcomes(failed=1, skipped=1)
@@ -118,7 +118,7 @@ def test_what_is_over_and_passes_is_warned_of_and_passes(saved):
     result.stdout.fnmatch_lines([OVER])
 
 
-def test_without_the_option_the_last_day_is_held_against_the_calendar(saved):
+def test_last_xfail_day_is_compared_with_the_calendar(saved):
     edited(saved, '# xfail: "reason"', UNTIL.replace("2027-01-31", "9999-12-31"))
     saved.run(generations=0).assert_outcomes(xfailed=1, skipped=1)
     edited(saved, "9999-12-31", "2026-01-01")
@@ -132,13 +132,13 @@ def test_a_wrong_last_day_fails_its_one_item(saved):
     result.stdout.fnmatch_lines(["*: xfail.until: expected a day of the calendar, *; write it as 2027-01-31"])
 
 
-def test_a_day_that_is_none_is_refused_on_the_command_line(saved):
+def test_invalid_today_on_command_line_is_refused(saved):
     result = saved.run("--pafot-today=31.1.2027", generations=0)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*--pafot-today: expected a day of the calendar, as 2027-01-31, received '31.1.2027'"])
 
 
-def test_a_failure_whose_files_all_pass_is_new_again_and_gets_its_own_file(saved):
+def test_failure_whose_saved_files_pass_is_new_again(saved):
     first, scenario = saved.only_id, load(saved.only_file).scenario
     # The same assertion fails in the same way, but no longer for the scenario that is saved.
     saved.write(FAILS.replace("run.collision:", f"run.collision or run.scenario.id == '{scenario.id}':"))
@@ -148,7 +148,7 @@ def test_a_failure_whose_files_all_pass_is_new_again_and_gets_its_own_file(saved
     assert any(first in name for name in saved.files)
 
 
-def test_a_passing_replay_under_other_versions_is_drifted_and_fails_only_when_asked(saved):
+def test_passing_replay_under_other_versions_has_drifted(saved):
     edited(saved, "highway-env: ", "highway-env: 0.")
     saved.write(PASSES)
     result = saved.run("-v", generations=0)
@@ -159,7 +159,7 @@ def test_a_passing_replay_under_other_versions_is_drifted_and_fails_only_when_as
     saved.run("--pafot-strict-drift", generations=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_a_replay_that_fails_at_another_time_is_drifted_and_fails(saved):
+def test_replay_failing_at_another_time_has_drifted(saved):
     text = saved.only_file.read_text()
     head, _, tail = text.partition("time: ")
     saved.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
@@ -168,7 +168,7 @@ def test_a_replay_that_fails_at_another_time_is_drifted_and_fails(saved):
     result.stdout.fnmatch_lines(["replay: drifted, * at 99.5 s in the file, *"])
 
 
-def test_a_replay_in_which_nothing_happens_any_more_tells_how_long_that_was(project):
+def test_replay_without_incident_reports_how_long_it_lasted(project):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_drive(run):\n    assert not run.collision\n")
     project.run_once("--pafot-shrink-rollouts=0", generations=5)
     braking = "lambda seen: (-8.0 if seen.ego.speed > 1 else 0.0, 0.0)"
@@ -178,7 +178,7 @@ def test_a_replay_in_which_nothing_happens_any_more_tells_how_long_that_was(proj
     result.stdout.fnmatch_lines(["    *collision at * s in the file, safe for 10.0 s now; highway-env 0.*"])
 
 
-def test_a_pass_without_its_situation_is_told_and_is_no_fix(project):
+def test_pass_without_its_situation_is_no_fix(project):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_drive(run):\n    assert not run.collision\n")
     project.pytester.makepyfile(before="def make():\n    return lambda seen: (0.0, 0.0)\n")
     project.run_once("--pafot-shrink-rollouts=0", generations=5)
@@ -196,7 +196,7 @@ def test_a_pass_without_its_situation_is_told_and_is_no_fix(project):
     project.run("--pafot-strict-drift", generations=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_two_runs_in_which_nothing_happened_are_told_apart_by_their_most_critical_moment(project):
+def test_uneventful_runs_are_compared_by_most_critical_moment(project):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_drive(run):\n    assert run.collision\n")
     project.run_once("--pafot-shrink-rollouts=0")
     head, _, tail = project.only_file.read_text().partition("time: ")
@@ -213,7 +213,7 @@ def test_a_replay_uses_the_world_of_the_file(saved):
     saved.run(generations=0).assert_outcomes(passed=1, skipped=1)
 
 
-def test_a_replay_that_passes_where_its_run_is_cut_is_drifted_and_not_fixed(saved):
+def test_replay_whose_passing_run_is_cut_has_drifted(saved):
     saved.write(FAILS.replace("genes=2", "world=pafot.Highway(duration=0.4), genes=2").replace("'x'", "'safe'"))
     result = saved.run(generations=0)
     result.assert_outcomes(passed=1, skipped=1)
@@ -232,7 +232,7 @@ def copies_that_differ(project, edits):
     return [section(result, f"test_fails[saved-copy-{number}]").splitlines() for number in range(len(edits))]
 
 
-def test_a_world_that_cannot_be_built_or_does_not_fit_is_one_failing_item_with_its_line(saved):
+def test_invalid_world_or_scenario_fails_item_with_line(saved):
     edits = [
         ("lanes: 4", "lanes: 40", "3: world.lanes: expected a whole number from 3 to 6, received 40; correct it, or *"),
         ("braking: 8.0", "braking: 1.0e-300", "5: world.limits.braking: expected a number from 0.1 to 100, received *"),
@@ -245,7 +245,7 @@ def test_a_world_that_cannot_be_built_or_does_not_fit_is_one_failing_item_with_i
         pytest.LineMatcher(lines).fnmatch_lines([f"*copy-{number}.pafot.yaml:{edits[number][2]}"])
 
 
-def test_an_environment_that_cannot_be_made_is_told_with_its_line(project):
+def test_environment_creation_failure_is_reported_with_line(project):
     project.write(GYM)
     project.run_once()
     edits = [
@@ -299,7 +299,7 @@ def test_fails(run):
 """
 
 
-def test_a_replay_says_where_the_weights_are_not_those_that_it_was_found_with(project):
+def test_replay_mentions_weights_that_have_changed(project):
     project.write(TRAINED.replace("LIMIT", "1"))
     project.run()
     project.run(generations=0).stdout.no_fnmatch_line("*other weights*")

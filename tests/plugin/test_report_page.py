@@ -62,12 +62,12 @@ def test_the_page_counts_the_runs_of_a_find(project, page):
     assert sum(finding["runs"] for finding in data["findings"]) == data["campaigns"][0]["simulated"] > 2
 
 
-def test_the_text_of_the_file_is_on_the_page(failing, page):
+def test_page_contains_the_text_of_the_file(failing, page):
     failing.run_once("--pafot-report=report.html")
     assert html.escape(failing.only_file.read_text()) in page.read_text(encoding="utf-8")
 
 
-def test_a_saved_scenario_that_still_fails_is_on_the_page(saved, page):
+def test_page_contains_saved_scenarios_that_still_fail(saved, page):
     saved.run("--pafot-report=report.html", generations=0)
     data = data_of(page)
     assert labels_of(data) == ["still failing"]
@@ -76,7 +76,7 @@ def test_a_saved_scenario_that_still_fails_is_on_the_page(saved, page):
     assert "1 saved scenario: 1 still failing" in page.read_text(encoding="utf-8")
 
 
-def test_a_known_failure_has_the_number_of_runs_that_it_covers(project, page):
+def test_known_failure_shows_number_of_covered_runs(project, page):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
     project.run_once(generations=2)
     project.run("--pafot-report=report.html", generations=2)
@@ -85,7 +85,7 @@ def test_a_known_failure_has_the_number_of_runs_that_it_covers(project, page):
     assert sum(finding["runs"] for finding in data["findings"]) == data["campaigns"][0]["simulated"] > 2
 
 
-def test_an_accepted_failure_is_on_the_page_with_its_reason(saved, page):
+def test_accepted_failure_is_shown_with_its_reason(saved, page):
     with saved.only_file.open("a") as file:
         file.write('xfail: "planner issue 12"\n')
     saved.run("--pafot-report=report.html", generations=0).assert_outcomes(xfailed=1, skipped=1)
@@ -99,14 +99,14 @@ def test_a_fixed_scenario_is_counted_and_not_shown(saved, page):
     assert "1 saved scenario: 1 fixed" in page.read_text(encoding="utf-8")
 
 
-def test_a_find_that_is_not_saved_has_the_command_of_its_search(failing, page):
+def test_unsaved_finding_shows_the_command_of_its_search(failing, page):
     failing.run("--pafot-report=report.html", "--pafot-save=none")
     (finding,) = data_of(page)["findings"]
     assert finding["path"] == ""
     assert finding["command"] == "pytest 'test_it.py::test_fails[search]' --pafot-generations=1 --pafot-seed=1"
 
 
-def test_a_crash_that_nobody_saw_is_listed_without_a_picture(project, page):
+def test_unobserved_crash_is_listed_without_a_picture(project, page):
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
     project.leave_crash("test_it.py::test_a")
     project.run("--pafot-report=report/", generations=0)
@@ -116,7 +116,7 @@ def test_a_crash_that_nobody_saw_is_listed_without_a_picture(project, page):
     assert [path.name for path in (project.path / "report").iterdir()] == ["index.html"]
 
 
-def test_a_folder_gets_the_page_and_a_moving_picture_of_each_finding(failing):
+def test_report_folder_contains_page_and_animated_pictures(failing):
     failing.write(
         FAILING.replace("SHORT", "genes=1, gene_seconds=1, npcs=1, ego_lane=1, ego_speed=22").replace("< 1", "< 0")
     )
@@ -128,7 +128,7 @@ def test_a_folder_gets_the_page_and_a_moving_picture_of_each_finding(failing):
     result.stdout.fnmatch_lines(["report: out/report/index.html (1 finding, 1 moving picture)"])
 
 
-def test_without_pillow_the_page_is_written_and_the_summary_says_what_is_missing(failing, monkeypatch):
+def test_page_without_pillow_reports_the_missing_package(failing, monkeypatch):
     monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
     monkeypatch.setitem(sys.modules, "PIL", None)
     result = failing.run("--pafot-report=report/")
@@ -141,7 +141,7 @@ def test_parent_folders_are_made(failing):
     assert (failing.path / "a" / "b" / "report.html").is_file()
 
 
-def test_a_page_that_cannot_be_written_is_one_line_and_changes_no_result(failing):
+def test_unwritable_page_is_one_problem_and_changes_nothing(failing):
     (failing.path / "taken").write_text("a file")
     result = failing.run("--pafot-report=taken/report.html")
     result.assert_outcomes(failed=2)
@@ -151,7 +151,7 @@ def test_a_page_that_cannot_be_written_is_one_line_and_changes_no_result(failing
     assert "Traceback" not in text
 
 
-def test_a_folder_in_the_place_of_the_page_is_a_problem_and_stays(failing, page):
+def test_folder_in_place_of_the_page_stays(failing, page):
     page.mkdir()
     result = failing.run_once("--pafot-report=report.html")
     assert "not written" in result.stdout.str()
@@ -178,7 +178,7 @@ NOT_KEPT = {
 }
 
 
-def test_the_page_shows_an_error_first_and_does_not_say_that_the_property_was_kept(project, page):
+def test_page_shows_errors_first_and_claims_no_success(project, page):
     tests = ["@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n"]
     for number, (arguments, body, _) in enumerate(NOT_KEPT.values()):
         tests.append(f"@pafot.search(SHORT, {arguments})\ndef test_drive_{number}(run):\n    {body}\n")
@@ -200,7 +200,7 @@ def test_the_page_shows_an_error_first_and_does_not_say_that_the_property_was_ke
     result.stdout.fnmatch_lines([f"report: report.html ({len(NOT_KEPT)} errors, 0 findings)"])
 
 
-def test_an_error_after_a_find_is_shown_beside_it(project, page):
+def test_error_after_a_finding_is_shown_with_it(project, page):
     project.write(
         """
 seen = []
@@ -221,7 +221,7 @@ def test_drive(run):
     assert "The search ended with an error." in text
 
 
-def test_an_error_in_a_fixture_is_shown_on_the_page_of_the_other_tests(project, page):
+def test_fixture_error_appears_on_the_page_of_others(project, page):
     project.write(
         "@pytest.fixture\ndef lost():\n    raise OSError('no map')\n\n"
         "@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n\n"
@@ -233,7 +233,7 @@ def test_an_error_in_a_fixture_is_shown_on_the_page_of_the_other_tests(project, 
     assert KEPT not in text
 
 
-def test_only_finds_are_shown_where_a_search_and_its_finds_fail(failing, page):
+def test_page_shows_no_error_for_ordinary_findings(failing, page):
     failing.run_once("--pafot-report=report.html").assert_outcomes(failed=2)
     assert '<article class="error"' not in page.read_text(encoding="utf-8")
 
@@ -246,7 +246,7 @@ def test_only_finds_are_shown_where_a_search_and_its_finds_fail(failing, page):
         ("pytest.exit('enough', returncode=3)", "No findings before the interrupt."),
     ],
 )
-def test_a_page_without_findings_says_whether_the_search_was_whole(project, page, body, ending):
+def test_page_without_findings_says_if_search_was_complete(project, page, body, ending):
     project.write(f"@pafot.search(SHORT)\ndef test_drive(run):\n    {body}\n")
     project.run("--pafot-report=report.html", no_reraise_ctrlc=True)
     text = page.read_text(encoding="utf-8")
@@ -254,13 +254,13 @@ def test_a_page_without_findings_says_whether_the_search_was_whole(project, page
     assert (KEPT in text) == (ending == KEPT)
 
 
-def test_a_search_that_time_cut_says_so_on_the_page(project, page):
+def test_page_says_that_time_cut_the_search(project, page):
     project.write("@pafot.search(SHORT)\ndef test_drive(run):\n    pass\n")
     project.run("--pafot-report=report.html", "--pafot-max-time=0")
     assert "No findings before time ran out." in page.read_text(encoding="utf-8")
 
 
-def test_known_failures_whose_scenarios_did_not_run_are_not_taken_for_a_property_that_was_kept(project, page):
+def test_known_failures_without_replay_prevent_claiming_success(project, page):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
     project.run_once("--pafot-shrink-rollouts=0")
     project.run("--pafot-report=report.html", "test_it.py::test_fails[search]")
@@ -269,7 +269,7 @@ def test_known_failures_whose_scenarios_did_not_run_are_not_taken_for_a_property
     assert KEPT not in text
 
 
-def test_the_mark_the_environment_and_the_ini_file_name_a_page_too(project, monkeypatch):
+def test_report_page_can_be_named_in_every_source(project, monkeypatch):
     project.write(
         '@pafot.search(SHORT, report="a.html")\ndef test_a(run):\n    pass\n\n'
         "@pafot.search(SHORT)\ndef test_b(run):\n    pass\n"
@@ -286,13 +286,13 @@ def test_the_mark_the_environment_and_the_ini_file_name_a_page_too(project, monk
     assert [path.name for path in project.path.glob("*.html")] == ["line.html"]
 
 
-def test_a_name_that_is_neither_a_page_nor_a_folder_is_refused(failing):
+def test_report_name_must_be_a_page_or_folder(failing):
     result = failing.run("--pafot-report=report.pdf")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*--pafot-report: expected the name of a page FILE.html, or of a folder DIR/*"])
 
 
-def test_a_session_without_search_and_replay_writes_nothing_and_says_so(project, page):
+def test_session_without_search_or_replay_writes_no_page(project, page):
     project.write("def test_b():\n    pass\n")
     result = project.run("--pafot-report=report.html")
     assert not page.exists()
@@ -306,7 +306,7 @@ def rows_of(project, *options, **more):
     return re.findall(r'<iframe class=\\"pafot-finding\\" title=\\"(.*?)\\"', text)
 
 
-def test_rows_of_pytest_html_show_finds_and_failing_replays(failing, page):
+def test_pytest_html_rows_show_findings_and_failing_replays(failing, page):
     (title,) = rows_of(failing, "--pafot-report=report.html")
     (finding,) = data_of(page)["findings"]
     assert html.unescape(title) == finding["headline"]
@@ -318,7 +318,7 @@ def test_rows_of_pytest_html_come_from_workers_too(failing):
     assert len(rows_of(failing, "-n", "1", apart=True)) == 1
 
 
-def test_what_shrinking_and_reference_drivers_came_to_is_on_the_page_also_at_the_replay(project, page, shrinking):
+def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, shrinking):
     project.write("@pafot.search(SHORT, blame='ego', stop_after=1)\ndef test_a(run):\n    assert not run.collision\n")
     project.run("--pafot-report=report.html", generations=6, seed=3)
     (finding, *_) = [each for each in data_of(page)["findings"] if each["event"]["side"] == "front"]
@@ -338,7 +338,7 @@ def test_what_shrinking_and_reference_drivers_came_to_is_on_the_page_also_at_the
         assert again[same] == finding[same]
 
 
-def test_shrinking_that_is_switched_off_says_nothing_on_the_page(project, page):
+def test_page_does_not_mention_disabled_shrinking(project, page):
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    assert not run.collision\n")
     project.run("--pafot-report=report.html", "--pafot-shrink-rollouts=0", generations=4)
     findings = data_of(page)["findings"]

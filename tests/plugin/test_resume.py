@@ -45,7 +45,7 @@ def forget(project):
     return found
 
 
-def test_a_night_cut_into_four_leaves_the_files_of_a_long_one(project):
+def test_four_resumed_sessions_equal_one_long_session(project):
     project.write(SOURCE)
     project.run("--pafot-runs=16", generations=None)
     whole = forget(project)
@@ -58,7 +58,7 @@ def test_a_night_cut_into_four_leaves_the_files_of_a_long_one(project):
     assert state.name.startswith("test_it.py.test_it~")
 
 
-def test_a_session_without_a_new_find_passes_though_earlier_ones_had_some(project):
+def test_resumed_session_without_new_finding_passes(project):
     project.write(SOURCE.replace("not run.collision", "run.duration < 1"))
     first = night(project, runs=4)
     first.assert_outcomes(failed=1 + len(project.files))
@@ -66,7 +66,7 @@ def test_a_session_without_a_new_find_passes_though_earlier_ones_had_some(projec
     again.assert_outcomes(passed=1)
 
 
-def test_a_find_that_is_not_to_be_saved_is_told_once_and_saved_by_a_session_that_saves(project):
+def test_unsaved_finding_is_reported_once_and_saved_later(project):
     project.write(SOURCE)
     night(project, "--pafot-save=none", runs=10).stdout.fnmatch_lines(
         ["*1 new finding*", "*not saved: --pafot-save=none"]
@@ -80,7 +80,7 @@ def test_a_find_that_is_not_to_be_saved_is_told_once_and_saved_by_a_session_that
     assert project.contents
 
 
-def test_the_base_seed_is_the_same_in_each_session_unless_one_is_given(project):
+def test_resumed_base_seed_stays_the_same_unless_given(project):
     project.write(SOURCE)
     for _ in range(2):
         night(project, ONLY, runs=1, seed=None).stdout.fnmatch_lines(["*base seed 0*"])
@@ -89,7 +89,7 @@ def test_the_base_seed_is_the_same_in_each_session_unless_one_is_given(project):
     refused.stdout.fnmatch_lines(["*seed 0 in the file, 4 now*"])
 
 
-def test_a_state_that_is_refused_fails_its_own_search_alone(project):
+def test_invalid_state_fails_only_its_own_search(project):
     project.write(SOURCE + SOURCE.replace("test_it", "test_other"))
     night(project, ONLY, OTHER, runs=4)
     (state,) = project.path.glob("states/*test_it~*")
@@ -100,7 +100,7 @@ def test_a_state_that_is_refused_fails_its_own_search_alone(project):
     assert state.read_text() == "{"
 
 
-def test_a_session_that_only_replays_leaves_the_state_alone(project):
+def test_replaying_session_does_not_change_the_state(project):
     project.write(SOURCE)
     night(project, runs=4)
     (state,) = project.path.glob("states/*")
@@ -109,7 +109,7 @@ def test_a_session_that_only_replays_leaves_the_state_alone(project):
     assert state.read_bytes() == before
 
 
-def test_the_folder_may_be_a_setting_or_an_argument(project):
+def test_resume_folder_may_be_ini_key_or_argument(project):
     project.pytester.makeini("[pytest]\npafot_resume = kept\n")
     project.write(SOURCE + SOURCE.replace("SHORT", 'SHORT, resume="other"').replace("test_it", "test_other"))
     project.run("--pafot-runs=4", generations=None)
@@ -124,7 +124,7 @@ def test_an_algorithm_that_cannot_go_on_is_refused(project):
 
 
 @pytest.mark.processes
-def test_workers_leave_the_state_of_each_search_and_its_files(project):
+def test_workers_resume_each_search_with_same_files(project):
     project.write(SOURCE + SOURCE.replace("test_it", "test_other"))
     project.run("--pafot-runs=24", generations=None)
     whole = forget(project)
@@ -137,7 +137,7 @@ def test_workers_leave_the_state_of_each_search_and_its_files(project):
 @pytest.mark.processes
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 @pytest.mark.parametrize("kill_at", [3, 300, 900])
-def test_a_session_that_is_killed_goes_on_and_leaves_the_same_files(project, monkeypatch, kill_at):
+def test_killed_session_resumes_and_leaves_the_same_files(project, monkeypatch, kill_at):
     project.write(KILLED)
     project.run("--pafot-runs=24", generations=None)
     whole = forget(project)
@@ -174,7 +174,7 @@ def test_it(run):
 
 
 @pytest.mark.processes
-def test_a_second_session_at_the_same_state_is_refused_and_leaves_it_alone(project, monkeypatch):
+def test_second_session_with_the_same_state_is_refused(project, monkeypatch):
     project.write(OUTER)
     monkeypatch.setenv("OUTER", "1")
     night(project, runs=8, apart=True).assert_outcomes(passed=1)

@@ -63,7 +63,7 @@ def left_in_the_end(project, count):
 
 
 @forks
-def test_a_scenario_that_runs_to_its_end_is_told_once_and_not_saved(project):
+def test_retried_scenario_that_completes_is_reported_but_unsaved(project):
     write(project, "None")
     project.leave_behind(OWNER)
     result = replayed(project)
@@ -74,7 +74,7 @@ def test_a_scenario_that_runs_to_its_end_is_told_once_and_not_saved(project):
 
 
 @forks
-def test_a_session_that_is_killed_from_outside_blames_nobody(project):
+def test_session_killed_from_outside_is_no_finding(project):
     killed_once = """
 import pathlib
 
@@ -93,7 +93,7 @@ def test_it(run):
 
 @forks
 @pytest.mark.processes
-def test_what_builds_up_until_each_session_dies_is_a_finding_of_the_third(project):
+def test_repeated_death_of_sessions_becomes_a_finding(project):
     builds_up = """
 RUNS = []
 
@@ -117,7 +117,7 @@ def test_it(run):
 
 @forks
 @pytest.mark.parametrize("end", ["os._exit(9)", "os.kill(os.getpid(), signal.SIGKILL)"])
-def test_a_scenario_that_ends_another_process_is_saved_with_how_that_ended(project, end):
+def test_scenario_that_kills_again_records_exit_status(project, end):
     write(project, end)
     project.leave_behind(OWNER)
     result = replayed(project)
@@ -142,7 +142,7 @@ def test_a_death_in_the_test_function_comes_again(project):
 
 @forks
 @pytest.mark.processes
-def test_a_process_that_does_not_return_to_the_interpreter_is_a_hang(project, monkeypatch):
+def test_process_stuck_in_native_code_is_a_hang(project, monkeypatch):
     monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
     write(project, "sum(range(10**12))")
     project.leave_behind(OWNER, world=Highway(duration=10.0, hang_limit=0.1).to_dict())
@@ -152,7 +152,7 @@ def test_a_process_that_does_not_return_to_the_interpreter_is_a_hang(project, mo
     result.stdout.fnmatch_lines(["*did not answer for 0.5 s and was killed*a forked process (then delete the file)*"])
 
 
-def test_where_no_process_can_tell_one_death_is_enough(project, monkeypatch):
+def test_one_death_suffices_if_nothing_can_be_retried(project, monkeypatch):
     monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "METHOD", "spawn")
     write(project, "None")
     project.leave_behind(OWNER)
@@ -166,14 +166,14 @@ def test_where_no_process_can_tell_one_death_is_enough(project, monkeypatch):
     [("1 / 0", None), ("time.sleep(60)", Highway(duration=10.0, hang_limit=0.1).to_dict())],
     ids=["the ADS raises there", "it hangs there"],
 )
-def test_a_run_that_says_nothing_of_the_death_does_not_excuse_the_scenario(project, act, world):
+def test_inconclusive_retry_does_not_excuse_the_scenario(project, act, world):
     write(project, act)
     project.leave_behind(OWNER, world=world)
     replayed(project).stdout.fnmatch_lines(["*if it was killed from outside, delete the file"])
     assert project.only_id.startswith("crash-")
 
 
-def test_a_record_whose_world_cannot_be_made_is_reported_and_no_find(project):
+def test_record_with_impossible_world_is_reported_only(project):
     write(project, "None")
     project.leave_behind(OWNER, world={"kind": "mine"})
     result = replayed(project)
@@ -185,7 +185,7 @@ def test_a_record_whose_world_cannot_be_made_is_reported_and_no_find(project):
 
 
 @forks
-def test_it_is_the_world_of_that_time_that_it_runs_in(project):
+def test_retry_uses_the_world_of_the_record(project):
     write(project, "os._exit(9) if observation.time > 6 else None")
     project.leave_behind(OWNER, world=Highway(duration=5.0).to_dict())
     replayed(project).stdout.fnmatch_lines([INNOCENT])
@@ -197,7 +197,7 @@ AROUND = (Cell.FRONT, Cell.REAR, Cell.RIGHT)
 
 
 @forks
-def test_of_scenarios_in_lock_step_the_one_that_ends_a_process_is_saved(project):
+def test_lock_step_scenario_that_kills_again_is_saved(project):
     write(project, "os._exit(9) if observation.time == 0 and observation.others[0].x < observation.ego.x - 5 else None")
     project.leave_behind(OWNER, AROUND)
     result = replayed(project)
@@ -209,7 +209,7 @@ def test_of_scenarios_in_lock_step_the_one_that_ends_a_process_is_saved(project)
 
 
 @forks
-def test_scenarios_in_lock_step_that_all_run_to_their_ends_are_told_together(project):
+def test_lock_step_scenarios_that_complete_share_one_note(project):
     write(project, "None")
     project.leave_behind(OWNER, AROUND)
     result = replayed(project)

@@ -14,7 +14,7 @@ def rows_of(project, name="runs.csv"):
         return list(csv.DictReader(file))
 
 
-def test_each_run_is_a_row_whatever_became_of_it(failing):
+def test_each_run_is_a_row_of_the_table(failing):
     result = failing.run("--pafot-table=runs.csv")
     result.stdout.fnmatch_lines(["table: runs.csv"])
     rows = rows_of(failing)
@@ -42,7 +42,7 @@ def test_a_run_whose_scenario_was_repaired_has_its_verdict_too():
 
 
 @pytest.mark.processes
-def test_workers_leave_the_rows_of_one_process_in_its_order(project):
+def test_workers_write_rows_in_the_same_order(project):
     project.write(TWO)
     project.run("--pafot-table=runs.csv")
     alone = rows_of(project)
@@ -51,7 +51,7 @@ def test_workers_leave_the_rows_of_one_process_in_its_order(project):
     assert len({row["test"] for row in alone}) == 2
 
 
-def test_an_interrupted_session_leaves_the_runs_that_it_made(project):
+def test_interrupted_session_writes_its_completed_runs(project):
     project.write(IS_CUT)
     project.run("--pafot-table=runs.csv", no_reraise_ctrlc=True)
     assert rows_of(project)
@@ -64,7 +64,7 @@ def test_a_name_without_a_known_ending_is_refused(failing, name):
     result.stderr.fnmatch_lines([f"*expected the name of a file FILE.csv or FILE.parquet, received '{name}'*"])
 
 
-def test_a_table_that_cannot_be_written_is_told_and_the_search_goes_on(failing):
+def test_unwritable_table_is_reported_and_search_continues(failing):
     result = failing.run("--pafot-table=none/runs.csv")
     result.stdout.fnmatch_lines(["*--pafot-table=none/runs.csv: not written: No such file or directory*"])
     assert failing.files

@@ -41,7 +41,7 @@ def python(*arguments):
     return done.returncode, done.stdout
 
 
-def test_it_finds_saves_shows_and_becomes_a_test_that_replays_the_find(here):
+def test_search_command_saves_a_finding_and_writes_tests(here):
     code, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2", "--", "-q")
     assert code == 1
     assert "leader-unanswered" in told
@@ -57,7 +57,7 @@ def test_it_finds_saves_shows_and_becomes_a_test_that_replays_the_find(here):
     assert "replayed 1 saved scenario: 1 still failing" in told
 
 
-def test_nothing_found_is_exit_code_0_and_a_world_and_a_check_are_those_asked_for(here):
+def test_search_command_uses_the_requested_world_and_check(here):
     arguments = ["search", "a_planner:make:fast", "--blame", "any", "--check", "a_planner:keeps_moving"]
     assert main([*arguments, "--world", "highway-v0", "--write-test"]) == 0
     test = (here / "test_safety.py").read_text()
@@ -131,7 +131,7 @@ def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
         (["a_planner:Planner", "--write-test"], "search: --write-test: expected a folder without conftest.py"),
     ],
 )
-def test_what_cannot_be_searched_is_told_and_nothing_is_written(here, capsys, arguments, told):
+def test_impossible_search_is_reported_and_writes_nothing(here, capsys, arguments, told):
     (here / "conftest.py").write_text("# the user's\n")
     (here / "broken.py").write_text("raise ValueError('no gpu')\n")
     assert main(["search", *arguments]) == 2

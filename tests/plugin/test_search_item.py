@@ -5,7 +5,7 @@ import re
 import pytest
 
 
-def test_a_search_fails_and_reports_each_find_under_the_id_of_its_replay(failing):
+def test_search_fails_and_reports_findings_by_replay_id(failing):
     result = failing.run_once()
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_fails[[]saved-{failing.only_id}[]]*"])
@@ -17,13 +17,13 @@ def test_the_search_lists_its_finds(failing):
     result.stdout.fnmatch_lines(["1 new finding in 1 run, reported below", f"  {failing.only_id} (1 run)"])
 
 
-def test_a_find_is_a_readable_file_beside_the_test(failing):
+def test_finding_is_a_readable_file_near_its_test(failing):
     failing.run_once()
     assert re.fullmatch(r"pafot_corpus/test_it/test_fails/[a-z0-9-]+\.pafot\.yaml", failing.files[0])
     assert "test: test_it.py::test_fails\n" in failing.only_file.read_text()
 
 
-def test_a_find_is_announced_while_the_search_runs_and_its_report_has_the_file(failing):
+def test_finding_is_announced_during_search_with_its_file(failing):
     result = failing.run_once()
     result.stdout.fnmatch_lines(
         [
@@ -35,21 +35,21 @@ def test_a_find_is_announced_while_the_search_runs_and_its_report_has_the_file(f
     )
 
 
-def test_the_next_session_replays_the_find_under_the_same_id(failing):
+def test_next_session_replays_finding_under_the_same_id(failing):
     failing.run_once()
     result = failing.run_once(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_fails[[]saved-{failing.only_id}[]]*"])
 
 
-def test_a_property_that_is_no_collision_is_searched_saved_and_replayed(project):
+def test_property_without_collision_is_searched_saved_and_replayed(project):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_gap(run):\n    assert run.min_distance > 1000\n")
     project.run().assert_outcomes(failed=2)
     assert project.only_id.startswith("min-distance")
     project.run(generations=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_a_search_that_finds_nothing_passes_and_says_what_it_did(project):
+def test_search_without_findings_passes_with_a_summary(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    assert run.duration > 0\n")
     result = project.run(generations=2)
     result.assert_outcomes(passed=1)
@@ -57,14 +57,14 @@ def test_a_search_that_finds_nothing_passes_and_says_what_it_did(project):
     assert project.files == []
 
 
-def test_assertions_in_the_test_are_explained_as_pytest_does(failing):
+def test_assertions_in_the_test_are_explained_by_pytest(failing):
     result = failing.run_once()
     result.stdout.fnmatch_lines(
         ["    assert run.duration < 1", "E   assert * < 1", "E    +  where * = <Run *>.duration"]
     )
 
 
-def test_fixtures_are_evaluated_once_per_item_and_the_ads_once_per_scenario(project):
+def test_fixtures_run_once_per_item_ads_per_scenario(project):
     project.write(
         """
 made = []
@@ -89,7 +89,7 @@ def test_counts(run, once, tmp_path):
     project.run(generations=2).assert_outcomes(passed=1)
 
 
-def test_stop_after_ends_a_search_at_that_many_distinct_finds(project):
+def test_stop_after_limits_the_number_of_distinct_findings(project):
     check = 'pafot.check(1.0, name=f"cell {run.event_cell}", at_most=0.0)'
     project.write(f"@pafot.search(SHORT, shrink_rollouts=0)\ndef test_fails(run):\n    {check}\n")
     project.run("--pafot-stop-after=2", generations=20).assert_outcomes(failed=3)
@@ -103,7 +103,7 @@ def test_save_none_reports_finds_and_writes_nothing(failing):
     assert failing.files == []
 
 
-def test_a_corpus_elsewhere_mirrors_the_folders_of_the_tests(failing):
+def test_central_corpus_mirrors_the_folders_of_tests(failing):
     failing.pytester.mkdir("sub")
     (failing.path / "test_it.py").rename(failing.path / "sub" / "test_it.py")
     failing.run(f"--pafot-corpus={failing.path / 'all'}")
@@ -127,7 +127,7 @@ def test_short(run, limit):
     result.stdout.fnmatch_lines([f"test_it.py::test_short[[]0-saved-{project.only_id}[]] FAILED*"])
 
 
-def test_a_parametrised_ads_fixture_gives_a_search_per_parameter(project):
+def test_parametrised_ads_fixture_gives_several_searches(project):
     project.write(
         """
 @pytest.fixture(params=["slow", "fast"])
@@ -144,7 +144,7 @@ def test_brakes(run):
     assert project.only_file.parent.name == "test_brakes@slow"
 
 
-def test_blame_ego_counts_what_npcs_are_responsible_for_and_does_not_ask_the_test(project):
+def test_blame_ego_skips_runs_caused_by_npcs(project):
     project.write(
         """
 @pytest.fixture
@@ -161,7 +161,7 @@ def test_fault(run):
     result.stdout.fnmatch_lines(["* npc at fault*"])
 
 
-def test_an_ads_that_raises_is_a_find_of_its_own_with_its_traceback(project):
+def test_raising_ads_is_a_finding_with_its_traceback(project):
     project.write(
         """
 class Broken:
@@ -180,7 +180,7 @@ def test_runs(run):
     project.run(generations=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_a_slow_decision_is_a_find_only_where_a_limit_is_set(project):
+def test_slow_decision_is_a_finding_only_with_limit(project):
     project.write(
         """
 import time
@@ -203,7 +203,7 @@ def test_in_time(run):
     assert "failure: SlowDecision" in project.only_file.read_text()
 
 
-def test_a_hang_is_a_find_that_depends_on_time(project):
+def test_hang_is_a_finding_that_depends_on_time(project):
     project.write(
         """
 import time
@@ -221,14 +221,14 @@ def test_decides(run):
     result.stdout.fnmatch_lines(["*the ADS failed: *(depends on wall-clock time)*"])
 
 
-def test_max_time_shorter_than_one_run_still_runs_one(project):
+def test_max_time_zero_still_makes_one_run(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
     result = project.run("--pafot-max-time=0", generations=50)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["  1 run in *", "*--pafot-max-time", "*note: cut by --pafot-max-time*"])
 
 
-def test_the_same_seed_gives_the_same_files_and_another_seed_others(project):
+def test_same_seed_gives_same_files_another_seed_others(project):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     project.run(generations=3)
     first = project.contents
@@ -240,18 +240,18 @@ def test_the_same_seed_gives_the_same_files_and_another_seed_others(project):
     assert project.contents != first
 
 
-def test_pytest_takes_a_corpus_file_and_runs_that_item_alone(saved):
+def test_corpus_file_as_argument_runs_only_its_item(saved):
     result = saved.run("-v", saved.files[0])
     result.assert_outcomes(failed=1, deselected=1)
     result.stdout.fnmatch_lines([f"test_it.py::test_fails[[]saved-{saved.only_id}[]] FAILED*"])
 
 
-def test_a_corpus_file_beside_other_arguments_adds_its_item(saved):
+def test_corpus_file_adds_its_item_to_other_arguments(saved):
     saved.write("def test_other():\n    pass\n", name="test_other")
     saved.run("test_other.py", saved.files[0]).assert_outcomes(failed=1, passed=1, deselected=1)
 
 
-def test_a_fresh_base_seed_is_printed_so_that_it_can_be_repeated(project):
+def test_printed_fresh_base_seed_repeats_the_search(project):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     output = project.run("--pafot-stop-after=1", seed=None).stdout.str()
     seed = re.search(r"from --pafot-seed=(\d+)", output).group(1)
@@ -261,7 +261,7 @@ def test_a_fresh_base_seed_is_printed_so_that_it_can_be_repeated(project):
     assert project.contents == first
 
 
-def test_a_fitness_is_a_name_or_weights_or_a_function_of_a_trace(project):
+def test_fitness_may_be_name_weights_or_function(project):
     each = ["'paper'", "pafot.Weights(ttc=2.0)", "lambda trace: -trace.duration"]
     tests = (f"@pafot.search(SHORT, fitness={given})\ndef test_{n}(run):\n    pass\n" for n, given in enumerate(each))
     project.write("\n".join(tests))
@@ -272,7 +272,7 @@ SHORT_SEARCH = "*note: 40 runs are a short search; use --pafot-runs=400 for a lo
 KEEPS = "@pafot.search(SHORT)\ndef test_drive(run):\n    assert run.duration BOUND\n"
 
 
-def test_a_search_that_finds_nothing_in_the_few_runs_of_its_default_says_so(project):
+def test_short_default_search_without_findings_says_so(project):
     project.write(KEEPS.replace("BOUND", "> 0"))
     project.run(generations=None).stdout.fnmatch_lines([SHORT_SEARCH])
 
@@ -291,7 +291,7 @@ def test_no_other_search_is_called_short(project, bound, options):
     project.run(*options, generations=None).stdout.no_fnmatch_line("*short search*")
 
 
-def test_the_output_is_ascii_and_its_own_lines_fit_in_80_columns(project, monkeypatch):
+def test_output_is_ascii_within_80_columns(project, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
     lines = project.run("-v", generations=2).outlines

@@ -48,7 +48,7 @@ def is_whole(result):
     ],
     ids=["records", "prune", "report", "summary"],
 )
-def test_a_fault_at_the_end_is_one_line_of_the_summary(project, monkeypatch, function, expected):
+def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function, expected):
     def fail(*arguments, **named):
         raise ValueError("a fault")
 
@@ -61,7 +61,7 @@ def test_a_fault_at_the_end_is_one_line_of_the_summary(project, monkeypatch, fun
     assert [line.strip() for line in result.stdout.lines if "a fault" in line] == [expected]
 
 
-def test_finds_that_cannot_be_reported_at_the_end_of_a_cut_session_are_named(project, monkeypatch):
+def test_unreportable_findings_of_interrupted_session_are_named(project, monkeypatch):
     project.write(IS_CUT)
     monkeypatch.setattr("pytest_pafot.plugin.terminal_reporter._phase", lambda report, when: 1 / 0)
     result = project.run(no_reraise_ctrlc=True)
@@ -70,7 +70,7 @@ def test_finds_that_cannot_be_reported_at_the_end_of_a_cut_session_are_named(pro
     assert "problem: report of what test_it.py::test_fails[search] found: ZeroDivisionError: division by zero" in text
 
 
-def test_a_cache_folder_that_cannot_be_read_is_one_line_of_the_summary(project, monkeypatch):
+def test_unreadable_cache_folder_is_one_summary_line(project, monkeypatch):
     listed = Path.iterdir
 
     def refuse(path):
@@ -87,7 +87,7 @@ def test_a_cache_folder_that_cannot_be_read_is_one_line_of_the_summary(project, 
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files are not counted there")
-def test_a_session_that_has_no_file_descriptors_left_says_so_and_keeps_all_texts(project):
+def test_session_without_free_file_descriptors_still_reports(project):
     project.pytester.makeconftest(
         """
 import os
@@ -118,7 +118,7 @@ def leak():
     assert "close the files that the ADS and the tests open" in text
 
 
-def test_an_interrupt_while_the_report_is_written_costs_the_report_alone(project, monkeypatch):
+def test_interrupt_while_writing_report_loses_only_the_report(project, monkeypatch):
     def interrupted(*arguments, **named):
         raise KeyboardInterrupt
 

@@ -69,7 +69,7 @@ def test_a_search_and_its_find_are_recorded(failing):
     assert find.runs == search.failing > 0
 
 
-def test_a_replay_is_recorded_with_its_label_and_the_result_of_its_item(saved):
+def test_replay_is_recorded_with_label_and_result(saved):
     (find,) = recorded(saved, generations=0).findings
     assert (find.status, find.result, find.file) == ("still failing", "failed", saved.files[0])
     assert find.headline
@@ -79,7 +79,7 @@ def test_a_replay_is_recorded_with_its_label_and_the_result_of_its_item(saved):
     assert record.findings[0].xfail == {"reason": "reason", "until": None}
 
 
-def test_a_failure_that_is_no_longer_accepted_is_recorded_with_a_warning(saved):
+def test_expired_xfail_is_recorded_with_a_warning(saved):
     text = saved.only_file.read_text().replace('# xfail: "reason"', "xfail: {reason: issue 12, until: 2027-01-31}")
     saved.only_file.write_text(text)
     records = [recorded(saved, f"--pafot-today={day}", generations=0) for day in ("2027-01-31", "2027-02-01")]
@@ -90,7 +90,7 @@ def test_a_failure_that_is_no_longer_accepted_is_recorded_with_a_warning(saved):
     assert warning.startswith(f"{saved.files[0]}: accepted (issue 12, until 2027-01-31), but that day is over: ")
 
 
-def test_a_file_that_cannot_be_read_is_recorded_with_why(saved):
+def test_unreadable_file_is_recorded_with_the_reason(saved):
     name = saved.files[0]
     saved.only_file.write_text("pafot: 99\n")
     (find,) = recorded(saved, generations=0).findings
@@ -98,14 +98,14 @@ def test_a_file_that_cannot_be_read_is_recorded_with_why(saved):
     assert "expected the format version" in find.detail
 
 
-def test_a_search_that_does_not_begin_is_recorded_with_why(project):
+def test_search_that_cannot_start_is_recorded_with_reason(project):
     project.write("@pafot.search(SHORT, ads='nothing')\ndef test_it(run):\n    pass\n")
     (search,) = recorded(project).searches
     assert (search.result, search.reason, search.runs) == ("error", "", 0)
     assert "the fixture 'nothing'" in search.message
 
 
-def test_a_session_that_is_interrupted_leaves_what_it_found(project):
+def test_interrupted_session_records_what_it_found(project):
     project.write(IS_CUT)
     record = recorded(project, no_reraise_ctrlc=True)
     assert record.exit == pytest.ExitCode.INTERRUPTED
@@ -114,7 +114,7 @@ def test_a_session_that_is_interrupted_leaves_what_it_found(project):
     assert len(record.findings) == 2
 
 
-def test_what_is_found_is_recorded_while_the_session_goes_on(project):
+def test_findings_are_recorded_during_the_session(project):
     then = "import shutil; shutil.copy('pafot.json', 'then.json')"
     project.write(IS_CUT.replace("raise KeyboardInterrupt", f"{then}; raise KeyboardInterrupt"))
     recorded(project, no_reraise_ctrlc=True)
@@ -123,7 +123,7 @@ def test_what_is_found_is_recorded_while_the_session_goes_on(project):
 
 
 @pytest.mark.processes
-def test_a_session_that_is_killed_leaves_what_it_found_and_no_exit_code(project):
+def test_killed_session_records_findings_without_exit_code(project):
     cut = IS_CUT.replace("raise KeyboardInterrupt", "import os; os._exit(9)")
     project.write(cut)
     (project.path / "pafot.json").write_text("of an earlier session")
@@ -160,7 +160,7 @@ def test_workers_give_their_properties_to_junit(project):
     assert [each["pafot_file"] for each in saved] == project.files
 
 
-def test_junit_has_seed_id_signature_and_file_of_a_search_its_find_and_a_replay(failing):
+def test_junit_properties_identify_search_finding_and_replay(failing):
     failing.run("--junitxml=junit.xml")
     find = load(failing.only_file)
     search, found = properties(failing).values()
@@ -172,7 +172,7 @@ def test_junit_has_seed_id_signature_and_file_of_a_search_its_find_and_a_replay(
     assert replay == {"pafot_seed": str(find.found.seed), **told, "pafot": "still failing"}
 
 
-def test_junit_names_all_finds_of_a_search_and_a_file_that_cannot_be_read(project):
+def test_junit_names_all_findings_and_unreadable_files(project):
     project.write(SEVERAL_KINDS)
     project.run("--junitxml=junit.xml", "--pafot-shrink-rollouts=0")
     search = properties(project)["test_fails[search]"]
@@ -184,7 +184,7 @@ def test_junit_names_all_finds_of_a_search_and_a_file_that_cannot_be_read(projec
     assert [set(each) for each in named] == [{"pafot_id", "pafot_file"}]
 
 
-def test_a_file_that_cannot_be_written_is_a_problem_of_the_summary(failing):
+def test_unwritable_record_file_is_a_summary_problem(failing):
     (failing.path / "taken").write_text("")
     result = failing.run("--pafot-json=taken/pafot.json")
     result.assert_outcomes(failed=2)
@@ -192,14 +192,14 @@ def test_a_file_that_cannot_be_written_is_a_problem_of_the_summary(failing):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
-def test_a_folder_where_the_file_should_be_is_named(failing):
+def test_folder_in_place_of_record_file_is_named(failing):
     (failing.path / "taken").mkdir()
     result = failing.run("--pafot-json=taken")
     told = "there is a folder with that name: rename or delete it, or name another file"
     result.stdout.fnmatch_lines([f"  problem: --pafot-json=taken: not written: *; {told}"])
 
 
-def test_a_folder_in_the_place_of_a_file_is_refused_before_the_session(failing):
+def test_folder_name_as_record_file_is_refused_early(failing):
     result = failing.run("--pafot-json=new/")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*--pafot-json: expected the name of a file, received 'new/'*new/pafot.json*"])
@@ -226,13 +226,13 @@ def test_the_summary_of_a_job_is_appended_to(summary, failing):
     assert f"<br>`python -m pytest {failing.files[0]}`\n" in markdown(record)
 
 
-def test_a_session_that_does_not_concern_this_plugin_adds_nothing(summary, project):
+def test_session_of_other_tests_adds_no_job_summary(summary, project):
     project.write("def test_it():\n    assert False\n")
     project.run()
     assert summary.read_text() == "before\n"
 
 
-def test_a_summary_that_cannot_be_written_costs_nothing_else(project, failing, monkeypatch):
+def test_unwritable_job_summary_affects_nothing_else(project, failing, monkeypatch):
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "none" / "summary.md"))
     result = failing.run("--pafot-json=pafot.json")
     result.assert_outcomes(failed=2)
@@ -241,7 +241,7 @@ def test_a_summary_that_cannot_be_written_costs_nothing_else(project, failing, m
 
 
 @pytest.mark.processes
-def test_a_session_that_only_replays_for_another_one_writes_neither(summary, saved, monkeypatch):
+def test_nested_replay_session_writes_no_record_or_summary(summary, saved, monkeypatch):
     monkeypatch.setenv("PAFOT_REPLAY_HERE", "1")
     summary.write_text("before\n")
     saved.run("--pafot-json=pafot.json", generations=0)

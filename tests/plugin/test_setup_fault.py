@@ -33,7 +33,7 @@ def misspelt(arguments=""):
 
 
 class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
-    def test_in_the_test_function_with_the_line_and_the_name_that_is_meant(self, project):
+    def test_misspelt_run_attribute_is_one_error_with_suggestion(self, project):
         each = ["", "stop_after=1", "blame='ego'", "algorithm='random'", "population=2"]
         project.write("".join(misspelt(each[n]).replace("test_drive", f"test_drive_{n}") for n in range(len(each))))
         result = project.run(generations=3)
@@ -60,7 +60,7 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         project.run(option).stdout.fnmatch_lines(["E*AttributeError: *did you mean `run.collision`?", "*1 failed*"])
         assert project.files == []
 
-    def test_in_an_ads_that_fails_at_its_first_decision(self, project):
+    def test_failing_first_decision_is_one_error_without_file(self, project):
         told = {
             "return {}['lane'], 0.0": "the ADS failed: KeyError: 'lane'",
             "pytest.skip('no GPU')": "the ADS failed: Skipped: no GPU",
@@ -95,7 +95,7 @@ def test_drive(run):
         result.stdout.fnmatch_lines(["the ADS failed: AttributeError*", "*in batch", ALIKE])
         assert project.files == []
 
-    def test_beside_scenarios_of_earlier_sessions_which_stay_and_fail_by_themselves(self, project):
+    def test_setup_error_leaves_earlier_scenarios_unchanged(self, project):
         project.write(misspelt("stop_after=1").replace("not run.collided", "run.duration < 1"))
         project.run("--pafot-shrink-rollouts=0")
         contents = project.contents
@@ -129,13 +129,13 @@ class TestNothingThatWasFoundIsLost:
         source = "\n".join(line.removeprefix("    ") for line in self.SOME.splitlines())
         project.write(source.replace("LATER", later))
 
-    def test_where_a_later_run_of_the_first_generation_ends_otherwise(self, project):
+    def test_different_ending_in_first_generation_saves_a_finding(self, project):
         self.write(project, "return None")
         result = project.run()
         result.stdout.fnmatch_lines(["*pafot: found*", "*2 failing*"])
         assert {load(project.path / name).expect.failure for name in project.files} == {"ValueError"}
 
-    def test_where_another_exception_comes_or_the_same_from_another_line(self, project):
+    def test_exception_from_another_line_saves_a_finding(self, project):
         self.write(project, "raise ValueError('another line')")
         project.run()
         assert project.files
@@ -152,7 +152,7 @@ class TestNothingThatWasFoundIsLost:
         project.run(apart=True)
         assert project.files
 
-    def test_where_time_is_up_before_the_first_generation_is(self, project):
+    def test_time_limit_before_generation_end_saves_a_finding(self, project):
         self.write(project, "return None")
         project.run("--pafot-max-time=0").assert_outcomes(failed=2)
         assert len(project.files) == 1
@@ -166,7 +166,7 @@ class TestNothingThatWasFoundIsLost:
         project.run()
         assert {name.split("/")[1] for name in project.files} == {"test_it0", "test_it1", "test_it2"}
 
-    def test_where_an_ads_fails_in_every_run_but_later_than_at_its_first_decision(self, project):
+    def test_failure_after_first_decision_saves_a_finding(self, project):
         project.write(BROKEN.replace("BROKEN", "return (0.0, 0.0) if observation.time < 1 else None"))
         project.run().assert_outcomes(failed=2)
         assert len(project.files) == 1
@@ -297,7 +297,7 @@ MESSAGES = {
 }
 
 
-def test_a_newcomer_reads_what_came_and_what_to_write(project):
+def test_newcomer_errors_explain_what_to_write(project):
     tests = [NEWCOMER.replace("ARGUMENTS", given).replace("NUMBER", str(n)) for n, given in enumerate(MESSAGES)]
     project.write(NEWCOMERS + "".join(tests))
     result = project.run("-W", "error")
@@ -316,7 +316,7 @@ def as_pattern(text):
     return text.replace("[", "[[]").replace('"', "'")
 
 
-def test_a_world_from_a_fixture_is_doubted_like_that_of_the_mark(project):
+def test_invalid_world_fixture_suggests_the_right_world(project):
     project.write(
         "@pytest.fixture\ndef pafot_world():\n    return 'highway-v0'\n\n"
         "@pafot.search\ndef test_drive(run):\n    pass\n"
@@ -326,7 +326,7 @@ def test_a_world_from_a_fixture_is_doubted_like_that_of_the_mark(project):
     )
 
 
-def test_runs_that_were_not_judged_are_not_said_to_have_been():
+def test_first_generation_error_counts_only_evaluated_runs():
     first, run = FirstGeneration(), None
     broken = Verdict(kind="failed", exception=KeyError("x"), failure=Failure(kind="KeyError", assertion="run['x']"))
     for verdict in (Verdict(kind="npc"), broken, Verdict(kind="invalid"), broken):
@@ -335,7 +335,7 @@ def test_runs_that_were_not_judged_are_not_said_to_have_been():
         first.end()
 
 
-def test_the_mark_that_selects_searched_tests_says_that_it_makes_none(project):
+def test_mark_without_decorator_is_refused_with_advice(project):
     marked = [
         f"@{mark}\ndef test_{n}(run):\n    pass\n"
         for n, mark in enumerate(("pytest.mark.pafot", "pytest.mark.pafot(ads=1)"))
@@ -355,7 +355,7 @@ def steers(actions):
     )
 
 
-def test_a_note_doubts_actions_in_other_units_or_in_another_order(project):
+def test_note_warns_of_wrong_units_or_action_order(project):
     told = {
         "(0.0, 3.0)": "requested a steering angle of 3 rad, of which 0.79*convert degrees with math.radians*",
         "(0.05, -6.0)": "an action is (acceleration, steering), in this order*",
@@ -366,7 +366,7 @@ def test_a_note_doubts_actions_in_other_units_or_in_another_order(project):
     project.run().stdout.fnmatch_lines(lines)
 
 
-def test_no_note_doubts_actions_that_a_planner_may_mean(project):
+def test_plausible_actions_give_no_note(project):
     project.write(steers(["(6.0, 0.7)", "(-100.0, -0.7)", "(0, 1)"]))
     result = project.run()
     assert sum(result.parseoutcomes().values()) == 3

@@ -33,14 +33,14 @@ def collides(project):
     return project
 
 
-def test_the_start_of_a_gene_is_the_egos_state_at_that_tick():
+def test_gene_start_is_ego_state_at_that_tick():
     scenario = Scenario(npcs=((PositionInstruction(4, 20.0),) * 3,), gene_seconds=5.0)
     run = Run(Highway(duration=12.0).rollout(scenario, lambda: lambda observation: (1.0, 0.0)))
     assert starts_of(run, 26.8) == ((1, 22.0), (1, 26.8), (1, 26.8))
     assert starts_of(run, 40.0) == ((1, 22.0), (1, 27.0), (1, 32.0))
 
 
-def test_a_run_off_the_road_has_no_later_start():
+def test_run_off_the_road_has_no_later_start():
     scenario = Scenario(npcs=((PositionInstruction(5, 10.0),) * 2,), gene_seconds=5.0)
     run = Run(Highway(duration=10.0).rollout(scenario, lambda: lambda observation: (0.0, -0.05)))
     assert run.off_road
@@ -52,7 +52,7 @@ def run(project, *args, **kwargs):
     return project.run_once(*args, **{"generations": 10, "seed": 2, **kwargs})
 
 
-def test_a_find_is_announced_once_as_it_was_found(collides):
+def test_shrunk_finding_is_announced_only_once(collides):
     result = run(collides)
     result.assert_outcomes(failed=2)
     lines = result.stdout.str().splitlines()
@@ -61,7 +61,7 @@ def test_a_find_is_announced_once_as_it_was_found(collides):
     ]
 
 
-def test_the_file_keeps_its_name_and_the_scenario_as_found(collides):
+def test_shrunk_file_retains_name_and_original_scenario(collides):
     run(collides, "--pafot-shrink-rollouts=0")
     as_found, name = load(collides.only_file), collides.only_file
     name.unlink()
@@ -77,7 +77,7 @@ def test_the_file_keeps_its_name_and_the_scenario_as_found(collides):
     assert all(interval.low <= interval.high for interval in finding.shrunk.speeds)
 
 
-def test_without_rollouts_a_find_stays_as_it_was_found(collides):
+def test_finding_stays_unchanged_without_shrink_rollouts(collides):
     result = run(collides, "--pafot-shrink-rollouts=0")
     result.assert_outcomes(failed=2)
     finding = load(collides.only_file)
@@ -87,7 +87,7 @@ def test_without_rollouts_a_find_stays_as_it_was_found(collides):
 
 
 @pytest.mark.parametrize("source", ["marker", "ini", "environment"])
-def test_the_number_of_rollouts_comes_from_any_source_of_options(project, monkeypatch, source):
+def test_shrink_rollouts_option_works_in_every_source(project, monkeypatch, source):
     argument = ", shrink_rollouts=3" if source == "marker" else ""
     project.write(COLLIDES.replace("SHORT", f"SHORT{argument}"))
     if source == "ini":
@@ -99,7 +99,7 @@ def test_the_number_of_rollouts_comes_from_any_source_of_options(project, monkey
     assert (shrunk.rollouts, shrunk.is_minimal) == (3, False)
 
 
-def test_the_report_has_the_shrunk_run_and_the_sizes_before_and_after(collides):
+def test_report_shows_shrunk_run_and_both_sizes(collides):
     result = run(collides, "-v")
     finding = load(collides.only_file)
     result.stdout.fnmatch_lines(
@@ -114,7 +114,7 @@ def test_the_report_has_the_shrunk_run_and_the_sizes_before_and_after(collides):
     result.stdout.fnmatch_lines(["  * runs and * to shrink in * s, *"])
 
 
-def test_the_shrunk_file_is_replayed_as_still_failing_and_covers_the_find(collides):
+def test_shrunk_file_replays_and_covers_the_finding(collides):
     run(collides)
     files = collides.contents
     result = run(collides)
@@ -122,7 +122,7 @@ def test_the_shrunk_file_is_replayed_as_still_failing_and_covers_the_find(collid
     assert collides.contents.items() >= files.items()
 
 
-def test_a_file_that_holds_the_shrunk_find_is_no_other_find(collides):
+def test_existing_shrunk_file_is_no_new_finding(collides):
     """As when two processes search the same item: the second finds the file of the first, which is shrunk by now."""
     run(collides)
     first = collides.contents
@@ -145,7 +145,7 @@ def test_interrupted(run):
 
 @pytest.mark.parametrize(("save", "first"), [("new", "delete its files and "), ("none", "")])
 @pytest.mark.parametrize("limit", [2, 4])
-def test_an_interrupted_search_tells_how_its_find_is_shrunk_after_all(project, save, first, limit):
+def test_interrupted_search_says_how_to_shrink_later(project, save, first, limit):
     source = INTERRUPTED.replace("LIMIT", str(limit)).replace("STOP", "raise KeyboardInterrupt")
     project.write(source.replace(", stop_after=1" if limit == 2 else "", ""))
     result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
@@ -153,7 +153,7 @@ def test_an_interrupted_search_tells_how_its_find_is_shrunk_after_all(project, s
     result.stdout.fnmatch_lines(["*ended: interrupted", told])
 
 
-def test_a_search_that_is_through_leaves_nothing_to_shrink(collides):
+def test_completed_search_leaves_nothing_to_shrink(collides):
     run(collides).stdout.no_fnmatch_line("*ended before*")
 
 
@@ -165,7 +165,7 @@ def test_an_interrupt_while_shrinking_loses_nothing(project):
     assert load(project.only_file).original is None
 
 
-def test_a_process_that_dies_while_shrinking_leaves_the_find(project):
+def test_process_death_while_shrinking_preserves_the_finding(project):
     project.write("import os\n" + INTERRUPTED.replace("LIMIT", "4").replace("STOP", "os._exit(9)"))
     run(project, apart=True)
     assert load(project.only_file).original is None
@@ -175,7 +175,7 @@ def test_a_process_that_dies_while_shrinking_leaves_the_find(project):
 
 
 @pytest.mark.parametrize("flag", ["--pafot-max-time=0", "--pafot-total-time=0"])
-def test_a_limit_of_time_ends_shrinking_and_everybody_is_told(project, flag):
+def test_time_limit_ends_shrinking_until_resumed(project, flag):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     result = run(project, flag, "--pafot-resume=states", "--pafot-json=out.json", "--pafot-report=page.html")
     result.assert_outcomes(failed=2)
@@ -190,7 +190,7 @@ def test_a_limit_of_time_ends_shrinking_and_everybody_is_told(project, flag):
     assert load(project.only_file).shrunk.is_minimal
 
 
-def test_a_find_that_is_cut_again_is_told_so_though_its_file_is_replayed(project, monkeypatch):
+def test_finding_cut_again_says_so_despite_replay(project, monkeypatch):
     def check(turn, now):
         turn.is_over = True
         raise OutOfBudget
@@ -204,7 +204,7 @@ def test_a_find_that_is_cut_again_is_told_so_though_its_file_is_replayed(project
     assert finding["unshrunk"] == "not shrunk: out of time; --pafot-resume goes on"
 
 
-def test_a_simplification_that_does_not_fit_the_road_is_passed_over(monkeypatch):
+def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
     """From the second gene on the ego would start in the outer lane, beside which there is no room for six NPCs."""
     starts = ((1, 22.0), (0, 22.0), (0, 22.0))
     monkeypatch.setattr(pytest_pafot.campaign.simplification, "starts_of", lambda run, top_speed: starts)
@@ -232,7 +232,7 @@ def rollouts_without_an_option(ads, **road):
     return rollouts_for(SimpleNamespace(request=request, world=Highway(**road), ads=ads))
 
 
-def test_a_vehicle_class_that_the_kernel_drives_has_more_runs():
+def test_vehicle_class_in_the_kernel_gets_more_rollouts():
     class Near(IDMVehicle):
         TIME_WANTED = 0.5
 
@@ -246,7 +246,7 @@ def test_a_vehicle_class_that_the_kernel_drives_has_more_runs():
     assert rollouts_without_an_option(lambda: lambda observation: (0.0, 0.0)) == ROLLOUTS
 
 
-def test_a_find_that_does_not_repeat_is_marked_and_not_shrunk(project):
+def test_unrepeatable_finding_is_flaky_and_not_shrunk(project):
     project.write(
         """
 calls = []
@@ -274,7 +274,7 @@ def test_brakes(run):
     assert finding.shrunk is None
 
 
-def test_a_find_that_the_plain_environment_does_not_show_is_flaky(project, in_highway_env):
+def test_finding_absent_in_plain_environment_is_flaky(project, in_highway_env):
     project.write(
         """
 import sys
@@ -314,7 +314,7 @@ def test_a_shrunk_xfail_reason_stays(collides):
     run(collides, generations=0).assert_outcomes(xfailed=1, skipped=1)
 
 
-def test_a_limit_of_saved_scenarios_counts_and_names_the_rest(project):
+def test_max_saved_limits_files_and_names_the_rest(project):
     project.write(
         """
 @pafot.search(SHORT)
@@ -328,7 +328,7 @@ def test_many(run):
     result.stdout.fnmatch_lines(["* new findings in *", "* findings not saved (--pafot-max-saved): *-?????? (1*"])
 
 
-def test_a_test_with_as_many_files_as_it_may_have_still_fails_for_a_new_find(project):
+def test_new_finding_fails_even_beyond_max_saved(project):
     project.write(
         """
 @pafot.search(SHORT, max_saved=1)

@@ -89,7 +89,7 @@ def named_by_the_next(project):
     return load(path)
 
 
-def test_an_ads_that_swallows_its_interruption_ends_the_session_with_a_summary(hanging):
+def test_ads_that_ignores_interrupt_ends_session_with_summary(hanging):
     project = hanging("swallow")
     result = project.run("--junitxml=junit.xml", generations=9, seed=6, apart=True)
     assert result.ret == stuck.STATUS
@@ -111,7 +111,7 @@ def test_an_ads_that_swallows_its_interruption_ends_the_session_with_a_summary(h
         assert named_by_the_next(project).expect.outcome is Outcome.HANG
 
 
-def test_native_code_that_holds_the_interpreter_ends_the_session_with_a_traceback(hanging):
+def test_native_code_hang_ends_session_with_traceback(hanging):
     project = hanging("hold")
     result = project.run(generations=9, seed=6, apart=True)
     assert result.ret == 1
@@ -133,7 +133,7 @@ def test_under_xdist_only_the_worker_ends(hanging):
 
 
 @forks
-def test_a_worker_whose_decision_swallows_its_interruption_ends_and_the_search_goes_on(dear, monkeypatch):  # noqa: F811
+def test_worker_that_ignores_interrupt_ends_but_search_continues(dear, monkeypatch):  # noqa: F811
     monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.3)
     swallows = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "swallow()")
     project = dear("hangs", swallows + IMPATIENT + STUCK[STUCK.index("def swallow") : STUCK.index("def hold")])
@@ -145,7 +145,7 @@ def test_a_worker_whose_decision_swallows_its_interruption_ends_and_the_search_g
 
 
 @pytest.mark.parametrize(("value", "is_ours"), [("0", True), ("30", False)])
-def test_the_one_timer_of_faulthandler_is_left_to_pytest_where_that_uses_it(pytester, monkeypatch, value, is_ours):
+def test_faulthandler_timer_is_left_to_pytest_if_used(pytester, monkeypatch, value, is_ours):
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     config = pytester.parseconfigure("-o", f"faulthandler_timeout={value}")
     file = stuck._real_stderr(config)

@@ -54,12 +54,12 @@ def limits(max_time=None, total_time=None):
         (limits(total_time=5), 3, ("--pafot-total-time", 100)),  # all is gone: one run, and no more
     ],
 )
-def test_a_search_ends_by_its_own_limit_or_its_share_of_what_is_left_of_the_sessions(settings, left, expected):
+def test_search_ends_at_own_limit_or_total_share(settings, left, expected):
     assert time_limit(settings, now=100.0, began=90.0, left=left) == expected
 
 
 @pytest.mark.parametrize("searches", range(1, 9))
-def test_searches_that_take_their_whole_shares_take_the_sessions_time_and_no_more(searches):
+def test_full_shares_of_searches_add_up_to_total(searches):
     now, shares = 0.0, []
     for left in range(searches, 0, -1):
         until = time_limit(limits(total_time=80), now=now, began=0.0, left=left).until
@@ -80,7 +80,7 @@ class Item(SimpleNamespace):
     ("searches", "workers", "begun", "left"),
     [(4, None, 0, 4), (4, None, 1, 3), (4, None, 3, 1), (5, 2, 0, 3), (5, 2, 1, 2), (5, 2, 4, 1), (1, 8, 0, 1)],
 )
-def test_the_searches_left_are_those_of_this_process_or_a_workers_part_of_them(searches, workers, begun, left):
+def test_remaining_searches_are_counted_per_process(searches, workers, begun, left):
     shared = SimpleNamespace(begun={f"other{number}" for number in range(begun)} | {"this"})
     config = SimpleNamespace(stash={SHARED: shared})
     if workers is not None:
@@ -96,7 +96,7 @@ def runs(result):
 
 
 @pytest.mark.parametrize("args", [(), ("-n2",)], ids=["alone", "workers"])
-def test_two_searches_share_the_time_of_the_session_and_say_that_it_cut_them(two, args):
+def test_two_searches_share_total_time_and_say_so(two, args):
     if args:
         pytest.importorskip("xdist")
     begun = time.monotonic()
@@ -108,13 +108,13 @@ def test_two_searches_share_the_time_of_the_session_and_say_that_it_cut_them(two
     assert text.count("note: cut by --pafot-total-time: the same seed may find other scenarios next time") == 2
 
 
-def test_a_session_whose_time_is_over_still_runs_one_scenario_of_each_search(two):
+def test_expired_total_time_still_runs_one_scenario_each(two):
     result = two.run("--pafot-total-time=0", generations=50)
     result.assert_outcomes(passed=2)
     assert runs(result) == [1, 1]
 
 
-def test_the_time_of_searches_that_are_not_selected_goes_to_those_that_are(two):
+def test_deselected_searches_leave_their_time_to_others(two):
     result = two.run("--pafot-total-time=3", "-k", "second", generations=9999)
     result.assert_outcomes(passed=1, deselected=1)
     (seconds,) = re.findall(r"runs? in (\S+) s", result.stdout.str())

@@ -78,7 +78,7 @@ def session(project, workers, *args, **options):
     return result, project.contents
 
 
-def test_any_number_of_workers_finds_says_and_saves_the_same(dear):
+def test_number_of_workers_does_not_change_the_results(dear):
     project = dear()
     alone, contents = session(project, 1, generations=3)
     assert len(contents) > 1
@@ -89,7 +89,7 @@ def test_any_number_of_workers_finds_says_and_saves_the_same(dear):
         assert summary(several) == summary(alone)
 
 
-def test_a_search_that_ends_early_ends_at_the_same_run(dear):
+def test_early_ending_search_ends_at_same_run(dear):
     project = dear()
     alone, contents = session(project, 1, "--pafot-stop-after=2", generations=5)
     several, same = session(project, 2, "--pafot-stop-after=2", generations=5)
@@ -98,7 +98,7 @@ def test_a_search_that_ends_early_ends_at_the_same_run(dear):
     assert summary(several) == summary(alone)
 
 
-def test_cheap_runs_stay_in_one_process_and_the_summary_says_so(project, monkeypatch):
+def test_cheap_runs_stay_in_process_with_a_note(project, monkeypatch):
     monkeypatch.setattr(prefetching, "DEAR", 60.0)  # cheap is any run then, also on a busy machine
     project.write(MANY.replace("genes=2, gene_seconds=4", "genes=1, gene_seconds=1"))
     result = project.run("--pafot-workers=2", generations=3)
@@ -140,7 +140,7 @@ def test_an_ads_that_raises_is_the_same_finding(dear):
     ],
     ids=["factory", "fitness"],
 )
-def test_what_goes_wrong_outside_of_the_ads_goes_wrong_as_in_one_process(dear, drive, test, message):
+def test_errors_outside_the_ads_are_as_without_workers(dear, drive, test, message):
     project = dear(drive, test=test)
     alone, contents = session(project, 1, generations=2)
     several, same = session(project, 2, generations=2)
@@ -168,7 +168,7 @@ def pafot_world():
 """
 
 
-def test_a_worker_that_dies_is_a_finding_at_once_and_the_search_goes_on(dear):
+def test_worker_death_is_a_finding_and_search_continues(dear):
     project = dear("dies", DIES)
     result, contents = session(project, 2, generations=4)
     (crash,) = [name for name in contents if "crash-" in name]
@@ -207,7 +207,7 @@ def test_a_worker_whose_decision_hangs_interrupts_it(dear):
     result.stdout.fnmatch_lines(["*one decision took longer than the hang limit*"])
 
 
-def test_a_worker_that_does_not_return_to_the_interpreter_is_killed_and_its_scenario_is_a_hang(dear, monkeypatch):
+def test_worker_stuck_in_native_code_is_a_hang(dear, monkeypatch):
     monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
     hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "sum(range(10**12))")
     project = dear("hangs", hangs + IMPATIENT)
@@ -226,7 +226,7 @@ sys.exit(pytest.main())
 """A session that can be interrupted, also where this one was put in the background by a shell and so cannot."""
 
 
-def test_an_interrupt_from_the_keyboard_ends_all_processes_and_loses_no_find(dear):
+def test_keyboard_interrupt_ends_all_processes_without_losing_findings(dear):
     more = """
 def noting(observation):
     open(f"pid-{os.getpid()}", "w").close()
@@ -258,7 +258,7 @@ def noting(observation):
     assert not list(project.path.rglob("*.inflight"))
 
 
-def test_under_xdist_there_is_one_process_for_each_search_and_one_note(dear):
+def test_xdist_allows_one_process_for_each_search(dear):
     pytest.importorskip("xdist")
     project = dear(test=MANY + MANY.replace("test_many", "test_more"))
     _, contents = session(project, 1, generations=2)
@@ -270,7 +270,7 @@ def test_under_xdist_there_is_one_process_for_each_search_and_one_note(dear):
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "many", "1.5"])
-def test_a_wrong_number_of_workers_names_what_was_expected(project, value):
+def test_wrong_number_of_workers_is_a_usage_error(project, value):
     project.write("def test_ordinary():\n    pass\n")
     result = project.run(f"--pafot-workers={value}", generations=None)
     assert result.ret == pytest.ExitCode.USAGE_ERROR

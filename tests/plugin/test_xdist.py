@@ -24,7 +24,7 @@ def test_second(run):
 """
 
 
-def test_workers_find_shrink_save_report_and_show_the_same_as_one_process(project):
+def test_xdist_workers_give_same_results_as_one_process(project):
     project.write(TWO)
     page = project.path / "report.html"
     project.run("--pafot-report=report.html", generations=2)
@@ -70,7 +70,7 @@ def test_workers_report_orphans_once_and_prune_them(project):
     assert project.files == []
 
 
-def test_workers_report_a_file_that_lies_too_high_once(project):
+def test_workers_report_a_misplaced_file_once(project):
     project.write(TWO)
     (project.path / "a.pafot.yaml").write_text("test: test_it.py::test_second")
     result = project.run("-n2", generations=0)
@@ -78,7 +78,7 @@ def test_workers_report_a_file_that_lies_too_high_once(project):
     assert result.stdout.lines.count(expected) == 1
 
 
-def test_a_worker_that_dies_loses_no_find_and_its_replacement_collects_the_same(project):
+def test_worker_death_loses_no_finding_or_collected_test(project):
     project.write(
         """
 import os
@@ -117,7 +117,7 @@ def test_the_hash_seed_changes_nothing(project, monkeypatch):
     assert contents[0]
 
 
-def test_two_sessions_at_once_that_find_the_same_write_one_file(project):
+def test_two_simultaneous_sessions_write_one_file_per_finding(project):
     project.write(TWO)
     result = project.run("--dist=each", "--tx=2*popen", "--pafot-shrink-rollouts=0")
     assert result.ret == pytest.ExitCode.TESTS_FAILED
@@ -133,7 +133,7 @@ def test_workers_run_a_corpus_file_alone(project):
     project.run("-n1", project.files[0]).assert_outcomes(failed=1)
 
 
-def test_load_groups_do_not_change_the_ids_of_finds(project):
+def test_load_groups_do_not_change_finding_ids(project):
     project.write('@pytest.mark.xdist_group("research")\n' + TWO.strip() + "\n")
     result = project.run("-n1", "--dist=loadgroup")
     first = next(name for name in project.files if "test_first" in name)
@@ -141,7 +141,7 @@ def test_load_groups_do_not_change_the_ids_of_finds(project):
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_first[[]saved-{id_}[]]*"])
 
 
-def test_a_kill_at_any_moment_loses_nothing_announced_and_leaves_no_broken_file(project):
+def test_kill_loses_no_announced_finding_or_file(project):
     project.write(TWO.replace("assert run", "__import__('time').sleep(0.05)\n    assert run"))
     command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=5", "--pafot-seed=1"]
     with subprocess.Popen(command, cwd=project.path, stdout=subprocess.PIPE, text=True) as process:
