@@ -1,4 +1,4 @@
-"""Write the table of explanation/gallery.md and its pictures, from the situations that the tests judge.
+"""Write the table of explanation/gallery.md and its pictures, from the situations of the tests.
 
 Run it after a change of either: ``python docs/tools/gallery.py``. It needs nothing besides the plugin.
 """
@@ -24,32 +24,32 @@ PAGE = DOCS / "explanation" / "gallery.md"
 PICTURES = PAGE.with_suffix("")
 
 WIDTH, LINE, MARGIN = 460, 15, 4
-"""Of a picture, of a line of text in it, and around both [px]."""
+"""Width of a picture, height of a line of text in it, and margin around both [px]."""
 LEAST_WAY, MOST_WAY, FARTHEST = 90.0, 170.0, 140.0
-"""How much of the road it shows at least and at most, and how far from the ego a vehicle may be to be shown [m]."""
+"""Least and greatest length of road in a picture, and greatest distance of a drawn vehicle from the ego [m]."""
 AROUND = 27.0
-"""How much is shown about an impact where ways meet [m]."""
+"""Distance around an impact that is drawn if ways meet [m]."""
 MOST_ACROSS = 40.0
-"""How far from the ego's way a lane is drawn [m]; a bend comes back to where it began."""
+"""Greatest distance of a drawn lane from the ego's way [m]. It is needed because a circle returns to its start."""
 LANES_BESIDE = 0.8
-"""How much is shown beside the lanes that somebody drives on [m]."""
+"""Space that is drawn next to the lanes in use [m]."""
 LITTLE = 0.1
-"""Moments that are less apart are one [s]; who moved sideways [m] or changed speed [m/s] by no more did nothing."""
+"""Moments that are less than this apart are one [s]. Smaller changes of place [m] or speed [m/s] are ignored."""
 COLOURS = ("#5aa9ff", "#ffa64d", "#c9ced6")
-"""Of the ego, of the vehicle that it touches, and of all others."""
+"""Colours of the ego, of the vehicle that it touches, and of all others."""
 
 STROKES = (
     'stroke="#59616b" stroke-width="4.2"',
     'stroke="#e8eaed" stroke-width="4.2" stroke-dasharray="3 5"',
     'stroke="#59616b" stroke-width="3.8"',
 )
-"""A lane, drawn three times along its centre line: what is between its dashed lines, these, and what is inside."""
+"""Strokes of a lane. It is drawn three times along its centre line: its border, its dashed lines, its inside."""
 
 _TABLE = re.compile(r"(<!-- generated: gallery -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 
 
 class Box(NamedTuple):
-    """A vehicle as it is drawn: along and across the road from where the ego is on it [m], angle [deg]."""
+    """A vehicle as it is drawn: its place along and across the road from the ego's [m] and its angle [deg]."""
 
     along: float
     across: float
@@ -58,12 +58,12 @@ class Box(NamedTuple):
 
 
 def written(page: str) -> str:
-    """A page with the table as it is now."""
+    """Return a page with the present table in it."""
     return _TABLE.sub(lambda found: f"{found[1]}{''.join(_rows())}{found[2]}", page)
 
 
 def pictures() -> dict[str, str]:
-    """The text of every picture, by the name of its file."""
+    """Return the text of every picture, by the name of its file."""
     return {f"{each.name}.svg": picture(each.trace()) for group in SITUATIONS.values() for each in group}
 
 
@@ -83,12 +83,12 @@ def _verdict(situation: Situation) -> str:
 
 
 def picture(trace: Trace) -> str:
-    """What is where on the road at three moments: when it begins, when it is decided, and at the impact."""
+    """Draw the road at three moments: when it begins, when it is decided, and at the impact."""
     return _junction(trace) if trace.zones else _road_picture(trace)
 
 
 def _junction(trace: Trace) -> str:
-    """Where ways meet: the three moments side by side, as seen from above; the ego comes from the left."""
+    """Draw a place where ways meet at three moments, side by side, from above. The ego comes from the left."""
     pixels = (WIDTH - 4 * MARGIN) // 3
     middle, direction = trace.states[-1, 0, [X, Y]], float(trace.states[0, 0, HEADING])
     lines = (_turned(*(np.array(lane.points) - middle).T, direction) for lane in dict.fromkeys(trace.lanes))
@@ -115,7 +115,10 @@ def _junction(trace: Trace) -> str:
 
 
 def _moments_at_junction(trace: Trace) -> list[int]:
-    """Ticks: two seconds before the one that the reason names, that one, and the impact; none is far from that."""
+    """Return three ticks: two seconds before the one that the reason names, that one, and the impact.
+
+    The first two are not far from the impact.
+    """
     end, second = trace.ticks, trace.physics_hz
     named = min(rss_rule(trace).tick or 0, end - 2)
     if rss_rule(trace).tick == end:
@@ -125,7 +128,7 @@ def _moments_at_junction(trace: Trace) -> list[int]:
 
 
 def _around(points: tuple[FloatArray, FloatArray]) -> str:
-    """The part of a line that is seen about the impact."""
+    """Return the part of a line that is visible around the impact."""
     along, across = points
     near = np.flatnonzero((np.abs(along) < AROUND + 3) & (np.abs(across) < AROUND + 3))
     if not near.size:
@@ -174,7 +177,7 @@ def _road_picture(trace: Trace) -> str:
 
 
 def moments(trace: Trace) -> list[int]:
-    """Ticks: the first at which something happens, the one that the reason names or one halfway, and the impact."""
+    """Return three ticks: the first change, the one that the reason names or one halfway, and the impact."""
     end, little = trace.ticks, round(LITTLE * trace.physics_hz)
     named = rss_rule(trace).tick or 0
     changes = np.abs(trace.states[:, :, [Y, SPEED]] - trace.states[0, :, [Y, SPEED]].T).max(axis=(1, 2)) > LITTLE
@@ -184,7 +187,7 @@ def moments(trace: Trace) -> list[int]:
 
 
 def boxes(trace: Trace, tick: int) -> list[Box]:
-    """All vehicles at a tick."""
+    """Return all vehicles at a tick."""
     x, y, direction = _place(trace, tick)
     states = trace.states[tick]
     along, across = _turned(states[:, X] - x, states[:, Y] - y, direction)
@@ -193,7 +196,7 @@ def boxes(trace: Trace, tick: int) -> list[Box]:
 
 
 def _place(trace: Trace, tick: int) -> tuple[float, float, float]:
-    """Where the ego is along the road: x and y of the first lane or of its way there [m], and the direction [rad]."""
+    """Return the ego's place along the road: x and y on the first lane or on its way [m], and the direction [rad]."""
     ego = trace.ego[tick]
     if trace.track is None or not trace.lanes[0].points:
         return float(ego[X]), trace.lanes[0].y, trace.lanes[0].heading
@@ -208,20 +211,20 @@ def _turned(x: FloatArray, y: FloatArray, direction: float) -> tuple[FloatArray,
 
 
 def _lanes_used(trace: Trace, tick: int) -> list[float]:
-    """Centres of the lanes that somebody drives on; in bends, of those about the ego's [m]."""
+    """Return the centres of the lanes in use; in bends, fixed limits around the ego's way [m]."""
     if trace.lanes[0].points:
         return [-5.0, 8.0]
     return [trace.lanes[int(lane)].y for lane in trace.states[tick, :, LANE]]
 
 
 def _ends(trace: Trace, tick: int) -> Iterator[float]:
-    """How far ahead lanes end on a straight road, where that is to be seen [m]."""
+    """Yield the distances to the ends of lanes ahead on a straight road, if they are visible [m]."""
     ends = (lane.x + lane.length - trace.ego[tick, X] for lane in trace.lanes if not lane.points)
     return (float(end) for end in ends if 0 < end < LEAST_WAY)
 
 
 def _road(trace: Trace, tick: int, left: float, right: float) -> str:
-    """The centre lines of the lanes, as far as they are seen."""
+    """Return the visible parts of the lanes' centre lines."""
     x, y, direction = _place(trace, tick)
     return "".join(_line(_turned(*(_points(lane, left) - (x, y)).T, direction), left, right) for lane in trace.lanes)
 
@@ -247,7 +250,7 @@ def _car(box: Box, colour: str) -> str:
 
 
 def _impact(strip: list[Box]) -> str:
-    """A ring around the point of the ego that is nearest to the centre of the other."""
+    """Draw a ring around the point of the ego that is nearest to the centre of the other."""
     ego, npc = strip[:2]
     angle = np.radians(ego.angle)
     ahead, right = _turned(np.array(npc.along - ego.along), np.array(npc.across - ego.across), angle)
@@ -264,7 +267,7 @@ def _caption(time: float, strip: list[Box]) -> str:
 
 
 def main() -> None:
-    """Write the page and the pictures, and remove those that no situation has any more."""
+    """Write the page and the pictures, and remove pictures that belong to no situation."""
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")
     made = pictures()
     PICTURES.mkdir(exist_ok=True)

@@ -1,8 +1,6 @@
-"""Collisions that an expert has judged: what happens, and whose fault it is, by which clause of the page.
+"""Collisions with an expert's verdict: what happens, who is responsible, and by which clause.
 
-The page is docs/explanation/verdicts.md.
-
-The verdicts are written from the clauses, not from what the code says.
+The clauses are those of docs/explanation/verdicts.md. The verdicts are written from them, not from the code's results.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from tests.helpers.junctions import plan
 from tests.helpers.traces import LENGTH, WIDTH, straight_lanes
 
 LEFT, OWN, RIGHT, FAR = 0.0, 4.0, 8.0, 12.0
-"""Centres of the lanes; who is not said to be elsewhere drives in OWN [m]."""
+"""Centres of the lanes [m]. A vehicle without a lane drives in OWN."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +26,12 @@ class Situation:
     """A collision, its verdict and why.
 
     Attributes:
-        name: of its picture, too.
+        name: name of the situation and of its picture.
         text: what happens.
-        trace: makes it.
-        responsibility, fault: that an expert expects.
-        clause: of docs/explanation/verdicts.md that decides.
-        says: what the reason has in it.
+        trace: function that makes the trace.
+        responsibility, fault: verdict that an expert expects.
+        clause: rule of docs/explanation/verdicts.md that decides.
+        says: text that the reason contains.
     """
 
     name: str
@@ -46,14 +44,14 @@ class Situation:
 
 
 def driven(*place, **plan):
-    """A vehicle whose plan has its speed along the road; while it moves sideways its body is faster than that."""
+    """Return a vehicle whose plan gives the speed along the road; while it moves sideways, its body is faster."""
     states = drives.driven(*place, **plan)
     states[:, SPEED] /= np.cos(states[:, HEADING])
     return states
 
 
 def hit(ego, *npcs, **road) -> Trace:
-    """The run up to the ego's first contact with the first NPC, with the side that was hit."""
+    """Return the run up to the ego's first contact with the first NPC, with the side that was hit."""
     trace = crash(ego, *npcs, **road)
     ego_before, npc_before = (Box(*states[[X, Y, HEADING]], LENGTH, WIDTH) for states in trace.states[-2, :2])
     return replace(trace, collision=replace(trace.collision, side=side_hit(ego_before, npc_before)))
@@ -118,7 +116,7 @@ SITUATIONS = {
     "One follows the other": (
         Situation(
             "slow-leader-ignored",
-            "The ego, 20 m/s, runs into a vehicle that has driven 10 m/s all the time. It does not brake.",
+            "The ego, at 20 m/s, runs into a vehicle that has driven 10 m/s all the time. It does not brake.",
             lambda: hit(driven(0.0), driven(100.0, speed=10.0)),
             "ego", "leader-unanswered", "4b", "(safe: 47.1 m)",
         ),
@@ -130,55 +128,56 @@ SITUATIONS = {
         ),
         Situation(
             "hard-brake-ahead-ignored",
-            "Two seconds ahead of the ego one brakes with 8 m/s^2 to a standstill. The ego does not brake.",
+            "A vehicle two seconds ahead of the ego brakes with 8 m/s^2 to a standstill. The ego does not brake.",
             lambda: hit(driven(0.0), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "s but did not",
         ),
         Situation(
             "braked-too-gently",
-            "So again, and the ego brakes a second later, with 3 m/s^2.",
+            "The same, but the ego brakes a second later, with 3 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(3.0, 3.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "up to 3.0 m/s^2 from",
         ),
         Situation(
             "braked-too-late",
-            "So again, and the ego brakes three seconds later, with 8 m/s^2.",
+            "The same, but the ego brakes three seconds later, with 8 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(5.0, 8.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "up to 8.0 m/s^2 from 5.0 s on",
         ),
         Situation(
             "leader-stops-dead",
-            "One that the ego follows 1.5 s behind stops within 7 m. The ego brakes with 6 m/s^2 from 1.0 s after on.",
+            "The ego follows a vehicle at 1.5 s, which stops within 7 m. The ego brakes with 6 m/s^2 from 1.0 s later "
+            "on.",
             lambda: hit(driven(0.0, brakes=[(3.0, 6.0, 0.0)]), driven(35.0, brakes=[(2.0, 30.0, 0.0)])),
             "npc", None, "4b", "too little time to respond",
         ),
         Situation(
             "began-too-close",
-            "The run begins 7 m behind one that brakes with 8 m/s^2 at once.",
+            "The run begins 7 m behind a vehicle that brakes with 8 m/s^2 at once.",
             lambda: hit(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])),
             "npc", None, "4b", "too little time to respond",
         ),
         Situation(
             "ego-tailgates",
-            "The ego comes up to 2 m behind another and stays there; 5 s later that one brakes with 4 m/s^2.",
+            "The ego comes up to 2 m behind a vehicle and stays there. 5 s later that vehicle brakes with 4 m/s^2.",
             lambda: hit(driven(0.0, speed=25.0, brakes=[(7.0, 5.0, 20.0)]), driven(44.5, brakes=[(13.0, 4.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "(safe: 52.1 m)",
         ),
         Situation(
             "npc-tailgates",
-            "Another comes up to 2 m behind the ego and stays there; 5 s later the ego brakes with 4 m/s^2.",
+            "An NPC comes up to 2 m behind the ego and stays there. 5 s later the ego brakes with 4 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(13.0, 4.0, 0.0)]), driven(-44.5, speed=25.0, brakes=[(7.0, 5.0, 20.0)])),
             "npc", None, "4b", "(safe: ",
         ),
         Situation(
             "hit-from-behind",
-            "The ego keeps 20 m/s, and one with 26 m/s runs into it from behind.",
+            "The ego keeps 20 m/s, and an NPC with 26 m/s runs into it from behind.",
             lambda: hit(driven(0.0), driven(-60.0, speed=26.0)),
             "npc", None, "4b", "(safe: ",
         ),
         Situation(
             "ego-speeds-up-behind-a-close-leader",
-            "The run begins 8 m behind another of equal speed; after 3 s the ego speeds up.",
+            "The run begins 8 m behind a vehicle of equal speed. After 3 s the ego speeds up.",
             lambda: hit(driven(0.0, brakes=[(3.0, -2.0, 26.0)]), driven(13.0)),
             "ego", "leader-unanswered", "4b", "sped up to",
         ),
@@ -186,31 +185,32 @@ SITUATIONS = {
     "Braking hard": (
         Situation(
             "braked-for-nothing",
-            "On a free road the ego brakes with 9 m/s^2. The one behind follows at 2 s and does not brake.",
+            "On a free road the ego brakes with 9 m/s^2. The NPC behind follows at 2 s and does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 0.0)]), driven(-45.0)),
             "both", "braked-for-nothing", "7", "The ego braked at up to 9.0 m/s^2 from 4.0 s on",
         ),
         Situation(
             "braked-for-nothing-unavoidable",
-            "So again with 9.8 m/s^2, and the one behind has just what RSS asks for, which counts with 8 m/s^2.",
+            "The same with 9.8 m/s^2, and the NPC behind has exactly the distance that RSS requires, which assumes 8 "
+            "m/s^2.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.8, 0.0)]), driven(-34.0, brakes=[(5.0, 6.0, 0.0)])),
             "ego", "braked-for-nothing", "7", "NPC 0 had too little time to respond",
         ),
         Situation(
             "braked-for-nothing-tailgated",
-            "On a free road the ego brakes with 9 m/s^2 ahead of one that has come up to 2 m behind it.",
+            "On a free road the ego brakes with 9 m/s^2 ahead of an NPC that has come up to 2 m behind it.",
             lambda: hit(driven(0.0, brakes=[(13.0, 9.0, 0.0)]), driven(-44.5, speed=25.0, brakes=[(7.0, 5.0, 20.0)])),
             "both", "braked-for-nothing", "7", "The ego braked at up to 9.0 m/s^2 from 13.0 s on",
         ),
         Situation(
             "braked-beside-a-neighbour",
-            "The ego brakes with 9 m/s^2 for a slower vehicle that keeps the lane beside.",
+            "The ego brakes with 9 m/s^2 for a slower vehicle that keeps the adjacent lane.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 5.0)]), driven(-45.0), driven(60.0, LEFT, speed=10.0)),
             "both", "braked-for-nothing", "7", "with nothing in its way",
         ),
         Situation(
             "braked-after-the-leader-had-left",
-            "The slower one ahead has left the lane for 3 s when the ego brakes with 9 m/s^2.",
+            "The slower vehicle ahead left the lane 3 s before the ego brakes with 9 m/s^2.",
             lambda: hit(
                 driven(0.0, brakes=[(8.0, 9.0, 5.0)]),
                 driven(-45.0),
@@ -220,13 +220,14 @@ SITUATIONS = {
         ),
         Situation(
             "brake-check-after-a-lane-change",
-            "The ego changes lanes 45 m ahead of another, and 6 s later brakes with 9 m/s^2 on a free road.",
+            "The ego changes lanes 45 m ahead of an NPC, and 6 s later brakes with 9 m/s^2 on a free road.",
             lambda: lane_change(45.0, faster=0.0, brakes=[(8.0, 9.0, 0.0)]),
             "both", "braked-for-nothing", "7", "The ego braked at up to 9.0 m/s^2 from 8.0 s on",
         ),
         Situation(
             "braked-for-a-leader-that-brakes",
-            "One 60 m ahead brakes with 8 m/s^2, and the ego does so 0.5 s later. The one 2 s behind does not brake.",
+            "A vehicle 60 m ahead brakes with 8 m/s^2, and the ego does so 0.5 s later. The NPC 2 s behind does not "
+            "brake.",
             lambda: hit(
                 driven(0.0, brakes=[(4.5, 8.0, 2.0)]), driven(-45.0), driven(65.0, brakes=[(4.0, 8.0, 2.0)])
             ),
@@ -234,7 +235,7 @@ SITUATIONS = {
         ),
         Situation(
             "braked-for-an-obstacle",
-            "The ego brakes with 8 m/s^2 for a vehicle that stands 50 m ahead. The one 2 s behind does not brake.",
+            "The ego brakes with 8 m/s^2 for a vehicle that stands 50 m ahead. The NPC 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 8.0, 0.0)]), driven(-45.0), driven(135.0, speed=0.0)),
             "npc", None, "7", "The ego was standing",
         ),
@@ -256,39 +257,39 @@ SITUATIONS = {
         ),
         Situation(
             "braked-moderately",
-            "On a free road the ego brakes with 3.9 m/s^2 to 5 m/s. The one 2 s behind does not brake.",
+            "On a free road the ego brakes with 3.9 m/s^2 to 5 m/s. The NPC 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 3.9, 5.0)]), driven(-45.0)),
             "npc", None, "7", "(safe: ",
         ),
         Situation(
             "braked-moderately-to-a-crawl",
-            "On a free road the ego brakes with 4.5 m/s^2 to 2 m/s. The one 2 s behind does not brake.",
+            "On a free road the ego brakes with 4.5 m/s^2 to 2 m/s. The NPC 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 4.5, 2.0)]), driven(-45.0)),
             "both", "stopped-for-nothing", "7", "The ego braked at up to 4.5 m/s^2 from 4.0 s on",
         ),
         Situation(
             "braked-for-a-moment",
-            "On a free road the ego brakes with 9 m/s^2 for a quarter of a second. The one 1.4 s behind never brakes.",
+            "On a free road the ego brakes with 9 m/s^2 for a quarter of a second. The NPC 1.4 s behind never brakes.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 17.6)]), driven(-34.0)),
             "npc", None, "7", "(safe: ",
         ),
         Situation(
             "leader-brakes-for-nothing-half-a-second-ahead",
-            "One that the ego follows 0.5 s behind brakes with 8 m/s^2 on a free road; the ego brakes with 6 m/s^2 a "
-            "second later.",
+            "The ego follows a vehicle at 0.5 s, which brakes with 8 m/s^2 on a free road. The ego brakes with 6 m/s^2 "
+            "a second later.",
             lambda: hit(driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)])),
             "both", "leader-unanswered", "5", "NPC 0 braked at up to 8.0 m/s^2",
         ),
         Situation(
             "leader-brakes-for-nothing-1.8-s-ahead",
-            "So again 1.8 s ahead, and the ego brakes two seconds later, with 4 m/s^2.",
+            "The same at 1.8 s, but the ego brakes two seconds later, with 4 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(7.0, 4.0, 0.0)]), driven(41.0, brakes=[(5.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "up to 4.0 m/s^2 from",
         ),
         Situation(
             "leader-brakes-for-a-standing-vehicle",
-            "One that the ego follows 0.5 s behind brakes with 8 m/s^2 for a vehicle that stands in its lane; the ego "
-            "brakes with 6 m/s^2 a second later.",
+            "The ego follows a vehicle at 0.5 s, which brakes with 8 m/s^2 for a vehicle that stands in its lane. The "
+            "ego brakes with 6 m/s^2 a second later.",
             lambda: hit(
                 driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)]), driven(148.0, speed=0.0)
             ),
@@ -298,19 +299,19 @@ SITUATIONS = {
     "Standing": (
         Situation(
             "npc-stands-askew",
-            "One has stood askew all the time, half in the ego's lane. The ego does not brake.",
+            "A vehicle has stood askew all the time, half in the ego's lane. The ego does not brake.",
             lambda: hit(driven(0.0), turned(driven(150.0, 1.8, speed=0.0), 0.4)),
             "ego", "leader-unanswered", "4b", "s but did not",
         ),
         Situation(
             "stopped-for-nothing",
-            "On a free road the ego brakes gently to a standstill, and after 5 s one runs into it.",
+            "On a free road the ego brakes gently to a standstill. After 5 s an NPC runs into it.",
             lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0)),
             "both", "stopped-for-nothing", "7", "The ego began to stop at",
         ),
         Situation(
             "stopped-in-a-queue",
-            "So again behind a vehicle that stands.",
+            "The same behind a vehicle that stands.",
             lambda: hit(
                 driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0),
                 driven(-172.0, seconds=25.0),
@@ -320,7 +321,7 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-at-the-end-of-the-lane",
-            "So again at the end of its lane.",
+            "The same at the end of the ego's lane.",
             lambda: at_lane_end(
                 driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0), end=112.0
             ),
@@ -328,13 +329,14 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-for-a-moment",
-            "On a free road the ego brakes gently to a standstill; one runs into it 2 s later.",
+            "On a free road the ego brakes gently to a standstill. An NPC runs into it 2 s later.",
             lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-111.0, seconds=25.0)),
             "npc", None, "7", "The ego was standing",
         ),
         Situation(
             "stopped-askew-for-nothing",
-            "On a free road the ego comes to a standstill askew, half in the next lane, where one hits it 5 s later.",
+            "On a free road the ego comes to a standstill askew, half in the next lane. An NPC in that lane hits it 5 "
+            "s later.",
             lambda: hit(
                 turned(driven(0.0, speed=10.0, brakes=[(2.0, 2.5, 0.0)], shifts=[(2.0, 2.2, 3.0)]), -0.4),
                 driven(-180.0, LEFT),
@@ -343,7 +345,7 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-askew-behind-another",
-            "So again behind a vehicle that stands in its lane.",
+            "The same behind a vehicle that stands in the ego's lane.",
             lambda: hit(
                 turned(driven(0.0, speed=10.0, brakes=[(2.0, 2.5, 0.0)], shifts=[(2.0, 2.2, 3.0)]), -0.4),
                 driven(-180.0, LEFT),
@@ -353,7 +355,8 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-in-a-lane-change",
-            "The ego moves 6 m ahead of one in the next lane, brakes with 8 m/s^2 and stands when that one hits it.",
+            "The ego moves in 6 m ahead of an NPC in the next lane, brakes with 8 m/s^2 and stands when the NPC hits "
+            "it.",
             lambda: hit(
                 driven(0.0, LEFT, speed=10.0, brakes=[(2.5, 8.0, 0.0)], shifts=[(2.0, OWN, 1.5)]),
                 driven(-11.0, speed=10.0, brakes=[(3.2, 3.0, 0.0)]),
@@ -376,13 +379,13 @@ SITUATIONS = {
         ),
         Situation(
             "cut-in-10-m-slower",
-            "An NPC that is 10 m/s slower moves in 10 m ahead: nobody can answer that.",
+            "An NPC that is 10 m/s slower moves in 10 m ahead, which nobody can answer.",
             lambda: cut_in(10.0, slower=10.0),
             "npc", None, "5", "10.0 m/s faster",
         ),
         Situation(
             "cut-in-20-m-slower",
-            "An NPC that is 10 m/s slower moves in 20 m ahead: nobody can answer that either.",
+            "An NPC that is 10 m/s slower moves in 20 m ahead, which nobody can answer either.",
             lambda: cut_in(20.0, slower=10.0),
             "npc", None, "5", "too little time to respond",
         ),
@@ -400,27 +403,27 @@ SITUATIONS = {
         ),
         Situation(
             "cut-in-answered-too-gently",
-            "So again, and the ego brakes soon, with 1.5 m/s^2.",
+            "The same, but the ego brakes soon, with 1.5 m/s^2.",
             lambda: cut_in(30.0, slower=10.0, ego_brakes=[(2.7, 1.5, 0.0)]),
             "ego", "cut-in-unanswered", "5", "up to 1.5 m/s^2 from",
         ),
         Situation(
             "cut-in-answered-in-vain",
-            "An NPC that is 10 m/s slower moves in 30 m ahead and brakes with 8 m/s^2; the ego brakes with 6 m/s^2 "
-            "from 1.4 s after on.",
+            "An NPC that is 10 m/s slower moves in 30 m ahead and brakes with 8 m/s^2. The ego brakes with 6 m/s^2 "
+            "from 1.4 s later on.",
             lambda: cut_in(30.0, slower=10.0, brakes=[(2.6, 8.0, 0.0)], ego_brakes=[(3.6, 6.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "braked-before-its-answer-was-due",
-            "An NPC that is 4 m/s slower moves in 12 m ahead and brakes with 8 m/s^2; the ego brakes with 9 m/s^2 "
+            "An NPC that is 4 m/s slower moves in 12 m ahead and brakes with 8 m/s^2. The ego brakes with 9 m/s^2 "
             "after 0.7 s.",
             lambda: cut_in(12.0, slower=4.0, brakes=[(2.4, 8.0, 0.0)], ego_brakes=[(2.9, 9.0, 0.0)]),
             "npc", None, "1", "too little time to respond",
         ),
         Situation(
             "ego-speeds-up-after-a-cut-in",
-            "An NPC of equal speed moves in 4 m ahead; 2 s later the ego speeds up.",
+            "An NPC of equal speed moves in 4 m ahead. 2 s later the ego speeds up.",
             lambda: cut_in(4.0, slower=0.0, ego_brakes=[(4.4, -2.0, 26.0)]),
             "ego", "cut-in-unanswered", "5", "sped up to",
         ),
@@ -438,20 +441,21 @@ SITUATIONS = {
         ),
         Situation(
             "leader-since-a-close-cut-in",
-            "An NPC that is 4 m/s slower moves in 5 m ahead, too close to be answered, but speeds up and draws away "
-            "to 12 m; 5 s later it slows down with 3 m/s^2. The ego does not brake.",
+            "An NPC that is 4 m/s slower moves in 5 m ahead, too close for an answer, but speeds up and draws away to "
+            "12 m. 5 s later it slows down with 3 m/s^2. The ego does not brake.",
             lambda: cut_in(5.0, slower=4.0, brakes=[(2.4, -4.0, 22.0), (9.0, 3.0, 8.0)]),
             "ego", "leader-unanswered", "4a", "s but did not",
         ),
         Situation(
             "npc-brake-checks",
-            "An NPC overtakes with 5 m/s more, moves in 2 m ahead and 1.5 s later brakes with 8 m/s^2, 10 m ahead.",
+            "An NPC overtakes with 5 m/s more and moves in 2 m ahead. 1.5 s later, 10 m ahead, it brakes with 8 m/s^2.",
             lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "npc-enters-across-two-lanes",
-            "An NPC that is 6 m/s slower comes across two lanes in one motion, 8 m ahead when it crosses the line.",
+            "An NPC that is 6 m/s slower comes across two lanes in one motion. It is 8 m ahead when it crosses the "
+            "line.",
             lambda: hit(driven(0.0), driven(13.0 + 6 * 5.6, FAR, speed=14.0, shifts=[(2.0, OWN, 6.0)])),
             "npc", None, "5", "too little time to respond",
         ),
@@ -463,26 +467,26 @@ SITUATIONS = {
         ),
         Situation(
             "npc-swipes-the-ego",
-            "An NPC beside the ego moves into it.",
+            "An NPC next to the ego moves into it.",
             lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 3.0)])),
             "npc", None, "3", "next to ",
         ),
         Situation(
             "npc-drifts",
-            "An NPC beside the ego drifts into it with 0.2 m/s.",
+            "An NPC next to the ego drifts into it with 0.2 m/s.",
             lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 20.0)])),
             "npc", None, "8", "NPC 0 moved sideways at",
         ),
         Situation(
             "npc-swerves-into-the-side",
-            "An NPC beside the ego swerves into it with 4 m/s; the ego brakes with 8 m/s^2 at once.",
+            "An NPC next to the ego swerves into it with 4 m/s. The ego brakes with 8 m/s^2 at once.",
             lambda: hit(driven(0.0, brakes=[(2.2, 8.0, 0.0)]), driven(2.0, LEFT, shifts=[(2.0, OWN, 1.0)])),
             "npc", None, "3", "next to ",
         ),
         Situation(
             "sped-up-after-it-had-survived-a-cut-in",
-            "An NPC that is 4 m/s slower comes over slowly, close ahead. The ego brakes to less than its speed, and a "
-            "second later speeds up into it.",
+            "An NPC that is 4 m/s slower comes over slowly, close ahead. The ego brakes until it is slower than the "
+            "NPC, and a second later speeds up into it.",
             lambda: cut_in(4.0, slower=4.0, lasts=4.0, ego_brakes=[(2.6, 8.0, 15.0), (4.4, -3.0, 24.0)]),
             "both", "leader-unanswered", "4c", "The ego should have braked from",
         ),
@@ -495,7 +499,7 @@ SITUATIONS = {
         ),
         Situation(
             "speeds-up-behind-a-cut-in-that-nobody-can-answer",
-            "An NPC that is 2 m/s slower moves in 2.5 m ahead and speeds up to the ego's speed, nearly. The ego speeds "
+            "An NPC that is 2 m/s slower moves in 2.5 m ahead and speeds up to nearly the ego's speed. The ego speeds "
             "up into it.",
             lambda: cut_in(2.5, slower=2.0, brakes=[(2.3, -3.0, 19.6)], ego_brakes=[(3.9, -3.0, 26.0)]),
             "both", "leader-unanswered", "4c", "The ego sped up to",
@@ -503,20 +507,20 @@ SITUATIONS = {
         Situation(
             "let-the-brakes-go-behind-a-cut-in",
             "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes with 8 m/s^2 until it is only 4 m/s "
-            "faster, 9 m behind, and brakes no more.",
+            "faster, 9 m behind. Then it releases the brakes.",
             lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 14.0)]),
             "both", "leader-unanswered", "4c", "released the brakes at",
         ),
         Situation(
             "creeps-into-one-that-had-cut-in",
-            "So again, and the ego brakes until it is 0.5 m/s faster, and creeps into it 15 s later.",
+            "The same, but the ego brakes until it is 0.5 m/s faster, and creeps into the NPC 15 s later.",
             lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 10.5)]),
             "ego", "leader-unanswered", "4a", "NPC 0 kept its lane",
         ),
         Situation(
             "creeps-into-one-that-stands-half-in-its-lane",
-            "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and brakes to a standstill. "
-            "The ego brakes to 1.5 m/s, lets go 7 m behind it and creeps into it.",
+            "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and brakes to a standstill. The "
+            "ego brakes to 1.5 m/s, releases the brakes 7 m behind the NPC and creeps into it.",
             lambda: hit(
                 driven(0.0, brakes=[(2.7, 9.5, 1.5)]),
                 driven(48.3, LEFT, speed=10.0, brakes=[(2.6, 4.0, 0.0)], shifts=[(2.0, 2.2, 1.1)]),
@@ -525,8 +529,8 @@ SITUATIONS = {
         ),
         Situation(
             "speeds-up-behind-one-half-in-its-lane",
-            "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and stays so. The ego brakes to "
-            "its speed, follows it for 4 s and speeds up into it.",
+            "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and stays there. The ego brakes "
+            "to its speed, follows it for 4 s and speeds up into it.",
             lambda: hit(
                 driven(0.0, brakes=[(2.9, 8.0, 10.0), (8.0, -2.0, 20.0)]),
                 driven(48.3, LEFT, speed=10.0, shifts=[(2.0, 2.2, 1.1)]),
@@ -537,100 +541,101 @@ SITUATIONS = {
     "The ego changes lanes": (
         Situation(
             "lane-change-1-m-ahead",
-            "The ego changes lanes 1 m ahead of one that is 4 m/s faster.",
+            "The ego changes lanes 1 m ahead of an NPC that is 4 m/s faster.",
             lambda: lane_change(1.0, faster=4.0),
             "ego", "entered-lane", "3", "should have left NPC 0 a gap of 24.3 m",
         ),
         Situation(
             "lane-change-2-m-ahead",
-            "The ego changes lanes 2 m ahead of one that is 4 m/s faster.",
+            "The ego changes lanes 2 m ahead of an NPC that is 4 m/s faster.",
             lambda: lane_change(2.0, faster=4.0),
             "ego", "entered-lane", "3", "should have left NPC 0 a gap of 24.3 m",
         ),
         Situation(
             "lane-change-10-m-ahead",
-            "The ego changes lanes 10 m ahead of one that is 8 m/s faster.",
+            "The ego changes lanes 10 m ahead of an NPC that is 8 m/s faster.",
             lambda: lane_change(10.0, faster=8.0),
             "ego", "entered-lane", "3", "should have left NPC 0 a gap of 33.9 m",
         ),
         Situation(
             "follower-lets-the-brakes-go",
-            "The ego changes lanes 10 m ahead of one that is 8 m/s faster. That one brakes with 8 m/s^2 until it is "
-            "2 m/s faster, 2 m behind, and brakes no more.",
+            "The ego changes lanes 10 m ahead of an NPC that is 8 m/s faster. The NPC brakes with 8 m/s^2 until it is "
+            "2 m/s faster, 2 m behind. Then it releases the brakes.",
             lambda: lane_change(10.0, faster=8.0, npc_brakes=[(2.9, 8.0, 22.0)]),
             "both", "entered-lane", "4c", "NPC 0 should have kept braking",
         ),
         Situation(
             "lane-change-28-m-ahead",
-            "The ego changes lanes 28 m ahead of one that is 8 m/s faster, which has no second left when the ego has "
-            "come to keep its lane.",
+            "The ego changes lanes 28 m ahead of an NPC that is 8 m/s faster. When the ego has come to keep its lane, "
+            "the NPC has less than a second left.",
             lambda: lane_change(28.0, faster=8.0),
             "ego", "entered-lane", "4a", "should have left NPC 0 a gap of 33.9 m",
         ),
         Situation(
             "lane-change-40-m-ahead",
-            "The ego changes lanes 40 m ahead of one that is 8 m/s faster and never brakes.",
+            "The ego changes lanes 40 m ahead of an NPC that is 8 m/s faster, which never brakes.",
             lambda: lane_change(40.0, faster=8.0),
             "npc", None, "3", "more than the required 33.9 m",
         ),
         Situation(
             "lane-change-80-m-ahead",
-            "The ego changes lanes 80 m ahead of one that is 8 m/s faster and never brakes.",
+            "The ego changes lanes 80 m ahead of an NPC that is 8 m/s faster, which never brakes.",
             lambda: lane_change(80.0, faster=8.0),
             "npc", None, "4b", "(safe: 68.3 m)",
         ),
         Situation(
             "lane-change-15-m-ahead-settled",
-            "The ego changes lanes 15 m ahead of one that is 2 m/s faster and does not brake in the 7 s after.",
+            "The ego changes lanes 15 m ahead of an NPC that is 2 m/s faster, which does not brake in the next 7 s.",
             lambda: lane_change(15.0, faster=2.0),
             "npc", None, "4a", "kept its lane from 3.9 s on",
         ),
         Situation(
             "follower-speeds-up-after-room",
-            "The ego changes lanes 25 m ahead of one of equal speed, which then speeds up to 30 m/s.",
+            "The ego changes lanes 25 m ahead of an NPC of equal speed, which then speeds up to 30 m/s.",
             lambda: lane_change(25.0, faster=0.0, npc_brakes=[(4.0, -3.0, 30.0)]),
             "npc", None, "3", "more than the required 20.0 m",
         ),
         Situation(
             "follower-speeds-up-after-settling",
-            "The ego changes lanes 10 m ahead of one of equal speed, and 3 s later that one speeds up.",
+            "The ego changes lanes 10 m ahead of an NPC of equal speed. 3 s later the NPC speeds up.",
             lambda: lane_change(10.0, faster=0.0, npc_brakes=[(5.4, -3.0, 30.0)]),
             "npc", None, "4a", "kept its lane from 3.9 s on",
         ),
         Situation(
             "follower-speeds-up-behind-an-ego-that-weaves",
-            "The ego changes lanes 15 m ahead of one of equal speed and weaves by 0.6 m; 10 s later that one "
-            "speeds up.",
+            "The ego changes lanes 15 m ahead of an NPC of equal speed and weaves by 0.6 m. 10 s later the NPC speeds "
+            "up.",
             lambda: hit(weaving(), driven(-20.0, brakes=[(14.0, -3.0, 30.0)], seconds=30.0)),
             "npc", None, "4a", "",
         ),
         Situation(
             "brake-check-after-cutting-in",
-            "The ego changes lanes 5 m ahead of one of equal speed and brakes with 9 m/s^2 as soon as it is there.",
+            "The ego changes lanes 5 m ahead of an NPC of equal speed and brakes with 9 m/s^2 as soon as it is there.",
             lambda: lane_change(5.0, faster=0.0, brakes=[(4.0, 9.0, 0.0)]),
             "ego", "entered-lane", "4a", "should have left NPC 0 a gap of 20.0 m",
         ),
         Situation(
             "brake-check-long-after-cutting-in",
-            "The ego changes lanes 5 m ahead of one of equal speed, keeps the lane for 4 s and brakes with 9 m/s^2.",
+            "The ego changes lanes 5 m ahead of an NPC of equal speed, keeps the lane for 4 s and brakes with 9 m/s^2.",
             lambda: lane_change(5.0, faster=0.0, brakes=[(8.0, 9.0, 0.0)]),
             "ego", "braked-for-nothing", "3", "The ego braked at up to 9.0 m/s^2 from 8.0 s on",
         ),
         Situation(
             "follower-floors-it",
-            "The ego changes lanes 6 m ahead of one that is slower, 4.5 m/s, and at once speeds up with 5 m/s^2.",
+            "The ego changes lanes 6 m ahead of an NPC that drives only 4.5 m/s and at once speeds up with 5 m/s^2.",
             lambda: lane_change(6.9, faster=-1.5, speed=6.0, npc_brakes=[(2.1, -5.0, 20.0)]),
             "npc", None, "3", "NPC 0 sped up to",
         ),
         Situation(
             "follower-floors-it-behind-a-close-lane-change",
-            "The ego changes lanes 6 m ahead of one of equal speed, which at once speeds up with 4 m/s^2.",
+            "The ego changes lanes 6 m ahead of an NPC of equal speed, which at once speeds up with 4 m/s^2.",
             lambda: lane_change(6.0, faster=0.0, npc_brakes=[(2.6, -4.0, 30.0)]),
             "both", "entered-lane", "3", "NPC 0 sped up to",
         ),
         Situation(
             "npc-moves-in-behind-an-ego-over-the-line",
-            "The ego reaches 0.3 m over the line and goes back. One that is 6 m/s faster comes into its lane behind.",
+            "The ego reaches 0.3 m over the line and goes back. An NPC that is 6 m/s faster comes into the ego's lane "
+            "behind it.",
             lambda: hit(
                 driven(0.0, LEFT, speed=10.0, shifts=[(2.0, 1.3, 1.0), (3.4, LEFT, 1.0)]),
                 driven(-33.0, speed=16.0, shifts=[(2.6, LEFT, 1.6)]),
@@ -639,7 +644,7 @@ SITUATIONS = {
         ),
         Situation(
             "follower-entered-later",
-            "The ego changes lanes; 4 s later a faster one moves into the same lane 20 m behind it and runs into it.",
+            "The ego changes lanes. 4 s later a faster NPC moves into the same lane 20 m behind it and runs into it.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-49.0, RIGHT, speed=24.0, shifts=[(6.0, OWN, 2.0)])
             ),
@@ -647,37 +652,37 @@ SITUATIONS = {
         ),
         Situation(
             "ego-swipes",
-            "The ego moves into one beside it.",
+            "The ego moves into an NPC next to it.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 3.0)]), driven(1.0, LEFT)),
             "ego", "entered-lane", "3", "next to ",
         ),
         Situation(
             "ego-drifts",
-            "The ego drifts with 0.2 m/s into one beside it.",
+            "The ego drifts with 0.2 m/s into an NPC next to it.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 20.0)]), driven(1.0, LEFT)),
             "ego", "entered-lane", "8", "The ego moved sideways at",
         ),
         Situation(
             "ego-enters-behind-a-slower-one",
-            "The ego changes lanes 10 m behind one that is 8 m/s slower and runs into it.",
+            "The ego changes lanes 10 m behind an NPC that is 8 m/s slower and runs into it.",
             lambda: hit(driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(15.0 + 8 * 2.4, speed=12.0)),
             "ego", "entered-lane", "3", "m behind ",
         ),
         Situation(
             "ego-enters-across-two-lanes",
-            "The ego comes across two lanes in one motion into one that has kept its lane.",
+            "The ego comes across two lanes in one motion into an NPC that has kept its lane.",
             lambda: hit(driven(0.0, LEFT, shifts=[(2.0, RIGHT, 5.0)]), driven(2.0, RIGHT)),
             "ego", "entered-lane", "2", "The ego crossed into lane 2 at 5.1 s",
         ),
         Situation(
             "ego-overtakes-into-oncoming-traffic",
-            "The ego moves into the lane of one that comes towards it, 80 m away.",
+            "The ego moves into the lane of an NPC that comes towards it, 80 m away.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 2.0)]), oncoming(180.0, LEFT)),
             "ego", "entered-lane", "3", "40.0 m/s slower",
         ),
         Situation(
             "npc-on-the-wrong-side",
-            "One comes towards the ego in its lane. The ego brakes with 5 m/s^2 when it is 200 m away.",
+            "An NPC comes towards the ego in its lane. The ego brakes with 5 m/s^2 when the NPC is 200 m away.",
             lambda: hit(driven(0.0, brakes=[(3.0, 5.0, 0.0)]), oncoming(325.0, OWN)),
             "npc", None, "4b", "",
         ),
@@ -689,7 +694,7 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-ego-10-m-ahead",
-            "So again with the ego 10 m ahead of the NPC, which is 6 m/s faster.",
+            "The same with the ego 10 m ahead of the NPC, which is 6 m/s faster.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-30.0, RIGHT, speed=26.0, shifts=[(2.2, OWN, 2.0)])
             ),
@@ -697,7 +702,7 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-ego-with-room",
-            "So again with the ego 45 m ahead of the NPC, which is 6 m/s faster and never brakes.",
+            "The same with the ego 45 m ahead of the NPC, which is 6 m/s faster and never brakes.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-65.0, RIGHT, speed=26.0, shifts=[(2.2, OWN, 2.0)])
             ),
@@ -705,7 +710,7 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-and-follow-for-long",
-            "Both move into the lane between, the ego 12 m ahead; 13 s later the NPC speeds up.",
+            "Both move into the lane between them, the ego 12 m ahead. 13 s later the NPC speeds up.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)], seconds=30.0),
                 driven(-17.0, RIGHT, shifts=[(2.2, OWN, 2.0)], brakes=[(15.0, -3.0, 30.0)], seconds=30.0),
@@ -714,7 +719,8 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-and-the-one-behind-floors-it",
-            "Both move into the lane between, the ego 6 m ahead, with 8 m/s; the NPC at once speeds up with 5 m/s^2.",
+            "Both move into the lane between them, the ego 6 m ahead, with 8 m/s. The NPC at once speeds up with 5 "
+            "m/s^2.",
             lambda: hit(
                 driven(0.0, LEFT, speed=8.0, shifts=[(2.0, OWN, 2.0)]),
                 driven(-11.0, RIGHT, speed=8.0, shifts=[(2.2, OWN, 2.0)], brakes=[(2.7, -5.0, 20.0)]),
@@ -723,7 +729,7 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-behind-a-slower-one",
-            "Both move into the lane between, the NPC 30 m ahead and 5 m/s slower. The ego never brakes.",
+            "Both move into the lane between them, the NPC 30 m ahead and 5 m/s slower. The ego never brakes.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(47.0, RIGHT, speed=15.0, shifts=[(2.2, OWN, 2.0)])
             ),
@@ -731,13 +737,13 @@ SITUATIONS = {
         ),
         Situation(
             "ego-enters-where-one-has-just-entered",
-            "An NPC has moved into the lane between for 2 s when the ego moves in beside it.",
+            "An NPC moved into the lane between them 2 s ago. Now the ego moves into it next to the NPC.",
             lambda: hit(driven(0.0, LEFT, shifts=[(4.5, OWN, 2.0)]), driven(1.0, RIGHT, shifts=[(2.0, OWN, 2.0)])),
             "ego", "entered-lane", "3", "The ego crossed",
         ),
         Situation(
             "ego-given-up-its-lane-change",
-            "The ego moves 0.8 m to the left and back; 3 s later an NPC beside it moves into it.",
+            "The ego moves 0.8 m to the left and back. 3 s later an NPC next to it moves into it.",
             lambda: hit(
                 driven(0.0, shifts=[(1.0, 3.2, 1.0), (2.0, OWN, 1.0)]), driven(1.0, LEFT, shifts=[(6.0, OWN, 2.0)])
             ),
@@ -745,7 +751,8 @@ SITUATIONS = {
         ),
         Situation(
             "ego-moved-two-lanes-away",
-            "The ego changes to a lane that is two away from an NPC's; 5 s later that one moves in beside it.",
+            "The ego changes to a lane that is two lanes away from an NPC's. 5 s later the NPC moves into the side of "
+            "the ego.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(1.0, OWN, 2.0)]),
                 driven(1.0, FAR, shifts=[(3.0, RIGHT, 2.0), (8.0, OWN, 2.0)]),
@@ -756,7 +763,7 @@ SITUATIONS = {
     "Bends and ramps": (
         Situation(
             "bend-brake-ahead-ignored",
-            "In a bend the one 2 s ahead brakes with 6 m/s^2. The ego does not brake.",
+            "In a bend the vehicle 2 s ahead brakes with 6 m/s^2. The ego does not brake.",
             lambda: in_bend(driven(0.0), driven(45.0, brakes=[(2.0, 6.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "s but did not",
         ),
@@ -768,13 +775,13 @@ SITUATIONS = {
         ),
         Situation(
             "bend-npc-runs-wide",
-            "In a bend the NPC on the inside runs wide, into the ego beside it.",
+            "In a bend the NPC on the inside runs wide, into the ego next to it.",
             lambda: in_bend(driven(0.0), driven(1.0, RIGHT, shifts=[(2.0, OWN, 4.0)])),
             "npc", None, "3", "next to ",
         ),
         Situation(
             "bend-ego-runs-wide",
-            "In a bend the ego runs wide, into an NPC beside it.",
+            "In a bend the ego runs wide, into an NPC next to it.",
             lambda: in_bend(driven(0.0, shifts=[(2.0, LEFT, 4.0)]), driven(1.0, LEFT)),
             "ego", "entered-lane", "3", "next to ",
         ),
@@ -794,25 +801,25 @@ SITUATIONS = {
     "Where ways cross": (
         Situation(
             "crossing-from-the-left-ignored",
-            "The ego drives with 8 m/s into a crossing, half a second before one from the left that has priority.",
+            "The ego drives with 8 m/s into a crossing, half a second before an NPC from the left that has priority.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 6.5, 8)),
             "ego", "did-not-give-way", "9", "0.5 s before NPC 0 from the left. NPC 0 had priority",
         ),
         Situation(
             "crossing-from-the-right-ignored",
-            "So again 0.3 s after one from the right.",
+            "The same 0.3 s after an NPC from the right.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("south straight", 5.7, 8)),
             "ego", "did-not-give-way", "9", "0.3 s after NPC 0 from the right. NPC 0 had priority",
         ),
         Situation(
             "crossing-braked-too-little",
-            "So again from the left; the ego brakes two seconds before it would enter, with 2 m/s^2.",
+            "The same from the left, but the ego brakes two seconds before it would enter, with 2 m/s^2.",
             lambda: junctions.hit(plan("west straight", 6, 8, (4.0, -2.0, 3.0)), plan("north straight", 7, 8)),
             "ego", "did-not-give-way", "9", "It braked too little: up to 2.0 m/s^2 from",
         ),
         Situation(
             "crossing-sets-off-in-front",
-            "The ego stops at the line, and sets off a second before one from the left comes that has priority.",
+            "The ego stops at the line. It sets off a second before an NPC from the left arrives that has priority.",
             lambda: junctions.hit(
                 plan("west straight", 4, 8, (2.0, -3.5, 0.0), (8.0, 2.5, 8.0)), plan("north straight", 10.5, 8)
             ),
@@ -820,19 +827,20 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-has-no-priority",
-            "One from the left that has no priority drives into the crossing half a second before the ego.",
+            "An NPC from the left that has no priority drives into the crossing half a second before the ego.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 5.5, 8), priority="ego"),
             "npc", None, "9", "NPC 0 entered the crossing from the left at 5.5 s, 0.5 s before the ego. The ego had",
         ),
         Situation(
             "crossing-npc-has-no-priority-and-is-slow",
-            "So again two seconds before the ego, with 3 m/s. The ego never brakes.",
+            "The same two seconds before the ego, with 3 m/s. The ego never brakes.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 4, 3), priority="ego"),
             "both", "entered-taken-zone", "9", "The ego should have braked from 5.4 s but did not",
         ),
         Situation(
             "crossing-one-stands-in-it-ego-has-priority",
-            "One from the left that has no priority has stood in the crossing for four seconds. The ego never brakes.",
+            "An NPC from the left that has no priority has stood in the crossing for four seconds. The ego never "
+            "brakes.",
             lambda: junctions.hit(
                 plan("west straight", 9, 8), plan("north straight", 3, 5, (3.3, -5.0, 0.0)), priority="ego"
             ),
@@ -840,14 +848,14 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-one-stands-in-it-npc-has-priority",
-            "So again where the other has priority.",
+            "The same, but the NPC has priority.",
             lambda: junctions.hit(plan("west straight", 9, 8), plan("north straight", 3, 5, (3.3, -5.0, 0.0))),
             "ego", "did-not-give-way", "9", "6.0 s after NPC 0 from the left. NPC 0 had priority",
         ),
         Situation(
             "crossing-stopped-in-it-far-ahead",
-            "The ego stops in a crossing behind a queue. One from the left, with priority, comes five seconds later "
-            "and never brakes.",
+            "The ego stops in a crossing behind a queue. An NPC from the left, with priority, arrives five seconds "
+            "later and never brakes.",
             lambda: junctions.hit(
                 plan("west straight", 4, 5, (4.6, -5.0, 0.0)),
                 plan("north straight", 9, 8),
@@ -857,7 +865,7 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-stopped-in-it-near-ahead",
-            "So again with one that comes 2.5 seconds after the ego, with 10 m/s.",
+            "The same with an NPC that arrives 2.5 seconds after the ego, with 10 m/s.",
             lambda: junctions.hit(
                 plan("west straight", 7, 5, (7.4, -5.0, 0.0)),
                 plan("north straight", 9.5, 10),
@@ -867,7 +875,7 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-waits-and-drives-in-late",
-            "One from the left that has priority waits at the line. When the ego has driven in, it sets off.",
+            "An NPC from the left that has priority waits at the line. When the ego has driven in, it sets off.",
             lambda: junctions.hit(
                 plan("west straight", 8, 5), plan("north straight", 4.75, 8, (3.5, -4.0, 0.0), (7.9, 5.0, 8.0))
             ),
@@ -875,7 +883,7 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-waits-and-sets-off-with-the-ego",
-            "So again, but it sets off a second before the ego drives in, when that could no longer stop.",
+            "The same, but the NPC sets off a second before the ego drives in, when the ego could no longer stop.",
             lambda: junctions.hit(
                 plan("west straight", 8, 5), plan("north straight", 4.75, 8, (3.5, -4.0, 0.0), (7.1, 3.0, 8.0))
             ),
@@ -883,7 +891,7 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-slows-down-before-it",
-            "One from the left that has priority slows down from 10 to 6 m/s well before the crossing. The ego does "
+            "An NPC from the left that has priority slows down from 10 to 6 m/s well before the crossing. The ego does "
             "not wait.",
             lambda: junctions.hit(
                 plan("west straight", 6.5, 8), plan("north straight", 5.2, 10, (2.0, -2.0, 6.0))
@@ -892,8 +900,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-speeds-up-towards-it",
-            "One from the left, with priority, drives 4 m/s, so that the ego would be past; it speeds up with 5 m/s^2 "
-            "when the ego can no longer stop.",
+            "An NPC from the left, with priority, drives 4 m/s, so the ego would pass first. When the ego can no "
+            "longer stop, the NPC speeds up with 5 m/s^2.",
             lambda: junctions.hit(
                 plan("west straight", 8, 8), plan("north straight", 10.5, 4, (6.6, 5.0, 12.0))
             ),
@@ -901,20 +909,20 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-without-priorities",
-            "Where neither has priority the ego and one from the right drive in together.",
+            "Neither has priority. The ego and an NPC from the right drive in together.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("south straight", 6, 8), priority="none"),
             "both", "did-not-give-way", "9", "together with NPC 0 from the right. Neither had priority",
         ),
         Situation(
             "crossing-without-priorities-npc-first",
-            "So again where the other has been in the crossing for three seconds, with 1.5 m/s.",
+            "The same, but the NPC has been in the crossing for three seconds, with 1.5 m/s.",
             lambda: junctions.hit(plan("west straight", 8, 8), plan("south straight", 4.5, 1.5), priority="none"),
             "ego", "did-not-give-way", "9", "NPC 0 from the right. Neither had priority",
         ),
         Situation(
             "crossing-waits-and-is-hit-from-behind",
-            "The ego stops before the crossing, since one comes from the left; one that follows runs into it after "
-            "two seconds.",
+            "The ego stops before the crossing, because an NPC comes from the left. Two seconds later an NPC that "
+            "follows runs into the ego.",
             lambda: junctions.hit(
                 plan("west straight", 4, 8, (2.0, -3.5, 0.0)),
                 plan("grid", 8.0, 8),
@@ -924,8 +932,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-brakes-hard-for-one-and-is-hit",
-            "The ego brakes with 7 m/s^2 for one from the right that has priority; one that follows 0.8 s behind runs "
-            "into it.",
+            "The ego brakes with 7 m/s^2 for an NPC from the right that has priority. An NPC that follows 0.8 s behind "
+            "runs into the ego.",
             lambda: junctions.hit(
                 plan("west straight", 6, 12, (4.8, -7.0, 2.0)),
                 plan("grid", 7.2, 12),
@@ -935,7 +943,7 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-brakes-hard-for-none-and-is-hit",
-            "So again where nobody comes but one that has passed.",
+            "The same, but no vehicle comes except one that has already passed.",
             lambda: junctions.hit(
                 plan("west straight", 6, 12, (4.8, -7.0, 2.0)),
                 plan("grid", 7.2, 12),
@@ -947,25 +955,25 @@ SITUATIONS = {
     "Where ways turn across": (
         Situation(
             "turns-left-across-oncoming",
-            "The ego turns left in front of one that comes towards it and has priority.",
+            "The ego turns left in front of an NPC that comes towards it and has priority.",
             lambda: junctions.hit(plan("west left", 6, 6), plan("east straight", 6.5, 10)),
             "ego", "did-not-give-way", "9", "from ahead. NPC 0 had priority",
         ),
         Situation(
             "oncoming-turns-left-across",
-            "One that comes towards the ego turns left in front of it. The ego has priority.",
+            "An NPC that comes towards the ego turns left in front of it. The ego has priority.",
             lambda: junctions.hit(plan("west straight", 6, 9), plan("east left", 5.2, 6), priority="ego"),
             "npc", None, "9", "NPC 0 entered the crossing from ahead",
         ),
         Situation(
             "oncoming-turns-left-across-slowly",
-            "So again, two seconds before the ego and with 4 m/s. The ego never brakes.",
+            "The same, two seconds before the ego and with 4 m/s. The ego never brakes.",
             lambda: junctions.hit(plan("west straight", 6, 9), plan("east left", 3.9, 4), priority="ego"),
             "both", "entered-taken-zone", "9", "The ego should have braked",
         ),
         Situation(
             "turns-left-into-one-from-the-left",
-            "The ego turns left and drives into one from the left, which has priority and is there first.",
+            "The ego turns left and drives into an NPC from the left, which has priority and is there first.",
             lambda: junctions.hit(plan("west left", 6, 6), plan("north straight", 5.4, 6)),
             "ego", "did-not-give-way", "9", "0.6 s after NPC 0 from the left. NPC 0 had priority",
         ),
@@ -973,56 +981,58 @@ SITUATIONS = {
     "Where ways merge": (
         Situation(
             "turns-right-in-front",
-            "The ego turns right with 4 m/s, a second before one from the left comes with 12 m/s, which has priority.",
+            "The ego turns right with 4 m/s, a second before an NPC from the left arrives with 12 m/s, which has "
+            "priority.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.1, 12)),
             "ego", "did-not-give-way", "9", "The ego entered the merge",
         ),
         Situation(
             "turns-right-four-seconds-in-front",
-            "So again four seconds before one that comes with 6 m/s and speeds up behind it to 12 m/s.",
+            "The same four seconds before an NPC that arrives with 6 m/s and speeds up to 12 m/s behind the ego.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 10.5, 6, (10.0, 3.0, 12.0))),
             "npc", None, "4b", "NPC 0 should have",
         ),
         Situation(
             "turns-right-in-front-and-is-hit-later",
-            "The ego turns right with 4 m/s in front of one that comes with 12 m/s and has priority. That one brakes "
-            "hard to 5 m/s, keeps that speed, and runs into the ego behind the zone.",
+            "The ego turns right with 4 m/s in front of an NPC that arrives with 12 m/s and has priority. The NPC "
+            "brakes hard to 5 m/s, keeps that speed, and runs into the ego behind the zone.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.3, 12, (6.5, -6.0, 5.0))),
             "both", "did-not-give-way", "9", "NPC 0 should have braked from",
         ),
         Situation(
             "npc-turns-right-in-front",
-            "One from the right turns right in front of the ego, which has priority.",
+            "An NPC from the right turns right in front of the ego, which has priority.",
             lambda: junctions.hit(plan("west straight", 6, 12), plan("south right", 5.0, 4), priority="ego"),
             "npc", None, "9", "NPC 0 entered the merge from the right",
         ),
         Situation(
             "npc-turns-right-three-seconds-in-front",
-            "So again three seconds before the ego. The ego, with 8 m/s, runs into it and never brakes.",
+            "The same three seconds before the ego. The ego, with 8 m/s, runs into the NPC and never brakes.",
             lambda: junctions.hit(plan("west straight", 8, 8), plan("south right", 3.5, 4), priority="ego"),
             "ego", "leader-unanswered", "4b", "The ego should have braked",
         ),
         Situation(
             "joins-the-circle-in-front",
-            "The ego joins a circle with 6 m/s, 0.7 s before one that circulates with 10 m/s.",
+            "The ego joins a circle with 6 m/s, 0.7 s before an NPC that circulates with 10 m/s.",
             lambda: junctions.hit(plan("join", 6, 6), plan("circle", 6.7, 10)),
             "ego", "did-not-give-way", "9", "0.7 s before NPC 0 from the left. NPC 0 had priority",
         ),
         Situation(
             "joins-the-circle-beside",
-            "The ego joins a circle and drives into the side of one that circulates as fast and is just ahead of it.",
+            "The ego joins a circle and drives into the side of an NPC that circulates at the same speed, just ahead "
+            "of it.",
             lambda: junctions.hit(plan("join", 6, 8), plan("circle", 5.7, 8)),
             "ego", "did-not-give-way", "9", "0.3 s after NPC 0",
         ),
         Situation(
             "joins-the-circle-behind-one-that-stops",
-            "The ego joins a circle two seconds behind one that then stops with 3 m/s^2. The ego never brakes.",
+            "The ego joins a circle two seconds behind an NPC that then stops with 3 m/s^2. The ego never brakes.",
             lambda: junctions.hit(plan("join", 8, 8), plan("circle", 6.0, 8, (8.0, -3.0, 0.0))),
             "ego", "leader-unanswered", "4b", "The ego should have braked",
         ),
         Situation(
             "npc-joins-the-circle-in-front",
-            "One joins the circle 0.7 s before the ego comes round, which has priority.",
+            "An NPC joins the circle 0.7 s before the ego arrives on it. The ego has priority.",
             lambda: junctions.hit(plan("circle", 4.7, 10), plan("join", 4, 5), priority="ego"),
             "npc", None, "9", "NPC 0 entered the merge",
         ),
