@@ -1,6 +1,6 @@
-"""Write the tables of reference/ that come from the code.
+"""Write the tables of reference/ from the docstrings and options in the code.
 
-Run it after a change of either: ``python docs/tools/generate.py``.
+Run it after a change of the code or of the tables: ``python docs/tools/generate.py``.
 """
 
 from __future__ import annotations
@@ -65,97 +65,105 @@ _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
-    "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`. By default what the fixture "
-    "`pafot_world` gives.",
+    "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`. The default is the value of the fixture "
+    "`pafot_world`.",
     "ads": "The name of the fixture that gives the ADS factory, or the factory itself.",
     "arg": "The parameter of the test function that receives the run.",
     "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or `pafot.Measure(...)`, '
-    "`pafot.Weights(...)`, a function `Trace -> float`, higher is worse, or its `module:function`. Without one, each "
-    "algorithm's own: `av-fuzzer` has one, all others take the default.",
-    "blame": '`"any"`; or `"ego"`: the function is called only where the ego is responsible for the collision, '
-    'alone or together with an NPC, or where there is none; or `"preventable"`: likewise, and what it asserts then is '
-    "a failure only where a reference driver would have prevented it.",
+    "`pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its `module:function`. By "
+    'default each algorithm uses its own: `av-fuzzer` has one, all others use `"default"`.',
+    "blame": '`"any"`: the function is called for every run. `"ego"`: it is called only if the ego is responsible for '
+    'the collision, alone or together with an NPC, or if there is no collision. `"preventable"`: like '
+    '`"ego"`, and a failed assertion is a failure only if a reference driver would have prevented it.',
     "traffic": '[How the others drive](../explanation/traffic.md): a style, such as `"everyday"`, or '
     "`pafot.Traffic(...)`.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
-"""Arguments whose meaning no other docstring has."""
+"""Meanings of arguments that no docstring explains."""
 
 MARKER_DEFAULTS: Mapping[str, str] = {
     "ads": '`"ads"`',
     "world": "-",
-    "genes": "as a run lasts",
-    "npcs": "drawn, or `2`",
-    "gene_seconds": "drawn, or `10.0`",
+    "genes": "as many as fill the run",
+    "npcs": "sampled, or `2`",
+    "gene_seconds": "sampled, or `10.0`",
     "traffic": '`"hostile"`, or `"paper"`',
-    "ego_lane": "drawn, or `1`",
-    "ego_speed": "drawn, or `22.0`",
+    "ego_lane": "sampled, or `1`",
+    "ego_speed": "sampled, or `22.0`",
 }
-"""Defaults that no dataclass has."""
+"""Defaults that no dataclass contains."""
 
 FILE_TEXTS: Mapping[str, str] = {
-    "pafot": "Version of the format, `2`. Files of version `1` are read as they were then, and become files of version "
-    "`2` when they are written again.",
-    "test": "Node id of the test, parameters included. Which test replays the file depends on its folder, "
-    "not on this line.",
-    "world": "The world that the scenario fails in; `kind` is `highway` or `gym`, the other keys are the fields of "
-    "`Highway` or `World`, all of them. `config` of a `World` has the defaults of its environment, too. The replay "
-    "uses this world, not the one that the test names now, and no default of a later version. Where the world is code, "
-    "the replay uses the one that the test names: kind `own`, with the `class` of [a world of your "
-    "own](../guide/own-world.md) and the `data` of its `to_dict`; and `gym` with the names of `wrappers`. "
-    "A world that a package has [registered](../guide/own-world.md#a-simulator-of-your-own) has its own kind "
+    "pafot": "Version of the format, `2`. Files of version `1` are read by that version's rules, and become files of "
+    "version `2` when they are written again.",
+    "test": "Node id of the test, with its parameters. The folder of the file, and not this line, decides which test "
+    "replays it.",
+    "world": "The world that the scenario fails in. `kind` is `highway` or `gym`; the other keys are all fields of "
+    "`Highway` or `World`. `config` of a `World` also has the defaults of its environment. The replay uses "
+    "this world, not the world that the test names now, and no default of a later version. If the world is "
+    "code, the replay uses the world that the test names: kind `own`, with the `class` of [a world of your "
+    "own](../guide/own-world.md) and the `data` of its `to_dict`; and `gym` with the names of `wrappers`. A "
+    "world that a package has [registered](../guide/own-world.md#a-simulator-of-your-own) has its own kind "
     "and its `data`.",
     "scenario.seed": "Seed of the repair inside the run.",
-    "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], with which everybody starts.",
-    "scenario.gene_seconds": "Duration of one gene [s]; `10.0` where it is not given.",
-    "scenario.traffic": "How the NPCs drive beside what their instructions ask for, `hostile`, `assertive` or "
-    "`everyday` ([what they mean](../explanation/traffic.md)); with parts of its own, `{style: everyday, least_gap: "
-    "4.0}`. Where it is not given, as in files of before, they drive as in the paper.",
-    "scenario.npcs": "One list per NPC of Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]; or, in "
-    "finds of algorithms that know no grid, of Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`. An "
-    "NPC that meets the ego where ways cross has one Crossing-Instruction `{zone, slot, speed, act}`: the entry and "
-    "exit of its way, the slot [s] after the ego, negative before it, and the act, `pass` where it is not given.",
+    "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which all vehicles start.",
+    "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
+    "scenario.traffic": "How the NPCs drive within their instructions: `hostile`, `assertive` or `everyday` "
+    "([what they "
+    "mean](../explanation/traffic.md)); with separate parts, `{style: everyday, least_gap: 4.0}`. If it is "
+    "not given, as in older files, they drive as in the paper.",
+    "scenario.npcs": "One list per NPC. It has Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]. "
+    "In findings of "
+    "algorithms that know no grid, it has Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`. "
+    "An NPC that meets the ego where ways cross has one Crossing-Instruction `{zone, slot, speed, act}`: the "
+    "entry and exit of its way, the slot [s] after the ego (negative: before it), and the act, `pass` if it "
+    "is not given.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number.",
-    "expect.reference_drivers": "For each reference driver what becomes of it in the ego's place: `avoids`, `hit`, "
-    "`at-fault` or `fails` ([their meaning](../explanation/responsibility.md#who-could-have-prevented-it)); not "
-    "there where it means nothing.",
-    "expect.check": "What the failed check measured, and its bounds, in its unit: `value`, `at_most`, `at_least`, "
-    "`unit`. The assertion is its name then.",
-    "expect.situation": "Where the NPC of the failure was shortly before the ego's mistake, relative to the ego: the "
-    "`npc`, the `time` [s], how far `ahead` its centre was [m], negative behind, its `lane`, counted from the ego's to "
-    "the right, and both speeds, `ego_speed` and `npc_speed` [m/s], of a leader the lowest from then on. A replay that "
-    "passes is a [fix](../explanation/findings.md#what-a-replay-means) only where the situation comes up again. Of an "
-    "NPC that crosses, in place of `ahead` and `lane`, in how long it and the ego were to be at the beginning of their "
-    "zone, `npc_enters` and `ego_enters` [s]. Not there where no NPC took part, and in files of before.",
-    "expect.last_chance": "When one of them would last have stayed free of fault in the ego's place: `time` [s], the "
-    "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad]. Not there where "
-    "there is no such moment.",
-    "expect.avoided_by": "The last decision of the ego from which braking in its lane avoids the collision, as it was "
-    "simulated: `time` [s] and `braking` [m/s^2], with which it slows down to a standstill. Not there where none does, "
-    "and where the `fault` is not one of an answer.",
-    "perception": "How the ADS saw the others, where that was not perfect: what was given to "
-    "[`pafot.Perception`](ads.md), without what is perfect; and, once that is known, the list "
-    "`needed` of those imperfections without which the test does not fail, empty where it fails also with perfect "
-    "sight. A replay runs what the test gives now, and says where that sees otherwise.",
-    "original": "The scenario as first found, like `scenario`; where shrinking has put a simpler one in its place.",
-    "shrunk.rollouts": "Runs that shrinking took.",
-    "shrunk.is_minimal": "Whether each simpler scenario on the lists of what is tried was tried, rather than the "
-    "budget being spent.",
-    "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
-    "`high` [m/s] at which the scenario still fails, everything else being equal. All that were tried in between fail; "
-    "not all were tried.",
-    "flaky": "What differed when the scenario was run again. Such a file is never called fixed. Remove the line once "
+    "expect.reference_drivers": "The outcome of each reference driver in the ego's place: `avoids`, `hit`, "
+    "`at-fault` or `fails` ([their "
+    "meaning](../explanation/responsibility.md#who-could-have-prevented-it)). Absent if it means nothing.",
+    "expect.check": "The value that the failed check measured, and its bounds, in its unit: `value`, `at_most`, "
+    "`at_least`, "
+    "`unit`. The assertion is then the name of the check.",
+    "expect.situation": "Where the NPC of the failure was shortly before the ego's mistake, relative to the "
+    "ego: the `npc`, the "
+    "`time` [s], how far `ahead` its centre was [m] (negative: behind), its `lane`, counted from the ego's to "
+    "the right, and both speeds, `ego_speed` and `npc_speed` [m/s]; for a leader the lowest speed from then "
+    "on. A replay that passes is a [fix](../explanation/findings.md#what-a-replay-means) only if the "
+    "situation occurs again. An NPC that crosses has, in place of `ahead` and `lane`, the times until it and "
+    "the ego reach the beginning of their zone, `npc_enters` and `ego_enters` [s]. Absent if no NPC took "
+    "part, and in older files.",
+    "expect.last_chance": "The last time at which a reference driver in the ego's place would have stayed free "
+    "of fault: `time` "
+    "[s], the `driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering "
+    "[rad]. Absent if there is no such moment.",
+    "expect.avoided_by": "The last decision of the ego after which braking in its lane avoids the collision, by "
+    "simulation: `time` "
+    "[s] and `braking` [m/s^2], with which it slows down to a standstill. Absent if no braking does, and if "
+    "the `fault` is not an unanswered leader or cut-in.",
+    "perception": "How the ADS saw the others, if that was not perfect: the arguments of [`pafot.Perception`](ads.md), "
+    "without the perfect ones. Once it is known, also the list `needed` of the imperfections without which "
+    "the test does not fail; it is empty if the test also fails with perfect sight. A replay uses the sight "
+    "that the test gives now, and reports a difference.",
+    "original": "The scenario as first found, like `scenario`, if shrinking has replaced it by a simpler one.",
+    "shrunk.rollouts": "The number of runs that shrinking took.",
+    "shrunk.is_minimal": "True if all simpler scenarios on the lists were tried; false if the budget was spent first.",
+    "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from "
+    "`low` to `high` "
+    "[m/s] at which the scenario still fails, everything else being equal. All tried speeds in between fail; "
+    "not all speeds were tried.",
+    "flaky": "What differed when the scenario was run again. Such a file is never called fixed. Remove the line when "
     "the ADS drives a scenario in the same way each time.",
-    "xfail": "Your reason to accept the failure. Optional; the only line that is meant to be written by hand. With "
-    "`{reason: ..., until: 2027-01-31}` it is accepted up to that day, and counts from the next one on.",
+    "xfail": "Your reason to accept the failure. Optional; the only line that you write by hand. With `{reason: ..., "
+    "until: 2027-01-31}` it is accepted up to that day, and counts from the next day on.",
 }
 
 AT_THE_END = ("perception", "original", "shrunk", "flaky", "xfail")
-"""Keys of a file that come after those of dataclasses; all are optional."""
+"""Keys of a file that follow the keys of dataclasses. All are optional."""
 
 
 def sections() -> dict[str, str]:
-    """The text of every generated section, by name."""
+    """Return the text of every generated section, by name."""
     return {
         "options": _options_table(),
         "session-record": _record_table(SessionRecord),
@@ -218,10 +226,10 @@ def sections() -> dict[str, str]:
 
 
 def generated(text: str) -> str:
-    """A document with its generated sections as they are now.
+    """Return a document with its generated sections as the code has them now.
 
     Raises:
-        KeyError: for a section that nothing generates.
+        KeyError: if a section has a name that is not generated.
     """
     made = sections()
     return _SECTION.sub(lambda found: f"{found[1]}{made[found[2]]}{found[3]}", text)
@@ -269,7 +277,7 @@ def _default(field: Field[Any]) -> str:
 
 
 def _attributes(thing: Any, heading: str = "Attributes:") -> Iterator[tuple[str, str]]:
-    """Names and texts of a docstring's block of that heading."""
+    """Yield the names and texts of a docstring's block with this heading."""
     _, found, block = (inspect.getdoc(thing) or "").partition(f"{heading}\n")
     entries: list[tuple[str, str]] = []
     for line in block.split("\n\n")[0].splitlines() if found else []:
@@ -283,13 +291,13 @@ def _attributes(thing: Any, heading: str = "Attributes:") -> Iterator[tuple[str,
 
 
 def _field_comments(cls: type[Any]) -> Iterator[tuple[str, str]]:
-    """Names and texts of a dataclass whose fields are explained beside them."""
+    """Yield the names and texts of a dataclass whose fields have comments on their lines."""
     for name, text in re.findall(r"^    (\w+): [^#\n]+  # (.*)$", inspect.getsource(cls), re.MULTILINE):
         yield name, f"{_plain(text)}."
 
 
 def _plain(text: str) -> str:
-    """Text of a docstring as Markdown."""
+    """Return the text of a docstring as Markdown."""
     return _ROLE.sub(lambda found: f"`{found[1].rpartition('.')[2]}`", text).replace("``", "`").strip()
 
 
@@ -323,8 +331,8 @@ def _option_default(option: Option) -> str:
     if len(profiles) == len(PROFILES):
         return ", ".join(profiles)
     plain = "none" if option.default is None else f"`{option.default}`"
-    told = {"seed": "fresh", "shrink_rollouts": "by the ADS", "population": "by the algorithm"}
-    return ", ".join([told.get(option.name, plain), *profiles])
+    stated = {"seed": "fresh", "shrink_rollouts": "by the ADS", "population": "by the algorithm"}
+    return ", ".join([stated.get(option.name, plain), *profiles])
 
 
 def _marker_table() -> str:
@@ -339,7 +347,7 @@ def _fixtures_table() -> str:
     tree = ast.parse(inspect.getsource(fixtures))
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name.startswith("pafot_")]
     rows = [[f"`{node.name}`", _scope(node), _first_paragraph(ast.get_docstring(node))] for node in functions]
-    return _table(["Fixture", "Scope", "Gives"], rows)
+    return _table(["Fixture", "Scope", "Value"], rows)
 
 
 def _scope(node: ast.FunctionDef) -> str:
@@ -467,13 +475,13 @@ def _ready_table() -> str:
     for name in properties.__all__:
         function: Callable[..., Any] = getattr(properties, name)
         defaults = [each for each in inspect.signature(function).parameters.values() if each.name != "run"]
-        arguments = ", ".join(f"`{each.name}={_told(each.default)}`" for each in defaults)
+        arguments = ", ".join(f"`{each.name}={_stated(each.default)}`" for each in defaults)
         paragraphs = [_plain(" ".join(each.split())) for each in inspect.cleandoc(function.__doc__ or "").split("\n\n")]
         rows.append([f"`pafot.properties.{name}(run)`", " ".join(paragraphs), arguments])
-    return _table(["Property", "What is checked, and whence", "Arguments, all by keyword"], rows)
+    return _table(["Property", "What it checks, and its source", "Arguments, all by keyword"], rows)
 
 
-def _told(default: object) -> str:
+def _stated(default: object) -> str:
     return "attribution's" if isinstance(default, RssRules) else repr(default)
 
 
@@ -483,7 +491,7 @@ def _strategies_table() -> str:
         function: Callable[..., Any] = getattr(strategies, name)
         arguments = ", ".join(f"`{parameter}`" for parameter in _parameters(function))
         rows.append([f"`pafot.strategies.{name}()`", _first_paragraph(function.__doc__), arguments])
-    return _table(["Strategy", "Draws", "Arguments, all by keyword"], rows)
+    return _table(["Strategy", "Generates", "Arguments, all by keyword"], rows)
 
 
 if __name__ == "__main__":
