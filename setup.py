@@ -1,6 +1,6 @@
-"""The compiled form of the modules with types in a ``.pxd`` file, and the README as a package index can show it.
+"""Build the modules that have a ``.pxd`` file as compiled extensions, and prepare the README for a package index.
 
-Without a C compiler the modules run interpreted.
+Without a C compiler, the modules run interpreted.
 """
 
 import os
@@ -19,49 +19,49 @@ from setuptools.command.build_py import build_py
 FOLDERS = [Path("pytest_pafot", room) for room in ("criticality", "searching", "world/kernel")]
 DIRECTIVES = {
     "language_level": 3,
-    "annotation_typing": False,  # the types are those of the .pxd files
+    "annotation_typing": False,  # the types are in the .pxd files
 }
-SHARED = "pytest_pafot._cython"  # Cython's own code for arrays: compiled once instead of in each module
+SHARED = "pytest_pafot._cython"  # Cython's own code for arrays, compiled once instead of in each module
 FLAGS = [
-    *("-ffp-contract=off", "-fno-math-errno"),  # no fused multiply-add: the same numbers as interpreted
-    *("-O1", "-g0"),  # compiles in half the time of -O2 -g; a run is a tenth more instructions, and 5 % more time
+    *("-ffp-contract=off", "-fno-math-errno"),  # no fused multiply-add, for the same numbers as interpreted
+    *("-O1", "-g0"),  # compiles in half the time of -O2 -g; a run takes 5 % longer
 ]
 
 
 BUILD = "build"
-"""The folder that holds what is generated and compiled, as setuptools names it."""
+"""The folder for generated and compiled files, as setuptools names it."""
 EXAMPLES = "example_ads"
-EXAMPLES_INSTALLED = f"pytest_pafot.{EXAMPLES}"  # no package of a general name among the user's own
+EXAMPLES_INSTALLED = f"pytest_pafot.{EXAMPLES}"  # a top-level package `example_ads` could clash with the user's own
 
 
 class WithoutExampleTests(build_py):
-    """Installs the example policies without the tests that search them in a clone."""
+    """Install the example policies without the tests that search them in a clone."""
 
     def find_package_modules(self, package: str, package_dir: str) -> list[tuple[str, str, str]]:
-        """The modules of a package."""
+        """Return the modules of a package."""
         modules: list[tuple[str, str, str]] = super().find_package_modules(package, package_dir)
         return [each for each in modules if package != EXAMPLES_INSTALLED or each[1] not in ("conftest", "test_safety")]
 
 
 def packages() -> list[str]:
-    """Those of ``pytest_pafot``, and the policies that lie beside it in a clone."""
+    """Return the packages of ``pytest_pafot``, and the example policies, which are next to it in a clone."""
     examples = find_packages(include=[f"{EXAMPLES}*"])
     return [*find_packages(include=["pytest_pafot*"]), *(f"pytest_pafot.{name}" for name in examples)]
 
 
 class AllOrNothing(build_ext):
-    """Builds the extensions, or does without: the modules are compiled against each other, so some are no use."""
+    """Build all extensions or none: the modules are compiled against each other, so a part of them is useless."""
 
     def finalize_options(self) -> None:
-        """Compile as many modules at a time as there are processors, unless told how many."""
+        """Compile as many modules at once as there are processors, unless the caller gives a number."""
         super().finalize_options()
         self.parallel = self.parallel or True
 
     def run(self) -> None:
-        """Compile."""
+        """Compile all extensions, or remove what was built and warn."""
         try:
             super().run()
-            self.copy_extensions_to_source()  # whoever runs Python in a clone imports the clone's package
+            self.copy_extensions_to_source()  # anyone who runs Python in a clone imports the clone's package
         except Exception as error:  # noqa: BLE001  (compilers fail in many ways, and none of them is fatal)
             warnings.warn(f"pytest-pafot is installed without its compiled kernel: {error}", stacklevel=1)
             beside = [built for kind in ("*.so", "*.pyd") for built in Path("pytest_pafot").rglob(kind)]
@@ -70,13 +70,13 @@ class AllOrNothing(build_ext):
             self.extensions.clear()
 
     def build_extension(self, ext: Extension) -> None:
-        """With gcc's and clang's options where these are understood."""
+        """Compile a module, with FLAGS if the compiler is gcc or clang."""
         ext.extra_compile_args = [] if self.compiler.compiler_type == "msvc" else FLAGS
         super().build_extension(ext)
 
 
 def extensions() -> list[Extension]:
-    """One for each module; none where Cython is missing."""
+    """Return one extension per module, or none if Cython is missing."""
     try:
         from Cython.Build import cythonize  # noqa: PLC0415
     except ImportError:
@@ -95,11 +95,11 @@ def extensions() -> list[Extension]:
 
 @contextmanager
 def one_build_at_a_time() -> Iterator[None]:
-    """Wait for the end of another build in this folder: both write the same files, and remove some of them.
+    """Wait for another build in this folder to end: both write the same files, and remove some of them.
 
-    The later one finds compiled what the earlier one has left. The system ends the lock of a build that is killed.
+    The later build finds what the earlier one compiled. The operating system releases the lock of a killed build.
     """
-    if os.name != "posix" or "develop" in sys.argv:  # which runs pip, and that this file: it would wait for itself
+    if os.name != "posix" or "develop" in sys.argv:  # `develop` runs pip, which runs this file
         yield
         return
     import fcntl  # noqa: PLC0415
@@ -107,7 +107,7 @@ def one_build_at_a_time() -> Iterator[None]:
     folder = Path(BUILD)
     folder.mkdir(exist_ok=True)
     with (folder / "lock").open("w") as lock:
-        with suppress(OSError):  # on a file system without locks
+        with suppress(OSError):  # some file systems have no locks
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
@@ -118,12 +118,12 @@ DRAWN = re.compile(r"<picture>.*?</picture>", re.DOTALL)
 
 
 def long_description(readme: str, address: str | None, version: str) -> str:
-    """The README where nothing lies beside it: its relative links and pictures lead into the repository.
+    """Return the README for a page outside the repository: its relative links and pictures lead into the repository.
 
     Args:
-        address: of the repository, with the paths that GitHub has; without one, links become their words, and pictures
-            are left out, so that nothing leads nowhere.
-        version: whose tag, such as ``v0.1.0``, has the files as they are in this package.
+        address: The repository's address; paths follow GitHub. Without an address, links become plain words and
+            pictures are left out, so that no link is broken.
+        version: The release. Its tag, such as ``v0.1.0``, has the same files as this package.
     """
     if address is None:
         return LINK.sub(lambda link: "" if link[1] else link[2], DRAWN.sub("", readme))

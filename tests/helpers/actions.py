@@ -1,4 +1,4 @@
-"""The composite action of this repository, run as GitHub runs it as far as a shell can: its steps that are commands."""
+"""Run the repository's composite action as GitHub does, as far as a shell can: only the steps that are commands."""
 
 import os
 import re
@@ -13,7 +13,7 @@ SCRIPT = ROOT / "ci" / "pafot.sh"
 WORKFLOWS = {path.stem: path for path in sorted((ROOT / "ci" / "workflows").glob("*.yml"))}
 EXPRESSION = re.compile(r"\$\{\{ *([^}]*?) *\}\}")
 OWN = "./.github/actions/pafot"
-"""Where users put a copy of the action, by which workflows name it."""
+"""The path to which users copy the action and by which workflows name it."""
 
 
 def loaded(path):
@@ -25,23 +25,23 @@ def action():
 
 
 def filled(text, values):
-    """A text with its expressions replaced; one that has no value is a fault of the test, or of the file."""
+    """Replace the expressions in a text. KeyError if one has no value: the test or the file is wrong."""
     return EXPRESSION.sub(lambda found: str(values[found[1]]), str(text))
 
 
 def steps_of(workflow):
-    """The steps of a workflow, each with its job."""
+    """Return the steps of a workflow, each with its job."""
     return [(job, step) for job in loaded(WORKFLOWS[workflow])["jobs"].values() for step in job["steps"]]
 
 
 def inputs_of(workflow, task, values=None):
-    """What a workflow gives to the action for a task, with values for the expressions in it."""
+    """Return the inputs that a workflow passes to the action for a task, with its expressions replaced."""
     (given,) = (step["with"] for _, step in steps_of(workflow) if step.get("with", {}).get("task") == task)
     return {name: filled(each, values or {}) for name, each in given.items()}
 
 
 def environment(**variables):
-    """A job's: the Python of the tests, this plugin alone, and nothing that a CI around the tests sets."""
+    """Return a job's environment: the tests' Python, only this plugin, and no variables of a CI around the tests."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PAFOT_", "GITHUB_", "PYTEST_"))}
     kept.pop("CI", None)
     path = os.pathsep.join([str(Path(sys.executable).parent), kept.get("PATH", os.defpath)])
@@ -51,7 +51,7 @@ def environment(**variables):
 
 
 def run_action(inputs, folder, **variables):
-    """Run the steps of the action in a folder, up to the first that fails; the exit code and what they printed."""
+    """Run the steps of the action in a folder up to the first that fails; return its exit code and all output."""
     declared = action()
     assert not inputs.keys() - declared["inputs"].keys()
     values = {f"inputs.{name}": inputs.get(name, each["default"]) for name, each in declared["inputs"].items()}
@@ -68,7 +68,7 @@ def run_action(inputs, folder, **variables):
 
 
 def shell(command, folder, **variables):
-    """The exit code of a command of a step, and what it printed."""
+    """Run a step's command and return its exit code and output."""
     done = subprocess.run(
         ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", command],
         cwd=folder,
@@ -83,6 +83,6 @@ def shell(command, folder, **variables):
 
 
 def git(folder, *args):
-    """What git prints."""
+    """Run git and return its output."""
     done = subprocess.run(["git", *args], cwd=folder, env=environment(), capture_output=True, text=True, check=True)
     return done.stdout.strip()

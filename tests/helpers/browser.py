@@ -1,4 +1,4 @@
-"""Headless Chromium, spoken to through its debugging pipe: no driver, no library, no port."""
+"""Headless Chromium, controlled through its debugging pipe: no driver, no library, no port."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ ends = [fcntl.fcntl(int(end), fcntl.F_DUPFD, 10) for end in sys.argv[1:3]]
 os.dup2(ends[0], 3), os.dup2(ends[1], 4)
 os.execv(sys.argv[3], sys.argv[3:])
 """
-"""Becomes the browser, which reads from descriptor 3 and writes to 4."""
+"""The program that turns into the browser, which reads from descriptor 3 and writes to 4."""
 
 
 def find_chromium():
-    """The path of a Chromium, or None."""
+    """Return the path of a Chromium, or None."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
 class BrowserError(Exception):
-    """What the browser answered instead of a result."""
+    """An error that the browser answered instead of a result."""
 
 
 class Browser:
-    """One process; pages are opened in it one after the other."""
+    """A browser process, in which pages are opened one after another."""
 
     def __init__(self, path, profile: Path, timeout=30.0):
         to_browser, self._write = os.pipe()
@@ -84,7 +84,7 @@ class Browser:
         return Page(self, url, width=width, height=height, media=media)
 
     def until_told(self, method, since=0, **parameters):
-        """Wait for an event with some parameters, which may be among those that have come since one by number."""
+        """Wait for an event with these parameters; earlier events count from number ``since`` on."""
         deadline = time.monotonic() + self._timeout
         while not any(
             event["method"] == method and parameters.items() <= event["params"].items() for event in self.events[since:]
@@ -115,7 +115,7 @@ class Browser:
 
 
 class Page:
-    """One page. What it complains about and what it asks the network for is in :attr:`complaints` and :attr:`asked`."""
+    """A page; :attr:`complaints` has its errors and warnings, :attr:`asked` its network requests."""
 
     def __init__(self, browser, url, *, width, height, media):
         self._browser = browser
@@ -140,7 +140,7 @@ class Page:
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
     def evaluate(self, expression, context=None):
-        """The value of an expression; promises are awaited."""
+        """Return the value of an expression; await it if it is a promise."""
         more = {} if context is None else {"contextId": context}
         answer = self.send(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True, userGesture=True, **more
@@ -158,7 +158,7 @@ class Page:
             time.sleep(0.02)
 
     def press(self, key, *, shift=False):
-        """A key as a person presses it."""
+        """Press a key as a person does."""
         code, number = KEYS[key] if key in KEYS else (f"Key{key.upper()}", ord(key.upper()))
         common = {
             "key": key, "code": code, "windowsVirtualKeyCode": number, "modifiers": SHIFT if shift else 0,
@@ -168,7 +168,7 @@ class Page:
         self.send("Input.dispatchKeyEvent", type="keyUp", **common)
 
     def contexts(self):
-        """Ids of the script contexts of the page and its frames."""
+        """Return the ids of the script contexts of the page and its frames."""
         return [
             event["params"]["context"]["id"]
             for event in self._mine()
@@ -182,7 +182,7 @@ class Page:
 
     @property
     def asked(self):
-        """Addresses that the page asked for, itself included."""
+        """Return the addresses that the page requested, including its own."""
         return [
             event["params"]["request"]["url"]
             for event in self._mine()

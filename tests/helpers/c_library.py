@@ -1,9 +1,8 @@
-"""numpy's functions of single numbers and of points, rounded as the C library and IEEE 754 round them.
+"""Versions of numpy's functions that round like the C library and IEEE 754, for single numbers and points.
 
-On some processors numpy rounds tan, arctan, arcsin and power otherwise than the C library does, and its linear algebra
-multiplies and adds in one operation in a dot product. So highway-env's results differ between machines. To compare
-equations to the last bit on all of them, highway-env gets the C library's functions, and a dot product that rounds
-each product.
+On some processors, numpy rounds tan, arctan, arcsin and power differently from the C library, and its dot product
+multiplies and adds in one operation. So highway-env's results differ between machines. To compare equations to the last
+bit on every machine, highway-env gets the C library's functions and a dot product that rounds each product.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 
 
 def _power(base: float, exponent: float) -> float:
-    return base * base if exponent == 2 else math.pow(base, exponent)  # numpy squares by a multiplication, too
+    return base * base if exponent == 2 else math.pow(base, exponent)  # numpy also squares by a multiplication
 
 
 FUNCTIONS: dict[str, Callable[..., float]] = {
@@ -26,7 +25,7 @@ FUNCTIONS: dict[str, Callable[..., float]] = {
 
 
 def of_the_c_library(name: str) -> Callable[..., Any]:
-    """A numpy function that rounds as the C library does, for single numbers."""
+    """Return a numpy function that rounds like the C library for single numbers."""
     numpys, maths = getattr(np, name), FUNCTIONS[name]
 
     def function(x: Any, *args: Any, **kwargs: Any) -> Any:
@@ -36,7 +35,7 @@ def of_the_c_library(name: str) -> Callable[..., Any]:
 
 
 def dot_of_products() -> Callable[[Any, Any], Any]:
-    """``numpy.dot`` which rounds both products of two points, then their sum."""
+    """Return a version of ``numpy.dot`` that rounds both products of two points, then their sum."""
     numpys = np.dot
 
     def dot(a: Any, b: Any) -> Any:
@@ -47,7 +46,7 @@ def dot_of_products() -> Callable[[Any, Any], Any]:
 
 @contextmanager
 def c_library() -> Iterator[None]:
-    """Everybody who calls numpy by these names gets these functions, for a while."""
+    """Replace these functions of numpy for the length of a ``with`` block, for every caller."""
     functions = {"dot": dot_of_products(), **{name: of_the_c_library(name) for name in FUNCTIONS}}
     before = {name: getattr(np, name) for name in functions}
     try:

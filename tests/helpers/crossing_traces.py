@@ -1,7 +1,7 @@
-"""Runs at a junction made by hand: an ego that drives straight on, an NPC that crosses, one that merges, one behind.
+"""Runs at a junction, made by hand: an ego that drives straight on, and NPCs that cross, merge or follow.
 
-The ego's way is the x axis. One way comes from the left, at x = 50 m, and leads across; another one comes from the
-right and turns by a quarter of a circle into the ego's lane, which it reaches at x = 75 m.
+The ego's way is the x axis. A second way comes from the left at x = 50 m and leads across. A third comes from the right
+and turns by a quarter circle into the ego's lane, which it reaches at x = 75 m.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from tests.helpers.traces import LANE_WIDTH, collision_at, trace_of
 HZ, SPEED = 15, 10.0
 CROSSED_AT, RADIUS, ENTERS_AT = 50.0, 15.0, 75.0
 BEFORE_TURN = 25.0
-"""Metres that the merging NPC drives straight on before it turns."""
+"""The distance that the merging NPC drives straight on before it turns [m]."""
 TURN = RADIUS * np.pi / 2
 CROSSES, MERGES = "o3>o1", "o2>o4"
 
 
 def across(places):
-    """World x, y and heading of places on the way that leads across, whose middle is at 60 m."""
+    """Return world x, y and heading of places on the way that leads across, whose middle is at 60 m."""
     return np.full_like(places, CROSSED_AT), places - 60.0, np.full_like(places, np.pi / 2)
 
 
 def into(places):
-    """World x, y and heading of places on the way that merges."""
+    """Return world x, y and heading of places on the way that merges."""
     turned = np.clip((places - BEFORE_TURN) / RADIUS, 0.0, np.pi / 2)
     before, after = np.maximum(BEFORE_TURN - places, 0.0), np.maximum(places - BEFORE_TURN - TURN, 0.0)
     x = ENTERS_AT - RADIUS * np.cos(turned) + after
@@ -54,7 +54,7 @@ WAYS = {CROSSES: across, MERGES: into}
 
 
 def lanes():
-    """The ego's lane, that of the way across, and that of the way that merges, up to the ego's lane."""
+    """Yield the ego's lane, the crossing lane, and the merging lane up to the ego's lane."""
     ways = ((lambda places: (places, 0 * places, 0 * places), 200.0), (across, 120.0), (into, BEFORE_TURN + TURN))
     for way, length in ways:
         x, y, heading = way(np.append(np.arange(0.0, length, 1.0), length))
@@ -64,10 +64,10 @@ def lanes():
 
 
 def junction_trace(*npcs, seconds=8.0, ego_speed=SPEED, hits=None, **fields) -> Trace:
-    """The run of an ego that starts at x = 0 and of NPCs.
+    """Return the run of an ego that starts at x = 0 and of NPCs.
 
-    Each NPC is a zone and where along its way it starts, or ``None`` and how far it is ahead of the ego; with 10 m/s,
-    or a third entry. ``hits`` is the NPC with which it ends in a collision.
+    Each NPC is (zone, start along its way) or (None, distance ahead of the ego) [m]; its speed is 10 m/s or the third
+    entry. ``hits`` is the NPC with which the ego collides at the end.
     """
     times = np.arange(round(seconds * HZ) + 1) / HZ
     rows, tracks, on_way, chains = [], [], [], []

@@ -1,6 +1,6 @@
-"""A junction made by hand: ways of other traffic across, towards and into that of an ego that drives straight on.
+"""A junction made by hand: the ego drives straight on, other ways cross it, come towards it or join it.
 
-The ego comes from o0 and drives to o2 at 10 m/s; it starts at 20 m of its way and is at its first zone after 6 s.
+The ego drives from o0 to o2 at 10 m/s. It starts at 20 m of its way and reaches its first zone after 6 s.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pytest_pafot.model.crossings import STEP, Crossings, Way, Zone
 
 
 def way_of(name, kind, origin, ego, npc, priority="none", *, length=160.0, top=12.0, bend=None, bend_top=6.0):
-    """A way whose speeds are ``top`` but for those in a stretch, where a bend allows less [m, m/s]."""
+    """Return a way with the speed ``top`` everywhere except in a bend, where it is ``bend_top`` [m, m/s]."""
     places = np.arange(round(length / STEP) + 1) * STEP
     first, last = bend or (0.0, -1.0)
     speeds = np.where((places >= first) & (places <= last), bend_top, top)
@@ -19,7 +19,7 @@ def way_of(name, kind, origin, ego, npc, priority="none", *, length=160.0, top=1
 
 
 def junction(**changes):
-    """Two ways across the ego's, one that comes towards it and turns, and one that joins it, two of them from o1."""
+    """Return two ways across the ego's, an oncoming way that turns, and a way that joins it; two start at o1."""
     ways = (
         way_of("o1>o3", "crossing", "left", (88.0, 95.0), (90.0, 98.0), "npc"),
         way_of("o3>o1", "crossing", "right", (80.0, 87.0), (91.0, 99.0), "ego"),

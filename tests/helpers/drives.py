@@ -28,9 +28,9 @@ HZ = 15
 
 
 def driven(x, y=LANE_WIDTH, *, speed=20.0, seconds=20.0, brakes=(), shifts=()):
-    """A vehicle that starts at (x, y) and keeps its speed and its line.
+    """Return the states of a vehicle that starts at (x, y) and drives straight on, except for its plan.
 
-    ``brakes`` holds (from [s], deceleration [m/s^2], until the speed [m/s]), ``shifts`` (from [s], to y [m], for [s]).
+    ``brakes``: (start [s], deceleration [m/s^2], final speed [m/s]), ``shifts``: (start [s], new y [m], duration [s]).
     """
     ticks = round(seconds * HZ)
     speeds, lines = np.full(ticks + 1, float(speed)), np.full(ticks + 1, float(y))
@@ -50,7 +50,7 @@ def driven(x, y=LANE_WIDTH, *, speed=20.0, seconds=20.0, brakes=(), shifts=()):
 
 
 def crash(ego, *npcs, npc=0, side="front", cell=Cell.FRONT, **road):
-    """The run up to the first contact with an NPC. ``road`` says how it lies, if not straight and four lanes wide."""
+    """Return the run up to the first contact with an NPC; ``road`` replaces the straight road with four lanes."""
     whole = trace_of(ego, *npcs, **road)
     touching = np.flatnonzero(criticality.gap(whole)[:, npc] == 0)
     assert touching.size, "they never touch"
@@ -66,9 +66,9 @@ def crash(ego, *npcs, npc=0, side="front", cell=Cell.FRONT, **road):
 
 
 def bent(*vehicles, radius=150.0, ego_lane=1):
-    """Vehicles of a straight road on one that bends to the right, and that road: lanes and track.
+    """Return vehicles of a straight road moved to a road that bends to the right, with its lanes and track.
 
-    They drive along the ego's way as far as they did, so that at the outside they are faster than their speed says.
+    They cover the same distance along the ego's way, so those on the outside are faster than their recorded speed.
     """
     middle = LANE_WIDTH * ego_lane
     track = np.zeros((len(vehicles[0]), len(vehicles), 5))
@@ -97,10 +97,10 @@ def bent(*vehicles, radius=150.0, ego_lane=1):
 
 
 def merging(*vehicles, on_ramp):
-    """Vehicles of a straight road whose lane 1 a ramp leads into from the right, and that road: lanes and track.
+    """Return vehicles of a straight road moved to one with a ramp into lane 1 from the right, with its lanes and track.
 
-    One of them, ``on_ramp``, follows the ramp: beside the road up to 40 m, and on it from 140 m on. The ego's way is
-    the ramp if the ego does, else lane 1.
+    The vehicle ``on_ramp`` follows the ramp: next to the road up to 40 m, and on the road from 140 m. The ego's way is
+    the ramp if the ego follows it, otherwise lane 1.
     """
     moved = [states.copy() for states in vehicles]
     merger = moved[on_ramp]

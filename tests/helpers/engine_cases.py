@@ -1,4 +1,4 @@
-"""Random runs for both engines, and what two traces differ in."""
+"""Random runs for both engines, and the differences between two traces."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SAME = ("executed", "outcome", "collision", "error", "actions", "arrivals", "off
 
 
 class Hurried(IDMVehicle):
-    """IDM with constants of its own."""
+    """IDM with different constants."""
 
     COMFORT_ACC_MAX = 4.5
     TIME_WANTED = 0.6
@@ -29,13 +29,13 @@ class Hurried(IDMVehicle):
 
 
 def steps_and_swerves():
-    """An action of each kind in turn: beyond what a car can do, text of numbers, whole numbers, nothing."""
+    """Return an ADS that cycles through kinds of action: beyond a car's limits, lists, arrays, whole numbers, zeros."""
     actions = ((9.0, 0.0), (-20.0, 0.01), [1, 0], np.array([0.5, -0.01]), (0.0, 2.0), (0, 0), (-3.0, -0.02))
     return lambda observation: actions[int(observation.time * 2) % len(actions)]
 
 
 def follows():
-    """Looks at everything that an observation has, and brakes behind whoever is ahead in its lane."""
+    """Return an ADS that reads every part of an observation and brakes behind a vehicle ahead in its lane."""
 
     def drive(observation):
         ego = observation.ego
@@ -48,7 +48,7 @@ def follows():
 
 
 def fails_in_the_end():
-    """Returns nothing after four seconds."""
+    """Return an ADS that returns None after four seconds."""
     return lambda observation: (0.2, 0.0) if observation.time < 4 else None
 
 
@@ -57,7 +57,7 @@ ALL_EGOS = (*EGOS, IDMVehicle, Hurried, steps_and_swerves, follows, fails_in_the
 
 @dataclass(frozen=True)
 class Case:
-    """A run: world, scenario and ego."""
+    """A run's world, scenario and ego."""
 
     world: Highway
     scenario: object
@@ -65,7 +65,7 @@ class Case:
 
     @classmethod
     def random(cls, seed: int) -> Case:
-        """One to eight NPCs on three to six lanes, in any traffic and rhythm; every fourth with Lane-Instructions."""
+        """Return a case with one to eight NPCs on three to six lanes; every fourth case has Lane-Instructions."""
         rng = random.Random(seed)
         lanes, (physics_hz, ads_hz) = rng.randint(3, 6), rng.choice(FREQUENCIES)
         world = Highway(
@@ -88,13 +88,13 @@ class Case:
 
 
 def in_lanes(scenario: Scenario, rng: random.Random) -> Scenario:
-    """The scenario with the same speeds, and Lane-Instructions in the place of cells."""
+    """Return the scenario with the same speeds, but with Lane-Instructions instead of cells."""
     chains = [[LaneInstruction(rng.choice(SHIFTS), gene.speed) for gene in chain] for chain in scenario.npcs]
     return replace(scenario, npcs=tuple(map(tuple, chains)))
 
 
 def differences(first, second) -> list[str]:
-    """In what two traces differ, to the last bit."""
+    """Return what differs between two traces, to the last bit."""
     found = [name for name in SAME if getattr(first, name) != getattr(second, name)]
     for name in ("states", "sizes"):
         a, b = getattr(first, name), getattr(second, name)
@@ -104,6 +104,6 @@ def differences(first, second) -> list[str]:
 
 
 def digest(trace) -> str:
-    """A text that is equal for equal runs."""
+    """Return a text that is equal for equal runs."""
     told = repr([getattr(trace, name) for name in SAME])
     return hashlib.sha256((trace.states + 0.0).tobytes() + told.encode()).hexdigest()

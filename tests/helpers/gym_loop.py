@@ -14,7 +14,7 @@ from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Flo
 
 
 class Replayed(Vehicle):
-    """A stock vehicle that is given a recorded list of controls, one per physics tick."""
+    """A stock vehicle that follows a recorded list of controls, one per physics tick."""
 
     controls: FloatArray
 
@@ -25,7 +25,7 @@ class Replayed(Vehicle):
 
 
 class StateLog:
-    """Replaces ``road.step`` to note every vehicle's state after each physics step, as any observer could."""
+    """A replacement for ``road.step`` that records every vehicle's state after each physics step."""
 
     def __init__(self, road: Any) -> None:
         self.rows: list[list[tuple[float, ...]]] = []
@@ -39,16 +39,16 @@ class StateLog:
 
 ACCELERATION_RANGE = (-5, 5.0)
 STEERING_RANGE = (-np.pi / 4, np.pi / 4)
-"""What highway-env's ContinuousAction maps [-1, 1] to [m/s^2, rad]."""
+"""The range to which highway-env's ContinuousAction maps [-1, 1] [m/s^2, rad]."""
 
 
 def si_actions(actions: list[FloatArray]) -> list[tuple[float, float]]:
-    """The same actions as accelerations and steering angles, by highway-env's own mapping in float32."""
+    """Convert actions to accelerations and steering angles by highway-env's own mapping in float32."""
     return [(float(lmap(a, [-1, 1], ACCELERATION_RANGE)), float(lmap(s, [-1, 1], STEERING_RANGE))) for a, s in actions]
 
 
 def make_env(trace: Trace) -> Any:
-    """highway-v0 with the trace's road and frequencies; continuous actions in [-1, 1]."""
+    """Make highway-v0 with the trace's road and frequencies, and with continuous actions in [-1, 1]."""
     env = gymnasium.make(
         "highway-v0",
         disable_env_checker=True,
@@ -66,7 +66,7 @@ def make_env(trace: Trace) -> Any:
 
 
 def place(env: Any, trace: Trace, *, stub_observation: bool = False) -> StateLog:
-    """Put the trace's vehicles on the road of a fresh episode, its NPCs with their recorded controls."""
+    """Place the trace's vehicles on the road of a new episode, its NPCs with their recorded controls."""
     road = env.unwrapped.road
     vehicles = []
     for index, state in enumerate(trace.states[0]):
@@ -88,6 +88,6 @@ def place(env: Any, trace: Trace, *, stub_observation: bool = False) -> StateLog
 
 
 def drive(env: Any, trace: Trace, actions: list[FloatArray]) -> None:
-    """Step the environment with the ego's actions, as many as the trace has decisions."""
+    """Step the environment with the ego's actions, one per decision of the trace."""
     for action in actions[: -(-trace.ticks * trace.ads_hz // trace.physics_hz)]:
         env.step(action)

@@ -1,4 +1,4 @@
-"""Texts that a file from a stranger may hold to command a terminal, a CI runner or a reader's browser."""
+"""Texts with which a malicious file could control a terminal, a CI runner or a reader's browser."""
 
 import re
 import unicodedata
@@ -15,16 +15,16 @@ PIECES = (
 )  # fmt: skip
 
 CHARACTERS = st.characters(exclude_categories=["Cs"])
-"""All that a file can hold: those of ``st.text()``, which asks the codec of each, and that takes seconds."""
+"""All characters that a file can hold, as in ``st.text()``, which takes seconds because it checks each codec."""
 
 TEXTS = st.lists(st.sampled_from(PIECES) | st.text(CHARACTERS, max_size=5), min_size=1, max_size=8).map("".join)
 
 WORST = "x\n::error file=a.py::S ::b ##[error]C \r\x1b]0;T\x07\x1b[2J\x9b1m\u202e\u2028::c <img src=x> @me $x$ |"
-"""One of each kind."""
+"""A text with every kind of attack."""
 
 
 def obeyed(text: str) -> list[str]:
-    """What of a text of several lines somebody obeys: lines that command a runner, and characters that do not print."""
+    """Return the parts of a text that would take effect: lines that control a CI runner, and unprintable characters."""
     lines = re.split("[\n\r\x0b\x0c\x1c-\x1e\x85\u2028\u2029]", text)
     commands = [line for line in lines if line.strip().startswith("::") or re.search(r"##\w*\[", line)]
     other = {

@@ -1,4 +1,4 @@
-"""A second copy of the world room in this process, with the kernel interpreted, whether or not it is compiled."""
+"""A second copy of the world room in this process, with the kernel interpreted even if it is compiled."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _modules() -> dict[str, ModuleType]:
 
 
 class InterpretedWorld:
-    """``pytest_pafot.world``, imported anew; while it is :meth:`in_place`, imports find this copy."""
+    """A second import of ``pytest_pafot.world``; inside :meth:`in_place`, imports find this copy."""
 
     def __init__(self) -> None:
         self._modules: dict[str, ModuleType] = {}
@@ -29,7 +29,7 @@ class InterpretedWorld:
 
     @contextmanager
     def in_place(self) -> Iterator[None]:
-        """Put the copy in the place of the room, for a while; runs import some modules late."""
+        """Put the copy in the place of the room, because runs import some modules late."""
         package = importlib.import_module("pytest_pafot")
         importlib.import_module(ROOM)
         others = _modules()

@@ -1,7 +1,7 @@
-"""Collisions made by hand where ways meet: at a junction of four arms and at a circle; each vehicle has a plan.
+"""Collisions made by hand at a junction with four arms and at a circle; each vehicle follows a plan.
 
-The ego comes from the west, where the arms are 4 m wide lanes right of the middle. y grows to the right of who drives
-east, so that a heading grows in a turn to the right. Ways begin 150 m before the junction.
+The ego comes from the west. The arms' lanes are 4 m wide, right of the middle. For a vehicle that drives east, y grows
+to the right, so a heading grows in a turn to the right. Ways begin 150 m before the junction.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ HZ = 15
 STEP = 0.1
 BEFORE, BEHIND = 150.0, 80.0
 HALF, SIDE = 6.0, LANE_WIDTH / 2
-"""From the middle to where the arms begin, and to the middle of a lane [m]."""
+"""The distances from the middle to the start of the arms, and to the middle of a lane [m]."""
 RADIUS, ENTRANCE, ROUND = 20.0, 10.0, 30.0
-"""Of the circle, of the bend that leads into it, and how far one drives round [m]."""
+"""The radii of the circle and of the bend into it, and the distance driven around it [m]."""
 ARMS = {"west": 0.0, "north": math.pi / 2, "east": math.pi, "south": -math.pi / 2}
-"""From where one comes, with the heading of who does."""
+"""The heading of a vehicle that comes from each arm [rad]."""
 JOINED, ALIGNED = 0.5, 0.1
-"""Within which distance [m] and angle [rad] two ways are one lane."""
+"""The distance [m] and angle [rad] within which two ways are one lane."""
 WIDER = 1.0
-"""By how much the boxes are wider, and longer, that meet in a zone [m]."""
+"""The width and length added to boxes to find where two ways meet [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A line with a point each ``STEP``: x, y and heading."""
+    """A line with a point every ``STEP`` metres: x, y and heading."""
 
     points: np.ndarray
 
     def at(self, place):
-        """Return x, y and heading at places along it."""
+        """Return x, y and heading at places along the line."""
         places = np.arange(len(self.points)) * STEP
         return np.stack([np.interp(place, places, column) for column in self.points.T], axis=-1)
 
@@ -52,7 +52,7 @@ class Path:
 
 
 def drawn(x, y, heading, *parts):
-    """Return the line from a place on along parts, each of a length [m] and a curvature to the right [1/m]."""
+    """Return the line that starts at a place, in parts of a length [m] and a curvature to the right [1/m]."""
     curvature = np.concatenate([np.full(round(length / STEP), bend) for length, bend in parts])
     headings = heading + np.concatenate([[0.0], np.cumsum(curvature) * STEP])
     middle = (headings[1:] + headings[:-1]) / 2
@@ -63,8 +63,8 @@ def drawn(x, y, heading, *parts):
 
 @lru_cache
 def path(name):
-    """Return a way by where it comes from and where it turns: ``west straight``, or on the circle."""
-    if name == "circle":  # around it, passing where the ego joins
+    """Return a way by its name: ``west straight`` comes from the west; ``join`` and ``circle`` are at the circle."""
+    if name == "circle":  # around it, past the place where the ego joins
         joint = path("join").points[round((BEFORE + ENTRANCE) / STEP)]
         back = math.pi * RADIUS
         first = joint[2] + back / RADIUS
@@ -81,7 +81,7 @@ def path(name):
 
 
 def touching(first, second, margin=0.0):
-    """Return which boxes at poses of two arrays touch, shape [first, second]; each is larger by a margin."""
+    """Return which boxes of two arrays of poses touch, shape [first, second]; a margin makes the boxes larger."""
     x, y = (second[None, :, axis] - first[:, None, axis] for axis in (0, 1))
     half = (LENGTH + margin) / 2, (WIDTH + margin) / 2
     turn = second[None, :, 2] - first[:, None, 2]
@@ -96,7 +96,7 @@ def touching(first, second, margin=0.0):
 
 @lru_cache
 def zone(ego, npc, priority):
-    """Return where the ways of the ego and of an NPC meet first."""
+    """Return the zone in which the ways of the ego and of an NPC first meet."""
     lines = path(ego), path(npc)
     firsts = (0.0 if name == "circle" else 100.0 for name in (ego, npc))
     places = [np.arange(a, (len(line.points) - 1) * STEP, 0.5) for a, line in zip(firsts, lines, strict=True)]
@@ -117,7 +117,7 @@ def zone(ego, npc, priority):
 
 
 def _joined(first, second):
-    """Indices at which two lines of poses first are one lane; None where they never are."""
+    """Return the indices at which two lines of poses first become one lane, or None."""
     x, y = (second[None, :, axis] - first[:, None, axis] for axis in (0, 1))
     angle = np.abs(np.remainder(second[None, :, 2] - first[:, None, 2] + math.pi, 2 * math.pi) - math.pi)
     far = np.hypot(x, y) + (angle >= ALIGNED) * 1e3
@@ -128,13 +128,13 @@ def _joined(first, second):
 
 @dataclass(frozen=True)
 class Plan:
-    """How a vehicle drives: at a constant speed it would enter its zone at a time; changes follow.
+    """The plan of a vehicle: the time at which it would enter its zone at a constant speed, and changes of speed.
 
     Attributes:
-        way: its name.
-        enters: when it would enter the zone at its first speed [s].
-        speed: at first [m/s].
-        changes: from when on [s], with which acceleration [m/s^2], to which speed [m/s]; its sign follows from that.
+        way: The way's name.
+        enters: The time at which it would enter the zone at its first speed [s].
+        speed: The first speed [m/s].
+        changes: Each has a start [s], an acceleration [m/s^2] and a final speed [m/s], which decides the sign.
     """
 
     way: str
@@ -149,7 +149,7 @@ def plan(way, enters, speed, *changes):
 
 
 def _places(begins, plan_, ticks):
-    """Places along the way and speeds."""
+    """Return places along the way and speeds."""
     speeds = np.full(ticks + 1, plan_.speed)
     for start, acceleration, final in plan_.changes:
         since = round(start * HZ)
@@ -161,16 +161,16 @@ def _places(begins, plan_, ticks):
 
 
 def meeting(ego, npc, **road):
-    """The run of an ego and an NPC up to their first contact; None where they never touch."""
+    """Return the run of an ego and an NPC up to their first contact, or None if they never touch."""
     whole = driven(ego, npc, **road)
     hits = np.flatnonzero(criticality.gap(whole)[:, 0] == 0)
     return None if not hits.size else _ended(whole, int(hits[0]))
 
 
 def driven(ego, npc, *, priority="npc", others=(), seconds=20.0):
-    """The run of an ego and an NPC that drive through each other; others, each with its plan, drive as well.
+    """Return the run of an ego and an NPC that drive through each other; ``others`` follow their own plans.
 
-    A way that begins with ``grid`` is the ego's own: such an NPC drives on it, and has no zone.
+    An NPC whose way begins with ``grid`` drives on the ego's own way and has no zone.
     """
     ticks = round(seconds * HZ)
     zones = [None if each.way == "grid" else zone(ego.way, each.way, priority) for each in (npc, *others)]
@@ -200,14 +200,14 @@ def driven(ego, npc, *, priority="npc", others=(), seconds=20.0):
 
 
 def hit(ego, npc, **road):
-    """The same as :func:`meeting`, which is a collision."""
+    """Return :func:`meeting`, which must be a collision."""
     trace = meeting(ego, npc, **road)
     assert trace is not None, "they never touch"
     return trace
 
 
 def _ended(whole, tick):
-    """The run up to a tick, with the side of the ego that was hit."""
+    """Return the run up to a tick, with a collision at the side of the ego that was hit."""
     states = whole.states[: tick + 1]
     is_on_way = not np.isnan(whole.track[tick, 1, 0])
     collision = collision_at(tick, ego_speed=states[tick, 0, SPEED], npc_speed=states[tick, 1, SPEED])
@@ -225,12 +225,12 @@ def _ended(whole, tick):
 
 
 def _on_line(along):
-    """Rows of the track of who drives on the ego's way."""
+    """Return track rows for a vehicle on the ego's way."""
     return np.column_stack([along, np.zeros((len(along), 3)), np.ones(len(along))])
 
 
 def _track(line, states):
-    """Rows of the track of a vehicle; NaN while it is not on the way."""
+    """Return track rows for a vehicle, NaN while it is not on the ego's way."""
     places = np.arange(len(line.points)) * STEP
     x, y = (states[:, None, axis] - line.points[None, ::5, axis] for axis in (X, Y))
     near = np.hypot(x, y).argmin(axis=1) * 5
@@ -258,13 +258,13 @@ MEETINGS = (
     ("west right", "north straight"), ("west straight", "south right"), ("west straight", "north left"),
     ("west left", "east right"), ("join", "circle"), ("circle", "join"),
 )  # fmt: skip
-"""Ways of an ego and of an NPC."""
+"""Pairs of the ego's way and an NPC's way."""
 
 
 def random_meeting(rng):
-    """Return a random collision of the kind; None where the two drawn do not touch.
+    """Return a random collision at a junction, or None if the sampled vehicles do not touch.
 
-    Both drive at speeds that may change three times, one in four of them on the ego's own way, and others besides.
+    The speeds of both may change three times. Some runs have an NPC on the ego's own way, and some have a second NPC.
     """
     ego, npc = MEETINGS[rng.integers(len(MEETINGS))]
     ways = [npc, *([npc, "grid"] if rng.random() < 0.3 else [])]

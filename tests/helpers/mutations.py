@@ -1,4 +1,4 @@
-"""Damage to corpus files, and what a damaged text says by a reading of its own: the judge of what a file is read as."""
+"""Damage to corpus files, and an independent reading of the damaged text to check the loaded finding against."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ MUTATIONS: Mapping[str, Mutation] = {
 
 
 class UnclearError(Exception):
-    """A text that a reader without knowledge of the versions of YAML may take for something else."""
+    """A text that a reader without knowledge of YAML's versions may misunderstand."""
 
 
 _SPOKEN = {"true": True, "false": False, "null": None, "": None}
@@ -159,10 +159,10 @@ _DOTTED = re.compile(r"[0-9]+\.[0-9]+\.[0-9.]+")
 
 
 def says(text: str) -> Any:
-    """What a text says: numbers in decimal digits, ``true``, ``false``, ``null``, texts, lists and mappings.
+    """Return the content of a text: decimal numbers, ``true``, ``false``, ``null``, texts, lists and mappings.
 
     Raises:
-        UnclearError: where that is not clear.
+        UnclearError: The content is ambiguous.
     """
     text = text.removeprefix("\ufeff")
     try:
@@ -197,11 +197,11 @@ def _plain(text: str) -> Any:
 
 
 PARTS = ("check", "situation", "avoided_by")
-"""What an expectation has that is a value of several fields."""
+"""The fields of an expectation that are themselves values with several fields."""
 
 
 def holds(finding: Finding) -> dict[str, Any]:
-    """A finding in the layout of its file, with everything that a file may leave out."""
+    """Return a finding in the layout of its file, including everything that a file may leave out."""
     expect, found, shrunk = finding.expect, finding.found, finding.shrunk
     return {
         "test": finding.test,
@@ -212,7 +212,7 @@ def holds(finding: Finding) -> dict[str, Any]:
         | {"reference_drivers": dict(expect.reference_drivers), "last_chance": _chance(expect.last_chance)}
         | {name: None if (part := getattr(expect, name)) is None else asdict(part) for name in PARTS},
         "found": {name: getattr(found, name) for name in found.__slots__} | {"versions": dict(found.versions)},
-        "perception": finding.perception,  # which no file has that is damaged
+        "perception": finding.perception,  # no damaged file has it
         "shrunk": None
         if shrunk is None
         else {
@@ -263,11 +263,11 @@ DEFAULTS: Mapping[str, Any] = {
     "traceback": "",
     "act": "pass",
 }
-"""What a file may leave out, where that is not None."""
+"""The defaults, other than None, of what a file may leave out."""
 
 
 def differences(said: Any, held: Any, place: str = "") -> list[str]:
-    """Where what is held is not what was said; what was not said must be held as its default."""
+    """Return how the loaded data differ from the text; what the text leaves out must have its default."""
     if isinstance(said, Mapping) and isinstance(held, Mapping):
         inner = [line for key in said if key in held for line in differences(said[key], held[key], f"{place}.{key}")]
         unheard = [f"{place}.{key}: said, not held" for key in said if key not in held]
@@ -284,7 +284,7 @@ def differences(said: Any, held: Any, place: str = "") -> list[str]:
 
 
 def misread(text: str, finding: Finding) -> list[str]:
-    """What a finding that was read from a text holds otherwise than the text says."""
+    """Return how a loaded finding differs from its text."""
     try:
         said = says(text)
     except UnclearError as error:

@@ -1,4 +1,4 @@
-"""A network in an ONNX file, written node by node, and the same computed by numpy."""
+"""A network in an ONNX file, written node by node, and the same network computed by numpy."""
 
 import numpy as np
 import onnx
@@ -13,7 +13,7 @@ def layers(inputs, outputs):
 
 
 def saved_network(path, inputs, outputs, shape):
-    """A perceptron with one layer of ReLUs, whose input has a shape."""
+    """Return an ONNX model with one hidden layer of ReLUs and an input of the given shape."""
     helper, (first, second) = onnx.helper, layers(inputs, outputs)
     nodes = [
         helper.make_node("Flatten", ["seen"], ["flat"]),

@@ -1,7 +1,7 @@
-"""The rules of attribution once more, from docs/explanation/verdicts.md alone: clause by clause, in plain loops.
+"""A second implementation of the attribution rules, from docs/explanation/verdicts.md only: each clause in plain loops.
 
-It was written without a look at the program that it is compared with, and is obvious rather than fast. Sides are +1 to
-the right and -1 to the left; ticks are indices of the trace's rows.
+Its author did not look at the program that it checks. It is obvious rather than fast. Sides are +1 for right and -1 for
+left; ticks are indices of the trace's rows.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Opinion:
-    """A verdict: who, which fault, what it begins with, and the ticks by which it was found."""
+    """A verdict: the responsible vehicle, the fault, the tick where it begins, and the ticks that led to it."""
 
     responsibility: str
     fault: str | None
@@ -31,7 +31,7 @@ class Opinion:
 
 
 class Vehicle:
-    """What the trace says of one vehicle, in the page's words; every list is by tick."""
+    """A vehicle's data from the trace, in the page's words; every list is indexed by tick."""
 
     def __init__(self, trace, index):
         self.hz = trace.physics_hz
@@ -70,7 +70,7 @@ class Vehicle:
         self.stretch = [row[STRETCH] for row in track]
 
     def reach(self, tick):
-        """To the front and to the back of the centre."""
+        """Return the distance from the centre to the front or back of the box along the road [m]."""
         angle = self.angle[tick]
         return (self.length * abs(math.cos(angle)) + self.width * abs(math.sin(angle))) / 2
 
@@ -79,11 +79,11 @@ class Vehicle:
         return (self.length * abs(math.sin(angle)) + self.width * abs(math.cos(angle))) / 2
 
     def edge(self, tick, side):
-        """How far the box reaches to a side, counted to that side."""
+        """Return how far the box reaches to a side, counted in that direction [m]."""
         return side * self.across[tick] + self.side_reach(tick)
 
     def sideways(self, tick):
-        """To the right."""
+        """Return the speed to the right [m/s]."""
         if tick == 0:
             return self.body_speed[0] * math.sin(self.angle[0])
         was, now = self.rows[tick - 1], self.rows[tick]
@@ -97,31 +97,31 @@ class Vehicle:
         return (self.speed[tick - 1] - self.speed[tick]) * self.hz if tick else 0.0
 
     def off_centre(self, tick):
-        """To the right."""
+        """Return the distance from the lane's centre, positive to the right [m]."""
         return self.across[tick] - self.centre[tick]
 
     def is_over_its_line(self, tick, side):
         return self.edge(tick, side) > self.line(tick, side)
 
     def line(self, tick, side):
-        """The line of its own lane on a side, counted to that side."""
+        """Return the position of its own lane's line on a side, counted in that direction [m]."""
         return side * self.centre[tick] + self.lane_width[tick] / 2
 
 
 def metres(a, b, tick):
-    """Driven from one to the other, on a bend, per metre of the way: the mean of both places."""
+    """Return the metres driven between two vehicles, per metre of the way: the mean of both places' stretch."""
     return (a.stretch[tick] + b.stretch[tick]) / 2
 
 
 def nearest_lane(trace, row):
-    """The lane of a row of the trace; off the road the nearest."""
+    """Return the lane in a row of the trace, or the nearest lane if the vehicle is off the road."""
     if row[LANE] >= 0:
         return int(row[LANE])
     return min(range(len(trace.lanes)), key=lambda lane: distance_to(trace.lanes[lane], (row[X], row[Y])))
 
 
 def distance_to(lane, place):
-    """Of a place to the centre line of a lane."""
+    """Return the distance from a place to the centre line of a lane [m]."""
     points = lane.points or ((lane.x, lane.y), end_of(lane))
     return min(point_to_segment(place, *piece) for piece in pairwise(points))
 
@@ -131,7 +131,7 @@ def gap(a, b, tick):
 
 
 def beside(a, b, tick):
-    """Between the boxes across the road; at most 0 in one track."""
+    """Return the gap between the boxes across the road [m]; at most 0 if they are in one track."""
     return abs(a.across[tick] - b.across[tick]) - a.side_reach(tick) - b.side_reach(tick)
 
 
@@ -140,7 +140,7 @@ def in_one_track(a, b, tick):
 
 
 def is_behind(ego, npc, tick):
-    """Whether the ego is the one behind, as it is with level centres."""
+    """Return whether the ego is the vehicle behind; it is if the centres are level."""
     return ego.along[tick] <= npc.along[tick]
 
 
@@ -163,13 +163,13 @@ def safe_across(a, b, tick):
 
 
 def giving_way(behind, ahead):
-    """The gap that is to be left, by the speeds of the one behind and of the one ahead."""
+    """Return the gap that a vehicle must leave, from the speeds of the vehicles behind and ahead [m]."""
     dv = max(0.0, behind - ahead)
     return max(0.0, dv * 0.4 + dv**2 / (2 * 3.0) + ahead * 1.0)
 
 
 def first_of_last_stretch(holds, last):
-    """Of ticks up to the last one, which counts as one of them."""
+    """Return the first tick of the unbroken stretch in which ``holds`` is true up to ``last``, which always counts."""
     first = last
     while first > 0 and holds(first - 1):
         first -= 1
@@ -177,7 +177,7 @@ def first_of_last_stretch(holds, last):
 
 
 class Crash:
-    """One collision, from the ego's and the NPC's trace."""
+    """A collision of the ego with an NPC, from their trace."""
 
     def __init__(self, trace):
         self.trace, self.hz, self.impact = trace, trace.physics_hz, trace.collision.tick
@@ -186,8 +186,8 @@ class Crash:
         self.danger = first_of_last_stretch(self.is_danger, self.impact)
         self.joined = first_of_last_stretch(lambda tick: in_one_track(self.ego, self.npc, tick), self.impact)
         self.is_cut_in = False
-        self.counted = None  # the tick since which a response was counted last
-        self.sped_up = None  # the tick since which one sped up into the other
+        self.counted = None  # the tick from which a response was last counted
+        self.sped_up = None  # the tick from which one vehicle sped up into the other
         self.sides = {}
         self.ticks = {"danger": self.danger, "joined": self.joined}
 
@@ -206,7 +206,7 @@ class Crash:
         return Opinion(responsibility, fault, tick, self.ticks)
 
     def verdict(self):
-        """The rules in their order, and the excuse for an ego that stands."""
+        """Apply the rules in order, then the excuse for an ego that stands still."""
         opinion = self._by_the_first_rule_that_applies()
         is_excused = opinion.fault in ("leader-unanswered", "cut-in-unanswered") or "drift" in self.ticks
         if is_excused and opinion.responsibility == "ego" and self.stands() and not self.rolled_into_it():
@@ -247,22 +247,22 @@ class Crash:
     # Rule 2, last paragraphs
 
     def unless_given_up(self, mover, change):
-        """A lane change; None for one that the mover gave up, or that is none."""
+        """Return a lane change, or None if there is none or the mover gave it up."""
         if change is None or not mover.is_over_its_line(change.moment, change.side):
             return change
         is_in_its_lane = mover.lane[self.impact] == mover.lane[change.moment]
-        if mover.is_straight:  # off the road there is one more lane on either side
+        if mover.is_straight:  # off the road, there is one extra lane on either side
             is_in_its_lane = mover.centre[self.impact] == mover.centre[change.moment]
         is_back = is_in_its_lane and not mover.is_over_its_line(self.impact, change.side)
         return None if is_back else change
 
     def npc_moved_in_behind(self):
-        """Its latest lane change after they came into one track, or None."""
+        """Return the NPC's latest lane change after they came into one track, or None."""
         found = [self.unless_given_up(self.npc, self.npc_moved_to(side)) for side in (-1, 1)]
         return max((change for change in found if change is not None), key=lambda change: change.moment, default=None)
 
     def npc_moved_to(self, side):
-        """Its last one to a side behind the ego, unless that was too close to matter; else None."""
+        """Return the NPC's last lane change to a side behind the ego, or None if there is none that matters."""
         for tick in range(self.impact, self.joined, -1):
             if not is_behind(self.ego, self.npc, tick - 1) and comes_over(self.npc, self.ego, tick, side):
                 closed = 0.5 * (self.npc.speed[tick] - self.ego.speed[tick])
@@ -270,7 +270,7 @@ class Crash:
         return None
 
     def came_over(self):
-        """Who did, and the lane change that it was; None if nobody did."""
+        """Return the vehicle that came over and its lane change, or None."""
         first = max(self.danger, self.joined)
         for tick in range(self.impact, first, -1):
             is_ego_behind = is_behind(self.ego, self.npc, tick - 1)
@@ -283,7 +283,7 @@ class Crash:
     # Rule 3
 
     def ego_gives_way(self, at):
-        """In a lane change ahead of the NPC, with the lowest speed in it."""
+        """Return whether the ego gives way in a lane change ahead of the NPC, by its lowest speed in the change."""
         apart, then = gap(self.ego, self.npc, at), max(at, self.joined)
         return (
             apart > 0
@@ -292,7 +292,7 @@ class Crash:
         )
 
     def slowest_in_change(self, at):
-        """The ego's lowest speed in a lane change ahead."""
+        """Return the ego's lowest speed in a lane change ahead of the NPC [m/s]."""
         end = min(self.impact, max(at, self.joined) + round(1.0 * self.hz))
         return min(self.ego.speed[at : end + 1])
 
@@ -345,7 +345,7 @@ class Crash:
         return self.cut_in(change)
 
     def npc_answers_from(self, at, had_room):
-        """Before the duty passes, for what the ego did or for the speed that it took up itself; None if it does not."""
+        """Return the tick from which the NPC must answer before the duty passes, or None."""
         if self.ego_gives_way(at):
             return at
         braked = self.braked_after_keeping_its_lane(at)
@@ -355,21 +355,21 @@ class Crash:
         return at if had_room and kept_its_speed and self.npc_sped_up(at) else None
 
     def braked_after_keeping_its_lane(self, since):
-        """The tick at which the ego began to brake for nothing, if it had kept its lane since a tick; else None."""
+        """Return the tick at which the ego began to brake for nothing after it kept its lane since a tick, or None."""
         second = self.keeps_its_lane(self.ego, since)
         began = self.braked_for_nothing(self.ego, self.npc)
         return began if second is not None and began is not None and began >= second[1] else None
 
     def npc_sped_up(self, at):
-        """Into the ego, than which it was hardly faster at a tick."""
+        """Return whether the NPC, hardly faster than the ego at a tick, sped up into it."""
         return self.npc.speed[at] <= self.ego.speed[at] + 0.3 and self.npc_sped_up_since(at)
 
     def npc_sped_up_since(self, at):
-        """Into the ego, whatever its speed at a tick."""
+        """Return whether the NPC sped up into the ego after a tick, whatever its speed then."""
         return self.sped_up_into(self.npc, self.ego, at + round(0.4 * self.hz))
 
     def sped_up_into(self, behind, ahead, first):
-        """Whether it did from a tick on, where its lowest speed so far would have avoided the collision."""
+        """Return whether the vehicle behind sped up into the other, and its lowest speed would have avoided it."""
         if not self.is_faster_at_the_impact(behind, first):
             return False
         drive = Response(self, behind, ahead, first, delay=0.0, perceived=0.0)
@@ -383,7 +383,7 @@ class Crash:
         return drive.ahead_by(self.impact) > 0 and drive.straight_gap(self.impact) > closing**2 / (2 * 6.0)
 
     def is_faster_at_the_impact(self, behind, first):
-        """Than its lowest speed from a tick on, by more than 0.3 m/s."""
+        """Return whether the vehicle is over 0.3 m/s faster at the impact than its lowest speed from a tick on."""
         speeds = behind.speed[first : self.impact + 1]
         is_faster = bool(speeds) and speeds[-1] > min(speeds) + 0.3
         if is_faster:
@@ -393,7 +393,7 @@ class Crash:
     # Rule 4a
 
     def duty_passes(self, mover, other, since):
-        """To the other, who would have avoided it from then on; None where it does not."""
+        """Return from when the duty passes to the other, which would have avoided the collision, or None."""
         second = self.keeps_its_lane(mover, since)
         if second is None:
             return None
@@ -405,7 +405,7 @@ class Crash:
         return Passed(kept, due)
 
     def keeps_its_lane(self, vehicle, since):
-        """From when to when it did so for long enough, since a tick; None if not up to the impact."""
+        """Return the first period since a tick in which the vehicle kept its lane for long enough, or None."""
         near = inside = 0
         for tick in range(since, self.impact + 1):
             off = abs(vehicle.off_centre(tick))
@@ -427,7 +427,7 @@ class Crash:
         return self.npc_follows(0, tick=self.danger)
 
     def npc_follows(self, since, *, tick, moved_in=None):
-        """Since a tick that rule 3 or 4a names, or 0; ``moved_in`` is the NPC's moment behind the ego."""
+        """Apply rule 4b since a tick from rule 3 or 4a, or 0; ``moved_in`` is when the NPC moved in behind the ego."""
         due = max(since, self.danger - 1, 0)
         braked, stop = self.braked_for_nothing(self.ego, self.npc, since, moved_in), self.stopped_for_nothing(moved_in)
         if braked is None and stop is None:
@@ -443,7 +443,7 @@ class Crash:
     # Rule 4c
 
     def has_second_chance(self, behind, ahead, named):
-        """Whether the one behind had one, by the tick that the reason names first."""
+        """Return whether the vehicle behind had a second chance after the tick that the reason names first."""
         first = max(named, self.danger - 1) + round(1.0 * self.hz)
         looked_at = [
             tick
@@ -461,7 +461,7 @@ class Crash:
         return False
 
     def lets_the_brakes_go(self, behind, ahead, tick):
-        """Though it is faster, and for 0.4 s, which are over at the impact at the latest."""
+        """Return whether the vehicle behind releases the brakes for 0.4 s before the impact although it is faster."""
         end = tick + round(0.4 * self.hz)
         return (
             end <= self.impact
@@ -471,9 +471,9 @@ class Crash:
         )
 
     def npc_unless_second_chance(self, named, moment=None, seen=None):
-        """For an ego behind that is excused, by the NPC's lane change if its moment is given.
+        """Return the verdict for an ego behind that is excused; ``moment`` is the time of the NPC's lane change.
 
-        In rule 5 the NPC can be seen from a tick on.
+        Rule 5 gives the tick ``seen``, from which the NPC can be seen.
         """
         has_chance = self.has_second_chance(self.ego, self.npc, named)
         if not has_chance and (seen is None or not self.ego_sped_up_into_a_cut_in(seen)):
@@ -482,7 +482,7 @@ class Crash:
         return self.opinion("both" if is_shared else "ego", "leader-unanswered", named)
 
     def ego_sped_up_into_a_cut_in(self, seen):
-        """Where the NPC can be seen from a tick on."""
+        """Return whether the ego sped up into an NPC that can be seen from a tick on."""
         first = seen + round(0.4 * self.hz)
         return self.is_faster_at_the_impact(self.ego, first) and (
             self.sped_up_into(self.ego, self.npc, first) or self.would_have_avoided_a_cut_in(self.ego, self.npc, seen)
@@ -510,7 +510,7 @@ class Crash:
         return self.npc_unless_second_chance(at, at, seen)
 
     def npc_brakes_hard(self, at, *, within=math.inf):
-        """Whether it begins to, for at least 0.4 s, in a time after a tick."""
+        """Return whether the NPC begins to brake hard, for at least 0.4 s, within a time after a tick."""
         length = round(0.4 * self.hz)
         return any(
             all(self.npc.deceleration_along(tick + ticks) > 5.0 for ticks in range(1, length + 1))
@@ -519,7 +519,7 @@ class Crash:
         )
 
     def ego_or_both(self, moment=None):
-        """Sharing; the moment is that of the NPC's lane change, if there was one."""
+        """Return whether the ego or both are responsible; ``moment`` is the time of the NPC's lane change, if any."""
         if self.stands():
             return "ego"
         cut_in_and_braked = moment is not None and self.cuts_in_soon_before(moment) and self.npc_brakes_hard(moment)
@@ -530,7 +530,7 @@ class Crash:
         return began is not None and gap(self.ego, self.npc, began) <= 1.0 * self.ego.speed[began]
 
     def cuts_in_soon_before(self, at):
-        """Whether the NPC's lane change did not give way, at most 5 s before the impact."""
+        """Return whether the NPC's lane change did not give way and was at most 5 s before the impact."""
         gave_way = gap(self.ego, self.npc, at) >= giving_way(self.ego.speed[at], self.npc.speed[at])
         return not gave_way and self.seconds(self.impact - at) <= 5.0
 
@@ -540,13 +540,13 @@ class Crash:
     # Rule 1
 
     def would_have_avoided(self, responder, other, due):
-        """Following: 1.0 s, then 6 m/s^2."""
+        """Return whether a follower would have avoided it: 1.0 s of delay, then 6 m/s^2."""
         drive = Response(self, responder, other, due, delay=1.0, perceived=0.0)
         self.counted = due
         return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
 
     def would_have_avoided_a_cut_in(self, responder, other, seen, to_spare=0.0):
-        """1.4 s, then 3 m/s^2, or 6 m/s^2 in an emergency; with seconds to spare also with a delay as much longer."""
+        """Return whether 1.4 s of delay, then 3 (emergency: 6) m/s^2 avoid it, even with ``to_spare`` more seconds."""
         drive = self.response_to_a_cut_in(responder, other, seen)
         avoids, self.counted = drive.avoids(Emergency(drive).deceleration, brakes_on=self.is_cut_in), seen
         if drive.mastered is not None:
@@ -558,13 +558,13 @@ class Crash:
         return Response(self, responder, other, seen, delay=1.4 + to_spare, perceived=0.4, to_cut_in=True)
 
     def is_as_far_back_as_asked(self, seen):
-        """Whether the ego is, at the impact, by the responses to a cut-in from a tick on."""
+        """Return whether the ego is as far back at the impact as the response to a cut-in requires."""
         drive = self.response_to_a_cut_in(self.ego, self.npc, seen)
         drive.is_free(Emergency(drive).deceleration, brakes_on=self.is_cut_in)
         return drive.lag_at_impact <= 0
 
     def could_have_braked_on(self, responder, other, since):
-        """At once, 6 m/s^2."""
+        """Return whether braking at once with 6 m/s^2 would have avoided it."""
         drive = Response(self, responder, other, since, delay=0.0, perceived=0.0)
         self.counted = since
         return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
@@ -572,7 +572,7 @@ class Crash:
     # Rule 7
 
     def braked_for_nothing(self, braker, follower, since=0, moved_in=None):
-        """The tick at which such braking begins, or None."""
+        """Return the tick at which braking for nothing begins, or None."""
         stretch = self.hard_braking(braker)
         if stretch is None or stretch[1] < max(self.danger - round(1.0 * self.hz), since):
             return None
@@ -582,11 +582,11 @@ class Crash:
         return began if self.counts(braker, follower, began, end, stretch[1], moved_in) else None
 
     def is_harder_than_5(self, braker, stretch):
-        """At any tick, from a first to a last one [m/s^2]."""
+        """Return whether the deceleration exceeds 5 m/s^2 at any tick of a stretch."""
         return any(braker.deceleration(tick) > 5.0 for tick in range(stretch[0], stretch[1] + 1))
 
     def hard_braking(self, braker):
-        """The first and the last tick of the stretch that counts, or None."""
+        """Return the first and last tick of the stretch of hard braking that counts, or None."""
         found = [
             (first, last)
             for first, last in self.stretches(braker, 5.0)
@@ -600,7 +600,7 @@ class Crash:
         return max(found, key=lambda stretch: (stretch[1], -stretch[0]), default=None)
 
     def stretches(self, braker, hard):
-        """Of ticks up to the impact that each brake harder, their first and their last one."""
+        """Return the first and last ticks of the stretches up to the impact that brake harder than ``hard`` [m/s^2]."""
         found, first = [], None
         for tick in range(1, self.impact + 2):
             is_hard = tick <= self.impact and braker.deceleration(tick) > hard
@@ -610,7 +610,7 @@ class Crash:
         return found
 
     def stopped_for_nothing(self, moved_in):
-        """The tick at which the braking to a standstill begins, or None."""
+        """Return the tick at which the braking to a standstill begins, or None."""
         speed = self.ego.body_speed
         moving = [tick for tick in range(self.impact + 1) if speed[tick] > STANDS]
         if not moving:
@@ -622,7 +622,7 @@ class Crash:
         return began if self.counts(self.ego, self.npc, began, stood, stood, moved_in) else None
 
     def counts(self, braker, follower, began, end, last, moved_in):
-        """Whether braking was for nothing: also with no reason from 1.6 s before it began to an end."""
+        """Return whether braking was for nothing: it had no reason from 1.6 s before it began until ``end``."""
         is_ahead = is_behind(self.ego, self.npc, began) == (follower is self.ego)
         if not is_ahead or braker.speed[self.impact] >= braker.speed[began]:
             return False
@@ -645,7 +645,7 @@ class Crash:
         return is_leader or is_entered or is_met or self.is_end_of_lane_near(braker, tick, lane)
 
     def is_met_soon(self, braker, npc, tick):
-        """Whether the braker and one that crosses are at most 4 s, or 5 m, before the zone of that one, or in it."""
+        """Return whether the braker and a crossing NPC are both within 4 s or 5 m of the NPC's zone, or in it."""
         zone = self.trace.zones[npc] if self.trace.zones else None
         crossing = self.vehicles[npc + 1]
         if zone is None or crossing is braker:
@@ -706,7 +706,7 @@ def end_of(lane):
 
 @dataclass(frozen=True)
 class LaneChange:
-    """Rule 2: from the first tick of the motion, over the line at the moment, to a side."""
+    """Rule 2: a lane change to a side, from the first tick of the motion past the moment at the line."""
 
     start: int
     moment: int
@@ -714,7 +714,7 @@ class LaneChange:
 
     @classmethod
     def of(cls, crash, mover, other):
-        """The mover's into the other's track, or None."""
+        """Return the mover's lane change into the other's track, or None."""
         joined = crash.joined
         if joined == 0:
             return None
@@ -730,7 +730,7 @@ class LaneChange:
 
 
 def start_of_motion(mover, last, side):
-    """The first tick of the continuous motion to a side that is not over at the last one; None if there is none."""
+    """Return the first tick of the sideways motion that still continues at the last tick, or None."""
     moving = [tick for tick in range(last + 1) if side * mover.sideways(tick) >= MOVES_SIDEWAYS]
     if not moving or (last - moving[-1]) / mover.hz >= 0.5 - ROUNDING:
         return None
@@ -743,7 +743,7 @@ def start_of_motion(mover, last, side):
 
 
 def comes_over(mover, other, tick, side):
-    """Into a lane in which the other already is."""
+    """Return whether the mover crosses the line into a lane in which the other already is."""
     before = tick - 1
     crosses = mover.is_over_its_line(tick, side) and not mover.is_over_its_line(before, side)
     if not crosses or side * mover.sideways(tick) < MOVES_SIDEWAYS:
@@ -755,7 +755,7 @@ def comes_over(mover, other, tick, side):
 
 
 def last_crossing(mover, motion, side):
-    """The first tick of the last stretch in which the box was over the line of the lane of its centre, or None."""
+    """Return the first tick of the last stretch in which the box was over its lane's line, or None."""
     first, was_over = None, False
     for tick in motion:
         is_over = mover.is_over_its_line(tick, side)
@@ -768,14 +768,14 @@ def last_crossing(mover, motion, side):
 
 @dataclass(frozen=True)
 class Passed:
-    """Rule 4a: from when on the mover kept its lane, and from when on the other has to answer."""
+    """Rule 4a: the tick from which the mover kept its lane, and the tick from which the other must answer."""
 
     kept: int
     due: int
 
 
 class Response:
-    """Rule 1: the responder drives its recorded line at speeds of its own."""
+    """Rule 1: the responder drives its recorded line at computed speeds."""
 
     LONGEST = 12.0
 
@@ -791,7 +791,7 @@ class Response:
         self.mastered = None
 
     def avoids(self, deceleration, *, brakes_on=False):
-        """Whether it would have avoided it: there is no contact, and whoever drove has not answered."""
+        """Return whether it would have avoided the collision, and the real driver has not answered."""
         is_free = self.is_free(deceleration, brakes_on=brakes_on)
         if self.since >= self.impact or self.has_answered():
             return False
@@ -800,7 +800,7 @@ class Response:
         return is_free
 
     def is_free(self, deceleration, *, brakes_on):
-        """Whether there is no contact; ``brakes_on`` where the other goes on braking after the impact."""
+        """Return whether there is no contact; with ``brakes_on``, the other continues to brake after the impact."""
         is_hit = False
         for tick in range(self.since, self.impact):
             self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
@@ -810,7 +810,7 @@ class Response:
         return not is_hit and self.is_free_after_the_impact(deceleration, brakes_on)
 
     def next_speed(self, tick, deceleration):
-        """After a step that begins at a tick."""
+        """Return the speed after the step that begins at a tick [m/s]."""
         own = self.speeds[tick]
         if tick + 1 >= self.due:
             return max(0.0, own - deceleration / self.hz) if self.slows_down(tick) else own
@@ -831,7 +831,7 @@ class Response:
         return was_never_faster or (is_as_slow and self.lag_at_impact <= 0.2 * self.responder.speed[self.impact])
 
     def last_mastered(self):
-        """The last tick at which it had answered so far, or None."""
+        """Return the last tick up to which the real driver had answered, or None."""
         last = None
         for tick in range(self.since, self.impact + 1):
             own = self.responder.speed[tick]
@@ -842,7 +842,7 @@ class Response:
         return last
 
     def ahead_by(self, tick):
-        """How far the other's centre is ahead of where the responder would be [m]."""
+        """Return how far the other's centre is ahead of the responder's computed place [m]."""
         at = min(tick, self.impact)
         apart = (self.other.along[at] - self.responder.along[at]) * metres(self.other, self.responder, at)
         return apart + self.lag + self.others_way
@@ -856,7 +856,7 @@ class Response:
         return polygon_distance(*boxes) == 0
 
     def straight_gap(self, tick):
-        """At a tick, with straight boxes."""
+        """Return the gap at a tick, as if the boxes were straight [m]."""
         return abs(self.ahead_by(tick)) - (self.responder.length + self.other.length) / 2
 
     def is_free_after_the_impact(self, deceleration, brakes_on):
@@ -877,13 +877,13 @@ class Response:
 
 
 class Emergency:
-    """How hard the responder to a cut-in brakes at a tick."""
+    """Braking of the responder to a cut-in, tick by tick."""
 
     def __init__(self, drive):
         self.drive, self.count, self.first = drive, 0, None
 
     def deceleration(self, tick):
-        """To be asked tick by tick."""
+        """Return the deceleration at a tick; call it for every tick in order [m/s^2]."""
         drive = self.drive
         own, other = drive.speeds[tick], drive.others_speeds[tick]
         self.count = self.count + 1 if self.is_one(tick, own - other) else 0
@@ -901,7 +901,7 @@ class Emergency:
 
 
 class Comer:
-    """One of the two whose ways meet, as rule 9 sees it."""
+    """A vehicle on one of two ways that meet, as rule 9 sees it."""
 
     def __init__(self, trace, vehicle):
         zone = trace.zones[trace.collision.npc]
@@ -925,7 +925,7 @@ class Comer:
         return self.first - 1.0 <= self.place[self.impact] <= self.last + 1.0
 
     def left(self, tick):
-        """To the end of its stretch."""
+        """Return the distance to the end of its stretch [m]."""
         return self.last - self.place[tick]
 
     def last_chance(self):
@@ -933,7 +933,7 @@ class Comer:
         return 0 if found is None else found
 
     def last_to_stop_before(self, place, end):
-        """The last tick, of those before another, at which it can stop before a place; None without."""
+        """Return the last tick before ``end`` at which it can still stop before a place, or None."""
         for tick in range(end)[::-1]:
             v = self.speed[tick]
             if v * 1.0 + v**2 / 12 <= place - self.place[tick]:
@@ -944,7 +944,7 @@ class Comer:
         return [tick for tick in range(chance + 1) if chance - tick <= round(0.6 * self.hz)]
 
     def leaves(self):
-        """In seconds, like all times here that may lie beyond the impact."""
+        """Return when it leaves its stretch [s]; like all times here, this may be after the impact."""
         for tick in range(self.enters, self.impact + 1):
             if self.left(tick) <= 0:
                 return tick / self.hz
@@ -952,7 +952,7 @@ class Comer:
         return self.impact / self.hz + still / self.speed[self.impact] if self.speed[self.impact] > 0 else math.inf
 
     def foreseen(self, tick, when):
-        """Place and speed at a time, as somebody would say at a tick."""
+        """Return the place and speed at a time, as an observer would predict them at a tick."""
         v, duration = self.speed[tick], when - tick / self.hz
         if v <= 0:
             return self.place[tick], 0.0
@@ -969,7 +969,7 @@ class Comer:
 
 
 class Crossing:
-    """A collision with an NPC that crosses: rule 9."""
+    """Rule 9: a collision with an NPC that crosses."""
 
     def __init__(self, trace):
         npc = trace.collision.npc
@@ -1038,7 +1038,7 @@ class Crossing:
         return (self.last_to_slow_down(one) if self.is_merge else self.last_to_stop_short(one)) is not None
 
     def last_to_stop_short(self, one):
-        """The last tick at which it could see that the other is in the way, and stop; None without."""
+        """Return the last tick at which it could see that the other is in the way, and still stop, or None."""
         other, touches = self.other(one), self.impact
         while touches > 0 and polygon_distance(one.boxes[touches - 1], other.boxes[self.impact]) == 0:
             touches -= 1
@@ -1050,7 +1050,7 @@ class Crossing:
         return None
 
     def last_to_slow_down(self, one):
-        """The last tick at which it could have slowed down to one that merges ahead of it; None without."""
+        """Return the last tick at which it could have slowed down behind a vehicle that merges ahead, or None."""
         other = self.other(one)
         for at in reversed(range(other.enters, one.enters)):
             dv = max(0.0, one.speed[at] - min(other.speed[at : self.impact + 1]))
@@ -1061,17 +1061,17 @@ class Crossing:
 
 
 def is_abrupt(other, place, v):
-    """Whether it would have to brake harder than with 3 m/s^2, or is in the zone."""
+    """Return whether the other is in the zone or must brake harder than 3 m/s^2 to stop before it."""
     return place < other.last and other.first - place < v * 1.0 + v**2 / 6
 
 
 def part_of(trace, first, last):
-    """The run from a tick up to another."""
+    """Return the part of a run between two ticks."""
     rows = {name: getattr(trace, name)[first : last + 1] for name in ("states", "track", "on_way")}
     return replace(trace, **rows, collision=replace(trace.collision, tick=last - first))
 
 
 def judge(trace):
-    """The verdict on a collision."""
+    """Return the verdict on a collision."""
     crosses = bool(trace.zones) and trace.zones[trace.collision.npc] is not None
     return (Crossing if crosses else Crash)(trace).verdict()

@@ -1,8 +1,8 @@
-"""Planners of which some fail only where they see badly, and of which one fails anyway."""
+"""Planners, some of which fail only with poor perception, and one that always fails."""
 
 
 class Careful:
-    """Keeps so far from whoever is ahead in its lane, or comes there, that it can stop behind it."""
+    """Keep far enough from each vehicle ahead in its lane, or entering it, to stop behind it."""
 
     def __call__(self, observation):
         ego = observation.ego
@@ -12,34 +12,34 @@ class Careful:
         return 0.3 if ego.speed < 20.0 else 0.0, steering
 
     def heeded(self, observation):
-        """Everybody."""
+        """Return all other vehicles."""
         return observation.others
 
     def is_near(self, ego, others):
-        """Whether one of them is too near ahead."""
+        """Return whether one of the others is too close ahead."""
         room = 2.0 + 0.4 * ego.speed + ego.speed**2 / 16
         ahead = [(other.x - ego.x - other.length, other.speed) for other in others if abs(other.y - ego.y) < 3.2]
         return any(-2.0 < gap < max(2.0, room - speed**2 / 16) for gap, speed in ahead)
 
 
 class Debouncing(Careful):
-    """Brakes at the second decision in a row in which it sees a reason."""
+    """Brake at the second decision in a row that sees a reason."""
 
     was_near = False
 
     def is_near(self, ego, others):
-        """Whether one of them is, as one was a decision ago."""
+        """Return whether a vehicle is too close now and was at the last decision."""
         before, self.was_near = self.was_near, super().is_near(ego, others)
         return before and self.was_near
 
 
 class GhostFiltering(Careful):
-    """Takes a vehicle for a ghost that turns up in the midst of the road."""
+    """Ignore a vehicle that appears in the middle of the road, as if it were a ghost."""
 
     known = None
 
     def heeded(self, observation):
-        """Those that it has seen ever since the start."""
+        """Return the vehicles that it has seen at every decision since the start."""
         self.known = set(observation.ids) if self.known is None else self.known.intersection(observation.ids)
         return [
             other for other, number in zip(observation.others, observation.ids, strict=True) if number in self.known
@@ -47,8 +47,8 @@ class GhostFiltering(Careful):
 
 
 class Oblivious(Careful):
-    """Heeds nobody."""
+    """Ignore all vehicles."""
 
     def heeded(self, observation):
-        """Nobody."""
+        """Return no vehicles."""
         return []

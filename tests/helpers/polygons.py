@@ -25,7 +25,7 @@ def moved(state, seconds):
 
 
 def polygon_distance(p, q):
-    """Of two convex polygons: 0 if a corner lies inside the other or two edges cross, else by point and edge."""
+    """Return the distance of two convex polygons: 0 if a corner is inside the other or two edges cross."""
     if contains(p, q[0]) or contains(q, p[0]):
         return 0.0
     edges = [(a, b) for a in edges_of(p) for b in edges_of(q)]

@@ -1,4 +1,4 @@
-"""Random collisions of many policies on many roads, each named by its policy and a number, and made again from them."""
+"""Random collisions of many policies on many roads; a policy and a number reproduce each of them."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from tests.helpers.road_cases import space_of, world_of
 from tests.helpers.sound_driver import SoundLaneChanger
 
 ATTEMPTS = 400
-"""Scenarios that are tried for one collision."""
+"""The number of scenarios to try for one collision."""
 ROADS = ("merge-v0", "roundabout-v0", "racetrack-v0", "exit-v0", "two-way-v0", "u-turn-v0", "intersection-v0")
-"""That are not straight."""
+"""Roads that are not straight."""
 JUNCTIONS = ("intersection-v0", "roundabout-v0")
-"""On which NPCs cross."""
+"""Roads on which NPCs cross."""
 
 
 class Erratic:
-    """Brakes, speeds up and drifts to anywhere on the road, from random ticks on; its habits are drawn first."""
+    """Brake, speed up and drift anywhere on the road, from random ticks on; its habits are sampled once."""
 
     def __init__(self, rng: random.Random) -> None:
         self.rng = rng
@@ -59,7 +59,7 @@ class Erratic:
 
 
 class StopAndGo(Erratic):
-    """Keeps its lane, speeds up, and comes to a standstill for some seconds again and again."""
+    """Keep the lane, speed up, and stop for some seconds again and again."""
 
     def __init__(self, rng: random.Random) -> None:
         super().__init__(rng)
@@ -76,7 +76,7 @@ class StopAndGo(Erratic):
 
 
 def erratic_vehicle(rng):
-    """A vehicle class that keeps to its way, and brakes, speeds up and changes lanes at random."""
+    """Return a vehicle class that stays on its way, and brakes, speeds up and changes lanes at random."""
     from highway_env.vehicle.controller import ControlledVehicle
 
     hold, braking, patience = rng.uniform(0.2, 3.0), rng.uniform(2.0, 9.0), rng.uniform(1.0, 8.0)
@@ -134,13 +134,13 @@ AT_JUNCTIONS: dict[str, Policy] = {
     "erratic, junctions": erratic_vehicle,
 }
 BY_HAND = "by hand, junctions"
-"""Collisions where ways meet that are made without a policy and a world."""
+"""Collisions at junctions that are made without a policy and a world."""
 POLICIES = {**ON_A_MOTORWAY, **ON_OTHER_ROADS, **AT_JUNCTIONS, BY_HAND: _controlled_vehicle}
 
 
 @dataclass(frozen=True)
 class RandomCollision:
-    """A collision, and what it was made from."""
+    """A collision and its origin."""
 
     policy: str
     number: int
@@ -151,10 +151,10 @@ class RandomCollision:
 
 
 def collision(policy: str, number: int, seed: int = 0) -> RandomCollision:
-    """The collision with a number; the same at every call.
+    """Return the collision with a number; it is the same at every call.
 
     Raises:
-        LookupError: where none is found.
+        LookupError: None is found.
     """
     rng, roads = random.Random(f"{policy} {number} {seed}"), JUNCTIONS if policy in AT_JUNCTIONS else ROADS
     for _ in range(ATTEMPTS):
@@ -177,7 +177,7 @@ def collision(policy: str, number: int, seed: int = 0) -> RandomCollision:
 
 
 def motorway(rng: random.Random) -> Highway:
-    """Of any size and frequency."""
+    """Return a motorway of random size and frequency."""
     physics_hz = rng.choice([15, 15, 15, 10, 20])
     return Highway(
         lanes=rng.randint(3, 6),
@@ -190,13 +190,13 @@ def motorway(rng: random.Random) -> Highway:
 
 
 def crossing_space(world: Any, rng: random.Random) -> SearchSpace:
-    """With NPCs that cross, and that do there whatever they can."""
+    """Return a search space with NPCs that cross, with all acts."""
     given = {"npcs": rng.randint(1, 3), "crossings": world.crossings, "most_on_grid": 1, "acts": get_args(Act)}
     return space_on(world, given, road_start(world))
 
 
 def motorway_space(world: Highway, rng: random.Random) -> SearchSpace:
-    """With long and with short instructions."""
+    """Return a search space with long or short instructions."""
     genes = rng.choice([3, 6, 10, 15])
     return SearchSpace(
         npcs=rng.randint(1, 5),

@@ -1,8 +1,8 @@
-"""Collisions that readers judged from their traces alone, without a look at any rule: packed traces, and the answers.
+"""Collisions that readers decided from traces alone, without seeing any rule: packed traces and the answers.
 
-Each was drawn from searches and random scenarios of 107 policies with one fault or habit each. The traces are those of
-the last 25 s, in millimetres, millimetres a second and tenths of a milliradian; a reader says whom it holds
-responsible, and which answers a colleague could defend.
+They come from searches and random scenarios of 107 policies, each with a single defect or habit. Each trace is its last
+25 s, in millimetres, millimetres per second and tenths of a milliradian. A reader names the responsible vehicle, and
+the answers that a colleague could defend.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ COLUMNS, SCALES = (X, Y, HEADING, SPEED, LANE), np.array([1e3, 1e3, 1e4, 1e3, 1.
 
 @dataclass(frozen=True)
 class Read:
-    """A collision, the set that it was read in, 1 to 7, and the answers."""
+    """A collision, the number of its set, 1 to 7, and the answers."""
 
     number: int
     trace: Trace
@@ -33,17 +33,17 @@ class Read:
     answers: tuple[tuple[str, tuple[str, ...]], ...]
 
     def accepts(self, responsibility):
-        """Whether the first reader would defend an answer."""
+        """Return whether the first reader would defend an answer."""
         return responsibility in self.answers[0][1]
 
 
 def packed(trace, ticks):
-    """The last ticks of a trace, as plain data."""
+    """Return the last ticks of a trace as plain data."""
     states = trace.states[-ticks - 1 :, :, COLUMNS].copy()
     states[..., 0] -= trace.states[-1, 0, X]
     whole = np.round(states * SCALES).astype(np.int64)
     steps = np.diff(whole, axis=0, prepend=0)
-    steps[1:, :, 0] = np.diff(steps[:, :, 0], axis=0)  # positions along the road: differences of differences
+    steps[1:, :, 0] = np.diff(steps[:, :, 0], axis=0)  # positions along the road: second differences
     hit = trace.collision
     return {
         "steps": steps,
@@ -56,7 +56,7 @@ def packed(trace, ticks):
 
 
 def unpacked(data):
-    """The trace again, on a straight road without an end."""
+    """Return the trace of packed data, on a straight road without an end."""
     steps = data["steps"].copy()
     steps[1:, :, 0] = np.cumsum(steps[:, :, 0], axis=0)[1:]
     whole = np.cumsum(steps, axis=0)
@@ -90,10 +90,10 @@ def unpacked(data):
 
 
 def save(items, path=FILE):
-    """Write packed collisions with their answers."""
+    """Write packed collisions with their answers to a file."""
     plain = [{key: value for key, value in item.items() if key != "steps"} for item in items]
     shapes = [item["steps"].shape for item in items]
-    # Column by column, since like compresses best beside like.
+    # Column by column, because similar numbers next to each other compress best.
     numbers = [np.concatenate([item["steps"][..., column].ravel() for item in items]) for column in range(len(COLUMNS))]
     head = json.dumps({"items": plain, "shapes": shapes}).encode()
     body = io.BytesIO()
@@ -104,7 +104,7 @@ def save(items, path=FILE):
 
 
 def load(path=FILE):
-    """All collisions that were read."""
+    """Load all collisions that readers decided."""
     data = lzma.decompress(path.read_bytes())
     size = int.from_bytes(data[:8], "big")
     head = json.loads(data[8 : 8 + size])

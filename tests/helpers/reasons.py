@@ -1,7 +1,7 @@
-"""Every number that the sentences of a verdict say, computed once more from the trace.
+"""A second computation, from the trace, of every number in the sentences of a verdict.
 
-Each sentence has a pattern with the numbers to be looked at, and a function that computes them in their order; what no
-pattern knows is an error.
+Each sentence has a pattern with the numbers to check, and a function that computes them in the same order. A sentence
+that matches no pattern is an error.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ PLACE = rf"(?:next to {WHO}|{NUMBER} m (?:ahead of|behind) {WHO}\. {PACE})"
 
 
 class Reading:
-    """A collision as its sentences are read: what their numbers are at the tick that the verdict names."""
+    """A collision as its sentences describe it: the values of their numbers at the tick that the verdict names."""
 
     def __init__(self, trace, tick):
         crossing = Crossing(trace) if trace.zones and trace.zones[trace.collision.npc] else None
@@ -35,12 +35,12 @@ class Reading:
         return (tick + self.since) / self.crash.hz
 
     def who(self, said):
-        """The vehicle that a sentence names first, and the other."""
+        """Return the vehicle that a sentence names first, and the other."""
         pair = self.ego, self.npc
         return pair if re.search("ego|NPC", said, re.IGNORECASE)[0] == "ego" else pair[::-1]
 
     def apart(self, tick):
-        """Told as 0 of two that are side by side."""
+        """Return the distance between the vehicles, 0 if they are side by side [m]."""
         return max(0.0, gap(self.ego, self.npc, tick))
 
     def too_close(self, said):
@@ -52,7 +52,7 @@ class Reading:
         return [apart, time, *([safe] if safe > 0 else []), *pace]
 
     def crossed(self, said):
-        """When, into which lane, and where that was."""
+        """Return the numbers of a crossing of the line: when, into which lane, and where."""
         mover, _ = self.who(said)
         side = self.crash.sides["ego's moment" if mover is self.ego else "npc's moment"]
         lane = re.search(r"into lane (\d)", said)
@@ -63,7 +63,7 @@ class Reading:
         return self.placed(said, max(self.crash.joined, self.tick))
 
     def placed(self, said, tick):
-        """How far ahead or behind, and how much faster or slower the other was, as the words say."""
+        """Return how far ahead or behind the other was, and its speed difference, as the words describe them."""
         mover, other = self.who(said)
         faster, apart = other.speed[tick] - mover.speed[tick], self.apart(tick)
         if "next to" in said:
@@ -85,7 +85,7 @@ class Reading:
         return [self.time(self.crash.ticks[whose]) for whose in ("ego's moment", "npc's moment")]
 
     def room(self, said):
-        """What the ego was to leave when it crossed the line, or where it left that, when it came in."""
+        """Return the gap that the ego owed when it crossed the line, or when it came in if the first was enough."""
         at, then = self.tick, max(self.crash.joined, self.tick)
         room = giving_way(self.npc.speed[at], self.crash.slowest_in_change(at))
         if "more than" in said or gap(self.ego, self.npc, at) < room:
@@ -93,7 +93,7 @@ class Reading:
         return [giving_way(self.npc.speed[then], self.ego.speed[then])]
 
     def entered(self, said):
-        """When, how long before or after the other, and whether the words on both and on the way are true."""
+        """Return the times at which the two entered the zone, and check the sentence's other words."""
         crossing, first = self.crossing, self.who(said)[0]
         one = crossing.ego if first is self.ego else crossing.npc
         other, zone = crossing.other(one), crossing.trace.zones[crossing.trace.collision.npc]
@@ -108,7 +108,7 @@ class Reading:
         return [self.time(one.enters), *([abs(apart)] if apart else [])]
 
     def since_when(self, vehicle):
-        """The tick since which a vehicle owed the answer that is told."""
+        """Return the tick from which a vehicle owed the answer that the sentence describes."""
         crossing = self.crossing
         if crossing is None or crossing.decides != "priority":
             return self.crash.ticks["answer"]
@@ -120,7 +120,7 @@ class Reading:
         return one.last_chance()
 
     def answered(self, said):
-        """When braking was due, which is before the impact, and what was done since it counts."""
+        """Return when braking was due, before the impact, and what the vehicle has done since."""
         crash, (vehicle, _) = self.crash, self.who(said)
         since = self.since_when(vehicle)
         ticks = range(since + 1, crash.impact + 1)
@@ -152,7 +152,7 @@ class Reading:
         return [max(braker.deceleration(tick) for tick in range(first, last + 1)), self.time(first - 1)]
 
     def sped_up_towards(self, said):
-        """To which speed, and since when."""
+        """Return the speed that it sped up to, and since when."""
         first, mover = self.crash.sped_up, self.ego if said.startswith("The ego") else self.npc
         return [max(mover.speed[first : self.crash.impact + 1]), self.time(first)]
 
@@ -206,14 +206,14 @@ SENTENCES = {
         Reading.answered
     ),
 }
-"""``#`` is the NPC that was touched."""
+"""The patterns and their functions; ``#`` is the NPC that was touched."""
 
 
 def numbers(trace, attribution):
-    """The numbers of the sentences as they say them, and as they are.
+    """Return the numbers of the sentences as they are printed, and their true values.
 
     Raises:
-        ValueError: for a sentence that none of the patterns knows.
+        ValueError: No pattern matches a sentence.
     """
     reading = Reading(trace, attribution.tick)
     said, true = [], []
@@ -225,7 +225,7 @@ def numbers(trace, attribution):
 
 
 def known(sentence, npc):
-    """Which of the patterns it is."""
+    """Return the match and the function of the pattern that fits a sentence."""
     for pattern, compute in SENTENCES.items():
         found = re.fullmatch(pattern.replace("#", str(npc)), sentence)
         if found:

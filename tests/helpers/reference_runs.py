@@ -1,4 +1,4 @@
-"""Runs made by hand, and a world in which reference drivers drive as these say."""
+"""Runs made by hand, and a world whose reference drivers drive as in these runs."""
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
@@ -6,7 +6,7 @@ from tests.helpers.traces import collision_at, scenario_of, trace_of, vehicle
 
 
 def closing(ticks=30, **fields):
-    """The ego at 20 m/s behind an NPC at 10 m/s in its lane, and an NPC far behind on the left."""
+    """Return a run with the ego at 20 m/s behind an NPC at 10 m/s in its lane, and an NPC far behind on the left."""
     return trace_of(
         vehicle(0.0, 4.0, speed=20.0, ticks=ticks),
         vehicle(26.0, 4.0, speed=10.0, ticks=ticks),
@@ -17,19 +17,19 @@ def closing(ticks=30, **fields):
 
 
 def running_into():
-    """The ego runs into the NPC ahead, for which it is responsible."""
+    """Return a run in which the ego runs into the NPC ahead and is responsible."""
     return closing(outcome=Outcome.COLLISION)
 
 
 def rammed():
-    """The ego at 20 m/s, hit in the rear by an NPC at 30 m/s, which is responsible."""
+    """Return a run in which an NPC at 30 m/s hits the rear of the ego at 20 m/s and is responsible."""
     hit = collision_at(30, cell=Cell.REAR, side="rear", npc_speed=30.0)
     ego, npc = vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(-25.0, 4.0, speed=30.0, ticks=30)
     return trace_of(ego, npc, outcome=Outcome.COLLISION, collision=hit)
 
 
 class Drivers:
-    """A world in which each reference driver drives as a trace says, and which remembers who was asked to."""
+    """A world whose reference drivers drive as given traces do, and which records the drivers that were called."""
 
     def __init__(self, **traces):
         self.traces, self.asked = traces, []

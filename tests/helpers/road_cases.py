@@ -1,4 +1,4 @@
-"""Scenarios for worlds of any road, and the NPC limits checked on a finished trace, by highway-env's own lanes."""
+"""Scenarios for worlds of any road, and a check of the NPC limits on a finished trace, by highway-env's own lanes."""
 
 from __future__ import annotations
 
@@ -19,41 +19,44 @@ ENVIRONMENTS = (
     "racetrack-large-v1", "racetrack-oval-v0", "racetrack-oval-v1", "roundabout-v0", "roundabout-v1",
     "roundabout-generic-v0", "roundabout-generic-v1", "two-way-v0", "u-turn-v0", "u-turn-v1",
 )  # fmt: skip
-"""highway-env's, but for its straight roads, its parking lots and those with more than one ego."""
+"""All of highway-env's environments except straight roads, parking lots and those with more than one ego."""
 ROADS = tuple(
     env_id
     for env_id in ENVIRONMENTS
     if env_id.endswith("-v1") or env_id in ("intersection-v0", "lane-keeping-v0", "two-way-v0")
 )
-"""Each road and route once: versions differ in what a policy sees and does, which counts for no ego that drives itself.
-The first of the intersection has a route of its own."""
+"""Each road and route once: the versions differ only in observations and actions, which do not matter here.
+
+The first version of the intersection has its own route.
+"""
 
 ON_LANE_MARGIN = 0.1
-"""By how much a corner may be beyond the edge of all lanes [m]."""
+"""The distance that a corner may be beyond the edge of all lanes [m]."""
 IN_A_GAP_MARGIN = 0.6
-"""The same in some roundabouts [m]: between two lanes there is a gap of 6 m with a bend of 50 degrees in it, in which
-whoever stays on the way is beside both."""
+"""The same distance in some roundabouts [m]. A gap of 6 m between two lanes bends by 50 degrees there, and a vehicle on
+its way leaves both lanes.
+"""
 WITH_GAPS = ("roundabout-v0", "roundabout-v1")
 
 
 @functools.cache
 def world_of(env_id, duration=None):
-    """Made once, since the survey of a road takes as long as many runs on it."""
+    """Return a world, made once because the survey of a road takes as long as many runs on it."""
     return World(env_id, duration=duration)
 
 
 def space_of(world, npcs=2, traffic="paper"):
-    """What the plugin searches in a world of its own start."""
+    """Return the plugin's search space in a world with its own start."""
     return space_on(world, {"npcs": npcs, "traffic": traffic}, road_start(world))
 
 
 def wrapped(angle):
-    """In [-pi, pi)."""
+    """Return an angle in [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def off_lanes(network, trace):
-    """How far the corners of the NPCs are beyond the edges of all lanes of a network, at most [m]."""
+    """Return the largest distance of the NPCs' corners beyond the edges of all lanes of a network [m]."""
     states = trace.npcs[:: max(1, trace.physics_hz // 5)].reshape(-1, 7)
     heading, centre = states[:, HEADING], states[:, [X, Y]]
     forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * LENGTH / 2
@@ -66,7 +69,7 @@ def off_lanes(network, trace):
 
 
 def beyond_edges(network, point):
-    """Distance of a point to the nearest lane's edge [m]; negative on any."""
+    """Return the distance from a point to the nearest lane's edge [m], negative on a lane."""
     best = math.inf
     for lane in network.lanes_list():
         longitudinal, lateral = lane.local_coordinates(point)
@@ -78,7 +81,7 @@ def beyond_edges(network, point):
 
 
 def violations(trace, world):
-    """Which limits the NPCs break, as texts with the worst value; empty when none."""
+    """Return the limits that the NPCs break, as texts with the worst value."""
     limits, s, dt = world.limits, trace.npcs, trace.dt
     heading, speed, acceleration = s[..., HEADING], s[..., SPEED], s[..., ACCELERATION]
     slip = np.arctan(np.tan(s[1:, :, STEERING]) / 2)
@@ -108,7 +111,7 @@ def violations(trace, world):
 
 
 def lanes_of(trace, road, ticks):
-    """Direction of each NPC's lane [rad], and sqrt(a / curvature) there [m/s], by the road's own line of that lane."""
+    """Return each NPC's lane direction [rad] and sqrt(a / curvature) there [m/s], by the road's own line."""
     direction = np.zeros((len(ticks), trace.npcs.shape[1]))
     fastest = np.full(direction.shape, np.inf)
     for row, npc in np.ndindex(direction.shape):

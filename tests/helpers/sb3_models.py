@@ -1,4 +1,4 @@
-"""Small models of Stable-Baselines3, and its own wrappers around what a run shows: the oracle of the loader."""
+"""Small Stable-Baselines3 models, and its own wrappers around the observations of a run: an oracle for the loader."""
 
 from functools import partial
 
@@ -12,7 +12,7 @@ CONTINUOUS = {"action": {"type": "ContinuousAction"}}
 
 
 def saved_model(folder, cls, *, config=None, frames=1, is_normalised=False, steps=0, policy="MlpPolicy", **arguments):
-    """The files of a model that has learned for so many steps, and of its statistics."""
+    """Save a model trained for a number of steps, and its statistics; return their files."""
     env = DummyVecEnv([partial(gymnasium.make, ENV, config={"vehicles_count": 5, **(config or {})})])
     env.seed(1)
     if is_normalised:
@@ -29,7 +29,7 @@ def saved_model(folder, cls, *, config=None, frames=1, is_normalised=False, step
 
 
 class Shown(gymnasium.Env):
-    """An environment that shows whatever it is told to."""
+    """An environment that returns whatever observation it is given."""
 
     def __init__(self, observation_space, action_space):
         self.observation_space, self.action_space = observation_space, action_space
@@ -43,7 +43,7 @@ class Shown(gymnasium.Env):
 
 
 class InItsWrappers:
-    """An ADS that sees by VecNormalize and VecFrameStack themselves, and decides by ``model.predict``."""
+    """An ADS that uses VecNormalize and VecFrameStack themselves, and decides by ``model.predict``."""
 
     def __init__(self, model, world, statistics=None, frames=1):
         self.model, self.state = model, None

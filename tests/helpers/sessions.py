@@ -1,4 +1,4 @@
-"""Sessions of pytest inside of a test, deep in the calls of the session that runs it."""
+"""Sessions of pytest inside a test, deep in the calls of the outer session."""
 
 import faulthandler
 import functools
@@ -24,7 +24,7 @@ from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRec
 
 
 def read_record(text):
-    """What a session told to programs, with no other keys than a record has."""
+    """Return a session's record for programs, and check that it has no unknown keys."""
     plain = json.loads(text)
     assert plain.pop("pafot_json") == VERSION
     searches = [SearchRecord(**each) for each in plain.pop("searches")]
@@ -33,7 +33,7 @@ def read_record(text):
 
 
 def section(result, name):
-    """What a session shows of the failure of the test function of this name."""
+    """Return the output of a session about the failure of a test function."""
     lines = result.outlines
     title = re.compile(rf"_{{3,}} (.*[ .])?{re.escape(name)}(\[.*\])? _{{3,}}")
     start = next(number for number, line in enumerate(lines) if title.fullmatch(line))
@@ -43,15 +43,15 @@ def section(result, name):
 
 
 def in_process(pytester, *args, **kwargs):
-    """``pytester.runpytest_inprocess``, with room for its frames."""
+    """Run ``pytester.runpytest_inprocess`` with room for its frames."""
     return _with_room(pytester.runpytest_inprocess, *args, **kwargs)
 
 
 def in_a_copy(pytester, *args):
-    """``pytester.runpytest_subprocess`` in a copy of this process, which has imported all that a session needs.
+    """Run ``pytester.runpytest_subprocess`` in a copy of this process, which has already imported everything.
 
-    For an interpreter of its own that takes longer than most sessions last. A copy may end in any way. It shows nothing
-    of what a session imports, of hash seeds, or of other things that are settled when an interpreter starts.
+    A new interpreter takes longer than most sessions. A copy may end in any way. It cannot test what a session imports,
+    hash seeds, or other things that are settled when an interpreter starts.
     """
     if not hasattr(os, "fork"):
         return pytester.runpytest_subprocess(*args)
@@ -59,7 +59,7 @@ def in_a_copy(pytester, *args):
     base = tempfile.mkdtemp(prefix="runpytest-", dir=pytester.path)
     streams = [pytester.path / name for name in ("stdout", "stderr")]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of threads: that of a worker of pytest-xdist only waits
+        warnings.simplefilter("ignore", DeprecationWarning)  # a thread of a worker of pytest-xdist only waits
         pid = os.fork()
     if not pid:
         _be_a_session(streams, [f"--basetemp={base}", *map(str, args)])
@@ -73,12 +73,12 @@ FIXTURE = type(pytest.fixture(lambda: None))
 
 
 def quick_sessions(monkeypatch):
-    """Let sessions of this process look up once what is the same in all: else that is a third of a short one."""
+    """Cache what is the same in all sessions of this process: looking it up takes a third of a short session."""
     monkeypatch.setattr(metadata, "distributions", lambda **which: iter(_installed()))
     monkeypatch.setattr(_pytest.fixtures, "dir", _names_of_fixtures, raising=False)
     monkeypatch.setattr(_pytest.assertion.rewrite, "_rewrite_test", _rewritten)
     monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", _statement_range)
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # what is rewritten is known
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # rewritten code is already in KNOWN_CODE
     monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))  # without the folders of other tests
 
 
@@ -95,7 +95,7 @@ ALL_INSTALLED = metadata.distributions
 
 @functools.cache
 def _installed():
-    """Packages in which pytest may find plugins, of all that it would read again in each session."""
+    """Return the packages in which pytest may find plugins; it would read all packages again in each session."""
     return [Installed(each._path) for each in ALL_INSTALLED() if each.entry_points.select(group="pytest11")]
 
 
@@ -114,7 +114,7 @@ REWRITE = _pytest.assertion.rewrite._rewrite_test
 
 
 def _rewritten(path, config):
-    """What assertion rewriting makes of a file; of the same text in another folder it is the same."""
+    """Return the result of assertion rewriting, cached: the same text in a different folder has the same result."""
     key = path.name, path.read_bytes()
     if key not in KNOWN_CODE:
         KNOWN_CODE[key] = REWRITE(path, config)
@@ -123,7 +123,7 @@ def _rewritten(path, config):
 
 
 def _in_file(code, name):
-    """The code, and all code in it, as if it had been read from a file of this name."""
+    """Return the code, and all code in it, as if it came from a file of this name."""
     constants = tuple(_in_file(each, name) if isinstance(each, types.CodeType) else each for each in code.co_consts)
     return code.replace(co_filename=name, co_consts=constants)
 
@@ -133,17 +133,17 @@ STATEMENT_RANGE = _pytest._code.code.getstatementrange_ast
 
 
 def _statement_range(line, source, astnode=None):
-    """What pytest finds out of a statement that a failure shows, for which it parses the whole file."""
+    """Return pytest's range of a failed statement, cached because pytest parses the whole file for it."""
     key = str(source), line
     if key in KNOWN_RANGES:
-        return None, *KNOWN_RANGES[key]  # without the tree of the file: pytest keeps it, to parse no file twice
+        return None, *KNOWN_RANGES[key]  # no syntax tree: pytest would cache it per file
     tree, start, end = STATEMENT_RANGE(line, source, astnode=astnode)
     KNOWN_RANGES[key] = start, end
     return tree, start, end
 
 
 def _is_shared(source):
-    """Whether it is a part of pytest, or of this plugin, that all sessions of this process share."""
+    """Return whether a source is a part of pytest or of this plugin, which all sessions of this process share."""
     name = source.__name__ if isinstance(source, types.ModuleType) else source.__module__
     return name.startswith(("_pytest.", "pytest_pafot.plugin")) and "<locals>" not in getattr(
         source, "__qualname__", ""
@@ -171,11 +171,11 @@ def _be_a_session(streams, args):
 
 
 def _with_room(call, *args, **kwargs):
-    """A call in a frame that brings room for all frames of the calls in it.
+    """Call a function in a frame that reserves memory for all frames of the calls in it.
 
-    CPython keeps frames in pieces of 16 KiB, and asks the system for a new piece at each call that does not fit, which
-    goes back when the call returns: where a loop calls so deep, that takes more time than what it calls. A frame that
-    needs more has a piece of its own, of twice the size or a little less, and later frames use the rest of it.
+    CPython stores frames in pieces of 16 KiB. It requests a new piece from the system at each call that does not fit,
+    and returns the piece at its end. In a loop at such a depth, that takes longer than the calls themselves. A frame
+    that needs more gets its own piece of up to twice the size, and later frames use the rest of that.
     """
     return call(*args, **kwargs)
 

@@ -1,6 +1,6 @@
-"""A driver who does nothing wrong and changes lanes: what no rule of attribution may find at fault.
+"""A driver that changes lanes and does nothing wrong, so that no attribution rule may find it at fault.
 
-It keeps its distance as the careful and competent driver does, and overtakes where the gaps are more than generous.
+It follows at the distance of the careful and competent driver, and overtakes only if the gaps are more than generous.
 """
 
 from __future__ import annotations
@@ -12,47 +12,47 @@ from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.reference_drivers import CarefulHuman
 
 RESPONSE, BRAKING, LEADERS_BRAKING = 1.0, 6.0, 8.0
-"""What the safe distance counts with: the follower's delay [s] and braking, the leader's braking [m/s^2]."""
+"""The parameters of the safe distance: the follower's delay [s] and braking, and the leader's braking [m/s^2]."""
 GENEROUS, SUFFICIENT = 1.5, 1.2
-"""How much of what giving way asks for there must be to begin a lane change, and to go on with it."""
+"""The shares of the gap for giving way that are necessary to begin a lane change, and to continue it."""
 SECONDS = {GENEROUS: 3.0, SUFFICIENT: 1.5}
-"""How much longer it could close in on who is ahead there, before that is too near [s]."""
+"""The time for which it could close in on a vehicle ahead there before that is too near [s]."""
 LASTS = {GENEROUS: 4.0, SUFFICIENT: 3.0}
-"""How long it will still take until it has been in the other lane's track for a second [s]; that is 2 m to the side."""
+"""The time until it will have been in the other lane's track for a second [s]; that is 2 m to the side."""
 
 
 @dataclass(slots=True)
 class SoundLaneChanger(CarefulHuman):
-    """The careful driver, who drives as fast as it may, overtakes for that, and keeps to the right where it can.
+    """The careful driver, which also drives as fast as it may, overtakes to do so, and otherwise keeps to the right.
 
-    It wants another lane where that promises 2 m/s more, and the one to the right where it loses nothing. It looks at
-    whoever is in that lane or could come into it: from the lane beyond, or from its own. Nobody may move sideways into
-    it, whoever is ahead must be farther than the safe distance even three seconds later, and whoever is behind farther
-    than the safe distance and than one and a half times what giving way asks for: now, and at the end of the lane
-    change, if it goes on slowing down, and the other speeding up, as they do now. All that must have held for half a
-    second, in which it keeps to the middle of its lane. As long as its box can still be kept there it goes back where
-    the gaps no longer suffice. It follows without any delay, also whoever comes over, and whoever will be in its way
-    once it is in the middle of its lane.
+    It wants to change lanes if the new lane is 2 m/s faster, or if the lane to the right is not slower. It looks at the
+    vehicles in that lane, and at those that could enter it from the lane beyond or from its own. No vehicle may move
+    sideways into it. A vehicle ahead must be beyond the safe distance even three seconds later. A vehicle behind must
+    be beyond the safe distance and 1.5 times the gap for giving way, both now and at the end of the lane change, if
+    both continue to slow down and speed up as they do now. All that must have held for half a second, in which it stays
+    in the middle of its lane. It goes back if the gaps no longer suffice, as long as its box can still stay in its
+    lane. It follows without delay every vehicle that comes over or will be in its way once it is in the middle of its
+    lane.
 
     Attributes:
-        path: the line that it steers to, moving sideways with 1 m/s at most [m].
-        origin: lane to go back to; None while no lane change can be given up.
-        changed: when it last began one or gave one up [s].
-        changes: how many lane changes it went through with.
+        path: The line that it steers to, which moves sideways at 1 m/s at most [m].
+        origin: The lane to go back to; None while no lane change can be given up.
+        changed: The time when it last began or gave up a lane change [s].
+        changes: The number of lane changes that it completed.
     """
 
     SIDEWAYS = 1.0
-    """[m/s]."""
+    """The sideways speed [m/s]."""
     GAIN = 2.0
-    """Of speed, that is worth a lane change [m/s]."""
+    """The speed gain that is worth a lane change [m/s]."""
     SIGHT = 200.0
-    """[m]."""
+    """The distance that it sees ahead [m]."""
     SLOWEST = 8.0
-    """At which it changes lanes [m/s]; below, it would take long."""
+    """The lowest speed for a lane change [m/s]; below it, a lane change would take long."""
     SETTLED = 0.375
-    """Beside its lane's centre at most, when it begins another lane change [m]."""
+    """The largest distance from its lane's centre at which it begins a lane change [m]."""
     PATIENCE, LOOK = 4.0, 0.5
-    """Between two lane changes, and before one [s]."""
+    """The time between two lane changes, and before one [s]."""
 
     path: float = math.nan
     origin: int | None = None
@@ -60,7 +60,7 @@ class SoundLaneChanger(CarefulHuman):
     changes: int = 0
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Acceleration [m/s^2] and steering [rad]."""
+        """Return acceleration [m/s^2] and steering [rad]."""
         acceleration, _ = CarefulHuman.__call__(self, observation)
         self.wanted = observation.speed_limit
         ego, width = observation.ego, observation.lane_width
@@ -76,7 +76,7 @@ class SoundLaneChanger(CarefulHuman):
         return acceleration, 6.0 / max(ego.speed, 6.0) * (heading - ego.heading)
 
     def _attentive(self, observation: Observation) -> float:
-        """What following asks for behind those in its track or lane, and who come over [m/s^2]: without any delay."""
+        """Return the acceleration to follow, without delay, vehicles in its track or lane or coming over [m/s^2]."""
         ego, wish = observation.ego, math.inf
         for index, other in enumerate(observation.others):
             leader, comes_over = self.ahead(observation, index), _comes_over(ego, other)
@@ -87,7 +87,7 @@ class SoundLaneChanger(CarefulHuman):
         return wish
 
     def _consider(self, observation: Observation) -> None:
-        """Begin a lane change that is wanted and has had room for long enough."""
+        """Begin a lane change if it is worth it and has had room for long enough."""
         ego = observation.ego
         is_settled = abs(ego.y - self.lane * observation.lane_width) < self.SETTLED and self.brakes_from > self.now
         is_ready = is_settled and self.now >= self.changed + self.PATIENCE and ego.speed >= self.SLOWEST
@@ -101,13 +101,13 @@ class SoundLaneChanger(CarefulHuman):
                 return
 
     def _progress(self, observation: Observation, lane: int) -> float:
-        """The speed that a lane promises [m/s]."""
+        """Return the speed that a lane promises [m/s]."""
         ego = observation.ego
         ahead = (other for other in observation.others if other.lane == lane and 0 < other.x - ego.x < self.SIGHT)
         return min([self.wanted or 0.0, *(other.speed for other in ahead)])
 
     def _has_room(self, observation: Observation, lane: int, share: float) -> bool:
-        """Whether nobody is, or could soon be, too close in a lane."""
+        """Return whether no vehicle is, or could soon be, too close in a lane."""
         ego, centre = observation.ego, lane * observation.lane_width
         leaving = self.lane if self.origin is None else self.origin
         return not any(
@@ -118,7 +118,7 @@ class SoundLaneChanger(CarefulHuman):
         )
 
     def _is_far(self, ego: VehicleState, other: VehicleState, braking: float, share: float) -> bool:
-        """Whether a vehicle in the lane to enter is far enough ahead or behind."""
+        """Return whether a vehicle in the lane to enter is far enough ahead or behind."""
         gap = abs(other.x - ego.x) - (ego.length + other.length) / 2
         if other.x > ego.x:
             return gap > _safe(ego.speed, other.speed) + SECONDS[share] * max(ego.speed - other.speed, 0.0)
@@ -129,7 +129,7 @@ class SoundLaneChanger(CarefulHuman):
         return gap > _asked(other.speed, ego.speed, share) and gap - closed > _asked(others, own, share)
 
     def _is_committed(self, ego: VehicleState, width: float) -> bool:
-        """Whether its box will cross the line even if it turns back now."""
+        """Return whether its box will cross the line even if it turns back now."""
         assert self.origin is not None
         side = 1.0 if self.lane > self.origin else -1.0
         sideways = max(side * ego.speed * math.sin(ego.heading), 0.0)
@@ -143,31 +143,31 @@ class SoundLaneChanger(CarefulHuman):
 
 
 def _comes_over(ego: VehicleState, other: VehicleState) -> bool:
-    """Whether a vehicle beside or ahead moves sideways towards the ego's track, in which it would be close."""
+    """Return whether a vehicle alongside or ahead moves sideways into the ego's track and would be close there."""
     sideways = other.speed * math.sin(other.heading) * (1 if other.y < ego.y else -1)
     gap = other.x - ego.x - (ego.length + other.length) / 2
     return sideways > 0.3 and -(ego.length + other.length) < gap < 2 * ego.speed
 
 
 def _moves_sideways(other: VehicleState, centre: float) -> bool:
-    """Whether a vehicle enters the lane with this centre, or leaves it."""
+    """Return whether a vehicle enters the lane with this centre, or leaves it."""
     return abs(other.speed * math.sin(other.heading)) > 0.2 and abs(other.y - centre) > 0.5
 
 
 def _leads(ego: VehicleState, other: VehicleState, lane: int) -> bool:
-    """Whether a vehicle is ahead in a lane; one's distance to it is kept anyway."""
+    """Return whether a vehicle is ahead in a lane; following it keeps the distance anyway."""
     return other.lane == lane and other.x > ego.x
 
 
 def _is_in_way(ego: VehicleState, other: VehicleState, centre: float) -> bool:
-    """Whether a vehicle reaches into the ego's track, as it is or will be in the middle of a lane."""
+    """Return whether a vehicle reaches into the ego's track, now or once the ego is in the middle of a lane."""
     left, right = sorted((ego.y, centre))
     reach = _half_width(ego) + _half_width(other)
     return left - reach < other.y < right + reach
 
 
 def _asked(behind: float, ahead: float, share: float) -> float:
-    """What is to be left before one behind, by the speeds of both [m]."""
+    """Return the gap to leave ahead of a vehicle, from the speeds of both [m]."""
     closing = max(behind - ahead, 0.0)
     giving_way = closing * 0.4 + closing**2 / (2 * 3.0) + ahead * 1.0
     return max(share * giving_way, _safe(behind, ahead))
@@ -178,5 +178,5 @@ def _half_width(vehicle: VehicleState) -> float:
 
 
 def _safe(follower: float, leader: float) -> float:
-    """Between a follower and a leader of these speeds [m]."""
+    """Return the safe distance between a follower and a leader with these speeds [m]."""
     return follower * RESPONSE + follower**2 / (2 * BRAKING) - leader**2 / (2 * LEADERS_BRAKING)

@@ -1,4 +1,4 @@
-"""Which parameters of a test are tried in every session, and which with ``-m oracle`` only."""
+"""Choose which parameters of a test run in every session, and which only with ``-m oracle``."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import pytest
 
 
 def oracle(*values: Any, **options: Any) -> Any:
-    """Parameters of one item that is left to the stage ``oracle``."""
+    """Mark the parameters of one item for the stage ``oracle``."""
     return pytest.param(*values, marks=pytest.mark.oracle, **options)
 
 
 def mostly_oracle(values: Iterable[Any], *always: Any) -> list[Any]:
-    """All values, of which those named second are tried in every session and the others with ``-m oracle``.
+    """Return all values: those in ``always`` run in every session, the others only with ``-m oracle``.
 
     A tuple is several parameters of one item.
     """

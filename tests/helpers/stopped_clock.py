@@ -1,4 +1,4 @@
-"""Time for hang limits that passes only where a test lets it, so that no healthy decision is ever too slow."""
+"""A clock for hang limits that advances only on a test's request, so that no healthy decision is ever too slow."""
 
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -12,7 +12,7 @@ class StoppedClock:
         monkeypatch.setattr(HangGuard.__init__, "__defaults__", (lambda: self.now,))
 
     def sleep(self, seconds):
-        """So much time passes, and the decisions under way are looked at: this one is interrupted if it is overdue."""
+        """Advance the clock and let the guards look: an overdue decision is interrupted."""
         self.now += seconds
         for guard in list(hang_guard._WATCHDOG._guards):
             guard.look()

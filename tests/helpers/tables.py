@@ -1,4 +1,4 @@
-"""Rows of a table as one item: a session that has thousands of them spends more on items than on what they test."""
+"""Run the rows of a table as one item: with thousands of items, pytest takes longer for these than for the tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 
 def table(names: str | tuple[str, ...], rows: Iterable[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Run a test with each row, as ``pytest.mark.parametrize`` does in items of their own, and name all that fail."""
+    """Run a test with each row in one item, unlike ``pytest.mark.parametrize``, and name all rows that fail."""
     names = tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
     values = [row if len(names) > 1 else (row,) for row in rows]
     assert values, "expected some rows, received none"

@@ -1,4 +1,4 @@
-"""A world without physics, whose ADS does with a scenario what a test wants, in whatever process."""
+"""A world without physics, whose ADS does whatever a test wants with a scenario, in any process."""
 
 import numpy as np
 
@@ -8,12 +8,12 @@ from pytest_pafot.model.trace import Lane, Outcome, Trace
 
 
 def scenario(number):
-    """The scenario of this number; the ADS tells them apart by their seeds."""
+    """Return the scenario with a number; the ADS distinguishes scenarios by their seeds."""
     return Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),),), seed=number)
 
 
 def trace_of(scenario):
-    """Nothing moves."""
+    """Return a trace in which nothing moves."""
     return Trace(
         scenario=scenario,
         executed=scenario,
@@ -28,7 +28,7 @@ def trace_of(scenario):
 
 
 class Toy:
-    """A world that has the ADS do something with the number of each scenario."""
+    """A world that passes the number of each scenario to the ADS."""
 
     hang_limit = 30.0
 
@@ -38,12 +38,12 @@ class Toy:
 
 
 def idle():
-    """A factory that can be imported."""
+    """Return an ADS that does nothing; this factory can be imported."""
     return lambda number: None
 
 
 class Keeps:
-    """A planner that keeps its speed, of a module that can be imported."""
+    """A planner that keeps its speed; its class can be imported."""
 
     def __call__(self, observation):
         return 0.0, 0.0

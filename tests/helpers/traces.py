@@ -1,4 +1,4 @@
-"""Traces made by hand: positions in, a Trace out."""
+"""Traces made by hand from positions."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ LENGTH, WIDTH, LANE_WIDTH = 5.0, 2.0, 4.0
 
 
 def ring_distance(a, b):
-    """Steps along the ring from one cell to another, 0 to 4."""
+    """Return the number of steps along the ring from one cell to another, 0 to 4."""
     clockwise = (b - a) % 8
     return min(clockwise, 8 - clockwise)
 
 
 def scenario_of(npcs=1, *, genes=6, gene_seconds=10.0):
-    """NPCs that hold one cell each for the whole scenario."""
+    """Return a scenario whose NPCs stay in one cell each for the whole time."""
     chains = [[PositionInstruction(Cell(npc + 1), 20.0)] * genes for npc in range(npcs)]
     return Scenario(npcs=chains, gene_seconds=gene_seconds)
 
 
 def straight_lanes(count=4, *, heading=0.0, width=LANE_WIDTH, speed_limit=26.8):
-    """Parallel lanes whose centre lines are at y = 0, 4, 8 ... for heading 0, from the left."""
+    """Return parallel lanes, from the left, whose centre lines are at y = 0, 4, 8 ... for heading 0."""
     return tuple(
         Lane(
             x=-np.sin(heading) * width * index,
@@ -39,10 +39,10 @@ def straight_lanes(count=4, *, heading=0.0, width=LANE_WIDTH, speed_limit=26.8):
 
 
 def vehicle(x, y=0.0, *, heading=0.0, speed=0.0, acceleration=0.0, lane=None, ticks=None):
-    """The states of one vehicle, shape [ticks + 1, 7]; scalars are held.
+    """Return the states of a vehicle, shape [ticks + 1, 7]; scalars stay constant.
 
-    With ``ticks`` given and scalar positions, the vehicle drives from there at constant velocity at 15 Hz. The lane is
-    the one of width 4 m, the first centred on y = 0, that contains y, unless given.
+    With ``ticks`` and scalar positions, the vehicle drives on at constant velocity at 15 Hz. By default, the lane is
+    the one that contains y; lanes are 4 m wide, and the first is centred on y = 0.
     """
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if ticks is not None:
@@ -53,7 +53,7 @@ def vehicle(x, y=0.0, *, heading=0.0, speed=0.0, acceleration=0.0, lane=None, ti
 
 
 def trace_of(ego, *npcs, sizes=None, scenario=None, outcome=Outcome.SAFE, physics_hz=15, lanes=None, **fields):
-    """A trace of vehicles as made by :func:`vehicle`; the outcome ``collision`` brings a collision with NPC 0."""
+    """Return a trace of vehicles from :func:`vehicle`; with the outcome ``collision``, NPC 0 is hit by default."""
     rows = max(len(states) for states in (ego, *npcs))
     states = np.stack([np.broadcast_to(states, (rows, 7)) for states in (ego, *npcs)], axis=1)
     scenario = scenario or scenario_of(max(len(npcs), 1))
@@ -73,7 +73,7 @@ def trace_of(ego, *npcs, sizes=None, scenario=None, outcome=Outcome.SAFE, physic
 
 
 def collision_at(tick, *, npc=0, cell=Cell.FRONT, side="front", physics_hz=15, ego_speed=20.0, npc_speed=10.0):
-    """A collision with the ego's front, unless said otherwise."""
+    """Return a collision, by default with the ego's front."""
     return Collision(
         tick=tick,
         time=tick / physics_hz,
@@ -87,7 +87,7 @@ def collision_at(tick, *, npc=0, cell=Cell.FRONT, side="front", physics_hz=15, e
 
 
 def random_states(rng, rows, vehicles, *, spread=25.0):
-    """Vehicles anywhere in a square, heading and driving anywhere; lanes at random."""
+    """Return random states of vehicles in a square, with any heading and lane."""
     states = np.zeros((rows, vehicles, 7))
     states[..., 0:2] = rng.uniform(-spread, spread, (rows, vehicles, 2))
     states[..., 2] = rng.uniform(-np.pi, np.pi, (rows, vehicles))

@@ -1,10 +1,10 @@
-"""How much work a call is, counted: a clock would also count what else the machine does."""
+"""Measure work by counting calls: a clock would also measure other work of the machine."""
 
 import sys
 
 
 def calls_in(function, *arguments):
-    """How many functions are called in a call, those of C among them; what it raises is not counted."""
+    """Return the number of function calls within a call, including C functions; ignore what it raises."""
     count = 0
 
     def note(frame, event, argument):

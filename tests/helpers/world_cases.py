@@ -1,4 +1,4 @@
-"""Random scenarios and egos for the tests of the world, and the NPC limits checked on a finished trace."""
+"""Random scenarios and egos for the tests of the world, and a check of the NPC limits on a finished trace."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, X, 
 
 LENGTH, WIDTH, LANE_WIDTH = 5.0, 2.0, 4.0
 STANDING = 1e-6
-"""Slower than this an NPC stands [m/s]."""
+"""The speed below which an NPC counts as standing [m/s]."""
 
 
 def constant_speed():
-    """Neither accelerates nor steers."""
+    """Return an ADS that neither accelerates nor steers."""
     return lambda observation: (0.0, 0.0)
 
 
 def weaving():
-    """Speeds up and slows down while it swerves, sometimes off the road."""
+    """Return an ADS that speeds up and slows down while it swerves, sometimes off the road."""
     return lambda observation: (3 * math.sin(0.7 * observation.time), 0.05 * math.sin(1.3 * observation.time))
 
 
 def stopping():
-    """Speeds up, then brakes to a standstill."""
+    """Return an ADS that speeds up, then brakes to a standstill."""
     return lambda observation: (-4.0 if observation.time > 2 else 2.0, 0.0)
 
 
 def changing_lanes():
-    """Steers to the next lane and back every few seconds."""
+    """Return an ADS that steers to the next lane and back every few seconds."""
 
     def drive(observation):
         lane = 1 + (observation.time % 8 > 4)
@@ -50,11 +50,11 @@ TRAFFICS = (
     *map(Traffic, STYLES),
     Traffic("hostile", least_speed_share=0.3, least_gap=20.0, braking=0.5, lateral_speed=0.8),
 )
-"""Of each style, and one with parts of its own."""
+"""One traffic of each style, and one with changed parameters."""
 
 
 def chains(rng: random.Random, npcs: int, genes: int, speed_limit: float) -> list[list[PositionInstruction]]:
-    """Random chains that need not be valid; speeds over the whole range."""
+    """Return random chains, which may be invalid, with speeds over the whole range."""
     top = int(speed_limit * 10 + 1e-6)
     return [
         [PositionInstruction(rng.randint(1, 8), rng.randint(0, top) / 10) for _ in range(genes)] for _ in range(npcs)
@@ -62,7 +62,7 @@ def chains(rng: random.Random, npcs: int, genes: int, speed_limit: float) -> lis
 
 
 def random_scenario(rng: random.Random, *, lanes: int, speed_limit: float, npcs: int | None = None) -> Scenario:
-    """A short scenario that fits a highway of so many lanes, in any traffic; chains of different lengths."""
+    """Return a short scenario for a highway with this many lanes, any traffic, and chains of different lengths."""
     lane = rng.randrange(lanes)
     free = 8 if 0 < lane < lanes - 1 else 5
     count = min(npcs or rng.randint(1, 8), free)
@@ -77,10 +77,10 @@ def random_scenario(rng: random.Random, *, lanes: int, speed_limit: float, npcs:
 
 
 def violations(trace, limits, speed_limit):
-    """Which limits the NPCs of a trace break, as texts with the worst value; empty when none.
+    """Return the limits that the NPCs of a trace break, as texts with the worst value.
 
-    Everything is computed from positions, headings, speeds and the recorded controls. The course is the direction of
-    motion: heading plus the slip angle of highway-env's bicycle model, whose agreement with the positions is checked.
+    It computes everything from positions, headings, speeds and the recorded controls. The course is the direction of
+    motion: heading plus the slip angle of highway-env's bicycle model, which is checked against the positions.
     """
     s, dt = trace.npcs, trace.dt
     x, y, heading, speed = s[..., X], s[..., Y], s[..., HEADING], s[..., SPEED]
@@ -118,7 +118,7 @@ def violations(trace, limits, speed_limit):
 
 
 def beyond(bounds):
-    """Of values, each by a name with its least and greatest, those that are out of bounds, as texts with the worst."""
+    """Return the out-of-bounds values as texts with the worst; ``bounds`` has values, least and greatest by name."""
     broken = []
     for name, (values, low, high) in bounds.items():
         worst = max(np.max(values - high, initial=-1.0), np.max(low - values, initial=-1.0))
