@@ -33,6 +33,8 @@ SPEED = 9.0
 ACCELERATION = 2.0
 BRAKING = 3.0
 """The braking for a line [m/s^2]."""
+RESPONSE = 1.0
+"""The time before another vehicle begins to brake for it [s]."""
 HARDEST = 7.0
 """The braking in an emergency [m/s^2]."""
 SPEEDING_UP = 0.2
@@ -122,8 +124,8 @@ class CarefulDriver:
         return seconds_for(other.distance, other.speed, seen.speed_limit, gain)
 
     def gives_way(self, other: CrossingVehicle) -> bool:
-        """Return whether another vehicle can still stop before its zone without braking hard."""
-        return other.speed**2 < 2 * BRAKING * other.distance
+        """Return whether another vehicle can still stop before its zone without braking hard, after a response."""
+        return other.speed**2 < 2 * BRAKING * (other.distance - other.speed * RESPONSE)
 
     # Accelerations.
 

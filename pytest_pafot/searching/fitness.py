@@ -118,10 +118,16 @@ def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
         weights.ttc / (1 + encounters.min_ttc / weights.tau)
         + weights.gap / (1 + encounters.min_gap)
         + weights.shortfall * max(encounters.max_safety_shortfall, 1 / (1 + _least_encroachment(trace)))
-        + weights.time * (1 - _time_to_collision(trace) / planned_duration(trace))
+        + weights.time * _earliness(trace)
     )
     mean = total / (weights.ttc + weights.gap + weights.shortfall + weights.time)
     return _never_nan(mean + (trace.outcome == Outcome.COLLISION))
+
+
+def _earliness(trace: Trace) -> float:
+    """Return the share of the planned duration that a collision leaves; 0 without one."""
+    planned = planned_duration(trace)  # 0 if NPCs cross and the ADS fails at its first decision
+    return 1 - _time_to_collision(trace) / planned if planned else 0.0
 
 
 def _least_encroachment(trace: Trace) -> float:

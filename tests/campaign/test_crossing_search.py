@@ -1,0 +1,126 @@
+"""Whole searches where ways cross: what they find, save, shrink and replay."""
+
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.campaign.verdict import PlainFailure
+from pytest_pafot.findings.replay import replay_label
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching.space import MOST_ON_GRID
+from tests.helpers.road_cases import world_of
+
+RUNS = {"runs": 16, "seed": 3, "blame": "ego", "shrink_rollouts": 40}
+
+
+class Steady:
+    """A policy that drives through every crossing at 9 m/s."""
+
+    def __call__(self, observation):
+        return 1
+
+
+def holds(run):
+    assert not run.collision
+
+
+def driven(world, finding, policy):
+    run = Run(world.rollout(finding.scenario, policy))
+    failed = run.collision is not None and run.responsibility in ("ego", "both")
+    return run, failed
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory):
+    return tmp_path_factory.mktemp("corpus")
+
+
+@pytest.fixture(scope="module")
+def found(corpus):
+    return pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), corpus=str(corpus), **RUNS)
+
+
+class Broken:
+    """A policy that raises at its first decision."""
+
+    def __call__(self, observation):
+        raise ValueError("no map")
+
+
+def test_search_finds_collisions_from_several_sides(found):
+    ids = [each.id for each in found.findings]
+    assert {each.expect.zone for each in found.findings} >= {"crossing from the left", "oncoming from ahead"}
+    assert any(each.startswith("did-not-give-way-left-") for each in ids)
+    assert "slots at zones" in found.summary.coverage
+    assert found.summary.drawn.startswith("1 to 3 NPCs in hostile traffic, most of them on 6 ways that meet the ego's")
+    assert found.summary.notes == ()
+
+
+def test_every_found_scenario_fits_the_world(found):
+    world = world_of("intersection-v0")
+    for each in found.findings:
+        for scenario in filter(None, (each.scenario, each.original)):
+            world.check_fits(scenario)
+            assert not world.crossings.clashes(scenario)
+            assert len(scenario.positions) <= MOST_ON_GRID
+
+
+def test_findings_shrink_to_one_npc_with_plain_slot(found):
+    at_zones = [each.scenario for each in found.findings if each.expect.zone]
+    assert all(len(each.npcs) == 1 for each in at_zones)
+    assert any(each.crossings[0].slot == 0 for each in at_zones)
+
+
+def test_saved_file_loads_unchanged_and_fails_again(found, corpus):
+    files = {path.name.partition(".")[0]: path for path in corpus.rglob("*.pafot.yaml")}
+    assert set(files) == {each.id for each in found.findings}
+    for each in found.findings:
+        saved = pafot.load(files[each.id])
+        assert saved.finding == each
+        run, failed = driven(saved.world, saved.finding, Steady)
+        assert failed
+        assert run.collision.tick / 15 == pytest.approx(each.expect.time, abs=0.001)
+
+
+def test_waiting_before_the_situation_counts_as_drifted(found):
+    for each in found.findings:
+        if each.expect.zone:
+            run, failed = driven(world_of("intersection-v0"), each, lambda: lambda observation: 0)
+            assert not failed
+            assert replay_label(each, run, None, each.found.versions) == "drifted"
+
+
+def test_corpus_does_not_change_what_is_found(found):
+    again = pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), **RUNS)
+    assert again.findings == found.findings
+
+
+@pytest.mark.processes
+def test_two_processes_find_the_same(found):
+    again = pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), workers=2, **RUNS)
+    assert again.findings == found.findings
+
+
+def test_search_samples_only_the_requested_acts():
+    acts = set()
+
+    def holds(run):
+        acts.update(each.act for each in run.scenario.crossings if each is not None)
+
+    world = world_of("intersection-v0")
+    pafot.explore(Steady, holds=holds, world=world, runs=12, seed=1, acts=("late",))
+    assert acts == {"late"}
+
+
+def test_paper_search_stays_on_the_grid():
+    kinds = set()
+
+    def holds(run):
+        kinds.add(bool(run.scenario.crossings))
+
+    pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), runs=6, seed=1, algorithm="pafot")
+    assert kinds == {False}
+
+
+def test_policy_that_raises_at_once_is_a_set_up_error():
+    with pytest.raises(PlainFailure, match="at the first decision: it is an error of the set-up"):
+        pafot.explore(Broken, holds=holds, world=world_of("intersection-v0"), runs=12, seed=1)
