@@ -2,13 +2,14 @@
 
     python docs/tools/figures.py [--only NAME ...] [--workers 16] [--quick] [--build DIR]
 
-Prints the commit, the versions, and the CPU hours of each step. What a step measured is kept in DIR, in a folder of the
-commit that last changed the code, and is not measured again there: so a step that was interrupted, or measured on
-another machine, is gone on with where its folder is. Then it is written into the documents, between a line
-``<!-- measured: NAME -->`` and a line ``<!-- end of measured -->``; what has none is for the sentences that quote it.
-Last come the tools that write documents themselves; they need Chromium, and what they name at their heads.
+It prints the commit, the versions, and the CPU hours of each step. The results of a step are stored in DIR, in a folder
+named after the commit that last changed the code, and are not measured again there. So a step that was interrupted, or
+that ran on a different machine, continues if its folder is there. Then the results are written into the documents,
+between a line ``<!-- measured: NAME -->`` and a line ``<!-- end of measured -->``. Results without such lines are for
+sentences that quote them. The tools that write documents themselves run last; they need Chromium, and the packages that
+their heads name.
 
-With ``--quick`` a few short runs are measured, to try the command, and written into a copy of the documents in DIR.
+With ``--quick``, a few short runs are measured to try the command, and written into a copy of the documents in DIR.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ REPORTS = {
     "ppo": f"{EVERY} --runs {{20|1}} --seconds {{3600|300}} --ads ppo --env highway-v0",
     "fiss": f"{EVERY} --runs {{4|1}} --seconds {{3600|60}} --ads fiss",
 }
-"""Arguments of the comparisons, by the folder of the report; of two in braces the second is the quick one."""
+"""Arguments of the comparisons, by the folder of the report. Of two values in braces, ``--quick`` uses the second."""
 
 DEFAULT_SEARCH = "docs/explanation/default-search.md"
 
@@ -100,7 +101,7 @@ WRITERS = {
     "pages": "docs/tools/report_picture.py",
     "roads": "docs/tools/road_pictures.py",
 }
-"""What writes documents by itself."""
+"""Commands that write documents themselves."""
 
 SUMMARY = {
     "unique scenarios that collide": ("How many collisions", "share of unique"),
@@ -111,13 +112,13 @@ SUMMARY = {
     "collisions that an NPC alone is responsible for": ("Who caused them", "share of NPCs"),
     "inverted distance to all impacts": ("Distinct failures for which the ego answers", "inverted distance"),
 }
-"""Rows of the paper's comparison in the overview: heading of its table in the report, and how its column begins."""
+"""Rows of the paper's comparison in the overview: heading of its table in the report, and the column's first words."""
 
 CELLS = re.compile(r"(?<=\|) ([^|]*) (?=\|)")
 
 
 def columns(report: str, heading: str) -> dict[str, dict[str, str]]:
-    """A table of a report: the cells of each row by their column, in which ``paper`` stands for the one before."""
+    """Return the cells of each row in a table of a report, by column; ``paper`` gets the name of the column before."""
     lines = re.findall(r"^\|.*$", report.partition(f"\n## {heading}\n")[2].partition("\n## ")[0], re.MULTILINE)
     head, _, *rows = [CELLS.findall(line) for line in lines]
     names = [f"{before}, paper" if name == "paper" else name for before, name in zip(["", *head], head, strict=False)]
@@ -125,7 +126,7 @@ def columns(report: str, heading: str) -> dict[str, dict[str, str]]:
 
 
 def overview_of_the_paper(reports: Mapping[str, str]) -> Iterator[list[str]]:
-    """Its measures by algorithm, each with the paper's below it."""
+    """Yield the rows of the paper's measures by algorithm, each with the paper's own values below it."""
     algorithms = list(columns(reports["paper"], "How fast"))
     yield ["", *algorithms]
     for measure, (heading, beginning) in SUMMARY.items():
@@ -137,7 +138,7 @@ def overview_of_the_paper(reports: Mapping[str, str]) -> Iterator[list[str]]:
 
 
 def overview_of_failures(reports: Mapping[str, str]) -> Iterator[list[str]]:
-    """Distinct failures per simulated hour by algorithm and report, and in how many runs there was any."""
+    """Yield rows of distinct failures per simulated hour by algorithm and report, with the runs that had any."""
     tables = {
         name: columns(text, "Distinct failures for which the ego answers")
         for name, text in reports.items()
@@ -147,38 +148,38 @@ def overview_of_failures(reports: Mapping[str, str]) -> Iterator[list[str]]:
     for algorithm in dict.fromkeys(each for table in tables.values() for each in table):
         cells = []
         for table in tables.values():
-            told = list(table.get(algorithm, {}).items())
-            at = [value for name, value in told if name.startswith(("per hour, ", "runs with any"))]
+            found = list(table.get(algorithm, {}).items())
+            at = [value for name, value in found if name.startswith(("per hour, ", "runs with any"))]
             cells.append("{} ({})".format(*at) if at else "")
         yield [algorithm, *cells]
 
 
 def markdown(rows: Iterator[list[str]]) -> str:
-    """A table of rows, the first of which is its head."""
+    """Return a table of rows in Markdown. The first row is the head."""
     head, *others = rows
     return "".join(f"| {' | '.join(cells)} |\n" for cells in (head, ["---"] * len(head), *others))
 
 
 def measured(name: str, command: str, arguments: argparse.Namespace, folder: Path) -> str:
-    """What a command prints, from an earlier time where it is kept; the CPU hours are told and kept with it."""
-    kept, out = folder / f"{name}.txt", folder / name
-    if not kept.exists():
+    """Return the output of a command, from DIR if it is stored there, and print the CPU hours that it took."""
+    stored, out = folder / f"{name}.txt", folder / name
+    if not stored.exists():
         for whole, quick in re.findall(r"\{([^|}]*)\|([^}]*)\}", command):
             command = command.replace(f"{{{whole}|{quick}}}", quick if arguments.quick else whole)
         command = command.replace("WORKERS", str(arguments.workers)).replace("OUT", os.path.relpath(out, ROOT))
         before = spent()
         printed = run(command)
-        kept.write_text(f"{printed}\n{name}: {spent() - before:.3f} CPU hours\n", encoding="utf-8")
-    text, _, hours = kept.read_text(encoding="utf-8").rstrip().rpartition("\n")
+        stored.write_text(f"{printed}\n{name}: {spent() - before:.3f} CPU hours\n", encoding="utf-8")
+    text, _, hours = stored.read_text(encoding="utf-8").rstrip().rpartition("\n")
     print(hours, flush=True)
     return text
 
 
 def run(command: str, **variables: str) -> str:
-    """What a command of this Python prints; its errors, and how far it is, are shown.
+    """Return the output of a command of this Python. Its errors and its progress go to the terminal.
 
     Raises:
-        SystemExit: where it fails.
+        SystemExit: if the command fails.
     """
     print(f"$ python {command}", flush=True)
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "0", **variables}
@@ -196,7 +197,7 @@ def run(command: str, **variables: str) -> str:
 
 
 def spent() -> float:
-    """Processor time of all processes that have ended so far [h]."""
+    """Return the processor time of all child processes that have ended so far [h]."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return (usage.ru_utime + usage.ru_stime) / 3600
 
@@ -205,7 +206,7 @@ def write_between(document: Path, name: str, text: str) -> None:
     """Put a text between the markers of a document.
 
     Raises:
-        SystemExit: where they are not there, once.
+        SystemExit: if the document does not have them exactly once.
     """
     marked = re.compile(rf"(<!-- measured: {name} -->\n).*?(<!-- end of measured -->)", re.DOTALL)
     changed, count = marked.subn(lambda found: f"{found[1]}{text}{found[2]}", document.read_text(encoding="utf-8"))
@@ -215,22 +216,22 @@ def write_between(document: Path, name: str, text: str) -> None:
 
 
 def commit_of_the_code() -> str:
-    """By git; ``unknown`` where there is none."""
+    """Return the commit that last changed the code, by git; ``unknown`` without git."""
     command = ["git", "log", "-1", "--format=%h", "--", "pytest_pafot", "example_ads", "tests/benchmarks"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)  # noqa: S603
     return done.stdout.strip() or "unknown"
 
 
 def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
-    """Measure what is asked for, and write it into the documents below a root."""
-    asked = arguments.only
-    for name in (each for each in REPORTS if each in asked):
+    """Measure the requested steps, and write the results into the documents below a root."""
+    requested = arguments.only
+    for name in (each for each in REPORTS if each in requested):
         measured(name, f"{COMPARE} {REPORTS[name]}", arguments, folder)
         report = root / "docs" / "comparisons" / name
         shutil.copy(folder / name / "report.md", report)
         for picture in (folder / name / "figures").glob("*.png"):
             shutil.copy(picture, report / "figures")
-    for name in (each for each in BENCHMARKS if each in asked):
+    for name in (each for each in BENCHMARKS if each in requested):
         command, document = BENCHMARKS[name]
         printed = measured(name, f"-m tests.benchmarks.{command}", arguments, folder)
         if document is not None:
@@ -238,7 +239,7 @@ def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
             write_between(root / document, name, "\n".join(tables))
             for picture in folder.glob(f"{name}*.png"):
                 shutil.copy(picture, (root / document).parent)
-    if set(asked) & set(REPORTS):
+    if set(requested) & set(REPORTS):
         reports = {name: (root / f"docs/comparisons/{name}/report.md").read_text(encoding="utf-8") for name in REPORTS}
         overview = root / "docs" / "comparisons" / "README.md"
         write_between(overview, "overview-of-the-paper", markdown(overview_of_the_paper(reports)))
@@ -246,7 +247,7 @@ def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
 
 
 def main() -> None:
-    """Redo all, or what is named."""
+    """Redo all steps, or the named ones."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     every = [*REPORTS, *BENCHMARKS, *WRITERS]
     parser.add_argument("--only", nargs="+", choices=every, default=every, metavar="NAME", help=", ".join(every))

@@ -1,7 +1,7 @@
 """Make terminal.svg, the picture in the README, from the real output of a session.
 
-It writes the two files of the README into an empty folder, runs its command there and renders what the terminal
-shows. It needs rich besides the plugin: ``python -m pip install rich && python docs/tools/picture.py``.
+It writes the two files of the README into an empty folder, runs the README's command there and renders the terminal's
+output. It needs rich in addition to the plugin: ``python -m pip install rich && python docs/tools/picture.py``.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ SVG = """<svg class="rich-terminal" viewBox="0 0 {width} {height}" xmlns="http:/
 </g>
 </svg>
 """
-"""Without web fonts, which code hosts do not load."""
+"""The frame of the picture. It uses no web fonts, because code hosts do not load them."""
 
 
 def session(folder: Path) -> str:
-    """What the README's first command prints in a terminal, with colours and without pytest's header."""
+    """Return the terminal output of the README's first command, with colours and without pytest's header."""
     text = README.read_text(encoding="utf-8")
     for name, content in _FILE.findall(text):
         (folder / name).write_text(content, encoding="utf-8")
@@ -76,7 +76,7 @@ def session(folder: Path) -> str:
 
 
 def picture(output: str) -> str:
-    """An SVG of a terminal with this output."""
+    """Return an SVG of a terminal with this output."""
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         console = Console(record=True, width=COLUMNS, file=nowhere, color_system="truecolor", force_terminal=True)
         console.print(Text.from_ansi(output.rstrip()), soft_wrap=False, no_wrap=False, highlight=False)

@@ -1,7 +1,7 @@
 """Make the pictures of report pages in README.md and guide/triage.md from real searches of two example policies.
 
-It runs both searches, opens their pages in a headless Chromium, light and dark, and stores what it shows. It needs
-Chromium, and Pillow and fiss-planner besides the plugin:
+It runs both searches, opens their pages in a headless Chromium, light and dark, and saves screenshots. It needs
+Chromium, and Pillow and fiss-planner in addition to the plugin:
 ``python -m pip install ".[report,fiss]" && python docs/tools/report_picture.py``.
 """
 
@@ -29,7 +29,7 @@ from tests.helpers.browser import Browser, Page, find_chromium  # noqa: E402
 MAX_BYTES = 250_000
 WIDTH, HEIGHT = 1280, 1500
 BEFORE_IMPACT = 0.9
-"""How long before the end of the run the picture is taken [s]: the vehicles are then apart."""
+"""The time of the picture before the end of the run [s]. The vehicles are still apart then."""
 
 
 class Story(NamedTuple):
@@ -47,7 +47,7 @@ STORIES = (
 
 
 def search(story: Story, folder: Path) -> Path:
-    """The page of a search of an example policy."""
+    """Run the search of an example policy, and return its page."""
     page = folder / f"{story.name}.html"
     environment = {name: value for name, value in os.environ.items() if name not in ("CI", "PYTEST_ADDOPTS")}
     environment["PYTHONPATH"] = str(ROOT)
@@ -63,7 +63,7 @@ def search(story: Story, folder: Path) -> Path:
 
 
 def shots(browser: Browser, page: Path) -> Iterator[tuple[str, bytes]]:
-    """Suffix and content of each picture of a page."""
+    """Yield the suffix and the content of each picture of a page."""
     for scheme in ("light", "dark"):
         opened = browser.open(page.as_uri(), width=WIDTH, height=HEIGHT, media=[("prefers-color-scheme", scheme)])
         _prepare(opened)
@@ -73,7 +73,7 @@ def shots(browser: Browser, page: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def _prepare(page: Page) -> None:
-    """Go to the moment before the event, without paths of this machine and of this day."""
+    """Go to the moment before the event, and remove paths of this machine and the date from the page."""
     page.evaluate(
         "for (const each of document.querySelectorAll('.session .copyline, .session dl div'))"
         "  if (each.matches('.copyline') || each.textContent.startsWith('written')) each.remove();"
@@ -88,7 +88,7 @@ def _prepare(page: Page) -> None:
 
 
 def _small(content: bytes) -> bytes:
-    """The same picture with as many colours as fit into the size."""
+    """Return the same picture with as many colours as fit into the size."""
     image = Image.open(io.BytesIO(content)).convert("RGB")
     for colours in (256, 128, 64, 32):
         stream = io.BytesIO()

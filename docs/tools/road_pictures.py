@@ -1,9 +1,9 @@
 """Make the sheets in explanation/roads.md: a finding on each kind of road that highway-env has, and its junctions.
 
-For roads.png random scenarios run against a vehicle that keeps its lane and its speed; the first collision for which it
-is responsible is pictured, half a second before the impact. For junctions.png the ways of other traffic are drawn with
-the zones in which they meet the ego's; ``--junctions`` makes that sheet alone, of the environments that are named after
-it or else of highway-env's. It needs Pillow besides the plugin:
+roads.png has random scenarios with an ego that keeps its lane and its speed: the first collision for which it is
+responsible, half a second before the impact. junctions.png has the ways of other traffic, with the zones in which they
+meet the ego's way. ``--junctions`` makes only this sheet, for the environments that are named after it, or for
+highway-env's. It needs Pillow in addition to the plugin:
 ``python -m pip install ".[report]" && python docs/tools/road_pictures.py``.
 """
 
@@ -38,17 +38,17 @@ ENVIRONMENTS = (
 COLUMNS = 2
 TITLE = 30
 MARGIN = 10
-"""Left above and below the lanes of pictures that stand side by side [pixels]."""
+"""Space above and below the lanes of pictures that are side by side [pixels]."""
 RUNS = 25
-"""Random scenarios of an environment, at most."""
+"""The largest number of random scenarios for an environment."""
 BEFORE_IMPACT = 0.5
-"""How long before the impact the picture is taken [s]."""
+"""The time of the picture before the impact [s]."""
 EARLIEST = 3.0
-"""Impacts before this time show little of a manoeuvre [s]."""
+"""Earlier impacts are not used, because they show little of a manoeuvre [s]."""
 
 
 def found(world: World) -> Trace:
-    """A run in which the ego is responsible for a collision, with a cut-in if there is one among the first."""
+    """Return a run in which the ego is responsible for a collision, with a cut-in if one is found early."""
     rng, space = np.random.default_rng(1), space_of(world)
     best: tuple[int, Trace] | None = None
     for _ in range(RUNS):
@@ -66,7 +66,7 @@ def found(world: World) -> Trace:
 
 
 def picture(env_id: str) -> Image.Image:
-    """The picture of one environment."""
+    """Draw the picture of one environment."""
     world = World(env_id, duration=15.0)
     trace = found(world)
     failure = Failure(kind="AssertionError", assertion="assert not run.collision")
@@ -78,7 +78,7 @@ def picture(env_id: str) -> Image.Image:
 
 
 def row(names: Sequence[str]) -> Image.Image:
-    """Pictures side by side, without the paper above and below the lanes of all of them."""
+    """Put pictures side by side, and cut the empty space above and below the lanes of all of them."""
     pictures = [picture(name) for name in names]
     wide = Image.new("RGB", (COLUMNS * WIDTH, pictures[0].height), PAPER)
     for number, each in enumerate(pictures):
@@ -105,25 +105,25 @@ JUNCTIONS: Sequence[tuple[str, dict[str, str]]] = (
     ("intersection-v0", {"destination": "o3"}), ("roundabout-v0", {}),
 )  # fmt: skip
 SIDE, WORDS = 560, 155
-"""Of the picture of a junction, and the height of what is written below it [pixels]."""
+"""Side length of the picture of a junction, and height of the text below it [pixels]."""
 AROUND = 18.0
-"""How far beyond its zones a junction is drawn [m]."""
+"""The distance around its zones up to which a junction is drawn [m]."""
 KINDS = {"crossing": "#d9480f", "oncoming": "#2563eb", "merging": "#15803d"}
 OWN, LANE, TEXT = "#111418", "#dfe3e7", "#171b20"
 SHIFT = 0.35
-"""How far beside the middle of its lane a way is drawn, each another time as far, so that all can be seen [m]."""
+"""The sideways distance between drawn ways, which would otherwise cover each other [m]."""
 
 Points = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 
 
 def beside(points: Points, shift: float) -> Points:
-    """A line so far to the right of another [m]."""
+    """Shift a line to the right by a distance [m]."""
     along = np.gradient(points, axis=0)
     return points + shift * np.stack([-along[:, 1], along[:, 0]], axis=-1) / np.hypot(*along.T)[:, None]
 
 
 def junction(env_id: str, config: dict[str, str]) -> Image.Image:
-    """The ways through a junction, thick where they meet the ego's way, which is black."""
+    """Draw the ways through a junction, thick in their zones. The ego's way is black."""
     world = World(env_id, config or None)
     crossings, known, road = world.crossings, world.rules.junction, world.road
     if crossings is None or known is None:
@@ -159,7 +159,7 @@ def junction(env_id: str, config: dict[str, str]) -> Image.Image:
 
 
 def junctions(names: Sequence[str]) -> Image.Image:
-    """The sheet of junctions."""
+    """Draw the sheet of junctions."""
     pictures = [junction(*each) for each in ([(name, {}) for name in names] or JUNCTIONS)]
     height = SIDE + WORDS
     sheet = Image.new("RGB", (2 * SIDE, height * ((len(pictures) + 1) // 2)), PAPER)
