@@ -1,6 +1,6 @@
 """Write the table of explanation/gallery.md and its pictures, from the situations of the tests.
 
-Run it after a change of either: ``python docs/tools/gallery.py``. It needs nothing besides the plugin.
+Run it after a change of the situations or the rules: ``python docs/tools/gallery.py``. It needs only the plugin.
 """
 
 from __future__ import annotations
@@ -101,10 +101,10 @@ def _junction(trace: Trace) -> str:
         strip = [Box(*map(float, each)) for each in zip(along, across, angles, states[:, SPEED], strict=True)]
         left = MARGIN + number * (pixels + MARGIN)
         speeds = (f"{box.speed:.1f} m/s" for box in strip[:2])
-        told = "".join(
+        written = "".join(
             f'<tspan dx="7" fill="{colour}">{text}</tspan>' for text, colour in zip(speeds, COLOURS, strict=False)
         )
-        parts.append(f'<text x="{left}" y="{MARGIN + LINE - 4}">{tick / trace.physics_hz:.1f} s{told}</text>')
+        parts.append(f'<text x="{left}" y="{MARGIN + LINE - 4}">{tick / trace.physics_hz:.1f} s{written}</text>')
         roads = "".join(f'<use href="#r" {stroke}/>' for stroke in STROKES)
         cars = "".join(_car(box, COLOURS[min(each, 2)]) for each, box in enumerate(strip) if _is_seen(box))
         hit = _impact(strip) if tick == trace.ticks else ""
@@ -262,8 +262,8 @@ def _caption(time: float, strip: list[Box]) -> str:
     ego, npc = strip[:2]
     far = f", {abs(npc.along):.0f} m {'ahead' if npc.along > 0 else 'behind'}" if abs(npc.along) > FARTHEST else ""
     speeds = (f"ego {ego.speed:.1f} m/s", f"NPC {npc.speed:.1f} m/s{far}")
-    told = (f'<tspan dx="9" fill="{colour}">{text}</tspan>' for text, colour in zip(speeds, COLOURS, strict=False))
-    return f"{time:.1f} s{''.join(told)}"
+    written = (f'<tspan dx="9" fill="{colour}">{text}</tspan>' for text, colour in zip(speeds, COLOURS, strict=False))
+    return f"{time:.1f} s{''.join(written)}"
 
 
 def main() -> None:

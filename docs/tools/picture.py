@@ -71,7 +71,7 @@ def session(folder: Path) -> str:
     environment["COLUMNS"] = str(COLUMNS)
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
     if "saved as" not in done.stdout:
-        raise SystemExit(f"{found[1]}: expected a find, received this:\n{done.stdout}{done.stderr}")
+        raise SystemExit(f"{found[1]}: expected a finding, received this:\n{done.stdout}{done.stderr}")
     return f"\033[1;32m$\033[0m \033[1m{found[1]}\033[0m\n{done.stdout}"
 
 
