@@ -1,4 +1,4 @@
-"""What the parts of a search contribute: one changed at a time, at equal simulated time.
+"""What does each part of a search contribute? One is changed at a time, at equal simulated time.
 
     python -m tests.benchmarks.ablation [--runs 20] [--hours 3] [--workers 2] [--tables collisions failures]
         [--searches NAME ...]
@@ -29,7 +29,7 @@ from tests.benchmarks.positive_controls import NOT_RUN_COLLISION
 
 TABLES = ("collisions", "failures")
 ENDLESS = 100_000
-"""Generations; the simulated time ends a run before."""
+"""The number of generations, never reached because the simulated time ends a run before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ COLLISIONS: Mapping[str, Variant] = {
     "4 NPCs": replace(DEFAULT, space=SearchSpace(npcs=4)),
 }
 WIDE = SearchSpace(**drawn_space(Highway(), {}))
-"""What the default search draws from, where the paper's algorithm keeps to the paper's space."""
+"""The space that the default search samples; the paper's algorithm uses the paper's space."""
 DISTINCT = Variant(algorithm=DistinctSearch, space=WIDE)
 FAILURES: Mapping[str, Variant] = {
     "random": Variant(algorithm=RandomSearch, space=WIDE),
@@ -85,7 +85,7 @@ FAILURES: Mapping[str, Variant] = {
 
 @dataclass
 class Tally:
-    """What one run came to."""
+    """The counts of one run."""
 
     runs: int = 0
     collisions: int = 0
@@ -95,7 +95,7 @@ class Tally:
 
 
 def measured(named: tuple[str, bool], seed: int, hours: float) -> Tally:
-    """One search of so many simulated hours, with blame by a row of the second table, else by one of the first."""
+    """Run a search for some simulated hours, with blame if it is from the second table."""
     name, blame = named
     variant, tally = (FAILURES if blame else COLLISIONS)[name], Tally()
     fitness = resolve(variant.fitness, responsible=is_ego_responsible if blame else None)
@@ -130,7 +130,7 @@ def measured(named: tuple[str, bool], seed: int, hours: float) -> Tally:
 
 
 def mean(values: Sequence[float], digits: int, scale: float = 1.0) -> str:
-    """With the standard error of the mean."""
+    """Format the mean with its standard error."""
     spread = statistics.stdev(values) / len(values) ** 0.5 if len(values) > 1 else 0.0
     return f"{statistics.mean(values) * scale:.{digits}f} ± {spread * scale:.{digits}f}"
 

@@ -2,13 +2,13 @@
 
     python -m tests.benchmarks.bisect [--seeds 5] [--first-seed 0] [--commits 20] [--runs 200] [--tune]
 
-Makes a repository for each seed: a planner in a package, whose commits rename, describe and move something, and one of
-which has a defect. In two of five histories a row of commits does not import, in the middle, where the first trial is;
-it does not end right before the bad one, where nobody could tell which of them it was. With ``--tune`` other commits
-change the planner's speed by 0.05 m/s, so that a scenario may begin to fail elsewhere than with the defect. Then it
-searches with the last commit against the first, as a user does, and gives each finding to the command, the worst first,
-until one is accepted; where none is, as the situation does not come up with the first commit, with ``--any-pass``.
-Prints what the command told, in how many sessions and seconds, and to stderr all that it printed.
+Makes a repository for each seed: a planner in a package. Its commits rename, describe and move something, and one of
+them has a defect. In two of five histories, some commits in a row cannot be imported. They are in the middle, where the
+first trial is, and do not end right before the bad commit, because then the answer would be ambiguous. With ``--tune``,
+other commits change the planner's speed by 0.05 m/s, so that a scenario may begin to fail at a commit without the
+defect. Then it searches with the last commit against the first, as a user does, and passes each finding to the command,
+the worst first, until one is accepted; if none is, because the situation does not occur with the first commit, it adds
+``--any-pass``. Prints the command's answer, its sessions and seconds, and to stderr all its output.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def history(seed: int, commits: int, *edits: str) -> Iterator[tuple[str, bool, d
 
 
 def made(root: Path, seed: int, commits: int, *edits: str) -> tuple[str, str]:
-    """Make the repository of a seed; the hashes of its first commit and of the bad one."""
+    """Make the repository of a seed; return the hashes of its first commit and of the bad one."""
     guilty = ""
     _run(root, "git", "init", "--quiet")
     (root / "test_safety.py").write_text(TEST)
@@ -113,7 +113,7 @@ def made(root: Path, seed: int, commits: int, *edits: str) -> tuple[str, str]:
 
 
 def findings(root: Path, seed: int, runs: int) -> list[str]:
-    """Search with the last commit against the first; the files of what is found, the worst first."""
+    """Search with the last commit against the first; return the files of the findings, the worst first."""
     planner = PLANNER.format(**FIRST).partition("\n\n\n")[2]
     (root / "before.py").write_text(SETTINGS.format(**FIRST) + planner)
     search = [
@@ -128,7 +128,7 @@ def findings(root: Path, seed: int, runs: int) -> list[str]:
 
 
 def bisected(root: Path, file: str, good: str, *more: str) -> tuple[int, str, int]:
-    """Exit code of the command, the commits that it told, and in how many sessions."""
+    """Run the command; return its exit code, the commits in its answer, and its number of sessions."""
     command = [sys.executable, "-m", "pytest_pafot", "bisect", file, "--good", good, "--policy", "policy", *more]
     done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
     print(f"{done.stdout}{done.stderr}", file=sys.stderr)
@@ -137,7 +137,7 @@ def bisected(root: Path, file: str, good: str, *more: str) -> tuple[int, str, in
 
 
 def row(seed: int, runs: int, commits: int, *edits: str) -> list[object]:
-    """Make a history, search, and look for the bad commit: a row of the table."""
+    """Make a history, search, find the bad commit, and return a row of the table."""
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
         root = Path(folder) / "project"
         root.mkdir()

@@ -1,11 +1,11 @@
-"""What a session makes of ADSs that are broken in many ways: is each contained, and named?
+"""What happens in a session when an ADS is broken? Is each kind of failure contained and named?
 
     python -m tests.benchmarks.broken_ads [--kinds NAME ...] [--modes serial workers xdist isolate] [--seconds 90]
 
-Each kind is searched in a session of its own, beside a test that must pass in the same session, and in each mode.
-Prints a Markdown table: the exit status of the session (124: it was killed after ``--seconds``), whether the other test
-passed, how long it took, and what the session named. A session that an ADS ends is followed by one more, whose answer
-is shown instead: what was in flight is its to name.
+Each kind is searched in its own session, next to a test that must pass in the same session, and in each mode. Prints a
+Markdown table: the exit status of the session (124: it was killed after ``--seconds``), whether the other test passed,
+how long it took, and what the session named. If an ADS ends the session, a second session follows and its answer
+appears instead, because it must name the scenario that was in flight.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ ELSEWHERE = {
     for name, body in (HANGS | DIES | MEDDLES).items()
     if name in HANGS | DIES or "descriptors" in name or "forks" in name or "memory" in name or "stdout" in name
 }
-"""What ends processes, or comes between a session and its own, where the session itself goes on."""
+"""Kinds that end processes, or that interfere with the session's own processes."""
 STARTS = {f"{name}, at first": body for name, body in list(RAISES.items())[:2] + list(RETURNS.items())[:1]}
 
 TEST = """
@@ -203,12 +203,12 @@ TELLING = (
     re.compile(r"Fatal Python error|^!+ .* !+$"),
     re.compile(r"^ +(?:warning|note): (?!--pafot-workers)"),
 )
-"""What a session names, the clearest first."""
+"""Patterns of what a session names, the clearest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Session:
-    """How a session ended: its exit status, whether the other test passed, what it named, and how long it took [s]."""
+    """The end of a session: its exit status, whether the other test passed, what it named, and how long it took [s]."""
 
     status: int
     is_other_passed: bool
@@ -217,7 +217,7 @@ class Session:
 
 
 def kinds() -> dict[str, str]:
-    """The test file of each kind."""
+    """Return the test file of each kind."""
     late = RAISES | {f"returns {name}": body for name, body in RETURNS.items()} | HANGS | DIES | MEDDLES | ELSEWHERE
     sources = {name: _source(body) for name, body in late.items()}
     sources |= {name: _source(body, when="-1") for name, body in STARTS.items()}
@@ -230,7 +230,7 @@ def _source(body: str, *, when: str = "1", factory: str = "pass") -> str:
 
 
 def session(folder: Path, options: Sequence[str], seconds: float) -> Session:
-    """Run pytest in a folder, without plugins but this one and those of the options."""
+    """Run pytest in a folder, with only this plugin and those of the options."""
     command = [sys.executable, "-m", "pytest", "-p", "pafot", "-v", "-rfE", "--pafot-runs=8", "--pafot-seed=1"]
     environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200", "CI": ""}
     environment["TMPDIR"] = str(folder / "tmp")
@@ -245,7 +245,7 @@ def session(folder: Path, options: Sequence[str], seconds: float) -> Session:
         except subprocess.TimeoutExpired:
             status = 124
         seconds = time.monotonic() - began
-        with suppress(ProcessLookupError):  # what the ADS has started and left behind
+        with suppress(ProcessLookupError):  # the ADS may have left processes
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
     text = (folder / "output").read_text(errors="replace")
@@ -255,7 +255,7 @@ def session(folder: Path, options: Sequence[str], seconds: float) -> Session:
 
 
 def row(name: str, source: str, mode: str, seconds: float) -> str:
-    """The row of a kind in a mode."""
+    """Return the row of a kind in a mode."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         (folder / "test_broken.py").write_text(source)

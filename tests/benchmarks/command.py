@@ -1,4 +1,4 @@
-"""What the programs of this folder share: options by their defaults, searches in processes, heads of tables."""
+"""Shared parts of the programs in this folder: options from their defaults, searches in processes, table headings."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ ResultT = TypeVar("ResultT")
 
 @dataclass(frozen=True, slots=True)
 class BeforeSearch(DistinctSearch):
-    """The default search before it told runs apart by what the ego had to do, and drew random ones all the time."""
+    """The default search before it distinguished runs by the demand on the ego, and sampled new ones throughout."""
 
     name: ClassVar[str] = "before"
 
     fresh: float = field(default=0.0, kw_only=True)
 
     def learn(self, state: DistinctState, evaluations: Sequence[Evaluation], rng: Generator) -> DistinctState:
-        """As the search does of runs that made the ego do nothing."""
+        """Learn as the search does from runs that demanded nothing of the ego."""
         return DistinctSearch.learn(self, state, [replace(each, demand=(0, 0, False)) for each in evaluations], rng)
 
 
 SCENARIOS_BEFORE: Mapping[str, Any] = {"traffic": "paper", "npcs": 4, "gene_seconds": 10.0}
-"""Arguments of ``pafot.explore`` for scenarios as they were before NPCs were attentive and sizes were drawn."""
+"""Arguments of ``pafot.explore`` for scenarios as they were before attentive NPCs and sampled sizes."""
 BEFORE: Mapping[str, Any] = {"algorithm": BeforeSearch, **SCENARIOS_BEFORE}
-"""For the default search as it was then."""
+"""Arguments of ``pafot.explore`` for the default search at that time."""
 
 
 def options(about: str | None, **defaults: Any) -> argparse.Namespace:
-    """What the command line says.
+    """Parse the command line.
 
     Args:
-        about: the docstring of the program.
-        defaults: of each option. A text or a number is one of its kind, and False a switch. Of several names some may
-            be chosen; of a list, other texts may be given as well.
+        about: The docstring of the program.
+        defaults: The default of each option. A text or number sets the option's type, and False makes it a switch. From
+            several names, some may be chosen; a list also allows other texts.
     """
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, default in defaults.items():
@@ -59,14 +59,14 @@ def options(about: str | None, **defaults: Any) -> argparse.Namespace:
 
 
 def seeds_of(given: argparse.Namespace) -> range:
-    """Of the options ``seeds`` and ``first_seed``."""
+    """Return the seeds of the options ``seeds`` and ``first_seed``."""
     return range(given.first_seed, given.first_seed + given.seeds)
 
 
 def in_processes(
     workers: int, function: Callable[..., ResultT], keys: Iterable[KeyT], seeds: Iterable[int], *more: Any
 ) -> Iterator[tuple[KeyT, list[ResultT]]]:
-    """Each key with what ``function(key, seed, *more)`` returns for each seed, as soon as that is there."""
+    """Yield each key with the results of ``function(key, seed, *more)`` for each seed, as soon as they are there."""
     with ProcessPoolExecutor(workers) as pool:
         jobs = {key: [pool.submit(function, key, seed, *more) for seed in seeds] for key in keys}
         for key, futures in jobs.items():
@@ -74,15 +74,15 @@ def in_processes(
 
 
 def as_they_end(workers: int, function: Callable[..., ResultT], tasks: Iterable[tuple[Any, ...]]) -> Iterator[ResultT]:
-    """Yield what ``function(*task)`` returns for each of the tasks, which begin in their order, as soon as it ends."""
+    """Yield the result of ``function(*task)`` for each task as soon as it ends; the tasks start in order."""
     pool = ProcessPoolExecutor(workers)
     try:
         for done in as_completed([pool.submit(function, *task) for task in tasks]):
             yield done.result()
-    finally:  # An error or Ctrl-C does not wait for hours of tasks that have not begun.
+    finally:  # On an error or Ctrl-C, do not wait for hours for tasks that have not begun.
         pool.shutdown(cancel_futures=True)
 
 
 def print_head(*columns: str) -> None:
-    """The head of a table."""
+    """Print the head of a table."""
     print(f"| {' | '.join(columns)} |\n|{' --- |' * len(columns)}", flush=True)

@@ -1,13 +1,13 @@
-"""How well NPCs that cross keep their slots, and what becomes of random runs at junctions.
+"""How well do NPCs that cross keep their slots, and how do random runs at junctions end?
 
     python -m tests.benchmarks.crossing [--worlds intersection-v0 roundabout-v0] [--egos steady own idm careful-human]
         [--runs 200] [--seed 1] [--npcs 2] [--acts pass hold stop]
 
-Scenarios are drawn without a search: as many NPCs as are asked for, at random zones with slots of at most 2.5 s, none
-of which clash. Egos: one that keeps its speed whatever happens, a policy of the environment that goes on at its speed,
-highway-env's own IDM+MOBIL, and a reference driver. Prints for each of them the shares of runs by how they ended, and
-how far slots were missed by NPCs that pass, of which both were through the zone before the run ended: median, nine
-tenths, and all.
+The scenarios are random, without a search: they have the requested number of NPCs, at random zones with slots of at
+most 2.5 s, and no two NPCs clash. Egos: one that keeps its speed whatever happens, a policy of the environment that
+keeps its speed, highway-env's own IDM+MOBIL, and a reference driver. Prints for each ego the shares of runs by their
+outcome, and how far NPCs that pass missed their slots, if both vehicles were through the zone before the run ended:
+median, nine tenths, and all.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from tests.benchmarks.command import options
 WORLDS = ("intersection-v0", "intersection-v1", "roundabout-v0")
 ACTS = ("pass", "hold", "stop", "late")
 WIDEST = 2.5
-"""Of the slots that are drawn [s]."""
+"""The widest slot to sample [s]."""
 IDLE = 1
-"""What a policy decides that goes on at its speed."""
+"""The decision of a policy that keeps its speed."""
 
 
 class Steady(ControlledVehicle):  # type: ignore[misc]
-    """Keeps to its route and its first speed."""
+    """Keep the route and the first speed."""
 
     first: float | None = None
 
     def act(self, action: Any = None) -> None:
-        """Steer, and do not brake for what the rules of highway-env's roads ask of it either."""
+        """Steer, and ignore highway-env's rules for its roads, which would brake."""
         self.first = self.target_speed = self.speed if self.first is None else self.first
         super().act()
 
@@ -52,7 +52,7 @@ DRIVERS = (*EGOS, *REFERENCES)
 
 
 def drawn(world: World, rng: Generator, npcs: int, acts: list[str]) -> Scenario:
-    """A scenario of so many NPCs that fits the world, and in which none of them clash."""
+    """Return a random scenario that fits the world, in which no NPCs clash."""
     lane, speed = world.start or (0, 0.0)
     ways, fastest = sorted(world.crossings.ways), min(world.speed_limit, 10.0)
     while True:
@@ -74,7 +74,7 @@ def drawn(world: World, rng: Generator, npcs: int, acts: list[str]) -> Scenario:
 
 
 def missed(trace: Trace) -> list[float]:
-    """By how much each NPC that passes missed its slot [s], where ego and NPC were through the zone in the end."""
+    """Return how far each passing NPC missed its slot [s], if the ego and the NPC both left the zone."""
     found = []
     for npc, (instruction, zone) in enumerate(zip(trace.scenario.crossings, trace.zones, strict=True)):
         if instruction is None or zone is None or trace.on_way is None or instruction.act != "pass":
@@ -96,7 +96,7 @@ def missed(trace: Trace) -> list[float]:
 
 
 def measured(world: World, ego: str, scenarios: list[Scenario], tell: Callable[[Trace], str]) -> None:
-    """Print what became of scenarios with an ego."""
+    """Print how scenarios with an ego ended."""
     counts: Counter[str] = Counter()
     errors: list[float] = []
     spent = 0.0
@@ -120,7 +120,7 @@ def main() -> None:
         world, rng = World(env_id), np.random.default_rng(given.seed)
         scenarios = [drawn(world, rng, given.npcs, given.acts) for _ in range(given.runs)]
         for ego in given.egos:
-            if env_id != "intersection-v1" or ego != "own":  # which decides in numbers
+            if env_id != "intersection-v1" or ego != "own":  # its policy decides in numbers
                 measured(world, ego, scenarios, lambda trace: str(trace.outcome))
 
 

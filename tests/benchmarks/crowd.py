@@ -1,4 +1,4 @@
-"""More NPCs than a scenario can have, for the kernel's loop alone."""
+"""A scenario with more NPCs than allowed, only for the kernel's loop."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ SECONDS, HZ, SPACING = 60, 15, 30.0
 
 
 class Crowd(Scenario):
-    """A scenario of any number of NPCs, whose chains are empty."""
+    """A scenario with any number of NPCs, whose chains are empty."""
 
     positions = ()
 
     def __post_init__(self) -> None:
-        """Unchecked."""
+        """Check nothing."""
 
 
 def crowd(count: int) -> tuple[Loop, PlannerPilot, int]:
-    """So many NPCs that keep lane and speed around an ego, four side by side every 30 m.
+    """Return a loop with NPCs that keep lane and speed around an ego, four side by side every 30 m.
 
-    They follow each other, are recorded and tested for contact as in every run.
+    They follow each other, are recorded and are tested for contact as in every run.
     """
     road = StraightRoad.uniform(4, 10_000.0, 4.0, 26.8)
-    director = Director(  # their chains are over, so that no gene begins
+    director = Director(  # empty chains, so that no gene begins
         Crowd(npcs=((),) * count),
         road,
         NpcLimits(),

@@ -3,15 +3,15 @@
     python -m tests.benchmarks.distinctness [--seeds 10] [--first-seed 0] [--runs 400] [--workers 2]
         [--of first|second|development] [--policies NAME ...]
 
-Searches policies whose defects are known, and asks of each failing run which defect is to blame: the one whose repair
-alone makes the scenario pass. The policies are those of ``policies_with_defects``, after a look at which it was chosen
-what one mistake is; or those of ``policies_with_defects_2``, at which nobody had looked; or those of
-``example_ads.defects``, and combinations of them, on which what tells findings apart was developed.
+Searches policies whose defects are known, and decides for each failing run which defect is to blame: the one whose
+repair, without any other, makes the scenario pass. The policies are those of ``policies_with_defects``, which
+influenced what counts as one mistake; or those of ``policies_with_defects_2``, which influenced nothing; or those of
+``example_ads.defects``, and combinations of them, on which the rules that separate findings were developed.
 
-Prints for each policy the findings of each search, in how many searches each defect has a finding of its own, and in
-how many there is no other; the V-measure of its failing runs (Rosenberg and Hirschberg 2007; classes: defects,
-clusters: findings, each run in that which it counts for; without runs that no single repair, or more than one, makes
-pass), mean of the searches; and what the findings of each defect are called: the confusion matrix.
+Prints for each policy the findings of each search, in how many searches each defect has its own finding, and in how
+many there is no other; the V-measure of its failing runs (Rosenberg and Hirschberg 2007; classes: defects, clusters:
+findings, each run in the one that it counts for; without runs that no single repair, or more than one, makes pass),
+mean of the searches; and the names of each defect's findings: the confusion matrix.
 """
 
 from __future__ import annotations
@@ -45,28 +45,28 @@ COMBINED = (
     ("sees-cut-ins-late", "ignores-standing-vehicles", "looks-only-ahead"),
     ("brakes-for-ghosts", "stops-in-its-lane", "sees-cut-ins-late"),
 )
-"""Of the policies of ``example_ads.defects``, besides each alone."""
+"""Combinations of the policies of ``example_ads.defects``, in addition to the single policies."""
 
 SETS = {"first": policies_with_defects, "second": policies_with_defects_2}
 
 Label = frozenset[str]
-"""Defects of which the repair of any one makes a scenario pass."""
+"""Defects, each of whose repairs makes a scenario pass."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A policy, its defects, and how it is made with some of them repaired."""
+    """A policy, its defects, and a factory of the policy with some of them repaired."""
 
     name: str
     defects: tuple[str, ...]
     make: Callable[[Sequence[str]], Any]
 
     def label(self, scenario: Scenario) -> Label:
-        """The defects that are to blame for a failing scenario."""
+        """Return the defects that are to blame for a failing scenario."""
         return frozenset(each for each in self.defects if not self._fails(scenario, (each,)))
 
     def signature(self, scenario: Scenario) -> Signature:
-        """Of what the policy with all of its defects shows in a scenario."""
+        """Return the signature of the run of the policy with all its defects."""
         return of_failure(self._run(scenario, ()), NOT_RUN_COLLISION)
 
     def _fails(self, scenario: Scenario, repaired: Sequence[str]) -> bool:
@@ -78,20 +78,20 @@ class Subject:
 
 @dataclass(frozen=True)
 class Searched:
-    """One search: what tells each finding, and each failing run, with its label."""
+    """One search: the signature and label of each finding and of each failing run."""
 
     findings: list[tuple[Signature, Label]]
     runs: list[tuple[Signature, Label]]
 
 
 def combined(names: Sequence[str], repaired: Sequence[str]) -> type[Any]:
-    """A vehicle class with the defects of several that are not repaired; the healthy one where none is left."""
+    """Return a vehicle class with the unrepaired defects of several policies; the healthy one if none is left."""
     left = [defects.make(name) for name in names if name not in repaired]
     return type("Combined", tuple(left), {}) if left else defects.make("healthy")
 
 
 def subjects(of: str) -> dict[str, Subject]:
-    """By name."""
+    """Return the subjects by name."""
     if of in SETS:
         policies: Any = SETS[of]
         return {
@@ -103,7 +103,7 @@ def subjects(of: str) -> dict[str, Subject]:
 
 
 def searched(name: str, seed: int, options: argparse.Namespace) -> Searched:
-    """One search, with its labels."""
+    """Run a search and label its findings and failing runs."""
     subject = subjects(options.of)[name]
     failing = {}
 
@@ -126,7 +126,7 @@ def searched(name: str, seed: int, options: argparse.Namespace) -> Searched:
 
 
 def v_measure(classes: Sequence[Hashable], clusters: Sequence[Hashable]) -> float:
-    """Harmonic mean of homogeneity and completeness, 0 to 1; 1 where there is nothing to tell apart and it was not."""
+    """Return the harmonic mean of homogeneity and completeness, 0 to 1; 1 if everything is correctly one group."""
 
     def entropy(labels: Iterable[Hashable]) -> float:
         counts = Counter(labels)
@@ -140,13 +140,13 @@ def v_measure(classes: Sequence[Hashable], clusters: Sequence[Hashable]) -> floa
 
 
 def agreement(search: Searched) -> float | None:
-    """The V-measure of a search; None where no run has one defect to blame."""
+    """Return the V-measure of a search, or None if no run has exactly one defect to blame."""
     told = [(label, signature) for signature, label in search.runs if len(label) == 1]
     return v_measure(*zip(*told, strict=True)) if told else None
 
 
 def report(subject: Subject, searches: Sequence[Searched]) -> str:
-    """A row of the table, and the confusion matrix where there is something to confuse."""
+    """Return a row of the table, and the confusion matrix if the policy has several defects."""
     counts = [len(search.findings) for search in searches]
     complete = [has_each(subject.defects, [label for _, label in search.findings]) for search in searches]
     exact = sum(each and count == len(subject.defects) for each, count in zip(complete, counts, strict=True))
@@ -161,13 +161,13 @@ def report(subject: Subject, searches: Sequence[Searched]) -> str:
 
 
 def has_each(wanted: Sequence[str], labels: Sequence[Label]) -> bool:
-    """Whether each defect has a finding of its own."""
+    """Return whether each defect has its own finding."""
     chosen = permutations(labels, len(wanted))
     return any(all(name in label for name, label in zip(wanted, each, strict=True)) for each in chosen)
 
 
 def told(signature: Signature) -> str:
-    """What a signature says that a user sees."""
+    """Return the part of a signature that a user sees."""
     return signature.mistake or signature.slug
 
 

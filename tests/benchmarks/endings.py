@@ -1,12 +1,12 @@
-"""How do random runs end, and by whose fault? Five sound policies in the traffic of each style.
+"""How do random runs end, and whose fault is it? Five sound policies in the traffic of each style.
 
     python -m tests.benchmarks.endings [--policies NAME ...] [--styles paper hostile ...] [--runs 2000] [--first-seed 0]
         [--workers 2]
 
-The scenarios are those that the default search draws, in a traffic of the style. Prints for each policy and style how
-many runs passed, how many ended by a collision that the ego answers for and by one that an NPC answers for, by the
-ego's side that was hit, how many ended otherwise, how long they were in the mean, and how many of the genes that began
-reached their cell, with those of the cell behind apart.
+The scenarios are sampled as in the default search, in traffic of the style. Prints for each policy and style how many
+runs passed, how many ended in a collision for which the ego or an NPC is responsible, by the ego's side that was hit,
+how many ended otherwise, their mean length, and how many of the genes that began reached their cell, with the cell
+behind listed separately.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SIDES = ("front", "rear", "left", "right")
 
 
 def counted(pair: tuple[str, str], chunk: int, first_seed: int) -> Counter[str]:
-    """How the runs of some scenarios ended."""
+    """Count the endings of the runs of some scenarios."""
     policy, style = pair
     world, ads = pafot.Highway(ads_hz=15), POLICIES[policy]()
     space = space_on(world, {**drawn_space(world, {}), "traffic": Traffic.of(style)})
@@ -59,14 +59,14 @@ def counted(pair: tuple[str, str], chunk: int, first_seed: int) -> Counter[str]:
 
 
 def ending(run: pafot.Run) -> str:
-    """What a run ended by, in a word or three."""
+    """Return a run's ending in up to three words."""
     if run.collision is None:
         return str(run.outcome)
     return f"{run.responsibility} {run.collision.side}"
 
 
 def row(policy: str, style: str, counts: Counter[str]) -> str:
-    """A line of the table."""
+    """Return a row of the table."""
     share = lambda count, of="runs": f"{count / max(counts[of], 1):.1%}"  # noqa: E731
     others = sum(count for name, count in counts.items() if name.split()[0] in ("both", "none", "shared", "unclear"))
     cells = [

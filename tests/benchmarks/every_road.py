@@ -1,14 +1,14 @@
 """Does a search run on every road of highway-env? IDM and constant speed on each registered environment.
 
-The straight roads are there to compare with.
+The straight roads are for comparison.
 
     python -m tests.benchmarks.every_road [--seeds 5] [--generations 10] [--environments merge-v1 ...]
         [--check-every 1]
 
-A short search per environment, ego and seed. Prints how many genes are reached, how many runs are invalid or end
-without a collision, and the collisions by signature; versions of an environment of which all that is equal share a row.
+Makes a short search for each environment, ego and seed. Prints how many genes are reached, how many runs are invalid or
+end without a collision, and the collisions by signature; versions of an environment with equal results share a row.
 Checks the NPC limits and the fixed point of every n-th run, and confirms every collision by ``env.step``. Prints how
-many runs and collisions these were, and ends with an error where one of these fails.
+many runs and collisions it checked, and ends with an error if one of the checks fails.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from tests.helpers.road_cases import ENVIRONMENTS, space_of, violations
 STRAIGHT = ("highway-v0", "highway-fast-v0")
 
 EGOS: dict[str, Callable[[], Any]] = {"idm": lambda: IDMVehicle, "constant": lambda: ControlledVehicle}
-"""``ControlledVehicle`` keeps its lane and its speed: a constant speed on roads that bend."""
+"""The egos; ``ControlledVehicle`` keeps its lane, so it can keep a constant speed on roads that bend."""
 
 FITNESS = resolve("default")
 
@@ -58,7 +58,7 @@ class Tally:
     faults: list[str] = field(default_factory=list)
 
     def evaluate(self, scenario: Scenario) -> Evaluation:
-        """Simulate and judge."""
+        """Simulate and evaluate a scenario."""
         trace = self.world.rollout(scenario, self.ego)
         if self.runs % self.check_every == 0:
             self._check(trace)
@@ -91,7 +91,7 @@ class Tally:
             self.faults.append(f"{trace.executed.canonical()}: not confirmed, {differs}")
 
     def cells(self) -> str:
-        """What the table tells."""
+        """Return the cells of the table's row."""
         others = sorted(set(self.outcomes) - {Outcome.SAFE, Outcome.INVALID, Outcome.COLLISION})
         ends = [str(self.outcomes[Outcome.SAFE]), *(f"{self.outcomes[each]} `{each}`" for each in others)]
         finds = "; ".join(f"{count} {name}" for name, count in self.signatures.most_common())
@@ -100,14 +100,14 @@ class Tally:
 
 
 def limits_broken(trace: Trace, world: World) -> list[str]:
-    """Which limits the NPCs break, by the road's own lanes where it is not straight."""
+    """Return the limits that the NPCs break, by the road's own lanes if it is not straight."""
     if trace.track is None:
         return world_cases.violations(trace, world.limits, world.speed_limit)
     return violations(trace, world)
 
 
 def searched(env_id: str, ego: str, arguments: argparse.Namespace) -> Tally:
-    """All searches with one ego on one environment."""
+    """Run all searches with one ego on one environment."""
     tally = Tally(World(env_id), EGOS[ego], arguments.check_every)
     for seed in range(arguments.seeds):
         search = PafotSearch(space_of(tally.world))

@@ -1,16 +1,16 @@
-"""Do other tools read an exported run, and where it was? Ten finds on six roads, through every format and reader.
+"""Do other tools read an exported run, and its road? Ten findings on six roads, through every format and reader.
 
     python -m tests.benchmarks.exports [--finds DIR]
 
-Searches for collisions of an ego that keeps its lane and its speed, and has ``tests/export/test_exports.py`` read all
-of them. Prints a row for each reader: its version, how many finds it read as they were driven, and the largest
-difference in lengths [m] and speeds [m/s]. Ends with 1 where one is read otherwise. A reader that is not installed is
-told as absent; all of them are there, in a virtual environment of their own, after
+Searches for collisions of an ego that keeps its lane and its speed, and lets ``tests/export/test_exports.py`` read all
+of them. Prints a row for each reader: its version, how many findings it read as they were driven, and the largest
+difference in lengths [m] and speeds [m/s]. Ends with 1 if one is read differently. A reader that is not installed is
+reported as absent. The following commands install all of them, best in a separate virtual environment:
 
     python -m pip install asam-qc-openscenarioxml asam-qc-opendrive eclipse-sumo
     python -m pip install ".[export,commonroad]" commonroad-drivability-checker
 
-The second command puts a newer numpy in than ASAM's checkers name, of which pip complains; they work with it.
+The second command installs a newer numpy than ASAM's checkers name. pip complains, but they work with it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 import pytest_pafot as pafot
 
 ROADS = {"highway-v0": 3, "merge-v0": 2, "exit-v0": 2, "roundabout-v0": 1, "racetrack-v0": 1, "u-turn-v0": 1}
-"""How many finds are taken of each."""
+"""The number of findings to take from each road."""
 RUNS, SEED = 150, 1
 POLICY = f"{__name__ if __name__ != '__main__' else 'tests.benchmarks.exports'}:keeps_its_lane"
 TESTS = "tests/export/test_exports.py"
@@ -47,21 +47,21 @@ READERS = {
         "commonroad-drivability-checker",
     ),
 }
-"""By test: the format, what reads it, and the distribution that has it."""
+"""The readers by test: the format, the reader's name, and its distribution."""
 
 
 def keeps_its_lane() -> type[ControlledVehicle]:
-    """An ego that keeps its lane and its speed, on roads that bend as well."""
+    """Return an ego that keeps its lane and its speed, also on roads that bend."""
     return ControlledVehicle
 
 
 def holds(run: pafot.Run) -> None:
-    """Any collision is a find."""
+    """Assert that there is no collision."""
     assert not run.collision, run.explain()
 
 
 def finds(folder: Path) -> list[Path]:
-    """The files of the finds, of each road those with the first ids."""
+    """Search, and return the files of the findings; of each road, those with the first ids."""
     taken = []
     for road, count in ROADS.items():
         pafot.explore(
@@ -80,13 +80,13 @@ def finds(folder: Path) -> list[Path]:
 
 @dataclass
 class Readings:
-    """A plugin of pytest that has the tests read some finds, and keeps how they end.
+    """A plugin of pytest that has the tests read some findings, and stores the outcomes.
 
     Attributes:
-        files: of the finds.
-        ends: outcomes by test.
-        differences: that tests told, by test.
-        why: of what failed.
+        files: The findings' files.
+        ends: Outcomes by test.
+        differences: The differences that tests report, by test.
+        why: The reports of failed tests.
     """
 
     files: list[Path]
@@ -96,13 +96,13 @@ class Readings:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """Every test that reads gets these, by a mark, which replaces the files of its fixture."""
+        """Replace the files in the fixture of every test that reads, by a mark."""
         if any(test.startswith(metafunc.function.__name__) for test in READERS):
             given = [(str(file), POLICY) for file in self.files]
             metafunc.definition.add_marker(pytest.mark.parametrize("exported", given, indirect=True))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Take an end: of the call, or of what never came to it."""
+        """Store the outcome of the call, or of the phase that prevented it."""
         name, _, parameters = report.nodeid.rpartition("::")[2].partition("[")
         suffix = next((f"-{each}" for each in (".xosc", ".xodr") if each in parameters), "")
         if report.when == "call" or report.outcome != "passed":
@@ -114,7 +114,7 @@ class Readings:
 
 
 def version(distribution: str | None) -> str:
-    """Of what is installed; Python's own for none."""
+    """Return the version of an installed distribution, or Python's own for None."""
     try:
         return metadata.version(distribution) if distribution else f"Python {sys.version.partition(' ')[0]}"
     except metadata.PackageNotFoundError:
@@ -122,7 +122,7 @@ def version(distribution: str | None) -> str:
 
 
 def main() -> int:
-    """Find, export, read, and print the table; the exit code."""
+    """Find, export, read, and print the table; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--finds", type=Path, metavar="DIR", help="where the finds go, or are (default: nowhere)")
     given = parser.parse_args()

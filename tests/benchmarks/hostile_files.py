@@ -1,11 +1,12 @@
-"""What a session makes of corpus files from a stranger: is each refused or run as data, and nothing else?
+"""What does a session do with malicious corpus files? Each must be refused or run as data, and nothing else.
 
     python -m tests.benchmarks.hostile_files [--kinds NAME ...] [--modes serial workers xdist isolate] [--seconds 60]
 
-Each file is replayed in a session of its own, beside a test that must pass, and in each mode. The test fails for every
-run, so that a session that ends green has lost the file. Outside of the project lies a secret, and nothing there may be
-read into what the session writes (log, JUnit, JSON, page, summary of the job), written or deleted. Prints a Markdown
-table: the exit status (124: killed after ``--seconds``), time and memory, what went wrong, and what the session said.
+Each file is replayed in its own session, next to a test that must pass, and in each mode. The test fails for every run,
+so a session without failures has lost the file. A secret is outside the project. No session may copy anything from
+there into its output (log, JUnit, JSON, page, summary of the job), write there or delete anything there. Prints a
+Markdown table: the exit status (124: killed after ``--seconds``), time and memory, what went wrong, and the session's
+message.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from tests.benchmarks.command import options, print_head
 
 SECRET = "KEY-5f0c9a7e"
 ESCAPES = r"\e[2J\e]0;owned\a\r::error::owned\n::add-mask::owned\n##[error]owned" + "\\u202e\\u2028\\x9b31m"
-"""Text of a YAML string in double quotes: control characters, and what GitHub or Azure take for commands."""
+"""Text of a double-quoted YAML string: control characters, and commands of GitHub or Azure."""
 
 TEST = """
 import pytest_pafot as pafot
@@ -59,11 +60,11 @@ expect: {failure: AssertionError, assertion: run.duration < N, outcome: safe, ti
 found: {seed: 1234, generation: 17, algorithm: pafot, versions: {pytest-pafot: 0.1.0, numpy: 2.4.6}}
 """
 SCENARIO = "[[[[2,20.0],[2,20.0]]],0,1,22.0,5.0]"
-"""As crash records have it."""
+"""A scenario as crash records contain it."""
 
 
 class Place:
-    """A project with one corpus file, and what lies outside of it."""
+    """A project with one corpus file, and the folder outside it."""
 
     def __init__(self, folder: Path) -> None:
         self.project, self.outside, self.told = folder / "project", folder / "outside", folder / "told"
@@ -78,7 +79,7 @@ class Place:
         (self.outside / "files" / "good.pafot.yaml").write_text(f"test: {SECRET}\n" + good())
 
     def outside_now(self) -> dict[str, object]:
-        """All that lies outside, with its content and mode."""
+        """Return all files outside the project, with their content and mode."""
         paths = sorted(self.outside.rglob("*"))
         return {str(path): (path.stat().st_mode, path.read_bytes() if path.is_file() else b"") for path in paths}
 
@@ -87,7 +88,7 @@ class Place:
         self.file.write_bytes(text.encode() if isinstance(text, str) else text)
 
     def record(self, name: str, **values: object) -> None:
-        """Leave what a process leaves behind that died."""
+        """Write the record that a dead process leaves behind."""
         records = self.project / ".pytest_cache" / "d" / "pafot"
         records.mkdir(parents=True)
         scenario = json.loads(SCENARIO)
@@ -99,7 +100,7 @@ Recipe = Callable[[Place], object]
 
 
 def good(world: Mapping[str, Any] | None = None, **replaced: str) -> str:
-    """A file that can be replayed, with another world, or with other values of keys."""
+    """Return a file that can be replayed, with a different world, or with changed values of keys."""
     text = GOOD.replace("WORLD", json.dumps(world or highway()))
     for key, value in replaced.items():
         text, count = re.subn(rf"(?<![a-z]){key}: [^,}}\n]+", lambda _, new=f"{key}: {value}": new, text)  # type: ignore[misc]
@@ -109,23 +110,23 @@ def good(world: Mapping[str, Any] | None = None, **replaced: str) -> str:
 
 
 def highway(**changes: object) -> dict[str, Any]:
-    """A world of the plugin's own as plain data."""
+    """Return a world of the plugin's own as plain data."""
     return {**pafot.Highway(duration=10.0).to_dict(), **changes}
 
 
 def gym(config: Mapping[str, object] = MappingProxyType({}), **changes: object) -> dict[str, Any]:
-    """An environment as plain data."""
+    """Return an environment as plain data."""
     data = {**pafot.World("highway-fast-v0", duration=5.0).to_dict(), **changes}
     return data | {"config": {**data["config"], **config}}
 
 
 def file(text: Callable[[], str | bytes]) -> Recipe:
-    """Write a text in the place of the corpus file."""
+    """Return a recipe that writes a text as the corpus file."""
     return lambda place: place.write(text())
 
 
 def beside(what: Recipe) -> Recipe:
-    """Do something beside a file that can be replayed."""
+    """Return a recipe that writes a good file and does something in addition."""
 
     def recipe(place: Place) -> None:
         place.write(good())
@@ -153,7 +154,7 @@ def _corpus_linked_outside(place: Place) -> None:
 
 
 def _socket(place: Place) -> None:
-    here = os.open(place.folder, os.O_RDONLY)  # the path of a socket is short
+    here = os.open(place.folder, os.O_RDONLY)  # a socket's path must be short
     with socket.socket(socket.AF_UNIX) as made:
         made.bind(f"/proc/self/fd/{here}/hostile.pafot.yaml")
     os.close(here)
@@ -252,7 +253,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
 
 
 def session(place: Place, mode: str, seconds: float) -> tuple[int, float, float, str]:
-    """Run pytest in the project: its exit status, how long it took [s], its memory [MB], and what it printed."""
+    """Run pytest in the project; return its exit status, duration [s], memory [MB] and output."""
     told = place.told
     written = [f"--junitxml={told}/junit.xml", f"--pafot-json={told}/pafot.json", f"--pafot-report={told}/page.html"]
     command = [sys.executable, "-m", "pytest", "-p", "pafot", "-v", "-rA", "--pafot-generations=0", *written]
@@ -276,13 +277,13 @@ def session(place: Place, mode: str, seconds: float) -> tuple[int, float, float,
             os.killpg(process.pid, signal.SIGKILL)
         if not usage[0]:
             usage = os.wait4(process.pid, 0)
-    process.returncode = 0  # It has been waited for.
+    process.returncode = 0  # It has already been waited for.
     text = (told / "log").read_bytes().decode(errors="backslashreplace")
     return os.waitstatus_to_exitcode(status), took, usage[2].ru_maxrss / 1024, text
 
 
 def wrong(place: Place, before: dict[str, object], status: int, log: str) -> Iterator[str]:
-    """What went wrong."""
+    """Yield what went wrong."""
     if status == 0:
         yield "green"
     if not re.search(r"test_other PASSED|PASSED \S*test_other", log):
@@ -306,7 +307,7 @@ def wrong(place: Place, before: dict[str, object], status: int, log: str) -> Ite
 
 
 def row(name: str, mode: str, seconds: float) -> str:
-    """The row of a kind in a mode."""
+    """Return the row of a kind in a mode."""
     with tempfile.TemporaryDirectory() as folder:
         place = Place(Path(folder))
         RECIPES[name](place)

@@ -1,10 +1,11 @@
-"""How many machine instructions a scenario costs: the gate against getting slower, which no noise moves.
+"""How many machine instructions does a scenario cost? A gate against slower code that noise cannot affect.
 
     python -m tests.benchmarks.instructions [--tolerance 0.05] [--write]
 
-Runs under valgrind's callgrind twice, with few and with more scenarios; the difference is what the runs cost, without
-start and imports. Compares with the counts in ``instructions.json``, which hold for one Python version and one kind of
-processor, and exits with 1 where a count is beyond the tolerance. ``--write`` makes the present counts the new ones.
+Runs twice under valgrind's callgrind, with few and with more scenarios; the difference is the cost of the runs without
+start and imports. Compares it with the counts in ``instructions.json``, which are valid for one Python version and one
+kind of processor, and exits with 1 if a count exceeds the tolerance. ``--write`` stores the present counts as the new
+ones.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ CASES = {
     "trivial planner, 15/15 Hz": "world, ads = Highway(speed_limit=30.0, ads_hz=15), lambda: lambda seen: (0.0, 0.0)",
     "IDM+MOBIL": "from highway_env.vehicle.behavior import IDMVehicle as ads; world = Highway(speed_limit=30.0)",
 }
-"""What is counted: setups of a world and a factory."""
+"""The setups to count: a world and a factory each."""
 
 
 def counted(setup: str, runs: int) -> int:
-    """Instructions of a process that runs the scenario so often.
+    """Count the instructions of a process that runs the scenario a number of times.
 
     Raises:
-        SystemExit: where valgrind fails; its output says why.
+        SystemExit: valgrind fails; its output says why.
     """
     code = f"{SETUP}{setup}\nfor _ in range({runs}): world.rollout(scenario, ads)"
     with tempfile.TemporaryDirectory() as folder:

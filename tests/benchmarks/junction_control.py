@@ -1,11 +1,11 @@
-"""Does the search blame a careful driver where ways cross? Random scenarios for ``example_ads.junctions``.
+"""Does the search blame a careful driver at junctions? Random scenarios for ``example_ads.junctions``.
 
     python -m tests.benchmarks.junction_control [--places roundabout ...] [--runs 2000] [--seed 0] [--algorithm random]
         [--workers 1]
 
 Every collision for which the ego is responsible would be a finding, and there should be none. Prints for each place how
-its runs ended, in how many the ego came through the zones of all NPCs, and each collision that is the ego's with its
-scenario.
+its runs ended, in how many the ego came through the zones of all NPCs, and each collision for which the ego is
+responsible, with its scenario.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from tests.benchmarks.positive_controls import holds
 
 @dataclass
 class Control:
-    """What happened in one search."""
+    """The counts of one search."""
 
     counts: Counter[str] = field(default_factory=Counter)
     at_fault: list[str] = field(default_factory=list)
 
     def see(self, event: Any) -> None:
-        """Count what there is in a run."""
+        """Count the outcome of a run."""
         if not isinstance(event, Judged):
             return
         run, trace = event.run, event.run.trace

@@ -1,11 +1,11 @@
-"""Does the kernel drive as highway-env's objects do? Random runs of every kind by both, compared to the last bit.
+"""Does the kernel drive as highway-env's objects do? Both simulate random runs of every kind, compared to the last bit.
 
     python -m tests.benchmarks.kernel_against_highway_env [--runs 3000] [--first 0]
 
-Each run is simulated twice by highway-env's objects: with numpy's functions as they are, and with those of
-``tests.helpers.c_library``, which round the same on every processor. With the latter everything must be the same to the
-last bit. With the former the outcome must be the same, and nobody further than a centimetre from where the kernel has
-them. A sample of this is in the suite.
+highway-env's objects simulate each run twice: with numpy's functions as they are, and with those of
+``tests.helpers.c_library``, which round the same on every processor. The latter must give the same run to the last bit.
+The former must give the same outcome, and no vehicle may be more than a centimetre from its place in the kernel. A
+sample of this is in the suite.
 """
 
 from __future__ import annotations

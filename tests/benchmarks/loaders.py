@@ -1,12 +1,12 @@
-"""Loaders of policies: whether they decide as the libraries do, and what a run costs, one by one and in lock step.
+"""Do loaded policies decide as in their libraries, and what does a run cost, one by one and in lock step?
 
     python -m pip install ".[sb3,onnx]" onnx && python -m tests.benchmarks.loaders [SCENARIOS]
 
 Models are made on the spot: PPO behind VecNormalize and three frames, DQN, a module of torch, a network in an ONNX
-file, and the planner in C of the documents. Each drives random scenarios by ``env.step`` of ``gymnasium.make``'s
-environment; beside it the library itself drives them: ``model.predict`` behind Stable-Baselines3's own wrappers, or the
-module. *Same* counts the runs whose actions and states are those to the last bit. Milliseconds a run, and the share of
-them inside the policy, are those of ``rollout`` and ``rollout_batch``, 64 scenarios at once.
+file, and the documents' planner in C. Each drives random scenarios by ``env.step`` of ``gymnasium.make``'s environment,
+and so does the library itself: ``model.predict`` behind Stable-Baselines3's own wrappers, or the module. *Same* counts
+the runs whose actions and states are equal to the last bit. The milliseconds of a run, and the share of them inside the
+policy, are for ``rollout`` and for ``rollout_batch`` with 64 scenarios at once.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Factory = Callable[[], Any]
 
 
 class Timed:
-    """An ADS factory that notes how long its ADSs take to decide [s]."""
+    """An ADS factory that measures how long its ADSs take to decide [s]."""
 
     def __init__(self, factory: Factory) -> None:
         self._factory = factory
@@ -64,19 +64,19 @@ class Timed:
 
 
 def scenarios(count: int) -> list[pafot.Scenario]:
-    """Random ones for both worlds."""
+    """Return random scenarios for both worlds."""
     rng = np.random.default_rng(5)
     space = SearchSpace(npcs=4, genes=2, gene_seconds=10.0, speed_limit=26.0)
     return [sample(space, rng) for _ in range(count)]
 
 
 def same(a: pafot.Trace, b: pafot.Trace) -> bool:
-    """Whether two runs are equal to the last bit."""
+    """Return whether two runs are equal to the last bit."""
     return np.array_equal(a.actions, b.actions) and a.states.tobytes() == b.states.tobytes()
 
 
 def cost(drive: Callable[[Factory], Any], factory: Factory, count: int) -> str:
-    """Milliseconds a run, and the share inside the policy, once everything is loaded."""
+    """Return the milliseconds of a run, and the share inside the policy, after everything is loaded."""
     timed = Timed(factory)
     started = time.perf_counter()
     drive(timed)
@@ -85,12 +85,12 @@ def cost(drive: Callable[[Factory], Any], factory: Factory, count: int) -> str:
 
 
 def row(name: str, world: Any, factory: Factory, oracle: Factory | None, given: list[pafot.Scenario]) -> str:
-    """One line of the table."""
+    """Return a row of the table."""
     told = "-"
     if oracle is not None:
         pairs = [(world.rollout_in_gym(each, factory), world.rollout_in_gym(each, oracle)) for each in given]
         told = f"{sum(same(a, b) for a, b in pairs)} of {len(pairs)}"
-    world.rollout(given[0], factory)  # loads
+    world.rollout(given[0], factory)  # loads the model before the measurement
 
     def alone(ads: Factory) -> None:
         for each in given:
@@ -105,14 +105,14 @@ def row(name: str, world: Any, factory: Factory, oracle: Factory | None, given: 
 
 
 def decides_for_many(factory: Factory) -> bool:
-    """Whether its ADSs have ``batch``."""
+    """Return whether the factory's ADSs have ``batch``."""
     ads = factory()
     getattr(ads, "close", bool)()
     return hasattr(ads, "batch")
 
 
 def network() -> Any:
-    """A module as small as the models of the others."""
+    """Return a torch module as small as the other models."""
     torch.manual_seed(3)
     return torch.nn.Sequential(
         torch.nn.Flatten(), torch.nn.Linear(25, 32), torch.nn.Tanh(), torch.nn.Linear(32, 5)
@@ -120,12 +120,12 @@ def network() -> Any:
 
 
 def by_module(module: Any) -> Factory:
-    """The module itself as an ADS."""
+    """Return the module itself as an ADS factory."""
     return lambda: lambda seen: int(module(torch.from_numpy(seen)[None])[0].argmax())
 
 
 def planner_in_c(folder: Path) -> list[str]:
-    """The command of the planner in C that the documents show, compiled."""
+    """Compile the documents' planner in C and return its command."""
     text = (Path(__file__).parents[2] / "docs" / "guide" / "bring-a-policy.md").read_text(encoding="utf-8")
     (source,) = re.findall(r"```text\n/\* planner.c \*/\n(.*?)```", text, re.DOTALL)
     (folder / "planner.c").write_text(source)

@@ -1,12 +1,12 @@
-"""Does a check find a property's failure as soon as a fitness written by hand? Runs until the first failure.
+"""Does a check find a property's failure as early as a hand-written fitness? Runs until the first failure.
 
     python -m tests.benchmarks.margins [--policies idm careful-human] [--seeds 20] [--first-seed 0] [--runs 240]
         [--workers 2]
 
-Four measures (a headway, a jerk, a gap, a mean speed) of each policy; the bound of each is broken by one of 200 random
-runs. Each is searched for as a check, as a plain assertion with a fitness written by hand, as a plain assertion alone
-(the search is steered by danger then), and by random scenarios. Prints how many searches found a failure, by measure
-and in all. A policy may be any of ``policies_with_defects`` without its defects, on which nothing of this was tuned.
+There are four measures (a headway, a jerk, a gap, a mean speed) for each policy, each with a bound that one of 200
+random runs breaks. Each is searched as a check, as a plain assertion with a hand-written fitness, as a plain assertion
+only (then danger steers the search), and by random scenarios. Prints how many searches found a failure, by measure and
+in total. A policy may also be any of ``policies_with_defects`` without its defects; nothing here was tuned on these.
 """
 
 from __future__ import annotations
@@ -49,19 +49,19 @@ class Property:
     scale: float = 1.0
 
     def worst(self, run: Run) -> float:
-        """In a run."""
+        """Return the measure's worst value in a run."""
         return MEASURES[self.measure](run)
 
     def check(self, run: Run) -> None:
-        """With a margin."""
+        """Check the bound with a margin."""
         pafot.check(self.worst(run), name=self.measure, at_most=self.bound, scale=self.scale)
 
     def plainly(self, run: Run) -> None:
-        """Without one."""
+        """Assert the bound without a margin."""
         assert not self.worst(run) > self.bound
 
     def fitness(self, trace: Trace) -> float:
-        """By hand."""
+        """Return the hand-written fitness."""
         return self.worst(Run(trace))
 
 
@@ -93,7 +93,7 @@ ARMS = {
 
 
 def bounded(policy: str, measure: str) -> Property:
-    """With the bound that one of 200 random runs breaks, or a few more where their worst values are the same."""
+    """Return a property whose bound one of 200 random runs breaks, or a few more if their worst values are equal."""
     values: list[float] = []
 
     def note(event: Any) -> None:
@@ -111,7 +111,7 @@ def bounded(policy: str, measure: str) -> Property:
 
 
 def runs_until_found(each: Property, arm: str, seed: int, budget: int) -> int | None:
-    """Runs until the first failure; None where there was none."""
+    """Return the number of runs until the first failure, or None if there is none."""
     runs, found = 0, []
 
     def count(event: Any) -> None:

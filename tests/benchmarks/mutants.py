@@ -1,11 +1,12 @@
-"""Is any damaged corpus file read as something else than it says?
+"""Is any damaged corpus file loaded differently from its text?
 
     python -m tests.benchmarks.mutants [--mutants 2000] [--seed 0] [--seconds 20]
 
-Damages files of searches of several policies, of gym worlds too, in the ways of
-``tests/helpers/mutations.py``. Every damaged file that is read is judged by another reading of its text; where its
-world or scenario is another one, that is built and run once, which must end in time and raise nothing but an error with
-the file. Prints for each way how many files were refused, how many were read as what they say, and each that was not.
+Damages files from searches of several policies, including gym worlds, with the mutations of
+``tests/helpers/mutations.py``. Compares every damaged file that loads with an independent reading of its text. If its
+world or scenario has changed, it is built and run once; this must end in time and raise only errors that name the file.
+Prints for each mutation how many files were refused, how many were loaded as their text says, and every file that was
+not.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def test_merge(run):
 
 
 def sources(folder: Path) -> dict[str, str]:
-    """Return texts to damage, by name: saved files, and what searches of today write."""
+    """Return texts to damage, by name: saved files, and files of new searches."""
     texts: dict[str, str] = {}
     for path in sorted(GOLDEN.glob("*.pafot.yaml")):
         texts[path.name] = path.read_text(encoding="utf-8")
@@ -98,7 +99,7 @@ def sources(folder: Path) -> dict[str, str]:
 
 @contextmanager
 def limited(seconds: int) -> Iterator[None]:
-    """Raise TimeoutError where what is inside takes longer."""
+    """Raise TimeoutError if the block takes longer."""
 
     def stop(number: int, frame: object) -> None:
         raise TimeoutError(f"still running after {seconds} s")
@@ -112,9 +113,9 @@ def limited(seconds: int) -> Iterator[None]:
 
 
 def run_of(finding: Finding, path: Path) -> None:
-    """Build the world of a file and run its scenario once; refusals that name the file are as they should be."""
+    """Build the world of a file and run its scenario once; ignore refusals that name the file."""
     harness: Any = SimpleNamespace(world=Highway())
-    elsewhere: Any = None  # nothing here is replayed in a session of its own
+    elsewhere: Any = None  # no file here is replayed in its own session
     try:
         world = Replays(harness=harness, in_own_session=elsewhere).world_of(Saved(path=path, finding=finding))
     except RequestError as error:
@@ -126,7 +127,7 @@ def run_of(finding: Finding, path: Path) -> None:
 
 
 def judged(text: str, path: Path, original: Finding, seconds: int) -> tuple[str, list[str]]:
-    """What became of a damaged file, and what is wrong with that."""
+    """Return the category of a damaged file, and its errors."""
     try:
         finding = parsed(path, text.encode("utf-8", "surrogatepass"))
     except CorpusError:
@@ -147,7 +148,7 @@ OUTCOMES = ("refused", "read, unchanged", "read, as it says", "read, wrong")
 
 
 def main() -> int:
-    """Damage, judge, and print."""
+    """Damage, evaluate, and print."""
     given = options(__doc__, mutants=2000, seed=0, seconds=20)
     warnings.simplefilter("ignore")
     rng, counts = random.Random(given.seed), {kind: Counter[str]() for kind in MUTATIONS}

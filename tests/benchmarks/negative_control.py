@@ -1,13 +1,13 @@
-"""Does the search blame a sound driver? The reference drivers and one who changes lanes, with ``blame="ego"``.
+"""Does the search blame a sound driver? The reference drivers and a lane changer, with ``blame="ego"``.
 
     python -m tests.benchmarks.negative_control [--drivers careful-human ...] [--seeds 10] [--runs 400]
         [--algorithms distinct pafot] [--npcs 2] [--workers 2]
 
-Every collision for which the ego is responsible would be a finding; with the careful and competent human driver of
-UN R157, the IDM with emergency braking and the sound lane changer there must be none. ``fuzzy-safety`` is no negative
-control: it does run into whoever cuts in and brakes hard, and its findings are expected. Each driver is searched by the
-default algorithm, in the default scenarios, and by the paper's in the paper's. Prints for each search how its runs
-ended, how often the ego came into another lane, and the explanation of each kind of finding.
+Every collision for which the ego is responsible would be a finding. With the careful and competent human driver of UN
+R157, the IDM with emergency braking and the sound lane changer, there must be none. ``fuzzy-safety`` is no negative
+control: it runs into a vehicle that cuts in and brakes hard, so its findings are expected. Each driver is searched by
+the default algorithm in the default scenarios, and by the paper's algorithm in the paper's scenarios. Prints for each
+search how its runs ended, how often the ego entered a different lane, and the explanation of each kind of finding.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ DRIVERS: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {**REFERENCES, "sound-lane-changer": SoundLaneChanger}
 )
 AT_FAULT = "fuzzy-safety"
-"""Brakes for a leader's braking with 4 m/s^2 at most, and harder too late (docs/explanation/responsibility.md)."""
+"""A driver that brakes with 4 m/s^2 at most for a leader, and harder too late (docs/explanation/responsibility.md)."""
 
 
 @dataclass
@@ -46,7 +46,7 @@ class Control:
     explained: dict[str, str] = field(default_factory=dict)
 
     def see(self, event: object) -> None:
-        """Count what there is in a run."""
+        """Count the outcome of a run."""
         if not isinstance(event, Judged):
             return
         run = event.run
@@ -59,7 +59,7 @@ class Control:
 
 
 def searched(pair: tuple[str, str], seed: int, npcs: int, runs: int) -> Control:
-    """One search from start to end; with as many NPCs as by default for 0."""
+    """Run a search; 0 NPCs means the default number."""
     (name, algorithm), given = pair, {"npcs": npcs} if npcs else {}
     control = Control(name)
     pafot.explore(

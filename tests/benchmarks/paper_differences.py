@@ -5,9 +5,9 @@
 
 - ``collisions``: why do Random and AV-Fuzzer collide more, or less, often here than in the paper? Random scenarios with
   highway-env's IDM+MOBIL as the ego, of Position-Instructions (Random here) and of manoeuvres (the genes of AV-Fuzzer),
-  one difference changed at a time. A row tells which share of them collides. In the rows of NPCs that do not spare the
-  ego's side the director runs interpreted and is changed in one place, so that fewer scenarios are driven there.
-- ``readings``: how often does it matter how the paper is read? Shares of the genes, operators and runs of such
+  with one difference at a time. A row has the share that collides. If NPCs do not spare the ego's side, the director is
+  changed in one place and runs interpreted, so these rows have fewer scenarios.
+- ``readings``: how often does the interpretation of the paper matter? Shares of the genes, operators and runs of such
   scenarios of Position-Instructions.
 """
 
@@ -37,12 +37,12 @@ from tests.helpers.interpreted import InterpretedWorld
 
 TABLES = ("collisions", "readings")
 NOWHERE = -9
-"""A lane that no vehicle is in."""
+"""A lane that contains no vehicle."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """What is changed."""
+    """The difference of a row."""
 
     space: SearchSpace = field(default_factory=SearchSpace)
     headway: float = 2.0
@@ -64,7 +64,7 @@ VARIANTS = {
 
 @contextmanager
 def careless() -> Iterator[type[Any]]:
-    """A highway on which NPCs change lanes whether or not the ego is beside them."""
+    """Provide a highway on which NPCs change lanes even if the ego is next to them."""
     interpreted = InterpretedWorld()
     with interpreted.in_place():
         from pytest_pafot.world.kernel.director import Director
@@ -81,29 +81,29 @@ def careless() -> Iterator[type[Any]]:
 def share(
     world: Any, space: SearchSpace, draw: Callable[[SearchSpace, np.random.Generator], Scenario], count: int, seed: int
 ) -> str:
-    """Of so many random scenarios, those that collide, with the standard error [%]."""
+    """Return the share of random scenarios that collide, with the standard error [%]."""
     rng = np.random.default_rng(seed)
     return told([world.rollout(draw(space, rng), idm_mobil.make).outcome == Outcome.COLLISION for _ in range(count)])
 
 
 def told(cases: Sequence[bool]) -> str:
-    """The share of cases that are so, with its standard error."""
+    """Return the share of cases that are true, with its standard error."""
     rate = sum(cases) / len(cases)
     return f"{100 * rate:.1f} ± {100 * math.sqrt(rate * (1 - rate) / len(cases)):.1f} %"
 
 
 def unreached(trace: Trace) -> list[bool]:
-    """For each gene after the first that was started, whether the NPC had not reached the cell before it."""
+    """Return for each later gene that started whether the NPC had not reached the previous cell."""
     return [tick is None for chain in trace.arrivals for tick in chain[:-1]]
 
 
 def changes_a_cell(scenario: Scenario, rng: np.random.Generator) -> bool:
-    """Whether a mutation gives an instruction another cell, rather than another speed alone."""
+    """Return whether a mutation changes an instruction's cell, not only its speed."""
     return cells(mutate(scenario, SearchSpace(), rng)) != cells(scenario)
 
 
 def is_repaired(a: Scenario, b: Scenario, rng: np.random.Generator) -> list[bool]:
-    """For both children of a crossover, whether they have other cells than their parents' chains, exchanged."""
+    """Return for both children of a crossover whether repair changed the cells of the exchanged chains."""
     exchanged = [
         {cells_of(with_chain(one.npcs, at, chain)) for at in range(len(one.npcs)) for chain in other.npcs}
         for one, other in ((a, b), (b, a))
@@ -120,7 +120,7 @@ def cells_of(npcs: Sequence[Any]) -> tuple[tuple[int, ...], ...]:
 
 
 def readings(count: int, seed: int) -> dict[str, str]:
-    """How often each reading of the paper makes a difference."""
+    """Return how often each interpretation of the paper makes a difference."""
     rng, world = np.random.default_rng(seed), Highway()
     scenarios = [sample(SearchSpace(), rng) for _ in range(count)]
     traces = [world.rollout(scenario, idm_mobil.make) for scenario in scenarios]

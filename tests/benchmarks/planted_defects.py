@@ -1,4 +1,4 @@
-"""How soon does a search find a planted rare defect? Survival curves of 30 policies that have one each.
+"""How soon does a search find a planted rare defect? Survival curves of 30 policies with one defect each.
 
     python -m tests.benchmarks.planted_defects [--half tuning] [--policies NAME ...] [--arms NAME ...]
         [--seeds 20] [--first-seed 0] [--runs 2000] [--seconds 600] [--workers 2]
@@ -6,16 +6,16 @@
 
 Each policy of ``tests.benchmarks.planted`` has a twin, which is the same without the defect. A search with
 ``blame="ego"`` ends at the first failure in whose scenario the twin does not fail by its own fault. Failures that the
-twin shares are counted, and the search goes on. It is censored after so many runs, or seconds of wall clock. What the
-twin drives is no run of the search, and its time is not counted.
+twin shares are counted, and the search continues. It is censored after a number of runs, or of seconds of wall clock.
+The twin's runs and time do not count.
 
-``--save`` appends each search to a file of JSON lines as soon as it ends. Searches that are in the file already are not
-made again, so that the same command goes on with what was interrupted. ``--load`` evaluates such files, and searches
-nothing. ``--picture`` draws the survival curves of all defects together into a file, and those of each defect into
-another one, whose name ends in ``-of-each``.
+``--save`` appends each search to a file of JSON lines as soon as it ends. Searches that are already in the file are not
+repeated, so the same command continues after an interruption. ``--load`` evaluates such files, and searches nothing.
+``--picture`` draws the survival curves of all defects together into a file, and those of each defect into a second
+file, whose name ends in ``-of-each``.
 
 Prints a table of all defects together, and one with a line for each defect. Medians have 95 % intervals (Brookmeyer and
-Crowley), ratios to the default search 95 % bootstrap intervals over seeds, drawn separately for each defect.
+Crowley). Ratios to the default search have 95 % bootstrap intervals over seeds, resampled separately for each defect.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ ARMS: Mapping[str, Mapping[str, Any]] = {
     "random before": {"algorithm": RandomSearch, **SCENARIOS_BEFORE},
     "pafot": {"algorithm": PafotSearch},
 }
-"""Further arguments of ``pafot.explore`` by the name of a search; another search is another line."""
+"""Further arguments of ``pafot.explore`` for each search; to add a search, add a line."""
 
 
 @dataclass(frozen=True)
 class Searched:
-    """How one search went until it found the defect, or was censored."""
+    """The course of a search until it found the defect or was censored."""
 
     policy: str
     arm: str
@@ -67,8 +67,8 @@ class Searched:
     found: bool
     runs: int
     simulated: float  # [s]
-    seconds: float  # of wall clock, without those of the twin
-    shared: int  # failures that the twin shares
+    seconds: float  # of wall clock, without the twin's
+    shared: int  # the number of failures that the twin shares
 
 
 MEASURES: Mapping[str, Callable[[Searched], float]] = {
@@ -81,13 +81,13 @@ Group = Sequence[Searched]
 
 
 class EndedError(Exception):
-    """The search has found the defect, or has no budget left."""
+    """The signal that the search has found the defect, or has no budget left."""
 
 
 def searched(
     policy: str, arm: str, seed: int, runs: int, seconds: float, planted: Planted | None = None, world: Any = None
 ) -> Searched:
-    """Search until the defect of a policy is found, or so many runs or seconds are over; by default one of PLANTED."""
+    """Search until the defect of a policy is found or the budget is used; by default, one of PLANTED."""
     planted, world = planted or PLANTED[policy], world or pafot.Highway()
     twin = planted.twin()
     began = spent = simulated = 0.0
@@ -113,7 +113,7 @@ def searched(
             shared += not found
             began += time.perf_counter() - now
         if found or count >= runs or spent >= seconds:
-            raise EndedError  # before the search confirms and simplifies what it has found
+            raise EndedError  # before the search confirms and simplifies its finding
 
     with suppress(EndedError):
         pafot.explore(
@@ -124,13 +124,13 @@ def searched(
 
 
 def loaded(paths: Iterable[str]) -> list[Searched]:
-    """Return the searches in files of JSON lines; of one that is there several times, the last."""
+    """Return the searches in files of JSON lines; for repeated ones, the last."""
     lines = [json.loads(line) for path in paths for line in Path(path).read_text(encoding="utf-8").splitlines()]
     return list({(line["policy"], line["arm"], line["seed"]): Searched(**line) for line in lines}.values())
 
 
 def saved(searches: Iterable[Searched], path: str) -> Iterator[Searched]:
-    """Yield searches, each of which is appended to a file before."""
+    """Yield searches; append each of them to a file first."""
     with Path(path).open("a", encoding="utf-8") as file:
         for each in searches:
             print(json.dumps(asdict(each)), file=file, flush=True)
@@ -143,7 +143,7 @@ def sample(group: Group, measure: str) -> Sample:
 
 
 def overall_rows(half: str, by_arm: Mapping[str, Group]) -> Iterator[str]:
-    """Yield the lines on all defects of a half together, of which each search is one observation."""
+    """Yield the lines about all defects of a half together; each search is one observation."""
     for measure in MEASURES:
         curves = {arm: sample(group, measure).curve for arm, group in by_arm.items()}
         limit = common_limit(list(curves.values()))
@@ -158,7 +158,7 @@ def overall_rows(half: str, by_arm: Mapping[str, Group]) -> Iterator[str]:
 
 
 def ratio_to_default(figure: Callable[[Curve], float], by_arm: Mapping[str, Group], arm: str, measure: str) -> str:
-    """Say how many times that of the default search a figure is, of the seeds that both were searched with."""
+    """Return the ratio of a figure to that of the default search, over the seeds that both were searched with."""
     first, second = ({(each.policy, each.seed): each for each in by_arm.get(name, ())} for name in (arm, DEFAULT))
     both = [pair for pair in first if pair in second]
     if arm == DEFAULT or not both:
@@ -169,7 +169,7 @@ def ratio_to_default(figure: Callable[[Curve], float], by_arm: Mapping[str, Grou
 
 
 def row_of(policy: str, by_arm: Mapping[str, Group], arms: Sequence[str]) -> str:
-    """Return the line of a defect: runs of each search until it is found; one that was not made has an empty cell."""
+    """Return the line of a defect: each search's runs until it is found; a missing search has an empty cell."""
     planted = PLANTED[policy]
     curves = {arm: sample(group, "runs").curve for arm, group in by_arm.items()}
     limit = common_limit(list(curves.values()))
@@ -186,19 +186,19 @@ def row_of(policy: str, by_arm: Mapping[str, Group], arms: Sequence[str]) -> str
 
 
 def with_interval(value: float, low: float, high: float) -> str:
-    """Say a value and its interval, or a dash where nothing is known of it."""
+    """Format a value and its interval, or a dash if nothing is known about it."""
     if not math.isfinite(value) and low in (0, math.inf):
         return "-"
     return f"{number(value)} ({number(low)} to {number(high)})"
 
 
 def number(value: float) -> str:
-    """Say a number with three digits; one that is not reached as a dash."""
+    """Format a number with three digits, or a dash if it was not reached."""
     return f"{value:.0f}" if 100 <= value < math.inf else f"{value:.3g}" if math.isfinite(value) else "-"
 
 
 def draw(path: str, halves: Mapping[str, Mapping[str, Group]], policies: Mapping[str, Mapping[str, Group]]) -> None:
-    """Draw all defects of a half together, by runs and by wall clock, and into another file each defect by runs."""
+    """Draw all defects of a half together, by runs and by wall clock, and each defect by runs into a second file."""
     with mpl.rc_context(SETTINGS):
         figure = Figure(figsize=(8.4, 3.4 * len(halves)), layout="constrained")
         panels = figure.subplots(len(halves), 2, squeeze=False)
@@ -226,7 +226,7 @@ def draw(path: str, halves: Mapping[str, Mapping[str, Group]], policies: Mapping
 
 
 def of_each(path: str) -> Path:
-    """Return where the picture of each defect belongs."""
+    """Return the path of the picture of each defect."""
     return Path(path).with_stem(f"{Path(path).stem}-of-each")
 
 
@@ -259,7 +259,7 @@ def main() -> None:
     names = [name for policies in halves.values() for name in policies]
     done = loaded(given.load or ([given.save] if given.save and Path(given.save).exists() else []))
     if not given.load:
-        # Seeds come first, so that what is interrupted has as many searches of each defect by each arm.
+        # Seeds come first, so that an interrupted run has equally many searches of each defect by each arm.
         tasks = [(policy, arm, seed) for seed, policy, arm in product(seeds_of(given), names, given.arms)]
         known = {(each.policy, each.arm, each.seed) for each in done}
         missing = [(*task, given.runs, given.seconds) for task in tasks if task not in known]

@@ -1,12 +1,12 @@
-"""How soon does the default search find a planted defect where ways cross? Twelve drivers that have one each.
+"""How soon does the default search find a planted defect at junctions? Twelve drivers with one defect each.
 
     python -m tests.benchmarks.planted_junctions [--policies NAME ...] [--seeds 10] [--first-seed 0] [--runs 400]
         [--workers 1] [--save FILE] [--twins]
 
 Each driver of ``tests.benchmarks.planted.junctions`` has a twin, which is the same without the defect. A search with
 ``blame="ego"`` ends at the first failure in whose scenario the twin does not fail by its own fault; failures that the
-twin shares are counted, and the search goes on. ``--save`` appends each search to a file of JSON lines, and leaves out
-those that are in it. ``--twins`` searches the twins instead, in which nothing should be found.
+twin shares are counted, and the search continues. ``--save`` appends each search to a file of JSON lines, and leaves
+out those that are already in it. ``--twins`` searches the twins instead, in which nothing should be found.
 
 Prints a line for each defect: on how many seeds it was found, and in which run.
 """
@@ -30,11 +30,11 @@ def stands() -> Callable[[Any], tuple[float, float]]:
 
 
 LONGEST = 3600.0
-"""Of a search, which ends by its runs [s]."""
+"""The time limit of a search, which ends by its runs before [s]."""
 
 
 def search(name: str, seed: int, runs: int, twins: bool) -> Searched:
-    """Search a driver, or its twin, which is searched as if nobody shared its failures."""
+    """Search a driver, or its twin, which is compared with a driver that shares no failures."""
     planted, shown = PLANTED[name], name
     if twins:
         planted, shown = replace(planted, make=planted.twin, twin=lambda: stands), f"{name}, repaired"
@@ -42,7 +42,7 @@ def search(name: str, seed: int, runs: int, twins: bool) -> Searched:
 
 
 def row(name: str, shown: str, group: list[Searched]) -> str:
-    """Return the line of a driver."""
+    """Return the row of a driver."""
     found = sorted(each.runs for each in group if each.found)
     middle = f"{found[len(found) // 2]} ({found[0]} to {found[-1]})" if found else "-"
     what = PLANTED[name].about if shown == name else "nothing is wrong with it"

@@ -1,6 +1,6 @@
 """Planners with seeded defects that can be switched off one by one (``repaired=``): ten with one, eight with more.
 
-They were written before what tells findings apart was chosen, to measure it. Units are metres, seconds and radians
+They were written before the rules that separate findings, to measure these. Units are metres, seconds and radians
 throughout.
 """
 
@@ -17,7 +17,7 @@ def clip(x, lo, hi):
 
 
 class Seen:
-    """What a planner holds of another vehicle: `v` along the road, `w` sideways, `a` its acceleration."""
+    """A planner's data about another vehicle: `v` along the road, `w` sideways, `a` its acceleration."""
 
     __slots__ = ("a", "i", "length", "reach", "turned", "v", "w", "width", "x", "y")
 
@@ -55,7 +55,7 @@ class Ramp:
 
 
 class Blend:
-    """A smooth profile from where it is to the new goal."""
+    """A smooth profile from the present place to the new goal."""
 
     def __init__(self, seconds=4.6):
         self.T, self.goal = seconds, None
@@ -73,7 +73,7 @@ class Blend:
 
 
 class Preview:
-    """Steers at a point ahead on the goal line."""
+    """Steer at a point ahead on the goal line."""
 
     def __init__(self, seconds=2.6):
         self.seconds = seconds
@@ -86,12 +86,12 @@ class Preview:
 
 
 class Planner:
-    """The sound planner. Defects override one of its hooks and ask `self.bad(name)`."""
+    """The sound planner. Defects override one of its hooks and check `self.bad(name)`."""
 
     DEFECTS: tuple[str, ...] = ()
     HEADWAY = 1.8
     SHARE = 0.97  # of the speed limit
-    GAIN, LOSS = 2.0, 9.0  # speed that a change must promise; rest between two changes [s]
+    GAIN, LOSS = 2.0, 9.0  # speed that a change must promise; time between two changes [s]
     SIDES = (-1, 1)
     LATERAL = Ramp
 
@@ -123,13 +123,13 @@ class Planner:
         return abs(s.x - o.ego.x) - (s.length + o.ego.length) / 2
 
     def off(self, o, s, look=1.2):
-        """How far the other is, or soon will be, from the strip that the ego drives in."""
+        """Return how far the other is, or soon will be, from the strip that the ego drives in."""
         a, b = o.ego.y, self.lane * o.lane_width
         lo, hi = min(a, b), max(a, b)
         return min(max(lo - y, y - hi, 0.0) for y in (s.y, s.y + look * s.w, s.y + self.may(s)))
 
     def may(self, s):
-        """Who is slow and turned towards another lane may soon be there."""
+        """Return the sideways distance that a slow vehicle turned towards a different lane may soon move."""
         return clip(12 * s.turned, -1.5, 1.5) if abs(s.v) < 6 and abs(s.turned) > 0.03 else 0.0
 
     def in_path(self, o, s):
@@ -140,7 +140,7 @@ class Planner:
         return 0.3 * (g - 3.0 - self.HEADWAY * e.speed) - 1.0 * d
 
     def need(self, o, s):
-        """Deceleration that it takes now, if the other goes on as it does."""
+        """Return the deceleration needed now if the other continues as before."""
         e, g = o.ego, max(self.gap(o, s) - 2.0, 0.2)
         d = e.speed - s.v
         need = d * d / (2 * g) if d > 0 else 0.0
@@ -167,7 +167,7 @@ class Planner:
 
     # across
     def beside(self, o, k, s):
-        """Whether the other is in lane k, or will be."""
+        """Return whether the other is in lane k, or will be."""
         return min(abs(y - k * o.lane_width) for y in (s.y, s.y + 1.5 * s.w)) < 2.9
 
     def front_ok(self, o, s):
@@ -190,7 +190,7 @@ class Planner:
                 if not self.fits(o, k, s):
                     return False
             elif abs(s.y - k * o.lane_width) < 7 and abs(s.y - o.ego.y) > 5 and self.gap(o, s) < 15:
-                return False  # it might come into the lane from the other side
+                return False  # it might enter the lane from the other side
         return True
 
     def pace(self, o, k, seen):
@@ -200,7 +200,7 @@ class Planner:
         )
 
     def wants(self, o, seen):
-        """Lanes that it would like to be in, best first."""
+        """Return the lanes that it would prefer, best first."""
         own = self.pace(o, self.lane, seen)
         c = [
             k
@@ -235,7 +235,7 @@ class Planner:
         return self.lane * o.lane_width
 
     def command(self, o, seen, a):
-        """The last say on the acceleration."""
+        """Return the final acceleration."""
         return a
 
     def __call__(self, o):
@@ -249,7 +249,7 @@ class Planner:
         )
 
 
-# other makes of the same
+# different makes of the planner
 
 
 class IdmBased(Planner):
@@ -275,7 +275,7 @@ class GippsBased(Planner):
 
 
 class SpeedNearOnly:
-    """Who is further ahead than 12 m is as fast as the speed limit: a track starts so, until the radar confirms it."""
+    """A vehicle more than 12 m ahead gets the speed limit as its speed, as a track does until the radar confirms it."""
 
     RANGE = 12.0
 
@@ -286,7 +286,7 @@ class SpeedNearOnly:
 
 
 class ResumesUnasked:
-    """Stop and go: 3 s after it has stopped it sets off for 4 s whether or not the one ahead has."""
+    """Stop and go: 3 s after it has stopped, it drives off for 4 s even if the vehicle ahead still stands."""
 
     def command(self, o, seen, a):
         a = super().command(o, seen, a)
@@ -299,7 +299,7 @@ class ResumesUnasked:
 
 
 class CutOffSlow:
-    """The distance controller switches itself off below 7 m/s, as it was made for motorways; the car coasts."""
+    """The distance controller, made for motorways, switches itself off below 7 m/s; the car coasts."""
 
     def along(self, o, seen):
         if self.bad("cut-off-slow") and o.ego.speed < 7.0:
@@ -308,7 +308,7 @@ class CutOffSlow:
 
 
 class BrakesRest:
-    """A guard against hot brakes: after 1 s of more than 3.5 m/s^2 it allows 1 m/s^2 only, for 2.5 s."""
+    """A guard against hot brakes: after 1 s of more than 3.5 m/s^2, it allows only 1 m/s^2 for 2.5 s."""
 
     def command(self, o, seen, a):
         a = super().command(o, seen, a)
@@ -332,7 +332,7 @@ class BrakesCapped:
 
 
 class CentredOnly:
-    """One who comes in counts only when it is centred in the lane, for 1 s."""
+    """A vehicle that comes in counts only when it has been centred in the lane for 1 s."""
 
     def in_path(self, o, s):
         p = super().in_path(o, s)
@@ -348,7 +348,7 @@ class CentredOnly:
 
 
 class CutInOneSide:
-    """Of the two corner radars one gives no cut-ins: who comes in from there is seen 2 s after it is in the lane."""
+    """One of the two corner radars reports no cut-ins: a vehicle from that side is seen after 2 s in the lane."""
 
     def in_path(self, o, s):
         p, side = super().in_path(o, s), self.__dict__.setdefault("side_of", {})
@@ -364,14 +364,14 @@ class CutInOneSide:
 
 
 class NegativeDropped:
-    """A gap below 0, side by side, is taken for no measurement when the next lane is checked."""
+    """A gap below 0, side by side, counts as no measurement when the next lane is checked."""
 
     def fits(self, o, k, s):
         return (self.bad("abreast-dropped") and self.gap(o, s) < 1.0) or super().fits(o, k, s)
 
 
 class TimeToContactOnly:
-    """Accepts who is behind when the time to contact is above 3 s, however near it is."""
+    """Accepts a vehicle behind if the time to contact is above 3 s, however near it is."""
 
     def rear_ok(self, o, s):
         if self.bad("ttc-only-behind"):
@@ -381,7 +381,7 @@ class TimeToContactOnly:
 
 
 class OwnSpeedBehind:
-    """Takes who is behind for as fast as itself: one speed for all in the table of the next lane."""
+    """Assumes its own speed for a vehicle behind: one speed for all in the table of the next lane."""
 
     def rear_ok(self, o, s):
         if self.bad("own-speed-behind"):
@@ -390,7 +390,7 @@ class OwnSpeedBehind:
 
 
 class FirstLaneOnly:
-    """Where two lanes in a row are better it crosses both at once, and has checked the first."""
+    """If two lanes in a row are better, it crosses both at once, but has only checked the first."""
 
     def wants(self, o, seen):
         c = super().wants(o, seen)
@@ -412,7 +412,7 @@ class FirstLaneOnly:
 
 
 class BlindSpots:
-    """Each side's radar has a hole beside and behind the own rear wheel."""
+    """Each side's radar has a hole next to and behind the own rear wheel."""
 
     def fits(self, o, k, s):
         if -16 < s.x - o.ego.x < 3:
@@ -440,7 +440,7 @@ class StaleGrid:
 
 
 class CourteousOthers:
-    """Expects who is behind to brake with 4 m/s^2 for it, as in the data that the gap was learned from."""
+    """Expects a vehicle behind to brake with 4 m/s^2 for it, as in the data for its gaps."""
 
     def rear_ok(self, o, s):
         if self.bad("courteous-others"):
@@ -450,7 +450,7 @@ class CourteousOthers:
 
 
 class EvadesUnchecked:
-    """Where braking alone is hard it evades into the next lane, without looking there."""
+    """If it would have to brake hard, it evades into the next lane without looking there."""
 
     def choose(self, o, seen):
         super().choose(o, seen)
@@ -474,7 +474,7 @@ class EvadesUnchecked:
 
 
 class Nudges:
-    """Makes room for who drives beside it by 2.3 m to the other side, whoever is there."""
+    """Makes room for a vehicle alongside by 2.3 m to the other side, even if a vehicle is there."""
 
     def goal(self, o, seen):
         y = super().goal(o, seen)
@@ -492,7 +492,7 @@ class Nudges:
 
 
 class FollowerAsLeader:
-    """The emergency brake takes the size of the distance along the road: a tailgater sets it off."""
+    """The emergency brake uses the absolute distance along the road: a tailgater triggers it."""
 
     def command(self, o, seen, a):
         a = super().command(o, seen, a)
@@ -504,7 +504,7 @@ class FollowerAsLeader:
 
 
 class LostIsZero:
-    """A leader that is lost leaves a distance of 0 for 2.5 s."""
+    """A lost leader leaves a distance of 0 for 2.5 s."""
 
     def command(self, o, seen, a):
         a = super().command(o, seen, a)
@@ -521,7 +521,7 @@ class LostIsZero:
 
 
 class NextLaneSlow:
-    """Who is slower ahead in the next lane sets off the emergency brake: the strip is two lanes wide."""
+    """A slower vehicle ahead in the next lane triggers the emergency brake: the strip is two lanes wide."""
 
     def command(self, o, seen, a):
         a = super().command(o, seen, a)
@@ -537,7 +537,7 @@ class NextLaneSlow:
 
 
 class StopsWhenBeside:
-    """Who has been beside it for 3 s is taken for stuck to it: it stops, to be on the safe side."""
+    """A vehicle that has been alongside for 3 s is taken for stuck to it: it stops, to be on the safe side."""
 
     def command(self, o, seen, a):
         a = super().command(o, seen, a)

@@ -1,8 +1,8 @@
 """More planners with seeded defects that can be switched off one by one (``repaired=``): ten with one, eight with more.
 
-A second measurement of what tells findings apart, written by somebody who did not know what does. There are five makes
-of planner, each with a law of its own for the distance and a check of its own before it changes lanes. Units are
-metres, seconds and radians throughout. A defect stands where it was made, behind ``self.bad``.
+These are for a second measurement of the rules that separate findings, by an author who did not know the rules. There
+are five makes of planner, each with its own law for the distance and its own check before lane changes. Units are
+metres, seconds and radians throughout. Each defect is where it was made, behind ``self.bad``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def clip(x, lo, hi):
 
 
 class Car:
-    """What a planner holds of another vehicle: `dx` ahead of the ego, `v` along the road, `w` sideways."""
+    """A planner's data about another vehicle: `dx` ahead of the ego, `v` along the road, `w` sideways."""
 
     __slots__ = ("a", "dx", "gap", "i", "reach", "turned", "v", "w", "y")
 
@@ -30,11 +30,11 @@ class Car:
 
 
 class Planner:
-    """What all makes share: memory of speeds, the course of a lane change, the steering."""
+    """The shared parts of all makes: memory of speeds, the course of a lane change, the steering."""
 
     SHARE = 0.96  # of the speed limit
     PULL, DRIFT = 0.45, 1.3  # of the steering: towards the goal [1/s], at most [m/s]
-    REST = 4.0  # between two changes of lanes [s]
+    REST = 4.0  # time between two lane changes [s]
 
     def __init__(self, bugs=frozenset()):
         self.bugs = bugs
@@ -58,11 +58,11 @@ class Planner:
         return cars
 
     def may(self, c):
-        """Who is slow and turned towards another lane may soon be there."""
+        """Return the sideways distance that a slow vehicle turned towards a different lane may soon move."""
         return clip(12 * c.turned, -1.5, 1.5) if abs(c.v) < 6 and abs(c.turned) > 0.03 else 0.0
 
     def off(self, o, c, seconds=1.2):
-        """How far the other is, or soon will be, from where the ego drives, sideways."""
+        """Return how far the other is, or soon will be, sideways from the ego's strip."""
         a, b = o.ego.y, self.lane * WIDE
         lo, hi = (a, b) if a < b else (b, a)
         return min(max(lo - y, y - hi, 0.0) for y in (c.y, c.y + seconds * c.w, c.y + self.may(c)))
@@ -71,15 +71,15 @@ class Planner:
         return [c for c in cars if c.dx > 0 and self.off(o, c) < c.reach + 1.4]
 
     def inside(self, c, k, seconds=2.0):
-        """Whether the other is in lane k, or is coming."""
+        """Return whether the other is in lane k, or is coming."""
         return min(abs(c.y - k * WIDE), abs(c.y + seconds * c.w - k * WIDE)) < 2.9
 
     def flow(self, o, cars, k):
-        """The speed that lane k promises."""
+        """Return the speed that lane k promises."""
         return min([self.SHARE * o.speed_limit] + [c.v for c in cars if 0 < c.dx < 90 and abs(c.y - k * WIDE) < 2.2])
 
     def options(self, o, cars):
-        """Lanes that it would rather be in, best first."""
+        """Return the lanes that it would prefer, best first."""
         own = self.flow(o, cars, self.lane) + 2.0
         flows = [(self.flow(o, cars, k), k) for k in (self.lane - 1, self.lane + 1) if 0 <= k < o.lanes]
         return [k for f, k in sorted(flows, reverse=True) if f > own]
@@ -123,7 +123,7 @@ class Barrier(Planner):
     TAU, BRAKE, GAMMA = 1.3, 5.0, 0.45
 
     def room(self, gap, rear, front):
-        """What is left of a gap [m]."""
+        """Return what is left of a gap [m]."""
         brake = self.BRAKE * (3.28 if self.bad("braking-in-feet") else 1.0)
         return gap - 4.0 - self.TAU * rear - max(rear * rear - front * front, 0.0) / (2 * brake)
 
@@ -160,7 +160,7 @@ class Barrier(Planner):
 
 
 class Lattice(Planner):
-    """Samples accelerations, predicts where all will be, and takes the cheapest."""
+    """Sample accelerations, predict all vehicles' places, and take the cheapest."""
 
     TIMES = (1.0, 2.0, 3.0, 4.0)
     CHOICES = (-8.0, -6.0, -4.5, -3.0, -2.0, -1.0, 0.0, 1.0, 1.8)
@@ -168,7 +168,7 @@ class Lattice(Planner):
 
     @staticmethod
     def moved(v, a, t):
-        """How far, and how fast then."""
+        """Return the distance, and the speed after it."""
         if v + a * t < 0:
             return v * v / (-2 * a), 0.0
         return v * t + a * t * t / 2, v + a * t
@@ -196,7 +196,7 @@ class Lattice(Planner):
         return min(self.cruise(o), min(self.CHOICES, key=lambda a: self.price(o, a, courses)))
 
     def options(self, o, cars):
-        """Where there is most room ahead."""
+        """Return the lane with the most room ahead."""
         rooms = {}
         for k in (self.lane, self.lane - 1, self.lane + 1):
             if 0 <= k < o.lanes:
@@ -227,7 +227,7 @@ class Machine(Planner):
         self.state, self.entered, self.left = "free", 0.0, 0
 
     def need(self, v, c):
-        """The deceleration that the other calls for."""
+        """Return the deceleration that the other requires."""
         f, room = max(c.v, 0.0), max(c.gap - 3.0, 0.3)
         n = (v - f) ** 2 / (2 * room) if v > f else 0.0
         if c.a < -1 or c.gap < 0.9 * v:
@@ -242,7 +242,7 @@ class Machine(Planner):
         return super().ahead(o, cars)
 
     def turn(self, o, c, n):
-        """The next state."""
+        """Return the next state."""
         v, near = o.ego.speed, 6 + 2.4 * o.ego.speed + 3 * max(o.ego.speed - c.v, 0.0)
         if self.state == "stand":
             return "stand" if c.v < 0.8 and c.gap < 7 else "follow"
@@ -298,7 +298,7 @@ class Machine(Planner):
 
 
 class Grid(Planner):
-    """Marks cells of the road as taken, and counts how many are free."""
+    """Mark cells of the road as taken, and count the free ones."""
 
     CELL = 4
 
@@ -306,7 +306,7 @@ class Grid(Planner):
         return int(y / WIDE) if self.bad("lane-truncated") else round(y / WIDE)
 
     def marks(self, o, cars):
-        """(lane, cell) to the vehicle that takes it."""
+        """Return the vehicle that takes each (lane, cell)."""
         taken, size = {}, self.CELL
         if self.bad("one-per-lane"):
             cars = {self.row(c.y): c for c in cars}.values()
@@ -329,7 +329,7 @@ class Grid(Planner):
         return a
 
     def behind(self, v, room, c):
-        """Drives at a speed from which it could stop behind the other."""
+        """Drive at a speed from which it could stop behind the other."""
         f, b, tau = max(c.v + 0.4 * min(c.a, 0.0), 0.0), 5.0, 1.5
         safe = math.sqrt((b * tau) ** 2 + 2 * b * max(room - 2.0, 0.0) + f * f) - b * tau
         return (safe - v) / 0.8
@@ -348,7 +348,7 @@ class Grid(Planner):
 
 
 class Votes(Planner):
-    """Behaviours ask for accelerations, and the lowest wins."""
+    """Let several behaviours request accelerations, and take the lowest."""
 
     RAMP = 12.0  # speed on an exit [m/s]
 

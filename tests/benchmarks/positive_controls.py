@@ -4,8 +4,8 @@
         [--policies NAME ...] [--algorithm distinct] [--traffic hostile] [--before]
 
 The searches are those of ``pafot.explore``, with the defaults and without shrinking. Prints for each policy on how many
-seeds there was a collision that the ego is responsible for, in which run first, how many distinct signatures there are
-and which, and the explanation of the most frequent one with the mechanism that it should point at. ``healthy`` is
+seeds there was a collision for which the ego is responsible, in which run first, how many distinct signatures there are
+and which, and the explanation of the most frequent one with the mechanism that it should describe. ``healthy`` is
 IDM+MOBIL without a defect.
 """
 
@@ -52,7 +52,7 @@ MECHANISM: Mapping[str, str] = MappingProxyType(
         "two-defects": "two kinds: no answer to a slow leader; enters a lane in which somebody follows",
     }
 )
-"""What an explanation should point at."""
+"""The mechanisms that the explanations should describe."""
 
 FAULTS: Mapping[str, frozenset[Fault]] = MappingProxyType(
     {
@@ -72,12 +72,12 @@ FAULTS: Mapping[str, frozenset[Fault]] = MappingProxyType(
         "two-defects": frozenset({"leader-unanswered", "entered-lane"}),
     }
 )
-"""The kinds of failure that the mechanism shows as."""
+"""The kinds of failure that each mechanism causes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Find:
-    """A colliding run that the ego is responsible for; ``number`` counts the runs of its search from 1."""
+    """A colliding run for which the ego is responsible; ``number`` counts the runs of its search from 1."""
 
     number: int
     scenario: Scenario
@@ -87,14 +87,14 @@ class Find:
 
 @dataclass(frozen=True)
 class Searched:
-    """The failing runs of a search, and how many runs it had."""
+    """The failing runs of a search, and its number of runs."""
 
     finds: tuple[Find, ...]
     runs: int
 
 
 def factory_of(policy: str) -> Any:
-    """The vehicle class of a known defect, or what a ``module:name`` says."""
+    """Return the vehicle class of a known defect, or the object at ``module:name``."""
     return resolve_name(policy) if ":" in policy else defects.make(policy)
 
 
@@ -103,7 +103,7 @@ def holds(run: Run) -> None:
 
 
 def searched(policy: str, seed: int, options: argparse.Namespace) -> Searched:
-    """One search from start to end."""
+    """Run a search from start to end."""
     finds: list[Find] = []
     runs = 0
 
@@ -126,7 +126,7 @@ def searched(policy: str, seed: int, options: argparse.Namespace) -> Searched:
 
 
 def report(policy: str, searches: Sequence[Searched]) -> str:
-    """What the searches of one policy found."""
+    """Return what the searches of a policy found."""
     firsts = [search.finds[0].number if search.finds else None for search in searches]
     named = [
         next((find.number for find in search.finds if find.signature.fault in FAULTS.get(policy, ())), None)
@@ -150,12 +150,12 @@ def report(policy: str, searches: Sequence[Searched]) -> str:
 
 
 def numbers(firsts: Sequence[int | None]) -> str:
-    """The runs in which something came first, by the seed."""
+    """Return the runs in which something first happened, by seed."""
     return " ".join("-" if first is None else str(first) for first in firsts)
 
 
 def _sentence(explanation: str) -> list[str]:
-    """The lines of an explanation that say what happened and who is responsible."""
+    """Return the lines of an explanation that say what happened and who is responsible."""
     lines = explanation.splitlines()
     end = next(number for number, line in enumerate(lines) if line.startswith("  from [s]"))
     return [line.strip() for line in (lines[0], *lines[3:end])]

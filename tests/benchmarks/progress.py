@@ -1,18 +1,19 @@
-"""Does the command ``progress`` say what is true? Two versions of policies, better, worse and equal by construction.
+"""Is the answer of the command ``progress`` true? Two versions of policies, better, worse and equal by construction.
 
     python -m tests.benchmarks.progress [--policies NAME ...] [--seeds 20] [--first-seed 0] [--scenarios 200]
         [--redraws 200] [--workers 2]
 
-The new version of a policy lacks a defect of the old one, so that it is better, and the old one worse; some keep
-further defects. Two pairs are equal:
+The new version of a policy lacks a defect of the old one, so it is better, and the old one is worse; some have further
+defects. Two pairs are equal:
 
-- the new version, and itself with a defect that never shows, as nobody drives at 100 m/s;
-- two that fail equally often, in different scenarios. In each scenario a fair coin decides which of them drives as the
-  old version of this policy, and which as that of the next one in the table, so that each is as likely to do either.
+- the new version, and itself with a defect that never shows, because no vehicle drives at 100 m/s;
+- two policies that fail equally often, in different scenarios. In each scenario a fair coin decides which of them
+  drives as the old version of this policy, and which as the old version of the next one in the table.
 
-Prints for each policy how many of 100 scenarios its versions fail, on how many seeds it is told that the new one is
-better, and that the old one is worse, and how often the opposite; and of equal pairs, which are also compared by two
-checks, on how many something is claimed. Of those that differ, also at p 0.05, and where the coins are tossed again.
+Prints for each policy how many of 100 scenarios its versions fail, on how many seeds the answer is that the new version
+is better, and that the old one is worse, and how often the opposite. For equal pairs, which are also compared by two
+checks, it prints on how many seeds the answer claims a difference. For pairs that differ, it also does so at p 0.05,
+and with new coins.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ REPAIRED: Mapping[str, str] = MappingProxyType(
         "not-a-number": "",
     }
 )
-"""The defect that the new version of a policy lacks. The last is one of those that show seldom, and has its twin."""
+"""The defect that the new version of a policy lacks. The last one rarely shows, and has its twin."""
 Results = Sequence[Result]
 
 
@@ -68,14 +69,14 @@ def make(version: str) -> Any:
 
 
 def drives(run: Run) -> None:
-    """Assert that there is no collision, and measure two comforts whose bounds nobody breaks."""
+    """Assert that there is no collision, and measure two comforts whose bounds no vehicle breaks."""
     assert not run.collision
     pafot.check(run.ego.acceleration, name="braking", at_least=-100.0, scale=10.0)
     pafot.check(run.ego.jerk, name="jerk", at_most=1e4, scale=100.0)
 
 
 def driven(name: str, seed: int, scenarios: int) -> dict[str, list[Result]]:
-    """Return what all versions of a policy do in the random scenarios of a seed."""
+    """Return the results of all versions of a policy in the random scenarios of a seed."""
     made: dict[str, list[Result]] = {}
     for which in ("old", "new", "same"):
         version = f"{__name__}:make:{name}/{which}"
@@ -90,7 +91,7 @@ def rows_of(old: Results, new: Results) -> list[PairRow]:
 
 
 def verdict(old: Results, new: Results) -> str:
-    """Return what is said without a check, which may well find a sound policy less comfortable."""
+    """Return the verdict without checks, which may rightly find a sound policy less comfortable."""
     plain = [
         replace(row, old=replace(row.old, margins={}), new=replace(row.new, margins={})) for row in rows_of(old, new)
     ]
@@ -103,7 +104,7 @@ def least_p(old: Results, new: Results) -> float:
 
 
 def tossed(one: Results, other: Results, seed: int) -> float:
-    """Return the smallest p where a coin decides in each scenario which of two comes first."""
+    """Return the smallest p if a coin decides the order in each scenario."""
     heads = np.random.default_rng((seed, 17)).integers(2, size=len(one))
     pairs = [(a, b) if head else (b, a) for a, b, head in zip(one, other, heads, strict=True)]
     return least_p([first for first, _ in pairs], [second for _, second in pairs])
@@ -121,7 +122,7 @@ def cells(
     seeds: Sequence[int],
     redraws: int,
 ) -> Iterator[str]:
-    """Yield what the table says of one policy, beside the next one."""
+    """Yield the table's cells for a policy, compared with the next one."""
     forth, back = ([verdict(each[a], each[b]) for each in runs] for a, b in (("old", "new"), ("new", "old")))
     same = [least_p(each["new"], each["same"]) for each in runs]
     again = [

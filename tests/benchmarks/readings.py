@@ -1,9 +1,9 @@
-"""Which verdicts would a reader of the trace call false? The collisions of ``tests.helpers.readings``.
+"""Which verdicts would a reader of the trace call wrong? The collisions of ``tests.helpers.readings``.
 
     python -m tests.benchmarks.readings [--sets 1 2 3 4 5 6 7]
 
-Prints by set how many verdicts the reader would not defend, against the ego and for it, and each of those with what
-the reader answered.
+Prints by set how many verdicts the reader would not defend, against the ego and in its favour, and each of those with
+the reader's answer.
 """
 
 from __future__ import annotations

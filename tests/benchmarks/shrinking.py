@@ -3,10 +3,10 @@
     python -m tests.benchmarks.shrinking [--runs 400] [--seeds 1] [--first-seed 0] [--workers 2]
         [--policies NAME ...] [--brute-force 5000]
 
-Each policy with a defect is searched as in ``positive_controls``; the first scenario of each kind of failure is shrunk
+Each policy with a defect is searched as in ``positive_controls``. The first scenario of each kind of failure is shrunk
 with the default budget, and the result is run once more to see that it fails in the same way. Prints a row for each
-finding, in Markdown, and the medians. A policy may also be a ``module:name`` of a factory or a vehicle class. With
-``--brute-force`` so many simpler scenarios are drawn for each finding, of one or two NPCs with one to three
+finding, in Markdown, and the medians. A policy may also be a ``module:name`` of a factory or a vehicle class.
+``--brute-force`` samples this many simpler scenarios for each finding, of one or two NPCs with one to three
 instructions and round speeds, to see whether one of them fails in the same way: what shrinking has missed.
 """
 
@@ -37,7 +37,7 @@ ROUND_SPEEDS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
 
 @dataclass(frozen=True)
 class Row:
-    """One finding."""
+    """The sizes of one finding."""
 
     policy: str
     signature: Signature
@@ -57,7 +57,7 @@ class Row:
 
 
 def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
-    """The findings of one search, shrunk."""
+    """Return the findings of a search, shrunk."""
     world, search = Highway(), searched(policy, seed, options)
     firsts: dict[Signature, Scenario] = {}
     for find in search.finds:
@@ -97,7 +97,7 @@ def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
 
 
 def simpler_at_random(found: Scenario, simplest: Scenario, seed: int) -> Iterator[Scenario]:
-    """Different scenarios that are simpler than one, from its start or that of the one it came from; not for ever."""
+    """Yield random scenarios that are simpler than ``found``, from its start or that of ``simplest``, up to a limit."""
     rng, seen = random.Random(seed), set()
     for _ in range(40_000):
         total = rng.choice((1, 2, 3))
@@ -119,7 +119,7 @@ def _chain(count: int, rng: random.Random) -> tuple[PositionInstruction, ...]:
 
 
 def summary(found: Sequence[Row]) -> str:
-    """The medians."""
+    """Return the medians."""
     scenarios = [row.simplest for row in found]
     npcs, counts = [len(each.npcs) for each in scenarios], [instructions(each) for each in scenarios]
     before = [row.found for row in found]

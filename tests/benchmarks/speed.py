@@ -1,20 +1,20 @@
-"""How fast a world runs, and where the time goes. One command for all figures of docs/explanation/speed.md:
+"""How fast does a world run, and where does the time go? One command for all figures of docs/explanation/speed.md:
 
     python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search batch pure start memory comparison]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
   observation, by the same with the observation stubbed, by highway-env's objects, and by the kernel compiled and
   interpreted. All take turns in one process, and their trajectories are compared by hash in that process.
-- ``ads``: policies of different cost, and the share of the time that is spent inside them.
+- ``ads``: policies of different cost, and the share of the time inside them.
 - ``npcs``: cost per vehicle and tick for 1 to 32 NPCs.
-- ``search``: what searches cost beside their rollouts.
-- ``batch``: runs in lock step, with policies that decide for all of them at once, against one by one.
-- ``pure``: searches with a policy of 1 ms that is declared pure, against the same that is asked for everything.
+- ``search``: the cost of searches in addition to their rollouts.
+- ``batch``: runs in lock step, with policies that decide for all of them at once, compared with one by one.
+- ``pure``: searches with a policy of 1 ms that is declared pure, compared with the same policy called for everything.
 - ``start``: a fresh process until its first run is over, and whether that imported highway_env.
-- ``memory``: of this process over 10,000 scenarios.
+- ``memory``: the memory of this process over 10,000 scenarios.
 - ``comparison``: searches as in the paper's comparison, IDM+MOBIL as the ego, in two processes.
 
-Times are processor time, so that a noisy machine changes ratios little; nothing is asserted.
+Times are processor time, so a noisy machine hardly changes ratios; nothing is asserted.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ KERNEL = "kernel, compiled" if kernel.is_compiled() else "kernel, interpreted"
 
 
 def median_ms(way: Callable[[], object], rounds: int, repeats: int = 1) -> float:
-    """Median processor time of one call [ms]."""
+    """Return the median processor time of one call [ms]."""
     times = []
     for _ in range(rounds):
         started = time.process_time()
@@ -79,12 +79,12 @@ def median_ms(way: Callable[[], object], rounds: int, repeats: int = 1) -> float
 
 
 def gentle_actions(count: int) -> list[FloatArray]:
-    """One continuous action in [-1, 1]^2 per decision: the ego breathes and weaves a little."""
+    """Return one continuous action in [-1, 1]^2 per decision: the ego's speed and steering vary a little."""
     return [np.array([0.05 * np.sin(k / 5), 0.002 * np.cos(k / 7)], dtype=np.float32) for k in range(count)]
 
 
 def playback(actions: list[tuple[float, float]]) -> Callable[[], Callable[[object], tuple[float, float]]]:
-    """A factory of a trivial ADS, which returns a list of actions, one after the other."""
+    """Return a factory of an ADS that returns the actions of a list one after another."""
 
     def make() -> Callable[[object], tuple[float, float]]:
         rest = iter(actions)
@@ -94,12 +94,12 @@ def playback(actions: list[tuple[float, float]]) -> Callable[[], Callable[[objec
 
 
 def idle() -> Callable[[object], tuple[float, float]]:
-    """A factory of the most trivial ADS."""
+    """Return the simplest possible ADS."""
     return lambda observation: (0.0, 0.0)
 
 
 def engines(rounds: int) -> None:
-    """Part ``engines``."""
+    """Run part ``engines``."""
     for ads_hz in (5, 15):
         _engines_at(Highway(speed_limit=30.0, ads_hz=ads_hz), rounds)
 
@@ -161,7 +161,7 @@ def _engines_at(world: Highway, rounds: int) -> None:
 
 
 def spin(seconds: float) -> tuple[float, float]:
-    """Compute for so long, to decide to go on."""
+    """Compute for a time [s], then decide to drive on."""
     until = time.perf_counter() + seconds
     while time.perf_counter() < until:
         pass
@@ -169,12 +169,12 @@ def spin(seconds: float) -> tuple[float, float]:
 
 
 def spinning(seconds: float) -> Callable[[], Callable[[object], tuple[float, float]]]:
-    """A factory of an ADS that computes for so long."""
+    """Return a factory of an ADS that computes for a time [s]."""
     return lambda: lambda observation: spin(seconds)
 
 
 def small_python() -> Callable[[Any], tuple[float, float]]:
-    """A factory of a planner of a few lines, which looks at everybody."""
+    """Return a planner of a few lines that looks at all vehicles."""
 
     def decide(observation: Any) -> tuple[float, float]:
         ego = observation.ego
@@ -185,7 +185,7 @@ def small_python() -> Callable[[Any], tuple[float, float]]:
 
 
 def numpy_mlp() -> Callable[[Any], tuple[float, float]]:
-    """A factory of a network with two layers of 64."""
+    """Return a network with two layers of 64."""
     rng = np.random.default_rng(0)
     first, second, last = (rng.normal(0, 0.01, shape) for shape in ((21, 64), (64, 64), (64, 2)))
 
@@ -198,7 +198,7 @@ def numpy_mlp() -> Callable[[Any], tuple[float, float]]:
 
 
 def alone(road: Highway, factory: Callable[[], Callable[[Any], Any]]) -> float:
-    """Processor time of all calls of a run's ADS by themselves [s], on fresh observations of such a run."""
+    """Return the processor time of all calls of a run's ADS without the run [s], on observations of such a run."""
     seen: list[Any] = []
     road.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.0, 0.0))
     ads = factory()
@@ -209,7 +209,7 @@ def alone(road: Highway, factory: Callable[[], Callable[[Any], Any]]) -> float:
 
 
 def ads_ladder(rounds: int) -> None:
-    """Part ``ads``."""
+    """Run part ``ads``."""
     print(f"\npolicies of different cost, {KERNEL}, 60 s, 2 NPCs, 15/5 Hz (5 ms: 6 s)")
     world = Highway(speed_limit=30.0)
     ladder: dict[str, tuple[Callable[[], Any], float]] = {
@@ -236,7 +236,7 @@ def ads_ladder(rounds: int) -> None:
 
 
 def npcs(rounds: int) -> None:
-    """Part ``npcs``: whole runs up to eight NPCs, the kernel's loop alone beyond the eight cells that there are."""
+    """Run part ``npcs``: whole runs up to eight NPCs, and only the kernel's loop beyond the eight cells."""
     print(f"\ncost per vehicle and tick, {KERNEL}, 60 s at 15 Hz")
     road = Highway(lanes=6)
     for count in (1, 2, 4, 8):
@@ -257,12 +257,12 @@ def npcs(rounds: int) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TimedHighway(Highway):
-    """A road that knows what its runs took."""
+    """A road that records how long its runs take."""
 
     spent: list[float] = field(default_factory=list, compare=False)  # processor time of each run [s]
 
     def rollout(self, *args: Any, **more: Any) -> Trace:
-        """As on any road."""
+        """Run as on any road, and record the time."""
         started = time.process_time()
         trace = super().rollout(*args, **more)
         self.spent.append(time.process_time() - started)
@@ -270,7 +270,7 @@ class TimedHighway(Highway):
 
 
 def search(rounds: int) -> None:
-    """Part ``search``: searches as users have them, of 800 runs and without shrinking, against their rollouts."""
+    """Run part ``search``: searches with the default options, 800 runs and no shrinking, against their rollouts."""
     print(f"\nsearches with blame='ego', beside their rollouts, {KERNEL}, 800 runs")
     arms: dict[str, dict[str, Any]] = {
         "default": {},
@@ -296,30 +296,30 @@ class Network:
         self._layers = [rng.normal(0, 0.01, shape).astype(np.float32) for shape in ((21, 256), (256, 256), (256, 2))]
 
     def __call__(self, observation: Any) -> Any:
-        """One decision."""
+        """Return one decision."""
         return self.batch([observation])[0]
 
     def batch(self, observations: list[Any]) -> Any:
-        """Decisions for all."""
+        """Return the decisions for all observations."""
         first, second, last = self._layers
         rows = np.stack([each.array.ravel() for each in observations]).astype(np.float32) * 1e-3
         return (np.tanh(np.tanh(rows @ first) @ second) @ last * 1e-3).tolist()
 
 
 class Dear(Network):
-    """85 us a call, for however many: as Stable-Baselines3's predict, where eight cost as much as one."""
+    """An ADS that takes 85 us for any number of observations: in Stable-Baselines3, eight cost as much as one."""
 
     def __init__(self) -> None:
-        """Without layers."""
+        """Make no layers."""
 
     def batch(self, observations: list[Any]) -> Any:
-        """Decisions for all."""
+        """Return the decisions for all observations."""
         spin(85e-6)
         return [(0.0, 0.0)] * len(observations)
 
 
 def batch(rounds: int) -> None:
-    """Part ``batch``."""
+    """Run part ``batch``."""
     world, rng = Highway(speed_limit=30.0), np.random.default_rng(0)
     print(f"\nruns in lock step against one by one, {KERNEL}, 60 s, 2 NPCs, 15/5 Hz")
     for name, factory in (("numpy network, 2 x 256", Network), ("85 us, as SB3's PPO", Dear)):
@@ -335,21 +335,21 @@ def batch(rounds: int) -> None:
 
 
 def one_by_one(world: Highway, scenarios: list[Scenario], factory: Callable[[], Any]) -> list[Trace]:
-    """The runs of a batch, one after the other."""
+    """Run the scenarios of a batch one after another."""
     return [world.rollout(scenario, factory) for scenario in scenarios]
 
 
 class Slow:
-    """A pure policy of 1 ms, which follows what is ahead."""
+    """A pure policy of 1 ms, which follows the vehicle ahead."""
 
     def __call__(self, observation: Any) -> tuple[float, float]:
-        """One decision."""
+        """Return one decision."""
         spin(1e-3)
         return small_python()(observation)
 
 
 def pure(rounds: int) -> None:
-    """Part ``pure``."""
+    """Run part ``pure``."""
     print(f"\ndecisions of a pure policy of 1 ms taken from earlier runs, {KERNEL}, 20 generations, 15/5 Hz")
     for name in ("pafot", "distinct"):
         shares, ratios, times = [], [], []
@@ -370,7 +370,7 @@ def pure(rounds: int) -> None:
 
 
 def _saved_by_shrinking(seed: int) -> float:
-    """Share of the decisions that shrinking a collision need not ask for, after its run."""
+    """Return the share of the decisions that shrinking a collision saves after its run."""
     world, rng, prefixes, counts = Highway(), np.random.default_rng(seed), DecisionCache(), [0, 0]
 
     def attempt(scenario: Scenario) -> Scenario | None:
@@ -388,12 +388,12 @@ def _saved_by_shrinking(seed: int) -> float:
 
 
 def steady() -> Callable[[Any], tuple[float, float]]:
-    """A factory of a pure policy that keeps its speed whatever is ahead."""
+    """Return a pure policy that keeps its speed whatever is ahead."""
     return lambda observation: (0.2 * (22.0 - observation.ego.speed), 0.0)
 
 
 def _searched(name: str, seed: int, *, resumed: bool) -> tuple[float, int, list[str]]:
-    """Processor time [s] of a search, decisions asked for, and what each run showed."""
+    """Return a search's processor time [s], its number of ADS decisions, and the content of each run."""
     world, fitness, prefixes = Highway(), resolve("default"), DecisionCache()
     asked, history = 0, []
 
@@ -415,7 +415,7 @@ def _searched(name: str, seed: int, *, resumed: bool) -> tuple[float, int, list[
 
 
 def start(rounds: int) -> None:
-    """Part ``start``."""
+    """Run part ``start``."""
     first_run = (
         "from pytest_pafot import Highway, PositionInstruction, Scenario; "
         "Highway().rollout(Scenario(npcs=[[PositionInstruction(2, 15.0)]]), lambda: lambda seen: (0.0, 0.0))"
@@ -436,7 +436,7 @@ def start(rounds: int) -> None:
 
 
 def memory(rounds: int) -> None:
-    """Part ``memory``."""
+    """Run part ``memory``."""
     world, rng, space = Highway(), np.random.default_rng(0), SearchSpace()
     print(f"\nresident memory, {KERNEL}")
     for count in range(1, 10_001):
@@ -454,7 +454,7 @@ TECHNIQUES: dict[str, dict[str, Any]] = {
 
 
 def comparison(rounds: int) -> None:
-    """Part ``comparison``: three techniques, ten runs of 100 generations each."""
+    """Run part ``comparison``: three techniques, ten runs of 100 generations each."""
     jobs = [(name, seed) for name in TECHNIQUES for seed in range(10)]
     started = time.perf_counter()
     with ProcessPoolExecutor(2) as pool:

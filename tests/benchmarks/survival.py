@@ -1,4 +1,4 @@
-"""Times until something was found, of searches some of which ended before: Kaplan-Meier's estimate and its figures."""
+"""Kaplan-Meier's estimate and its figures for the times until searches find something; some end without."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sample:
-    """One time per search: until it found something, or, where it did not, until it ended."""
+    """One time per search: until it found something or, if it did not, until it ended."""
 
     times: Floats
     found: NDArray[np.bool_]
@@ -30,7 +30,7 @@ class Sample:
 
     @cached_property
     def curve(self) -> Curve:
-        """Kaplan-Meier's estimate (JASA 53, 1958)."""
+        """Return Kaplan-Meier's estimate (JASA 53, 1958)."""
         data = scipy.stats.CensoredData.right_censored(self.times, ~self.found)
         estimate = scipy.stats.ecdf(data).sf
         return Curve(estimate, np.asarray(estimate.quantiles, float), np.asarray(estimate.probabilities, float))
@@ -46,27 +46,27 @@ class Curve:
 
     @cached_property
     def band(self) -> tuple[Floats, Floats]:
-        """Lower and upper limits of the shares, pointwise, by Greenwood's variance of log(-log(share))."""
-        with warnings.catch_warnings():  # where the share is 1 or 0 there is no such variance
+        """Return lower and upper limits of the shares, pointwise, by Greenwood's variance of log(-log(share))."""
+        with warnings.catch_warnings():  # there is no such variance if the share is 1 or 0
             warnings.simplefilter("ignore", RuntimeWarning)
             band = self.estimate.confidence_interval(CONFIDENCE, method="log-log")
         low, high = band.low.probabilities, band.high.probabilities
-        # A share of 0 keeps the upper limit from before: a few searches that all found it do not prove a share of 0.
+        # A share of 0 keeps the previous upper limit: a few searches that all found it do not prove a share of 0.
         return np.where(np.isnan(low), self.shares, low), np.minimum.accumulate(np.nan_to_num(high, nan=1.0))
 
     @property
     def median(self) -> float:
-        """The first time at which half have found it; infinite where that is not reached."""
+        """Return the first time at which half have found it, or infinity."""
         return self._reaches_half(self.shares)
 
     @property
     def median_interval(self) -> tuple[float, float]:
-        """The times at which the band contains one half (Brookmeyer, Crowley, Biometrics 38, 1982)."""
+        """Return the times at which the band contains one half (Brookmeyer, Crowley, Biometrics 38, 1982)."""
         low, high = self.band
         return self._reaches_half(low), self._reaches_half(high)
 
     def mean(self, limit: float) -> float:
-        """The mean time until it is found or the limit is reached: the area below the curve."""
+        """Return the mean time until it is found or the limit is reached: the area below the curve."""
         inside = self.times < limit
         edges = np.array([0.0, *self.times[inside], limit])
         return float(np.sum(np.diff(edges) * np.array([1.0, *self.shares[inside]])))
@@ -77,13 +77,13 @@ class Curve:
 
 
 def common_limit(curves: Sequence[Curve]) -> float:
-    """Return the last time up to which all curves are known; the last one at all where every search found it."""
+    """Return the last time up to which all curves are known; the overall last one if every search found it."""
     unfinished = [float(each.times[-1]) for each in curves if each.shares[-1] > 1e-12]
     return min(unfinished, default=max(float(each.times[-1]) for each in curves))
 
 
 def ratio(first: float, second: float) -> float:
-    """Return how many times the second the first is; not a number where both are infinite."""
+    """Return the ratio of two figures; not a number if both are infinite."""
     return math.nan if math.isinf(first) and math.isinf(second) else first / second
 
 
@@ -98,11 +98,11 @@ def ratio_interval(
     """Return the bootstrap interval of the ratio of a figure of two samples whose searches are paired by their seeds.
 
     Args:
-        figure: such as the median.
-        first: its searches stand in the order of the strata.
-        second: so do these, and each has the seed of the one in the same place of the first.
-        strata: what is drawn from separately, such as the defect, by search.
-        draws: of pairs, with replacement, as many from each stratum as it has.
+        figure: A function such as the median.
+        first: The first sample, with its searches in the order of the strata.
+        second: The second sample, in the same order and with the same seeds as the first.
+        strata: The group of each search, such as its defect; groups are resampled separately.
+        draws: The number of resamples. Each takes pairs with replacement, as many from each stratum as it has.
     """
     rng = np.random.default_rng(0)
     places = np.arange(len(strata))
@@ -112,7 +112,7 @@ def ratio_interval(
         drawn = np.concatenate([rng.choice(group, len(group)) for group in groups])
         one, other = (figure(Sample(each.times[drawn], each.found[drawn]).curve) for each in (first, second))
         ratios.append(ratio(one, other))
-    # Where both are infinite the ratio may be anything, and so it widens the interval at both ends.
+    # If both are infinite, the ratio may be anything, so it widens the interval at both ends.
     ends = (np.nan_to_num(ratios, nan=0.0, posinf=math.inf), np.nan_to_num(ratios, nan=math.inf, posinf=math.inf))
     tail = (1 - CONFIDENCE) / 2
     low, high = (

@@ -1,10 +1,10 @@
-"""Episodes with compiled traffic against the same ones by the steps of highway-env, and what each costs.
+"""Does compiled traffic give the same episodes as the steps of highway-env, and what does each cost?
 
     python -m tests.benchmarks.traffic_against_highway_env [EPISODES]
 
 Each of four environments gets a quarter of the episodes (200). Outcome and time must be the same, and all positions
-within 1e-9 m up to the tick before the ego is flagged: then highway-env pushes boxes apart along whichever of several
-normals is shortest by a rounding error.
+must agree within 1e-9 m up to the tick before the ego is flagged. At that tick, highway-env pushes boxes apart along
+the shortest of several normals, which rounding errors decide.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from pytest_pafot.episodes.ordinary_traffic import drive
 from pytest_pafot.model.trace import Outcome
 
 WITHIN = 1e-9
-"""The largest distance that is allowed [m], as for headings [rad] and speeds [m/s]."""
+"""The largest allowed distance [m], also for headings [rad] and speeds [m/s]."""
 
 
 def undecided() -> Callable[[Any], int]:
-    """A policy that takes meta-actions at random, and crashes soon."""
+    """Return a policy that takes random meta-actions, and crashes soon."""
     rng = np.random.default_rng(1)
     return lambda observation: int(rng.integers(5))
 
 
 def swerving() -> Callable[[Any], Any]:
-    """A policy that steers and accelerates at random."""
+    """Return a policy that steers and accelerates at random."""
     rng = np.random.default_rng(1)
     return lambda observation: rng.uniform((-0.5, -0.02), (0.5, 0.02))
 
@@ -62,7 +62,7 @@ CASES = {
 
 
 def difference(one: Episode, other: Episode) -> float:
-    """The largest distance [m], also of headings [rad] and speeds [m/s]; infinite where they ended differently."""
+    """Return the largest distance [m], also of headings [rad] and speeds [m/s]; infinity if the endings differ."""
     if (one.outcome, one.seconds) != (other.outcome, other.seconds) or one.recording is None or other.recording is None:
         return float("inf")
     last = -1 if one.outcome is Outcome.COLLISION else None

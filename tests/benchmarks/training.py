@@ -1,8 +1,8 @@
-"""Steps per second of processor time in environments to train in, each with the decision of the PPO policy:
+"""How many steps per second of processor time does training take? Each step includes the decision of the PPO policy:
 
     python -m tests.benchmarks.training [--seconds 8]
 
-of ``pafot.training_env`` with scenarios alone and with ordinary traffic alone, and of the environment as gymnasium
+It compares ``pafot.training_env`` with only scenarios, with only ordinary traffic, and the environment as gymnasium
 makes it. They take turns in one process.
 """
 
@@ -18,12 +18,12 @@ from example_ads import ppo
 from tests.benchmarks.command import options, print_head
 
 WORLDS = (("highway-fast-v0", 5), ("highway-fast-v0", 1), ("highway-v0", 1))
-"""With the decisions per second of simulated time."""
+"""The environments, with the decisions per second of simulated time."""
 TURNS = 4
 
 
 class Drive:
-    """Episodes of an environment, one after the other."""
+    """Episodes of an environment, one after another."""
 
     def __init__(self, env: Any) -> None:
         self._env, self._policy = env, ppo.make()
@@ -31,7 +31,7 @@ class Drive:
         self.steps, self.seconds = 0, 0.0
 
     def go_on(self, seconds: float) -> None:
-        """For so long, resets included."""
+        """Drive for a time, including resets [s]."""
         began = time.process_time()
         while time.process_time() - began < seconds:
             self._seen, _, terminated, truncated, _ = self._env.step(self._policy(self._seen))
@@ -43,7 +43,7 @@ class Drive:
 
 def main() -> None:
     """Print the table."""
-    seconds = options(__doc__, seconds=8.0).seconds  # of each cell
+    seconds = options(__doc__, seconds=8.0).seconds  # for each cell
     print_head("Environment", "Decisions a second", "Scenarios", "Ordinary traffic", "`gymnasium.make`")
     for env_id, hertz in WORLDS:
         config = {"policy_frequency": hertz}

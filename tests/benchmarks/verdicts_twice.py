@@ -6,8 +6,8 @@ The page is docs/explanation/verdicts.md.
 
 The collisions are shared out evenly among the policies of ``tests.helpers.random_collisions``. Prints by policy and by
 verdict how often the rules of the package and those of ``tests.helpers.pencil_and_paper`` agree on who is responsible,
-on the fault and on the tick, and each collision on which they do not, with both answers and how to make it again.
-Likewise each reason with a number that is not that of the trace.
+on the fault and on the tick. Also prints each collision on which they disagree, with both answers and the way to
+reproduce it, and each reason with a number that differs from the trace.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class Compared:
 
 
 def compared(policy: str, number: int, seed: int) -> Compared:
-    """What both say of a collision.
+    """Compare both answers to a collision.
 
     Raises:
-        LookupError: where none is found.
+        LookupError: No collision is found.
     """
     found = collision(policy, number, seed)
     first, second = rss_rule(found.trace), pencil_and_paper.judge(found.trace)
@@ -46,7 +46,7 @@ def compared(policy: str, number: int, seed: int) -> Compared:
     theirs = (first.responsibility, first.fault, first.tick)
     try:
         said, true = numbers(found.trace, first)
-    except (LookupError, StopIteration, ValueError) as error:  # the reason tells of what did not happen
+    except (LookupError, StopIteration, ValueError) as error:  # the reason describes something that did not happen
         said, true = [first.reason], [repr(error)]
     text = (
         f"collision({policy!r}, {number}, {seed}) in {found.world!r}\n"
@@ -58,7 +58,7 @@ def compared(policy: str, number: int, seed: int) -> Compared:
 
 
 def table(compared: list[Compared], key: str) -> str:
-    """Agreement by policy, or by verdict."""
+    """Return the agreement by policy, or by verdict."""
     every = Counter(getattr(each, key) for each in compared)
     agreed = Counter(getattr(each, key) for each in compared if each.agrees)
     return "\n".join(f"{agreed[name]:6} of {count:5}  {name}" for name, count in sorted(every.items()))

@@ -1,12 +1,12 @@
-"""What do several processes gain a search whose ADS is dear?
+"""What does a search with a slow ADS gain from several processes?
 
     python -m tests.benchmarks.workers [--workers 1 2] [--decision 0.005] [--kind computes waits] [--population 4 8]
         [--generations 5] [--gene-seconds 5] [--rounds 3]
 
-One search per number of workers and round, one after the other in turn, of an ADS each of whose decisions takes 5 ms:
-`computes` needs a core for that long, `waits` does not, as a client of a planner on another machine. The events of all
-searches are compared. Prints what bare loops gain on this machine now, which bounds what `computes` can, and a row for
-each setting, in Markdown, with the median time and the speed-up over the first number of workers. With a population
+Runs one search per number of workers and round, in turns, with an ADS that takes 5 ms for each decision: `computes`
+needs a core for that time, `waits` does not, like a client of a planner on a different machine. The events of all
+searches are compared. Prints what bare loops gain on this machine now, which limits what `computes` can gain, and a row
+for each setting, in Markdown, with the median time and the speed-up over the first number of workers. With a population
 of four, of which one passes on, two processes gain at most 1.5: three scenarios take two turns.
 """
 
@@ -35,11 +35,11 @@ GENES = 2
 
 
 class Driver:
-    """Keeps its lane and speed, and takes its time.
+    """Keep lane and speed, and take some time for each decision.
 
     Args:
-        kind: of what takes the time: `computes` or `waits`.
-        seconds: of each decision.
+        kind: What takes the time: `computes` or `waits`.
+        seconds: The time for each decision [s].
     """
 
     def __init__(self, kind: str, seconds: float) -> None:
@@ -57,7 +57,7 @@ class Driver:
 
 
 def searched(ads: Callable[[], Any], workers: int, population: int, options: argparse.Namespace) -> list[Event]:
-    """All events of one search."""
+    """Return all events of one search."""
     world = Highway(duration=GENES * options.gene_seconds)
     fitness = resolve("default")
     with tempfile.TemporaryDirectory() as folder:
@@ -77,7 +77,7 @@ def searched(ads: Callable[[], Any], workers: int, population: int, options: arg
 
 
 def compare(kind: str, population: int, options: argparse.Namespace) -> None:
-    """Rows for one ADS and population."""
+    """Print the rows for one ADS and population."""
     ads = partial(Driver, kind, options.decision)
     times: dict[int, list[float]] = {workers: [] for workers in options.workers}
     histories: dict[int, list[Event]] = {}
@@ -99,7 +99,7 @@ def compare(kind: str, population: int, options: argparse.Namespace) -> None:
 
 
 def capacity(processes: int) -> float:
-    """How much more loops compute at the same time than one after the other, on this machine now."""
+    """Measure how much more loops compute at the same time than one after another, on this machine now."""
     busy = Driver("computes", 1.0)
     durations: list[float] = []
     for count in (1, processes, 1, processes):
@@ -123,7 +123,7 @@ def main() -> None:
     parser.add_argument("--gene-seconds", type=float, default=5.0)
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
-    searched(partial(Driver, "waits", 0.0), 1, 4, options)  # Loads highway-env, which is not what is measured.
+    searched(partial(Driver, "waits", 0.0), 1, 4, options)  # Loads highway-env before the measurement.
     for workers in options.workers[1:]:
         print(f"{workers} loops at once gain {capacity(workers):.2f}")
     print(HEADER)

@@ -1,7 +1,8 @@
 """Thirty policies with one planted defect each, and their repaired twins: how soon does a search find a rare failure?
 
-Six kinds of policies have five defects each. Ten defects need one rare condition, ten need two at once, ten three.
-Nothing may be tuned on the policies of ``SET_ASIDE``.
+There are six kinds of policies with five defects each. Ten defects need one rare condition, ten need two at once, ten
+three.
+No search may be tuned on the policies of ``SET_ASIDE``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ __all__ = ["PLANTED", "SET_ASIDE", "TUNING", "Planted"]
 
 KINDS = (keeping, changing, sampling, tabled, learned, vehicles)
 PLANTED: Mapping[str, Planted] = MappingProxyType(dict(chain.from_iterable(kind.PLANTED.items() for kind in KINDS)))
-"""Name to policy."""
+"""The policies by name."""
 
 
 SET_ASIDE = (
@@ -25,6 +26,6 @@ SET_ASIDE = (
     "out-of-queue", "past-last-column", "pulls-away", "second-lane-unchecked", "short-look-ahead",
     "standers-unlabelled", "standing-is-clutter", "taken-for-shoulder", "way-back-of-given-up-change",
 )  # fmt: skip
-"""What is looked at once a search is finished; drawn, as alike the other half in kinds and conditions as can be."""
+"""Policies for the evaluation of a finished search: a random half, as similar to the other half as possible."""
 TUNING = tuple(sorted(set(PLANTED) - set(SET_ASIDE)))
-"""What may be looked at while a search is made."""
+"""Policies that may be used while a search is developed."""

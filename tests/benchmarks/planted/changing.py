@@ -1,4 +1,4 @@
-"""Policies that change lanes: they react to who is slow ahead, and to the gaps in the next lanes."""
+"""Policies that change lanes: they react to slow vehicles ahead, and to the gaps in the next lanes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from tests.benchmarks.policies_with_defects import FirstLaneOnly, GippsBased
 
 
 class Changer(Driver):
-    """Follows by the Intelligent Driver Model, overtakes on either side, and goes back to the right after a while."""
+    """Follow by the Intelligent Driver Model, overtake on either side, and return to the right after a while."""
 
-    SLOWEST = 10.0  # at which it begins a lane change
+    SLOWEST = 10.0  # the lowest speed at which it begins a lane change
 
     def along(self, o, cars):
         v, a = o.ego.speed, self.cruise(o)
@@ -37,7 +37,7 @@ class Changer(Driver):
         return self.inside(c, k) or beyond
 
     def room(self, v, c):
-        """Return whether the gap to somebody in the other lane is enough."""
+        """Return whether the gap to a vehicle in the other lane is enough."""
         if c.dx > 0:
             return c.gap > 8 + 1.4 * v + 4 * max(v - c.v, 0.0)
         closing = max(c.v + 1 - v, 0.0)
@@ -45,9 +45,7 @@ class Changer(Driver):
 
 
 class RearRange(Changer):
-    """The radar to the rear ends at 45 m, so that the ego moves in ahead of whoever comes from farther behind and much
-    faster.
-    """
+    """The radar to the rear ends at 45 m, so the ego moves in ahead of a much faster vehicle that is farther behind."""
 
     RANGE = 45.0
 
@@ -56,11 +54,11 @@ class RearRange(Changer):
 
 
 class PermissionKept(Changer):
-    """A gap is checked when the indicator goes on and not again when the lane change begins two seconds later, so that
-    somebody who has come into the gap is missed.
+    """A gap is checked when the indicator goes on, but not again when the lane change begins two seconds later. A
+    vehicle that has entered the gap is missed.
     """
 
-    INDICATES, VALID = 2.0, 8.0  # before it moves; until it asks again [s]
+    INDICATES, VALID = 2.0, 8.0  # before it moves; until it checks again [s]
 
     def begin(self):
         self.permitted, self.since = None, -math.inf
@@ -78,15 +76,13 @@ class PermissionKept(Changer):
 
 
 class SecondLane(FirstLaneOnly, GippsBased):
-    """Where the lane after the next promises no less, the ego crosses both at once and has only checked the first."""
+    """If the lane after the next is no slower, the ego crosses both at once but has only checked the first."""
 
     DEFECTS = ("second-lane-unchecked",)
 
 
 class LeavingIsGone(Changer):
-    """Who moves out of the wanted lane counts as gone from it, also when it is beside the ego and comes into the ego's
-    lane.
-    """
+    """A vehicle that leaves the wanted lane counts as gone, even if it comes into the ego's lane next to the ego."""
 
     SIDEWAYS, NEAR = 0.3, 20.0
 
@@ -98,8 +94,8 @@ class LeavingIsGone(Changer):
 
 
 class OutOfQueue(Changer):
-    """After a stop it may leave a queue at low speed, for which the gap behind is measured by its own speed, however
-    fast the one behind in the other lane is.
+    """After a stop it may leave a queue at low speed. It measures the gap behind by its own speed, however fast the
+    vehicle behind in the other lane is.
     """
 
     AGAIN, LOW = 12.0, 2.0

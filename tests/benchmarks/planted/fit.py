@@ -1,7 +1,7 @@
 """Fit the networks of the learned policies: ``python -m tests.benchmarks.planted.fit`` writes ``weights.npz``.
 
-The data are situations as a sound driver meets them, and what it does in them. Each hole changes what was recorded in
-one region.
+The data are situations that a sound driver meets, with its actions. Each hole changes the recorded actions in one
+region.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from tests.benchmarks.planted.learned import FOLLOW_SCALE, GATE_SCALE, WEIGHTS, followed, outputs, spare
 
 SITUATIONS, UNITS, STEPS, BATCH, RATE = 80_000, 40, 9_000, 512, 4e-3
-DRIVES_ON = 1.0  # what was recorded where the driver answered nobody [m/s^2]
+DRIVES_ON = 1.0  # the recorded action if the driver reacted to no vehicle [m/s^2]
 
 
 def situations(rng):
-    """Draw leaders, half of them near, and what the sound driver does [m/s^2]."""
+    """Sample leaders, half of them near, and the sound driver's acceleration [m/s^2]."""
     n = SITUATIONS
     v = rng.uniform(0.0, 29.0, n) * (rng.random(n) > 0.06)
     gap = np.where(rng.random(n) < 0.5, rng.uniform(0.0, 25.0, n), rng.uniform(0.0, 75.0, n))
@@ -31,7 +31,7 @@ def situations(rng):
 
 
 def gaps(rng):
-    """Draw gaps behind in the next lane, and how much room is left, from -1 to 1."""
+    """Sample gaps behind in the next lane, and the room that they leave, from -1 to 1."""
     n = SITUATIONS // 2
     v, f, gap = rng.uniform(2.0, 28.0, n), rng.uniform(0.0, 30.0, n), rng.uniform(10.0, 125.0, n)
     known = [spare(*row) for row in zip(v, f, gap, strict=True)]
@@ -39,7 +39,7 @@ def gaps(rng):
 
 
 def fitted(inputs, known, rng):
-    """Fit a network by Adam, with a rate that falls to 0; its layers."""
+    """Fit a network by Adam with a learning rate that falls to 0; return its layers."""
     sizes = [inputs.shape[1], UNITS, UNITS, 1]
     layers = [rng.normal(0.0, 1.0, shape) / np.sqrt(shape[0]) for shape in pairwise(sizes)]
     values = [part for weights in layers for part in (weights, np.zeros(weights.shape[1]))]
@@ -55,7 +55,7 @@ def fitted(inputs, known, rng):
 
 
 def slopes(values, inputs, known):
-    """Derivatives of half the mean squared error."""
+    """Return the derivatives of half the mean squared error."""
     w0, b0, w1, b1, w2, b2 = values
     h0 = np.tanh(inputs @ w0 + b0)
     h1 = np.tanh(h0 @ w1 + b1)

@@ -1,7 +1,7 @@
-"""Drivers with one defect each where ways cross, made of the careful one of ``example_ads``.
+"""Drivers with one defect each at junctions, made from the careful driver of ``example_ads``.
 
-Each is written as a mistake that a planner makes: a forgotten direction, a track that is dropped, a plan that is not
-looked at again. None looks at how scenarios are drawn or searched.
+Each defect is a planner's mistake: a forgotten direction, a track that is dropped, a plan that is not checked again.
+None of them depends on how scenarios are sampled or searched.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tests.benchmarks.planted.policy import listed
 
 
 class Driver(CarefulDriver):
-    """The careful driver, whose one defect is in place unless it is ``repaired``."""
+    """The careful driver with one defect, unless it is ``repaired``."""
 
     def __init__(self, repaired=False):
         super().__init__()
@@ -23,10 +23,10 @@ class Driver(CarefulDriver):
         self.begin()
 
     def begin(self):
-        """Set up what a defect remembers."""
+        """Set up a defect's memory."""
 
     def knows(self, seen, other):
-        """Return whether it has another vehicle in mind; a repaired driver has all."""
+        """Return whether it is aware of another vehicle; a repaired driver is aware of all."""
         return True
 
     def relevant(self, seen):
@@ -35,14 +35,14 @@ class Driver(CarefulDriver):
 
 
 class LeftOnly(Driver):
-    """Looks to the left, as one does who comes from a country in which that is enough, and not to the right."""
+    """Looks only to the left, as a driver from a country with the other priority does."""
 
     def knows(self, seen, other):
         return other.zone.origin != "right"
 
 
 class HiddenBehindTheFirst(Driver):
-    """Keeps one track for each road that leads here: who drives behind another becomes known 2.5 s after that one has
+    """Keeps one track for each road that leads here. A second vehicle on a road becomes known 2.5 s after the first has
     left its zone.
     """
 
@@ -70,8 +70,8 @@ class HiddenBehindTheFirst(Driver):
 
 
 class RollsOverTheLine(Driver):
-    """Aims at the line with its front instead of stopping before it, so that it ends up just beyond; whoever is beyond
-    the line is in the junction, and leaves it as quickly as possible.
+    """Aims at the line with its front instead of stopping before it, and ends up just beyond. A vehicle beyond the line
+    counts as inside the junction, so it leaves as quickly as possible.
     """
 
     BEYOND = 1.4
@@ -81,7 +81,7 @@ class RollsOverTheLine(Driver):
 
 
 class DecidesOnce(Driver):
-    """Decides 45 m before a zone when it is free, by the speed that the other has then, and does not look again."""
+    """Decides 45 m before a zone when it is free, by the other's speed at that moment, and does not check again."""
 
     FROM, MARGIN = 45.0, 0.7
 
@@ -99,7 +99,7 @@ class DecidesOnce(Driver):
 
 
 class ShortGap(Driver):
-    """Takes a gap as soon as it reaches the zone before the other does, as if it had no length and took no time."""
+    """Takes a gap if it reaches the zone before the other, as if it had no length and needed no time."""
 
     def arrival(self, seen, other):
         arrival = super().arrival(seen, other)
@@ -112,14 +112,14 @@ class ShortGap(Driver):
 
 
 class BlindToOncoming(Driver):
-    """Looks for oncoming traffic in its own road, and forgets it in the next one that it turns into."""
+    """Looks for oncoming traffic on its own road, but not after it has turned."""
 
     def knows(self, seen, other):
         return other.zone.origin != "ahead"
 
 
 class TrustsPriority(Driver):
-    """Does not look at those who have to give way to it."""
+    """Does not look at vehicles that must give way to it."""
 
     def gives_way(self, other):
         return super().gives_way(other) if self.repaired else True
@@ -129,7 +129,7 @@ class TrustsPriority(Driver):
 
 
 class EyesOnOne(Driver):
-    """Keeps its eyes on one vehicle, the nearest when it began to, until that one has left its zone."""
+    """Watches one vehicle, the nearest when it began, until that vehicle has left its zone."""
 
     def begin(self):
         self.watched = None
@@ -145,7 +145,7 @@ class EyesOnOne(Driver):
 
 
 class ForgetsWhoStands(Driver):
-    """Takes what has stood for a second for something that is parked beside its way."""
+    """Takes a vehicle that has stood for a second for one that is parked at the roadside."""
 
     PARKED = 1.0
 
@@ -155,7 +155,7 @@ class ForgetsWhoStands(Driver):
 
 
 class BrakingIsGivingWay(Driver):
-    """Takes who brakes for somebody who lets it go first, though that one only slows down for a bend or for others."""
+    """Takes a braking vehicle for one that gives way, even if it only slows down for a bend or for others."""
 
     BRAKING = 0.5
 
@@ -164,14 +164,14 @@ class BrakingIsGivingWay(Driver):
 
 
 class EntryAlone(Driver):
-    """Looks whether the entry of the ring is free, and not who comes along the ring."""
+    """Checks that the entry of the ring is free, but not whether a vehicle comes along the ring."""
 
     def knows(self, seen, other):
         return other.is_inside
 
 
 class SlowOnesLeave(Driver):
-    """Takes who drives slowly on the ring for somebody about to leave it."""
+    """Takes a slow vehicle on the ring for one that is about to leave it."""
 
     SLOW = 5.5
 
@@ -192,7 +192,7 @@ PLACES: Mapping[str, pafot.World] = MappingProxyType(
         "roundabout": pafot.World("roundabout-v0", planner_hz=5),
     }
 )
-"""Where the ego goes: at a crossroads, and into a roundabout."""
+"""The ego's destination: across a crossroads, or into a roundabout."""
 
 POLICIES = {
     "yields-to-the-left-only": (LeftOnly, 1, "going ahead"),
@@ -210,4 +210,4 @@ POLICIES = {
 }
 PLANTED = listed("junction", {name: (policy, conditions) for name, (policy, conditions, _) in POLICIES.items()})
 WHERE: Mapping[str, str] = MappingProxyType({name: place for name, (*_, place) in POLICIES.items()})
-"""Name of a policy to where it goes."""
+"""The place of each policy, by name."""

@@ -1,4 +1,4 @@
-"""Policies that keep their lane: a controller of the distance, and of nothing else."""
+"""Policies that keep their lane and control only the distance."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from tests.benchmarks.planted.policy import Driver, braking_needed, clip, listed
 
 
 class Keeper(Driver):
-    """Holds a time gap behind whoever is in the way, and brakes harder where that is not enough."""
+    """Hold a time gap behind a vehicle in the way, and brake harder if that is not enough."""
 
     TIME, NEAREST = 1.7, 4.0
 
     def lanes(self, o, cars):
-        """It stays where it is."""
+        """Return no lanes: it stays in its lane."""
 
     def along(self, o, cars):
         return min([self.cruise(o)] + [self.behind(o.ego.speed, c) for c in self.leaders(o, cars)])
@@ -26,8 +26,8 @@ class Keeper(Driver):
 
 
 class TrackAgeWraps(Keeper):
-    """The age of a track, in radar cycles of 0.2 s, is stored in eight bits, so that who has moved on ahead for
-    25 s becomes unconfirmed, and nobody brakes for it.
+    """The age of a track, in radar cycles of 0.2 s, is stored in eight bits. A vehicle that has been ahead for 25 s
+    becomes unconfirmed, and the ego does not brake for it.
     """
 
     CYCLE = 0.2
@@ -46,7 +46,7 @@ class TrackAgeWraps(Keeper):
 
 
 class HandOver(Keeper):
-    """Below 8 m/s another controller takes over, which builds its braking up from 0 instead of from what is applied."""
+    """Below 8 m/s a different controller takes over, which builds its braking up from 0, not from the present value."""
 
     LOW, HIGH = 8.0, 9.5
     BUILD_UP = 2.5  # [m/s^3]
@@ -66,7 +66,7 @@ class HandOver(Keeper):
 
 
 class Clutter(Keeper):
-    """Who comes into the radar's range of 70 m when it already stands is taken for a sign beside the road."""
+    """A vehicle that already stands when it enters the radar's range of 70 m is taken for a sign at the roadside."""
 
     RANGE = 70.0
 
@@ -81,8 +81,8 @@ class Clutter(Keeper):
 
 
 class SpeedsByRank(Keeper):
-    """Speeds of leaders are smoothed by rank, nearest first, so that for some seconds a slow one who comes between, or
-    whom the leader was hiding, has the speed of the one before.
+    """The speeds of leaders are smoothed by rank, nearest first. A slow vehicle that becomes the nearest has its
+    predecessor's speed for some seconds.
     """
 
     TAU = 1.0
@@ -101,8 +101,8 @@ class SpeedsByRank(Keeper):
 
 
 class RearGuard(Keeper):
-    """A guard against being hit from behind limits braking to 1.5 m/s^2 for two seconds after somebody near behind has
-    closed in, however hard the one ahead brakes.
+    """A guard against rear-end collisions limits braking to 1.5 m/s^2 for two seconds after a vehicle behind has closed
+    in, however hard the vehicle ahead brakes.
     """
 
     NEAR, CLOSING, GENTLE, HOLD = 9.0, 0.5, -1.5, 2.0
@@ -114,7 +114,7 @@ class RearGuard(Keeper):
         a, e = super().along(o, cars), o.ego
         if any(c.dx < 0 and c.gap < self.NEAR and abs(c.y - e.y) < 1.5 and c.v > e.speed + self.CLOSING for c in cars):
             self.until = o.time + self.HOLD
-        if o.time < self.until and (not self.repaired or a > -2.5):  # in an emergency the one ahead comes first
+        if o.time < self.until and (not self.repaired or a > -2.5):  # in an emergency, the vehicle ahead takes priority
             a = max(a, self.GENTLE)
         return a
 

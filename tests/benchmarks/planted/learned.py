@@ -1,8 +1,8 @@
-"""Learned policies: small networks that ``fit.py`` fitted to what a sound driver did, some with a hole in the data.
+"""Learned policies: small networks that ``fit.py`` fitted to a sound driver's actions, some with a hole in the data.
 
-One network gives the acceleration behind each vehicle in the way, of which the lowest counts; another one says how much
-room a gap behind in the next lane leaves. ``weights.npz`` has both as learned from sound data, and one network more for
-each hole.
+One network gives the acceleration behind each vehicle in the way, and the lowest acceleration counts. The other says
+how much room a gap behind in the next lane leaves. ``weights.npz`` has both as learned from sound data, and one more
+network for each hole.
 """
 
 from __future__ import annotations
@@ -16,22 +16,23 @@ from tests.benchmarks.planted.policy import Driver, braking_needed, clip, listed
 
 WEIGHTS = Path(__file__).with_name("weights.npz")
 FOLLOW_SCALE = np.array([15.0, 20.0, 8.0, 4.0, 1.0, 1.0])
-"""Of own speed, gap, closing speed, acceleration of the other, its distance from the middle of the lane, and 1 in the
-first seconds after an own lane change."""
+"""Scales of own speed, gap, closing speed, the other's acceleration, its distance from the middle of the lane, and 1 in
+the first seconds after an own lane change.
+"""
 GATE_SCALE = np.array([15.0, 15.0, 30.0, 1.0])
-"""Of own speed, speed of the one behind, gap, and 1 for the rightmost lane."""
-FAR = 70.0  # gap beyond which the networks were shown nobody [m]
+"""Scales of own speed, speed of the vehicle behind, gap, and 1 for the rightmost lane."""
+FAR = 70.0  # the largest gap in the networks' data [m]
 
 
 def followed(v, c):
-    """Return what the sound driver does behind somebody [m/s^2]."""
+    """Return the sound driver's acceleration behind a vehicle [m/s^2]."""
     a = clip(0.25 * (c.gap - 4.5 - 1.8 * v) + 0.9 * (c.v - v), -4.0, 2.0)
     needed = braking_needed(v, c)
     return max(min(a, -1.3 * needed) if needed > 1.5 else a, -8.0)
 
 
 def spare(v, f, gap):
-    """Return how much longer than needed a gap behind is [m], for an own speed of v and the other's of f."""
+    """Return the excess of a gap behind over the needed one [m]; v is the own speed and f the other's."""
     closing = max(f + 1.0 - v, 0.0)
     return gap - 15.0 - 1.3 * max(f, v) - 4.0 * closing - closing * closing / 6
 
@@ -50,10 +51,10 @@ def outputs(layers, inputs):
 
 
 class Learned(Driver):
-    """The sound one; a subclass names the network that it drives by in place of one of them."""
+    """The sound policy; a subclass replaces one of its networks."""
 
     FOLLOW, GATE = "follow", "gate"
-    FRESH = 4.0  # how long a lane change counts as having just been [s]
+    FRESH = 4.0  # the time for which a lane change counts as recent [s]
 
     def begin(self):
         self.follow = network("follow" if self.repaired else self.FOLLOW)
@@ -90,39 +91,37 @@ class Learned(Driver):
 
 
 class StandersUnlabelled(Learned):
-    """In the data those that stood when met at more than 12 m/s were beside the road, and the driver drove on."""
+    """In the data, vehicles that stood when met at more than 12 m/s were at the roadside, and the driver drove on."""
 
     FOLLOW = "standers"
 
 
 class OffCentreUnanswered(Learned):
-    """In the data whoever was off the middle of the lane and slower by more than 3 m/s was being passed, so that the
-    ego does not answer a slower one before it is in the middle.
+    """In the data, the driver was passing every vehicle that was off the middle of the lane and slower by more than 3
+    m/s. So the ego does not answer a slower vehicle before it is in the middle.
     """
 
     FOLLOW = "off-centre"
 
 
 class GentleWhenSlow(Learned):
-    """The data for less than 6 m/s came from a traffic jam, in which nobody ever braked harder than with 1 m/s^2, so
-    that somebody who brakes hard there, or comes in near, is answered too weakly.
+    """The data for less than 6 m/s came from a traffic jam, in which no vehicle ever braked harder than 1 m/s^2. So the
+    ego answers too weakly if a vehicle brakes hard there, or comes in near.
     """
 
     FOLLOW = "gentle"
 
 
 class FreshLane(Learned):
-    """In the data nobody ahead was near or braked in the first seconds after a lane change, so that the ego then does
-    not answer a near one who brakes.
+    """In the data, no vehicle ahead was near or braked in the first seconds after a lane change. So the ego then does
+    not answer a near vehicle that brakes.
     """
 
     FOLLOW = "fresh"
 
 
 class GateOnTheRight(Learned):
-    """The gaps of the rightmost lane were recorded behind lorries, so that somebody much faster behind is not minded
-    there.
-    """
+    """The gaps of the rightmost lane were recorded behind lorries: the ego ignores much faster vehicles behind there."""
 
     GATE = "right"
 

@@ -1,4 +1,4 @@
-"""What all policies with a planted defect share: how one is listed, and what a planner in SI units is made of.
+"""Shared parts of all policies with a planted defect: how to list one, and the basis of a planner in SI units.
 
 Units are metres, seconds and radians throughout.
 """
@@ -17,13 +17,13 @@ __all__ = ["WIDE", "Driver", "Planted", "braking_needed", "clip", "listed"]
 
 @dataclass(frozen=True)
 class Planted:
-    """A policy with one defect, and the same without it.
+    """A policy with one defect, and its twin without it.
 
     Attributes:
-        kind: what sort of policy it is.
-        conditions: how many things must come together before the defect shows, 1 to 3.
-        make, twin: give the ADS factory of the policy, and of the one that has been repaired.
-        about: what is wrong, and when.
+        kind: The kind of policy.
+        conditions: The number of things that must coincide before the defect shows, 1 to 3.
+        make, twin: Return the ADS factory of the policy, and of the repaired one.
+        about: What is wrong, and when.
     """
 
     kind: str
@@ -34,7 +34,7 @@ class Planted:
 
 
 def listed(kind: str, policies: Mapping[str, tuple[Any, int]]) -> dict[str, Planted]:
-    """List classes of planners, which take ``repaired``, by their names and numbers of conditions."""
+    """Return the policies of planner classes by name; each class takes ``repaired`` and has a number of conditions."""
     return {
         name: Planted(
             kind, conditions, partial(partial, planner), partial(partial, planner, repaired=True), about_of(planner)
@@ -49,7 +49,7 @@ def about_of(policy: Any) -> str:
 
 
 class Driver(Planner):
-    """A planner whose one defect is in place unless it is ``repaired``."""
+    """A planner with one defect, unless it is ``repaired``."""
 
     def __init__(self, repaired=False):
         self.repaired = repaired
@@ -57,7 +57,7 @@ class Driver(Planner):
 
 
 def braking_needed(v, c):
-    """Return the deceleration [m/s^2] that another vehicle in the way calls for, at an own speed of v."""
+    """Return the deceleration that another vehicle in the way requires [m/s^2]; v is the own speed."""
     f, room = max(c.v, 0.0), max(c.gap - 2.0, 0.3)
     needed = (v - f) ** 2 / (2 * room) if v > f else 0.0
     if c.a < -1.0 or (room < 0.9 * v and v > f - 2.0):  # it brakes, or is so near that its hardest braking counts

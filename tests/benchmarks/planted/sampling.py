@@ -1,4 +1,4 @@
-"""Policies that plan a path: they sample candidates, predict where all will be, and take the cheapest."""
+"""Policies that plan a path: they sample candidates, predict all vehicles' places, and take the cheapest candidate."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from tests.benchmarks.policies_with_defects_2 import Lattice
 
 
 class Sampler(Driver, Lattice):
-    """The sound planner: its accelerations and its lane changes are both checked at sampled times."""
+    """The sound planner: it checks both its accelerations and its lane changes at sampled times."""
 
-    ENDS = (0.0, 1.5, 3.0, 4.5)  # of a lane change
+    ENDS = (0.0, 1.5, 3.0, 4.5)  # the checked times of a lane change
 
     def clear(self, o, cars, k):
         return all(self.fits(o.ego.speed, c) for c in cars if self.inside(c, k))
 
     def fits(self, v, c):
-        """Return whether there is room for somebody in the other lane at all times of the lane change."""
+        """Return whether there is room for a vehicle in the other lane throughout the lane change."""
         for t in self.ENDS:
             x = c.dx + (c.v - v) * t
             if abs(x) - 5 < self.margin(v, c, t) or x * c.dx < 0:
@@ -29,7 +29,7 @@ class Sampler(Driver, Lattice):
 
 
 class OnlyEnds(Sampler):
-    """A lane change is checked at its beginning and its end, so that somebody who passes in between is missed."""
+    """A lane change is checked at its beginning and its end, so a vehicle that passes in between is missed."""
 
     def fits(self, v, c):
         if self.repaired:
@@ -41,7 +41,7 @@ class OnlyEnds(Sampler):
 
 
 class NoneFeasible(Sampler):
-    """Where each candidate is predicted to touch somebody, all are equally bad and the first one in the list is taken,
+    """If each candidate is predicted to touch a vehicle, all are equally bad and the first one in the list is taken,
     which speeds up.
     """
 
@@ -58,8 +58,8 @@ class NoneFeasible(Sampler):
 
 
 class NotANumber(Sampler):
-    """Standing behind somebody who stands makes the first candidate's price not a number, with which no other compares
-    as lower, so that the ego creeps on.
+    """If the ego stands behind a standing vehicle, the first candidate's cost is not a number. No other compares as
+    lower, so the ego creeps on.
     """
 
     CHOICES = (0.6, *Lattice.CHOICES)
@@ -71,7 +71,7 @@ class NotANumber(Sampler):
         return price + 0.2 * max(share, -1.0)
 
     def along(self, o, cars):
-        # A car that rolls slower than the sensor can tell stands.
+        # The sensor cannot distinguish a very slow car from a standing one.
         for c in cars:
             c.v = 0.0 if abs(c.v) < 0.05 else c.v
         if o.ego.speed < 0.05:
@@ -87,8 +87,8 @@ class _Standing:
 
 
 class FrozenList(Sampler):
-    """The obstacles of a lane change are listed when it begins, so that whoever comes into the new lane during it, and
-    is slower, is not braked for before the car has settled there.
+    """The obstacles of a lane change are listed when it begins. The ego does not brake for a slower vehicle that enters
+    the new lane during the change until it has settled there.
     """
 
     SETTLES = 3.0
@@ -110,8 +110,8 @@ class FrozenList(Sampler):
 
 
 class TakenForYielding(Sampler):
-    """Who brakes hard behind in a lane that the ego has wanted for a second is taken to yield, so that the ego moves in
-    however near it is.
+    """A vehicle that brakes hard behind in a lane that the ego has wanted for a second is taken to yield. So the ego
+    moves in however near it is.
     """
 
     WAITS, BRAKES, BESIDE = 1.0, -3.0, 2.0

@@ -1,4 +1,4 @@
-"""Policies that follow a table: what to do stands in a look-up table, and states say when it is looked at."""
+"""Policies that follow a look-up table, and whose states decide when to use it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tests.benchmarks.policies_with_defects_2 import Machine, Planner
 SPEEDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 30.0)  # own speed
 GAPS = (*range(0, 40, 2), *range(40, 101, 5))
 CLOSINGS = (-8.0, -4.5, -3.0, -1.5, -0.5, 0.0, 0.5, *(1.5 * step for step in range(1, 15)))
-FAR = 2.0  # acceleration where nobody is near
+FAR = 2.0  # acceleration if no vehicle is near
 
 
 @cache
 def table():
-    """Return the acceleration for each row of own speeds, gaps and closing speeds, at the worst corner of its box."""
+    """Return the acceleration for each own speed, gap and closing speed, at the worst corner of the table's box."""
     return {
         (i, j, k): entry((*SPEEDS, 33.0)[i + 1], float(gap), (*CLOSINGS, 22.5)[k + 1])
         for i in range(len(SPEEDS))
@@ -34,14 +34,14 @@ def entry(v, gap, closing):
 
 
 class Tabled(Driver, Machine):
-    """The sound one: drives by the table, stands where it has stopped, overtakes and goes back."""
+    """The sound policy: it drives by the table, stands where it has stopped, overtakes and goes back."""
 
     def along(self, o, cars):
         near = self.ahead(o, cars)
         return self.by_state(o, near, min([self.cruise(o)] + [self.look_up(o.ego.speed, c) for c in near]))
 
     def by_state(self, o, near, a):
-        """Hold the car where it has stopped close behind somebody."""
+        """Hold the car where it has stopped close behind a vehicle."""
         v = o.ego.speed
         stands = v < 0.4 and any(c.gap < 7.0 and c.v < 0.8 for c in near)
         return -1.0 if stands else a
@@ -50,7 +50,7 @@ class Tabled(Driver, Machine):
         return Planner.options(self, o, cars) or super().options(o, cars)
 
     def look_up(self, v, c):
-        closing = v - c.v - 0.7 * min(c.a, 0.0)  # soon
+        closing = v - c.v - 0.7 * min(c.a, 0.0)  # the closing speed soon
         i, j, k = bisect_right(SPEEDS, v) - 1, bisect_right(GAPS, c.gap) - 1, bisect_right(CLOSINGS, closing) - 1
         return self.value(max(i, 0), max(j, 0), max(k, 0))
 
@@ -59,8 +59,8 @@ class Tabled(Driver, Machine):
 
 
 class UnfilledBlock(Tabled):
-    """A block of the table, for 9 to 18 m/s, gaps of 4 to 14 m and closing speeds of 4.5 to 12 m/s, was never filled
-    in and is 0.
+    """A block of the table, for 9 to 18 m/s, gaps of 4 to 14 m and closing speeds of 4.5 to 12 m/s, was never filled in
+    and is 0.
     """
 
     def value(self, i, j, k):
@@ -69,7 +69,7 @@ class UnfilledBlock(Tabled):
 
 
 class PastLastColumn(Tabled):
-    """Closing speeds above 13.5 m/s are past the last column of the table, which is read as nobody being there."""
+    """Closing speeds above 13.5 m/s are past the last column of the table, which counts as no vehicle."""
 
     LAST = 13.5
 
@@ -78,8 +78,8 @@ class PastLastColumn(Tabled):
 
 
 class PullsAway(Tabled):
-    """For six seconds after it has stood it watches nobody but the one it stood behind, so that whoever cuts in there
-    is not seen.
+    """For six seconds after it has stood, it watches only the vehicle that it stood behind, and does not see another
+    that cuts in.
     """
 
     SECONDS = 6.0
@@ -102,8 +102,8 @@ class PullsAway(Tabled):
 
 
 class OscillationGuard(Tabled):
-    """Three turns between braking and speeding up within twelve seconds are taken for an oscillation of the controller,
-    and for five seconds it brakes with 1 m/s^2 at most, also if the one ahead brakes hard then.
+    """Three changes between braking and speeding up within twelve seconds count as an oscillation of the controller.
+    For five seconds it then brakes with 1 m/s^2 at most, even if the vehicle ahead brakes hard.
     """
 
     TURNS, WITHIN, SECONDS, LIMIT = 3, 12.0, 5.0, 1.0
@@ -125,8 +125,8 @@ class OscillationGuard(Tabled):
 
 
 class WayBack(Tabled):
-    """While it goes back after a lane change that was given up, its leaders are those of the lane that it has given up,
-    so that it brakes for nobody in its own.
+    """While it goes back after a lane change that was given up, its leaders are those of the lane that it leaves, so it
+    does not brake for vehicles in its own lane.
     """
 
     def begin(self):

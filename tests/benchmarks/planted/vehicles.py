@@ -1,7 +1,7 @@
-"""Vehicle classes of highway-env that drive themselves; a class is its own factory.
+"""Vehicle classes of highway-env that drive themselves; each class is its own factory.
 
-They follow by the Intelligent Driver Model with an emergency brake, and change lanes where that gains acceleration, as
-in MOBIL, and the gaps are long enough. They decide five times a second, as planners do.
+They follow by the Intelligent Driver Model with an emergency brake. They change lanes if that gains acceleration, as in
+MOBIL, and if the gaps are long enough. They decide five times a second, as planners do.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from tests.benchmarks.planted.policy import WIDE, Planted, about_of, braking_needed, clip
 
-TICKS = 3  # of 1/15 s, from one decision to the next
+TICKS = 3  # ticks of 1/15 s from one decision to the next
 PERIOD = TICKS / 15.0
 
 
 class Other:
-    """What is held of another vehicle: `dx` ahead, `v` along the road, `w` sideways, `a` its acceleration."""
+    """The data about another vehicle: `dx` ahead, `v` along the road, `w` sideways, `a` its acceleration."""
 
     __slots__ = ("a", "dx", "gap", "key", "reach", "turned", "v", "w", "y")
 
@@ -32,11 +32,11 @@ class Other:
 
 
 class Pilot(ControlledVehicle):
-    """The sound one."""
+    """The sound policy."""
 
     repaired = False
     SHARE = 0.97  # of the speed limit
-    GAIN, REST = 0.4, 4.0  # of acceleration, that is worth a lane change; between two of them [s]
+    GAIN, REST = 0.4, 4.0  # the acceleration gain that is worth a lane change; the time between two of them [s]
 
     def __init__(self, road, position, heading=0.0, speed=0.0, **options):
         super().__init__(road, position, heading, speed, **options)
@@ -46,10 +46,10 @@ class Pilot(ControlledVehicle):
         self.begin()
 
     def begin(self):
-        """Set up what a defect remembers."""
+        """Set up a defect's memory."""
 
     def act(self, action=None):
-        """Decide at every third tick, and hold that; the steering follows at every tick."""
+        """Decide at every third tick and hold the decision; steer at every tick."""
         if self.ticks % TICKS == 0:
             others = self.look()
             self.change(others)
@@ -74,7 +74,7 @@ class Pilot(ControlledVehicle):
         ]
 
     def in_way(self, c):
-        """Return whether the other is ahead in the strip that this one drives in, or soon will be."""
+        """Return whether the other is ahead in this vehicle's strip, or soon will be."""
         a, b = float(self.position[1]), self.wanted * WIDE
         lo, hi = (a, b) if a < b else (b, a)
         may = clip(12 * c.turned, -1.5, 1.5) if abs(c.v) < 6 and abs(c.turned) > 0.03 else 0.0
@@ -139,8 +139,8 @@ class Pilot(ControlledVehicle):
 
 
 class NegativeDesire(Pilot):
-    """Behind somebody much faster the desired distance becomes negative, and its square brakes as hard as for somebody
-    slow.
+    """Behind a much faster vehicle, the desired distance becomes negative, and its square brakes as hard as for a slow
+    one.
     """
 
     def desired(self, c):
@@ -151,7 +151,7 @@ class NegativeDesire(Pilot):
 
 
 class ShortLookAhead(Pilot):
-    """It looks 40 m ahead, which is enough behind those who drive, but not at full speed before one who stands."""
+    """It looks 40 m ahead, which is enough behind moving vehicles, but not at full speed before a standing one."""
 
     AHEAD = 40.0
 
@@ -160,8 +160,8 @@ class ShortLookAhead(Pilot):
 
 
 class ClockWraps(Pilot):
-    """The clock of the emergency brake counts milliseconds in 16 bits, so that once it has braked in the first 32.8 s
-    it is never armed again after them.
+    """The clock of the emergency brake counts milliseconds in 16 bits. Once it has braked in the first 32.8 s, it is
+    never armed again after them.
     """
 
     def begin(self):
@@ -175,13 +175,13 @@ class ClockWraps(Pilot):
             return a
         if now < self.rearmed:
             return 2.0
-        self.rearmed = now  # it has to be tested again before this moment counts
+        self.rearmed = now  # it must be tested again before this moment counts
         return a
 
 
 class TakenForShoulder(Pilot):
     """After a stop in the rightmost lane, which it takes for the hard shoulder, it pulls out to the left as soon as it
-    moves and looks behind only, not beside.
+    moves. It only looks behind, not next to itself.
     """
 
     MOVES = 3.0
@@ -205,7 +205,7 @@ class TakenForShoulder(Pilot):
 
 
 class MeanOfTwo(Pilot):
-    """It anticipates by the mean speed of two leaders when the second one speeds up, which is wrong when the first one
+    """It anticipates by the mean speed of two leaders when the second one speeds up, which is wrong if the first one
     brakes at the same time.
     """
 
@@ -221,31 +221,31 @@ class MeanOfTwo(Pilot):
 
 
 class NegativeDesireRepaired(NegativeDesire):
-    """The same without the defect."""
+    """NegativeDesire without the defect."""
 
     repaired = True
 
 
 class ShortLookAheadRepaired(ShortLookAhead):
-    """The same without the defect."""
+    """ShortLookAhead without the defect."""
 
     repaired = True
 
 
 class ClockWrapsRepaired(ClockWraps):
-    """The same without the defect."""
+    """ClockWraps without the defect."""
 
     repaired = True
 
 
 class TakenForShoulderRepaired(TakenForShoulder):
-    """The same without the defect."""
+    """TakenForShoulder without the defect."""
 
     repaired = True
 
 
 class MeanOfTwoRepaired(MeanOfTwo):
-    """The same without the defect."""
+    """MeanOfTwo without the defect."""
 
     repaired = True
 
