@@ -121,7 +121,7 @@ class FreshLane(Learned):
 
 
 class GateOnTheRight(Learned):
-    """The gaps of the rightmost lane were recorded behind lorries: the ego ignores much faster vehicles behind there."""
+    """The gaps of the rightmost lane were recorded behind lorries: the ego ignores much faster vehicles behind it."""
 
     GATE = "right"
 
