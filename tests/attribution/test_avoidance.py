@@ -1,4 +1,4 @@
-"""Would braking have helped? Checked against stepping through time with polygons."""
+"""Would braking have helped? The answer is checked by steps through time with polygons."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ EMERGENCY = Emergency(time_to_contact=2.0, leader_braking=5.0, perception=0.4, b
 
 
 def pursuit(gap, responder, leader, braking=0.0, *, seconds=30.0, right=0.0, angle=0.0):
-    """A responder at constant speed, or at given ones, and a leader that brakes, until they touch."""
+    """Return a responder with constant or given speeds and a leader that brakes, until they touch."""
     times = np.arange(round(seconds * HZ) + 1) / HZ
     speeds, own = np.maximum(leader - braking * times, 0.0), np.broadcast_to(responder, times.shape).astype(float)
     ahead = SIZE[0] + gap + np.concatenate(([0.0], np.cumsum(speeds - own)[:-1])) / HZ
@@ -42,7 +42,7 @@ def is_avoided(run, since, response, emergency=None):
 
 
 def stopping_gap(speed, response):
-    """Room that a driver needs behind a wall [m]."""
+    """Return the distance that a driver needs behind a wall [m]."""
     return speed * response.delay + speed**2 / (2 * response.deceleration)
 
 
@@ -73,7 +73,7 @@ def test_boxes_passing_side_by_side_do_not_touch():
 
 
 def test_boxes_are_as_they_were_turned():
-    """A box across the road reaches a metre and a half less far along it, and further to the side."""
+    """A box across the road reaches 1.5 m less far along it, and further to the side."""
     along, across = (pursuit(20.0, 20.0, 10.0, angle=angle, seconds=2.0) for angle in (0.0, math.pi / 2))
     brakes = Braking(delay=1.0, deceleration=3.5)
     assert not is_avoided(along, 0, brakes)
@@ -105,7 +105,7 @@ def test_speeding_up_during_reaction_delay_excuses_nothing():
 
 
 def test_braking_after_impact_does_not_excuse_driver():
-    """One that braked with 9 m/s^2 before its answer was due did more than the reference would have."""
+    """A driver that braked with 9 m/s^2 before its answer was due did more than the reference would have."""
     times = np.arange(30 * HZ + 1) / HZ
     braked = pursuit(16.0, np.maximum(20.0 - 9.0 * times, 0.0), 4.0)
     assert len(braked.ahead) > 1.4 * HZ
@@ -114,7 +114,7 @@ def test_braking_after_impact_does_not_excuse_driver():
 
 @pytest.mark.parametrize(("headway", "counted"), [(0.0, 0), (0.5, 4 * HZ)])
 def test_driver_that_mastered_cut_in_answers_later_braking(headway, counted):
-    """It brakes to the leader's speed as the reference does, which restores a headway; then the leader brakes anew."""
+    """It brakes to the leader's speed as the reference does, which restores a headway. Then the leader brakes again."""
     times = np.arange(30 * HZ + 1) / HZ
     own = np.where(times < 1.0, 20.0, np.maximum(20.0 - 6.0 * (times - 1.0 + 1 / HZ), 14.8))
     leader = np.where(times < 4.0 + 1e-9, 15.0, np.maximum(15.0 - 4.5 * (times - 4.0), 0.0))

@@ -1,4 +1,4 @@
-"""The rules of attribution against situations whose verdict an expert has written down before."""
+"""The attribution rules against situations whose verdict an expert has written down in advance."""
 
 import importlib.util
 from pathlib import Path

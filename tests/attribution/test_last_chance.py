@@ -1,4 +1,4 @@
-"""The last chance: which of the ego's decisions it is, and what it tells; by hand, and by closed form in the world."""
+"""The last chance: which of the ego's decisions it is, and its report; by hand, and by closed form in the world."""
 
 from dataclasses import replace
 
@@ -17,14 +17,14 @@ from tests.helpers.traces import LENGTH, collision_at, trace_of, vehicle
 
 
 def crash(ticks=30, outcome=Outcome.COLLISION):
-    """The ego at 20 m/s behind an NPC at 10 m/s, which it hits at the last tick; a decision every three ticks."""
+    """Return a run with the ego at 20 m/s behind an NPC at 10 m/s, which it hits at the last of the ticks."""
     gap = ticks / 15 * 10.0
     ego, npc = vehicle(0.0, 4.0, speed=20.0, ticks=ticks), vehicle(gap + LENGTH, 4.0, speed=10.0, ticks=ticks)
     return trace_of(ego, npc, outcome=outcome)
 
 
 def scanned(trace, chances=(), fault="leader-unanswered", survived=None):
-    """The last chance where these ticks are chances, and the ticks that were tried."""
+    """Return the last chance if these ticks are chances, and the ticks that were tried."""
     tried = []
     survived = survived or replace(trace, outcome=Outcome.SAFE, collision=None)
 
@@ -96,7 +96,7 @@ def test_a_run_that_does_not_repeat_has_none(ticks):
 
 
 def braked(hit=None, outcome=Outcome.SAFE, ticks=300):
-    """A run that begins as that of :func:`crash`, with a contact of the ego at some tick."""
+    """Return a run that begins like that of :func:`crash`, with a contact of the ego at a tick."""
     trace = crash()
     states = np.concatenate([trace.states, np.repeat(trace.states[-1:], ticks - 30, axis=0)])
     collision = None if hit is None else collision_at(hit, side="rear", cell=Cell.REAR)
@@ -115,7 +115,7 @@ def braked(hit=None, outcome=Outcome.SAFE, ticks=300):
     ],
 )
 def test_braking_avoids_only_if_ego_stays_untouched(taken, is_free):
-    """Not from behind, either."""
+    """A contact from behind counts, too."""
     names = []
 
     def take_over(trace, tick, name):
@@ -153,16 +153,16 @@ def test_who_neither_brakes_nor_accelerates_keeps_its_speed():
 @pytest.mark.parametrize("engine", ["kernel", "highway-env"])
 @pytest.mark.parametrize("closing", [3.0, 5.0])
 def test_last_chance_is_where_full_braking_still_suffices(engine, closing):
-    """The leader has arrived ahead and keeps its speed, so that the distance needed is that of the schoolbook.
+    """The leader has arrived ahead and keeps its speed, so the textbook formula gives the distance.
 
-    Full braking is built up in the driver's mind by then: the time to collision has been below 2 s for 1.43 s.
+    The driver expects full braking by then: the time to collision has been below 2 s for 1.43 s.
     """
     world = Highway(engine=engine, clearance=30.0)  # at that gap the leader has arrived
     scenario = Scenario(npcs=[[PositionInstruction(2, 22.0 - closing)]], ego_speed=22.0, gene_seconds=20.0)
     trace = world.rollout(scenario, lambda: lambda observation: (0.0, 0.0))
     gap = trace.npcs[:, 0, X] - trace.ego[:, X] - LENGTH
     decisions = range(0, trace.ticks, 3)
-    needed = closing**2 / (2 * HARD_BRAKING) + closing * trace.dt / 2  # the speed of a tick is that of its beginning
+    needed = closing**2 / (2 * HARD_BRAKING) + closing * trace.dt / 2  # a tick's speed is the one at its beginning
     assert trace.npcs[-45:, 0, SPEED] == pytest.approx(22.0 - closing, abs=0.01)
     expected = max(tick for tick in decisions if gap[tick] > needed)
     chance = last_chance(trace, rss_rule(trace).fault, world.take_over)

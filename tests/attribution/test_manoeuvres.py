@@ -1,4 +1,4 @@
-"""What a vehicle did before an event: it changed lanes, or it did not."""
+"""The manoeuvre of a vehicle before an event: it changed lanes, or it did not."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ STILL = vehicle(0.0, 4.0, speed=20.0, ticks=150)
 
 
 def sideways(displacement, *, until, ticks=150):
-    """A vehicle that moves to the right at an even pace for two seconds and then keeps its lane."""
+    """Return a vehicle that moves to the right at an even pace for two seconds and then keeps its lane."""
     states = vehicle(30.0, 4.0, speed=20.0, ticks=ticks)
     states[:, 1] += displacement * np.clip((np.arange(ticks + 1) - until + 30) / 30, 0, 1)
     return states

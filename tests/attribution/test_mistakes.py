@@ -1,4 +1,4 @@
-"""What the ego did wrong, told by where the other was when it had to take it into account."""
+"""The ego's mistake follows from the other's place when the ego had to take it into account."""
 
 from dataclasses import replace
 from itertools import chain
@@ -79,7 +79,7 @@ def test_mistake_does_not_depend_on_road_position(name, shift):
 
 @table("along", [-30.0, -15.0, 1.0, 40.0])
 def test_left_and_right_are_alike(along):
-    """The ego comes from either side into the lane of another, as far away and as fast."""
+    """The ego comes from either side into the other's lane, at the same distance and speed."""
     speed = 20.0 - along / 5
     sides = [
         hit(driven(0.0, side, shifts=[(2.0, OWN, 2.0)]), driven(along, OWN, speed=speed)) for side in (LEFT, 2 * OWN)

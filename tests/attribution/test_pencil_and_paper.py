@@ -1,4 +1,4 @@
-"""The rules against a second program that was written from their page alone, and reasons against their traces.
+"""The rules against a second program, written only from their page, and the reasons against their traces.
 
 The page is docs/explanation/verdicts.md.
 """
@@ -30,7 +30,7 @@ SAMPLE = {
     "idm, junctions": (0, 20),
     "erratic, junctions": (2, 60),
 }
-"""How many collisions of each policy in every session, and how many with ``-m oracle``: those soon found come first."""
+"""The number of collisions of each policy in every session, and with ``-m oracle``; those found soon come first."""
 
 
 def drawn(policy, numbers):
@@ -39,13 +39,13 @@ def drawn(policy, numbers):
 
 @pytest.fixture(scope="module")
 def soon_found():
-    """Collisions by policy and number."""
+    """Return collisions by policy and number."""
     return {key: trace for policy, (some, _) in SAMPLE.items() for key, trace in drawn(policy, range(some)).items()}
 
 
 @pytest.fixture(scope="module", params=mostly_oracle(["soon found", "others"], "soon found"))
 def collisions(request):
-    """Collisions by policy and number."""
+    """Return collisions by policy and number."""
     if request.param == "soon found":
         return request.getfixturevalue("soon_found")
     return {

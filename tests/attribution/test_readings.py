@@ -1,4 +1,4 @@
-"""Do readers of the trace alone come to the same verdicts? 1,350 collisions, each read before its verdict was shown."""
+"""Do readers of only the trace come to the same verdicts? Each of 1,350 collisions was read without its verdict."""
 
 import pytest
 
@@ -41,7 +41,7 @@ NOT_DEFENDED = {
     1257,
     1304,
 }
-"""Collisions of which the reader would not defend the verdict; ``python -m tests.benchmarks.readings`` tells why."""
+"""Collisions whose verdict the reader would not defend; ``python -m tests.benchmarks.readings`` gives the reasons."""
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ LEFT, OWN = 0.0, 4.0
 
 
 class TestInOneLane:
-    """Who follows has to keep the distance, and to brake with 6 m/s^2 after 1 s where it is gone."""
+    """A follower must keep its distance and, if that is too short, brake with 6 m/s^2 after 1 s."""
 
     def test_ego_too_close_to_slow_leader_is_responsible(self):
         found = rss_rule(crash(driven(0.0), driven(100.0, speed=10.0)))
@@ -54,7 +54,7 @@ class TestInOneLane:
 
     @pytest.mark.parametrize(("brakes", "responsible"), [(4.5, "ego"), (8.0, "both")])
     def test_ego_with_time_despite_close_start_is_responsible(self, brakes, responsible):
-        """It shares with one that brakes hard for nothing."""
+        """It shares the responsibility with an NPC that brakes hard for nothing."""
         found = rss_rule(crash(driven(0.0), driven(25.0, brakes=[(8.0, brakes, 0.0)])))
         assert (found.responsibility, found.tick) == (responsible, 0)
 
@@ -131,11 +131,11 @@ class TestInOneLane:
 
 
 class TestStanding:
-    """Whoever stands is excused; not who has only just rolled there, and not who stops for nothing."""
+    """A standing vehicle is excused, unless it has only just rolled there or stops for nothing."""
 
     @pytest.mark.parametrize(("stood", "responsible"), [(30, "npc"), (2, "ego"), (0, "ego")])
     def test_ego_rolling_into_standing_vehicle_does_not_stand(self, stood, responsible):
-        """It creeps up with 0.4 m/s, and has had 0.05 m/s for so many ticks when they touch."""
+        """It creeps up at 0.4 m/s, and has driven 0.05 m/s for this many ticks when they touch."""
         speed = np.concatenate((np.full(180 - stood, 0.4), np.full(stood + 1, 0.05)))
         along = np.concatenate(([0.0], np.cumsum(speed[:-1]) / 15))
         ego = vehicle(along, OWN, speed=speed)
@@ -146,7 +146,7 @@ class TestStanding:
 
     @pytest.mark.parametrize(("gap", "responsible"), [(4.0, "npc"), (14.0, "both")])
     def test_stop_close_behind_standing_vehicle_has_a_reason(self, gap, responsible):
-        """The ego creeps at 0.6 m/s and stops with 0.2 m/s^2, so that nothing else is a reason to."""
+        """The ego creeps at 0.6 m/s and stops with 0.2 m/s^2, so nothing else is a reason to stop."""
         ego = driven(0.0, speed=0.6, brakes=[(1.0, 0.2, 0.0)], seconds=30.0)
         ahead, behind = driven(5.0 + 1.5 + gap, speed=0.0, seconds=30.0), driven(-100.0, speed=5.0, seconds=30.0)
         found = rss_rule(crash(ego, behind, ahead, side="rear", cell=Cell.REAR))
@@ -154,7 +154,7 @@ class TestStanding:
 
 
 class TestCutIn:
-    """Who moves sideways into the other's way owes an answer; who is cut off has to make the best of it."""
+    """A vehicle that moves into the other's way owes an answer; the other must still do what it can."""
 
     def test_npc_cutting_in_close_and_braking_is_responsible(self):
         npc = driven(8.0, LEFT, brakes=[(3.5, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)])
@@ -168,7 +168,7 @@ class TestCutIn:
 
     @pytest.mark.parametrize(("brakes", "responsible"), [(4.5, "ego"), (8.0, "both")])
     def test_ego_not_braking_after_cut_in_is_responsible(self, brakes, responsible):
-        """It shares with one that brakes hard for nothing."""
+        """It shares the responsibility with an NPC that brakes hard for nothing."""
         npc = driven(25.0, LEFT, brakes=[(9.0, brakes, 0.0)], shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0), npc))
         assert found.responsibility == responsible
@@ -210,11 +210,11 @@ class TestCutIn:
 
 
 class TestASecondChance:
-    """Who has mastered what it could not be asked to avoid must not run into the other nevertheless."""
+    """A driver that has mastered an unavoidable cut-in must still not run into the other afterwards."""
 
     @staticmethod
     def behind_the_ego(*brakes):
-        """An NPC, 8 m/s faster, 10 m ahead of which the ego crosses the line at tick 36."""
+        """Return an NPC, 8 m/s faster; the ego crosses the line 10 m ahead of it at tick 36."""
         ego, npc = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-34.2, speed=28.0, brakes=brakes)
         return rss_rule(crash(ego, npc, side="rear", cell=Cell.REAR))
 
@@ -230,7 +230,7 @@ class TestASecondChance:
 
 
 class TestSideBySide:
-    """The lateral mover is responsible."""
+    """The vehicle that moves sideways is responsible."""
 
     def test_ego_moving_into_vehicle_alongside_is_responsible(self):
         found = rss_rule(crash(driven(0.0, shifts=[(1.0, LEFT, 3.0)]), driven(1.0, LEFT), side="left", cell=Cell.LEFT))
@@ -272,7 +272,7 @@ def test_equal_verdicts_are_equal_in_any_process():
 
 
 def mirrored(trace):
-    """The same run with left and right swapped, on the same four lanes."""
+    """Return the same run with left and right swapped, on the same four lanes."""
     states = trace.states.copy()
     states[..., Y] = 12.0 - states[..., Y]
     states[..., HEADING] *= -1
@@ -351,7 +351,7 @@ def test_verdict_costs_no_more_for_a_longer_run():
 
 
 class TestPositionRule:
-    """The authors' rule, as a second opinion."""
+    """The authors' rule is a second opinion."""
 
     @staticmethod
     def crash(cell, ego_speed=20.0):

@@ -1,4 +1,4 @@
-"""Right of way where the gallery has no situation: places that are nobody's, and sentences."""
+"""Right of way in cases without a situation in the gallery: places without priority, and sentences."""
 
 from dataclasses import replace
 from itertools import product
@@ -20,7 +20,7 @@ from tests.helpers.tables import table
 
 
 def agreed(trace):
-    """Return the verdict and the ego's fault that both programs come to."""
+    """Return the verdict and the ego's fault on which both programs agree."""
     found = rss_rule(trace)
     second = judge(trace)
     assert (found.responsibility, found.fault, found.tick) == (second.responsibility, second.fault, second.tick)
@@ -35,12 +35,12 @@ def ignored(way="north straight", priority="npc", others=()):
 
 
 def placed(trace, npc_by):
-    """The same with the NPC so much further along its way [m]."""
+    """Return the same run with the NPC further along its way [m]."""
     return replace(trace, on_way=trace.on_way + npc_by)
 
 
 def longer(trace, ticks):
-    """The same after so many ticks at its first one."""
+    """Return the same run after a number of extra ticks at its first one."""
     rows = {
         name: np.concatenate([getattr(trace, name)[:1].repeat(ticks, axis=0), getattr(trace, name)])
         for name in ("states", "track", "on_way")

@@ -1,4 +1,4 @@
-"""A search against a reference: what counts, what is counted beside it, and what is refused."""
+"""A search against a reference: what counts, what is counted separately, and what is refused."""
 
 import pytest
 
@@ -21,7 +21,7 @@ def never_collides(run):
 
 
 class Counted:
-    """Gives careful drivers, and knows how many."""
+    """Make careful drivers and count them."""
 
     runs = 0
 
@@ -36,7 +36,7 @@ class Breaks:
 
 
 def returns_nothing():
-    """A factory without a `return`."""
+    """Return nothing, though a factory should."""
 
 
 def collides(ads, scenario):
@@ -64,7 +64,7 @@ def test_reference_runs_only_where_the_policy_fails():
     summary = pafot.explore(
         constant_speed.make, against=reference, holds=never_collides, **SHORT | {"shrink_rollouts": 0}
     ).summary
-    again = len(summary.finds)  # each find is run once more at the end
+    again = len(summary.finds)  # each finding is run once more at the end
     assert reference.runs == summary.failing + summary.common + again < summary.runs
     assert summary.against == "the reference"
 

@@ -25,12 +25,12 @@ SHORT = {"generations": 2, "population": 4, "genes": 2, "gene_seconds": 5, "shri
 
 
 class Bare:
-    """A world with all that a search needs, and nothing besides."""
+    """A world with only what a search needs."""
 
     speed_limit, longest_run, to_dict = 25.0, 20.0, dict
 
     def rollout(self, scenario, ads_factory):
-        """Never called."""
+        """Fail: no test calls it."""
 
 
 def never_collides(run):
@@ -39,13 +39,13 @@ def never_collides(run):
 
 @pytest.fixture(scope="module")
 def heard():
-    """The events that a listener to `exploration` hears."""
+    """Return the events that a listener to `exploration` receives."""
     return []
 
 
 @pytest.fixture(scope="module")
 def corpus(tmp_path_factory):
-    """Where `exploration` saves its findings."""
+    """Return the folder in which `exploration` saves its findings."""
     return tmp_path_factory.mktemp("saved")
 
 
@@ -98,7 +98,7 @@ def test_few_frames_separate_search_loop_and_engine():
 
 
 class Batched:
-    """Keeps its speed, in many runs at once."""
+    """Keep the speed, in many runs at once."""
 
     def __call__(self, observation):
         return 0.0, 0.0
@@ -129,7 +129,7 @@ def test_corpus_content_is_known_to_the_next_search(exploration, corpus, tmp_pat
     files = sorted(corpus.rglob("*.pafot.yaml"))
     assert [pafot.load(file).finding for file in files] == sorted(exploration.findings, key=lambda finding: finding.id)
     shutil.copytree(corpus, tmp_path / "saved")
-    monkeypatch.chdir(tmp_path)  # a corpus is a folder below the one where the search runs
+    monkeypatch.chdir(tmp_path)  # a corpus is a folder below the search's working directory
     again = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus="saved", **SHORT)
     assert again.findings == ()
     assert sum(again.summary.known.values()) == again.summary.failing
@@ -145,7 +145,7 @@ def test_property_may_reject_runs_with_a_warning():
 
 
 class OwnTraffic(pafot.World):
-    """May have anybody drive anywhere."""
+    """A world whose other vehicles may drive anywhere."""
 
     def rollout(self, scenario, ads_factory):
         return super().rollout(scenario, ads_factory)
@@ -160,7 +160,7 @@ def test_search_notes_once_which_traffic_is_missing():
     assert notes(pafot.World("merge-v0", duration=3.0)) == (
         "at merge-v0 all NPCs drive along the ego's way: none joins it, so the search says nothing about such traffic",
     )
-    (note,) = notes(pafot.World("intersection-v0", duration=2.0), algorithm="pafot")  # which keeps to the grid
+    (note,) = notes(pafot.World("intersection-v0", duration=2.0), algorithm="pafot")  # this algorithm needs the grid
     assert "at intersection-v0 all NPCs drive along the ego's way: none crosses it or joins it, " in note
     assert notes(OwnTraffic("merge-v0", duration=3.0)) == notes(pafot.World("highway-fast-v0", duration=2.0)) == ()
     assert notes(pafot.World("intersection-v0", duration=2.0)) == ()
@@ -264,7 +264,7 @@ def test_taken_finding_name_gets_the_next_number(exploration, tmp_path, monkeypa
 
 
 class ChangesLanesBlindly:
-    """From 4 s on it alternates between two lanes, every 5 s, and sees nobody."""
+    """From 4 s on it alternates between two lanes every 5 s, and ignores all vehicles."""
 
     def __call__(self, observation):
         ego, to_left = observation.ego, observation.time % 10 < 4
@@ -278,7 +278,7 @@ SHORT_ROAD = pafot.Highway(duration=20.0)
 
 @pytest.fixture(scope="module")
 def mistakes(tmp_path_factory):
-    """A search that finds several mistakes, and its corpus."""
+    """Return a search that finds several mistakes, and its corpus."""
     folder = tmp_path_factory.mktemp("mistakes")
     return mistakes_of_one_who_changes_blindly(seed=1, corpus=str(folder)), folder
 

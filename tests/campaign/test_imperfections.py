@@ -1,4 +1,4 @@
-"""Which imperfections of its sight a failure needs: which are tried, and what a search tells of its findings."""
+"""The imperfections of sight that a failure needs: which are tried, and a search's report about its findings."""
 
 import pytest
 
@@ -14,7 +14,7 @@ ALL = Sight(range=60.0, latency=0.3, noise={"position": 0.5}, dropout=0.1, occlu
 
 
 def needed(sight, *enough):
-    """What is needed where any of these sets of imperfections is enough to fail, and how many runs that takes."""
+    """Return the needed imperfections, and the number of runs, if any of these sets is enough to fail."""
     tried = []
 
     def fails(other):
@@ -62,7 +62,7 @@ def no_collision(run):
     ],
 )
 def test_search_names_the_imperfections_a_failure_needs(planner, seed, imperfections, sentence, tmp_path):
-    """With seeds that find it within five runs."""
+    """These seeds find it within five runs."""
     world = pafot.Highway(duration=30.0)
     common = {"holds": no_collision, "world": world, "blame": "ego", "seed": seed, "runs": 5, "shrink_rollouts": 4}
     factory = pafot.Perception(planner, **imperfections)

@@ -1,4 +1,4 @@
-"""What is kept of the saved scenarios of several corpora, and under which name; nothing is run here."""
+"""Joining the saved scenarios of several corpora: which remain, and under which name. Nothing is run here."""
 
 from dataclasses import replace
 from datetime import date
@@ -22,7 +22,7 @@ def candidate(id_="front-2-1f3a9c", speed=20.0, kind=None, folder="there", **cha
 
 
 def kept(*candidates, taken=()):
-    """The ids that there are, each with the speed of the scenario under it."""
+    """Return the remaining ids, each with the speed of its scenario."""
     return {id_: each.finding.scenario.npcs[0][0].speed for id_, each in join(candidates, taken).kept.items()}
 
 

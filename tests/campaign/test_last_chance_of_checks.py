@@ -1,6 +1,6 @@
 """The last chance of a finding is about what failed: a check, and not the collision in the same run.
 
-So is what avoids it.
+The same is true of the drivers that avoid it.
 """
 
 import numpy as np
@@ -31,7 +31,7 @@ def is_not_hit(run):
 
 
 def first(holds):
-    """The first finding of a search with a collision in it, and its run."""
+    """Return the first finding of a search whose run also has a collision, and its run."""
     found = pafot.explore(
         constant_speed.make, holds=holds, world=WORLD, seed=5, runs=30, genes=2, shrink_rollouts=0, blame="ego"
     )
@@ -48,7 +48,7 @@ def test_last_chance_is_last_decision_that_passes_check():
         if np.min(pafot.Run(WORLD.take_over(trace, tick, "careful-human")).headway) >= 0.4
     ]
     assert chance.time == pytest.approx(max(kept) / trace.physics_hz, abs=1e-3)
-    assert chance.time < told.run.last_chance.time  # to keep away takes longer than not to touch
+    assert chance.time < told.run.last_chance.time  # keeping away takes longer than not touching
 
 
 @pytest.mark.parametrize("holds", [covers_ground, has_headway])

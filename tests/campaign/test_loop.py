@@ -25,7 +25,7 @@ SPACE = SearchSpace(npcs=1, genes=2, gene_seconds=5)
 
 
 def quiet_trace(scenario, outcome=Outcome.SAFE):
-    """A run in which nothing moves: signatures differ by the failure alone."""
+    """Return a run in which nothing moves, so that signatures differ only by the failure."""
     return Trace(
         scenario=scenario,
         executed=scenario,
@@ -44,7 +44,7 @@ def quiet_run(scenario):
 
 
 def lost(scenario, *, is_hang=False):
-    """A run whose process does not come back."""
+    """Return a run whose process does not come back."""
     raise ProcessLostError(scenario, pid=7, how="ended with exit code 9", is_hang=is_hang)
 
 
@@ -54,7 +54,7 @@ def failed(kind="AssertionError"):
 
 @dataclass
 class Recorder:
-    """Takes what the loop hands on."""
+    """Record what the loop passes on."""
 
     finds: list = field(default_factory=list)
 
@@ -67,12 +67,12 @@ class Recorder:
         return f"id-{len(self.finds)}"
 
     def release(self):
-        """All is told at once here."""
+        """Do nothing, because everything is reported at once here."""
 
 
 @dataclass
 class Simulation:
-    """Runs by a function; run ``n`` gets the ``n``-th verdict."""
+    """Make runs by a function; run ``n`` gets the ``n``-th verdict."""
 
     verdicts: Callable[[int], Verdict]
     simulate: Callable[[Scenario], Run]
@@ -87,7 +87,7 @@ class Simulation:
         return self.verdicts(next(self.numbers))
 
     def is_common(self, scenario):
-        """Where a process dies, the reference fails in every second scenario."""
+        """Return whether a scenario fails the reference: every second one does if a process dies."""
         return self.has_reference and next(self.numbers) % 2 == 1
 
 
@@ -101,7 +101,7 @@ def searched(
     run=quiet_run,
     has_reference=False,
 ):
-    """A random search with these verdicts, and what it handed on."""
+    """Return a random search with these verdicts, and what it passed on."""
     recorder = Recorder()
     loop = SearchLoop(
         simulation=Simulation(verdicts, run, has_reference=has_reference),

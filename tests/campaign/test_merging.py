@@ -1,4 +1,4 @@
-"""Files of a merge: whatever ends it midway, no finding is gone."""
+"""Interrupted merges of files: no finding is lost, whatever ends the merge."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +13,12 @@ from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from tests.findings.builders import plain_finding
 
 OWN = {"a-111111": (30.0, "front"), "a-111111-2": (20.0, "rear"), "b-222222": (25.0, "left")}
-"""Of the corpus: the speed of the only instruction, and the side that was hit. The first two will swap their names."""
+"""Findings of the corpus: the speed of the only instruction, and the side hit. The first two will swap names."""
 OTHERS = {"b-222222": (10.0, "left"), "a-111111": (40.0, "right")}
-"""Of another folder: a simpler one of a kind that is there, and a kind that is not."""
+"""Findings of the other folder: a simpler one of a known kind, and one of a new kind."""
 MERGED = {"a-111111": 20.0, "a-111111-2": 30.0, "a-111111-3": 40.0, "b-222222": 10.0}
 STEPS = 7
-"""Four files are written, and three of them take the places of others."""
+"""Four files are written, and three of them replace others."""
 
 
 class Killed(BaseException):

@@ -1,4 +1,4 @@
-"""A limit of time is for the search and for what follows its finds; a clock that only judged runs move measures it."""
+"""A time limit covers the search and the work on its findings; the test's clock advances only with evaluated runs."""
 
 import math
 from collections import Counter
@@ -17,7 +17,7 @@ SHORT = {"population": 4, "genes": 2, "gene_seconds": 2, "npcs": 2, "node_id": N
 
 @pytest.fixture
 def clock(tmp_path, monkeypatch):
-    """The only clock of searches, which run in a folder of their own; a second passes with each run that is judged."""
+    """Return the only clock of searches, which run in a new folder; it advances by a second with each evaluated run."""
     monkeypatch.chdir(tmp_path)
     clock = SimpleNamespace(now=0.0, step=lambda: 1.0)
     for module in (explore, search):
@@ -56,7 +56,7 @@ def unshrunk(exploration):
 
 
 def attempts(exploration):
-    """How many runs were made to shrink each find, of which progress is told before each."""
+    """Return how many runs were made to shrink each finding; progress is reported before each run."""
     phases = [event.phase.split() for event in exploration.events if isinstance(event, Progress)]
     return Counter(phase[1] for phase in phases if phase[:1] == ["shrinking"])
 
@@ -205,7 +205,7 @@ def test_a_session_that_only_replays_shrinks_nothing(clock, tmp_path):
 def test_without_a_limit_no_clock_decides_anything(clock, tmp_path, monkeypatch):
     monkeypatch.setattr(state_file, "SHARE", 0)
     searched(clock, never_collides, "usual", runs=12, gene_seconds=5)
-    clock.step = lambda: 1e9 * math.cos(clock.now)  # which also runs backwards
+    clock.step = lambda: 1e9 * math.cos(clock.now)  # this clock also runs backwards
     searched(clock, never_collides, "strange", runs=12, gene_seconds=5)
     assert files(tmp_path / "usual") == files(tmp_path / "strange") != {}
 

@@ -1,4 +1,4 @@
-"""How often the random scenarios that a search begins with fail by the ego's fault."""
+"""The share of a search's first random scenarios that fail by the ego's fault."""
 
 import pytest
 

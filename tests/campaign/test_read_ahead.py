@@ -1,4 +1,4 @@
-"""What other processes read from the runs that they have made, and that nobody can tell."""
+"""Processes that make runs also read ahead from them, and the results stay the same."""
 
 import pickle
 import sys
@@ -15,7 +15,7 @@ from pytest_pafot.searching.fitness import resolve
 
 
 def brakes_late(observation):
-    """Keeps its lane, and brakes for who is a second ahead in it."""
+    """Keep the lane, and brake for a vehicle ahead in it within a second."""
     ego = observation.ego
     gaps = [each.x - ego.x for each in observation.others if each.lane == ego.lane and each.x > ego.x]
     return (-6.0 if min(gaps, default=100.0) < ego.speed else 1.0 if ego.speed < 22.0 else 0.0), 0.0

@@ -1,4 +1,4 @@
-"""Which failures saved scenarios make known; nothing is run here."""
+"""The failures that saved scenarios make known; nothing is run here."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,7 +26,7 @@ HIT, LEFT = of_failure(CRASH, FAILS), of_failure(OTHER, FAILS)
 
 
 class Told(Replays):
-    """Replays that end as they are told, by id: a run with its verdict, and whether the reference passes."""
+    """Replays with given results by id: a run with its verdict, and whether the reference passes."""
 
     def world_of(self, saved):
         return None
@@ -41,7 +41,7 @@ class Told(Replays):
 
 
 def shown(xfail=None, **ends):
-    """What saved scenarios show that end so, beside a file that cannot be read."""
+    """Return what saved scenarios with these results show, next to an unreadable file."""
     told = Told(harness=SimpleNamespace(saved_node_id=str, ends=ends), in_own_session=None)
     files = [Saved(Path(f"{id_}.pafot.yaml"), plain_finding(id=id_, xfail=xfail)) for id_ in ends]
     return told.shown_by([Saved(Path("unreadable.pafot.yaml"), error="no file"), *files])

@@ -1,4 +1,4 @@
-"""What a search draws its scenarios from, by its world, its algorithm and what the user fixes."""
+"""The search space that follows from the world, the algorithm and the user's arguments."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ ANY_LANE, ANY_SPEED = (0, 1, 2, 3), (12.0, 26.8)
 
 
 def space_of(world, **given):
-    """The space of a search with these arguments."""
+    """Return the space of a search with these arguments."""
     return build_space(request_of({"ads": IDMVehicle, **given}), world)
 
 

@@ -1,4 +1,4 @@
-"""A search that goes on in another session finds, tells and saves what one long session does."""
+"""A search that continues in a later session finds, reports and saves the same as one long session."""
 
 import errno
 import json
@@ -41,14 +41,14 @@ def searched(corpus="corpus", resume="states", **options):
 
 @pytest.fixture
 def search(tmp_path, monkeypatch):
-    """Searches in a folder of its own, with the states of all searches in one of it."""
+    """Return searches in a new folder, which also has the states of all searches."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(state_file, "SHARE", 0)  # a state at each border, however long it takes to write
+    monkeypatch.setattr(state_file, "SHARE", 0)  # a state at each border, however long writing takes
     return searched
 
 
 def searched_in(folder, **options):
-    """What a search in a folder finds, and its files there."""
+    """Return what a search in a folder finds, and its files there."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(state_file, "SHARE", 0)
@@ -58,20 +58,20 @@ def searched_in(folder, **options):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """One long search, and its files."""
+    """Run one long search; return it and its files."""
     return searched_in(tmp_path_factory.mktemp("whole"), resume=None, runs=24)
 
 
 @pytest.fixture(scope="module")
 def first_session(tmp_path_factory):
-    """A search that can go on after its findings, and the folder where it ran."""
+    """Run a search that can continue after its findings; return it and its folder."""
     folder = tmp_path_factory.mktemp("first")
     return searched_in(folder, runs=20)[0], folder
 
 
 @pytest.fixture
 def first(search, tmp_path, first_session):
-    """The same as if it had run here."""
+    """Return the same search as if it had run here."""
     exploration, folder = first_session
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     assert exploration.findings
@@ -80,7 +80,7 @@ def first(search, tmp_path, first_session):
 
 @pytest.fixture(scope="module")
 def after_7_runs(tmp_path_factory):
-    """The name and the text of the state of a search."""
+    """Return the name and the text of a search's state."""
     folder = tmp_path_factory.mktemp("begun")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -91,7 +91,7 @@ def after_7_runs(tmp_path_factory):
 
 @pytest.fixture
 def begun(search, tmp_path, after_7_runs):
-    """The state of a search that can go on."""
+    """Return the state of a search that can continue."""
     name, text = after_7_runs
     path = tmp_path / "states" / name
     path.parent.mkdir()
@@ -104,7 +104,7 @@ def files(folder):
 
 
 def body(*explorations):
-    """What was told, by generation and place: the later telling where something was told twice."""
+    """Return the report by generation and place; if something was reported twice, the later report."""
     told = {}
     for event in (event for each in explorations for event in each):
         if isinstance(event, Evaluated):
@@ -140,7 +140,7 @@ def test_four_sessions_are_one_long_one(search, tmp_path, request, algorithm):
 
 
 def check_summaries(whole, parts):
-    """Each is of all sessions so far, but for its new finds."""
+    """Check that each summary covers all sessions so far, but only its own new findings."""
     last = parts[-1]
     for name in ("runs", "known_runs", "failing", "generations", "coverage", "random", "reached", "warnings", "drawn"):
         assert getattr(last, name) == getattr(whole, name)
@@ -171,7 +171,7 @@ def test_killed_session_continues_from_last_state(search, tmp_path, monkeypatch,
     for number in places:
         with pytest.raises(KeyboardInterrupt):
             search(runs=24, on_event=killed_at(number, Evaluated))
-    with pytest.raises(KeyboardInterrupt):  # while its finds are simplified
+    with pytest.raises(KeyboardInterrupt):  # while its findings are simplified
         search(generations=1, on_event=killed_at(0, FindTold))
     done = json.loads(state_of(tmp_path).read_text())["sums"][3]
     last = search(runs=24 - done, on_event=heard.append)
@@ -213,7 +213,7 @@ def test_scenarios_saved_before_the_search_stay_known(search, tmp_path):
     other = search(resume=None, runs=16, seed=3)
     first, second = search(runs=8), search(runs=8)
     ids = {each.id for each in other.findings}
-    assert not search(resume=None, runs=16).findings  # The corpus has all by now.
+    assert not search(resume=None, runs=16).findings  # The corpus already has all of them.
     assert sum(second.summary.known.values()) == second.summary.failing - sum(
         1 + f.repeats for f in second.summary.finds
     )
@@ -253,7 +253,7 @@ def test_a_state_of_the_same_settings_goes_on(search, begun):
 
 
 def changed(change):
-    """A fault in the data of a state."""
+    """Return a damage to the data of a state."""
 
     def fault(text):
         data = json.loads(text)
@@ -363,7 +363,7 @@ def test_an_algorithm_that_cannot_go_on_is_refused(search):
 
 
 class Climbing(GenerationalSearch):
-    """An algorithm of one's own, which can go on."""
+    """A user's own algorithm that can continue."""
 
     name = "climbing"
 
@@ -423,12 +423,12 @@ def test_function_parameter_of_algorithm_works_across_processes(search, tmp_path
     assert told == "example_ads.constant_speed:make"
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.25])  # that a run takes to be put into words, which is done once
+@pytest.mark.parametrize("seconds", [0.0, 0.25])  # the time to put a run into words, which is done once
 def test_state_is_written_only_when_it_costs_little(tmp_path, monkeypatch, seconds):
     class Stored:
         def stored(self, state):
             nonlocal now
-            now += 1.0  # that writing takes
+            now += 1.0  # the time that writing takes
             written.append(now)
 
     def slowly(value):

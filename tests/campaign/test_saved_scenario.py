@@ -18,7 +18,7 @@ SLOW_LEADER = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 5.0)]])
 
 
 class Walled:
-    """A world of somebody's own, which is code."""
+    """A user's own world, which is code."""
 
     speed_limit, longest_run, to_dict = 25.0, 10.0, dict
 
@@ -86,7 +86,7 @@ def test_unfitting_scenario_names_its_line(save):
     saved = save(replace(finding, scenario=replace(finding.scenario, ego_lane=3)))
     with pytest.raises(CorpusError, match=r"yaml:\d+: scenario.ego.lane: expected"):
         saved.replay(keeps_its_speed)
-    for world in (WORLD, Walled()):  # the other one has no check of scenarios before it runs them
+    for world in (WORLD, Walled()):  # the second has no check of scenarios before it runs them
         with pytest.raises(CorpusError, match=r"yaml:\d+: scenario.ego.lane: expected"):
             saved.replay(keeps_its_speed, world=world)
     assert saved.replay(keeps_its_speed, world=pafot.Highway(lanes=4)).trace.ego[0, LANE] == 3

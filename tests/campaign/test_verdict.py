@@ -19,7 +19,7 @@ def never_collides(run):
 
 
 def judged(trace, test, blame, **drivers):
-    """The kind of a verdict, and the reference drivers that were asked for it."""
+    """Return the kind of a verdict, and the reference drivers that it called."""
     world = Drivers(**drivers)
     return judge(Run(trace, world=world), test, blame=blame, test_file="").kind, world.asked
 

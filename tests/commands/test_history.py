@@ -1,4 +1,4 @@
-"""Halving a row of commits, and commits of a policy put into a worktree beside the files of now."""
+"""The bisection of commits, and commits of a policy in a worktree next to the present files."""
 
 import math
 import os
@@ -12,7 +12,7 @@ from pytest_pafot.commands.history import History, HistoryError, halved
 
 @pytest.fixture
 def repository(tmp_path, monkeypatch):
-    """A repository with a policy of two commits, in the second of which a part has another name."""
+    """Return a repository with two commits of a policy; the second renames a part."""
     root = tmp_path / "project"
     for name, text in {"policy/net.py": "1", "policy/old.py": "1", "test_it.py": "1", ".gitignore": "*.npz"}.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
@@ -34,7 +34,7 @@ def git(root, *arguments):
 
 
 def state_of(root):
-    """All that a command must leave alone: files, the index, and what git tells of branches and worktrees."""
+    """Return everything that a command must not change: files, the index, branches and worktrees."""
     files = {path: path.read_bytes() for path in root.rglob("*") if path.is_file() and ".git" not in path.parts}
     told = [git(root, "--no-optional-locks", *each.split()) for each in ("status", "worktree list", "for-each-ref")]
     return files, (root / ".git/index").read_bytes(), (root / ".git/HEAD").read_bytes(), told

@@ -10,7 +10,7 @@ from pytest_pafot.world import Highway
 
 @pytest.fixture(scope="session")
 def quick():
-    """A plan with fields changed."""
+    """Return a function that changes fields of a plan."""
 
     def plan(**changes):
         fields = {
@@ -28,5 +28,5 @@ def quick():
 
 @pytest.fixture
 def quiet():
-    """Somewhere to tell progress."""
+    """Return a stream for progress."""
     return io.StringIO()

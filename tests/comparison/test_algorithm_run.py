@@ -1,4 +1,4 @@
-"""One run as rows: what they say is what the world shows."""
+"""A run of an algorithm as rows, which agree with the world."""
 
 import csv
 import io
@@ -20,7 +20,7 @@ from tests.helpers.stages import mostly_oracle, oracle
 
 
 def again(row):
-    """The scenario of a row, from its text alone."""
+    """Return the scenario of a row, only from its text."""
     npcs, seed, lane, speed, seconds = json.loads(row.executed)
     make = {True: LaneInstruction, False: PositionInstruction}
     chains = [[make[isinstance(target, str)](target, each) for target, each in chain] for chain in npcs]
@@ -125,7 +125,7 @@ def raising():
     ],
 )
 def test_ads_failing_every_first_decision_ends_the_run(quick, algorithm, budget):
-    """By simulated seconds too, of which none would ever pass."""
+    """It also ends with a budget of simulated seconds, although none would ever pass."""
     plan = quick(ads="tests.comparison.test_algorithm_run:failing_at_once", **budget)
     with pytest.raises(PlanError, match=r"in all \d+ runs of the first generation"):
         list(run_rows(plan, algorithm, 0))

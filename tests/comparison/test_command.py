@@ -30,12 +30,12 @@ def compare(folder, *arguments):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Reports without figures, which take longer than the runs."""
+    """Make reports without figures, which take longer than the runs."""
     monkeypatch.setattr("pytest_pafot.comparison.figures.draw_all", lambda measured, folder: {})
 
 
 def tables_of(report):
-    """Every table as rows of cells, by the heading that it stands under."""
+    """Return every table as rows of cells, by its heading."""
     found, heading = {}, ""
     for line in report.splitlines():
         if line.startswith("#"):
@@ -137,7 +137,7 @@ CHECKS = (
 
 
 def test_the_report_of_a_comparison_and_its_figures(tmp_path, subtests):
-    """All in one item, so that of several workers only one makes the comparison, most of which is drawing."""
+    """One item has all checks, so that only one worker makes the comparison, most of which is drawing."""
     assert compare(tmp_path) == 0
     report = (tmp_path / "report.md").read_text()
     for check in CHECKS:
@@ -208,7 +208,7 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
 
 
 def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
-    """A policy that stands still is never responsible, and a second of driving brings no collision."""
+    """A policy that stands still is never responsible, and a second of driving causes no collision."""
     arguments = ["--duration", "1", "--gene-seconds", "1", "--generations", "2", "--runs", "2"]
     arguments += ["--algorithms", "pafot,random"]
     assert compare(tmp_path, "--ads", "tests.comparison.test_command:standing", *arguments) == 0
@@ -332,7 +332,7 @@ def test_wrong_policy_is_reported_before_missing_libraries(tmp_path, capsys, mon
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
-    """As one of an environment without --env; the folder is left free for the command that is right."""
+    """The cause may be a policy for an environment without --env; the folder stays free for the right command."""
     arguments = ["--ads", "tests.comparison.test_command:of_an_environment", "--workers", workers, "--runs", "1"]
     assert compare(tmp_path, *arguments) == command.BAD_USE
     said = capsys.readouterr()

@@ -1,4 +1,4 @@
-"""Figures tell all algorithms apart."""
+"""All algorithms can be distinguished in the figures."""
 
 import pytest
 from matplotlib.figure import Figure
@@ -17,7 +17,7 @@ def test_each_algorithm_has_unique_colour_line_and_marker():
 
 @pytest.mark.filterwarnings("error")
 def test_runs_without_duration_are_drawn_without_warning(tmp_path, quick, monkeypatch):
-    """Each fails at its first decision, and in two ways, so that it is no fault of the set-up."""
+    """Each run fails at its first decision, and in two ways, so the setup is not at fault."""
     plan = quick(ads="tests.comparison.test_figures:failing_in_two_ways", algorithms=("random",), runs=1)
     (tmp_path / "results.csv").write_text(text_of(run_rows(plan, "random", 0)))
     results = Results.of(plan, tmp_path / "results.csv")
@@ -27,7 +27,7 @@ def test_runs_without_duration_are_drawn_without_warning(tmp_path, quick, monkey
 
 
 def laid_out(figure, buffer, *, format, **options):  # noqa: A002
-    """All that may warn of what is in a figure, once."""
+    """Trigger once everything that may warn about the content of a figure."""
     if format == "svg":
         figure.draw_without_rendering()
 

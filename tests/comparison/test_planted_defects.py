@@ -1,4 +1,4 @@
-"""The benchmark of planted defects: when a search of it ends, and what it says of searches that were made up."""
+"""The benchmark of planted defects: when its searches end, and its statistics of invented searches."""
 
 from functools import partial
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Runs of a comparison: the same bytes however often it was interrupted, and for any number of workers."""
+"""Runs of a comparison give the same bytes after any interruptions, and with any number of workers."""
 
 import io
 import os
@@ -31,7 +31,7 @@ def contents(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory, quick):
-    """What an uninterrupted comparison in one process leaves."""
+    """Return the files of an uninterrupted comparison in one process."""
     folder = tmp_path_factory.mktemp("whole")
     run_all(quick(), folder, workers=1, told=io.StringIO(), clock=clock)
     return contents(folder)
@@ -75,7 +75,7 @@ def test_interrupted_comparison_continues_with_the_missing_runs(tmp_path, quick,
 
 
 class Pool:
-    """In the place of processes: completes tasks from the last to the first, or answers something else."""
+    """A stand-in for processes that completes tasks from the last to the first, or returns a different answer."""
 
     failure = ""
     __class_getitem__ = classmethod(lambda cls, types: cls)
@@ -87,7 +87,7 @@ class Pool:
         return self
 
     def __exit__(self, *raised):
-        """Has nothing to end."""
+        """Do nothing, since nothing must end."""
 
     def expect(self, tasks):
         self.tasks = tasks
@@ -144,7 +144,7 @@ def test_killed_with_its_workers_running_it_goes_on(tmp_path, quick, quiet, whol
 
 
 def forever(folder):
-    """The comparison of `quick`, with more runs than anybody waits for; called in a process of its own."""
+    """Run the comparison of `quick` without an end in sight, in a separate process."""
     fields = {"ads": "constant_speed", "algorithms": ("pafot", "av-fuzzer", "random"), "generations": 3, "runs": 999}
     space = {"npcs": 2, "genes": 2, "gene_seconds": 10.0}
     plan = Plan(**fields, world=Highway(duration=20.0).to_dict(), space=space)
@@ -211,7 +211,7 @@ def test_other_seeds_give_other_runs(tmp_path, quick, quiet, whole):
 
 
 def job_of(tasks, **fields):
-    """What a progress line tells of: runs of one algorithm."""
+    """Return the job of a progress line: runs of one algorithm."""
     others = dict.fromkeys(("noun", "question", "question_file", "differs"), "")
     of_runs = {"command": "compare", "units": "runs", "in_order": (), "text": lambda task, tick: ""}
     return ResumableJob(tasks=tuple(("pafot", run) for run in range(tasks)), **others | of_runs | fields)
@@ -264,7 +264,7 @@ class TestProgressLine:
 
 
 def dying():
-    """A factory that takes its process with it."""
+    """Return nothing: this factory ends its process."""
     os._exit(5)
 
 

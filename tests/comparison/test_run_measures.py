@@ -1,4 +1,4 @@
-"""Measures of runs, by hand."""
+"""Measures of runs, computed by hand."""
 
 import math
 
@@ -20,7 +20,7 @@ def hit(time, responsibility="npc", signature="front-2-aaaaaa", **more):
 
 
 def rows(*runs, algorithm="pafot", run=0):
-    """Rows of one run; each says what differs from a safe one of generation 0."""
+    """Return rows of one run; each argument gives the differences from a safe row of generation 0."""
     clock, made = 0.0, []
     for index, fields in enumerate(SAFE | each for each in runs):
         clock += 0.0 if fields.get("duplicate") else fields["duration"]
@@ -141,7 +141,7 @@ def test_first_algorithm_is_compared_with_each_other_one(frame):
 
 
 def test_inverted_distance_is_mean_distance_to_nearest_impact(frame):
-    """Three impacts: of the front at 5 m/s and at 25 m/s by an NPC ahead, and at 5 m/s by one that was behind."""
+    """There are three impacts: the front hits an NPC ahead at 5 and 25 m/s, and one that was behind at 5 m/s."""
     ahead, fast, behind = hit(10.0), hit(10.0, closing_speed=25.0), hit(10.0, cell=6)
     data = frame(
         rows(ahead, fast, behind),

@@ -1,4 +1,4 @@
-"""Statistics against examples by hand, other implementations and simulated samples."""
+"""Statistics against examples worked by hand, other implementations and simulated samples."""
 
 import math
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""The statistics of the benchmark of planted defects, on data that were worked out by hand."""
+"""The statistics of the benchmark of planted defects, on data worked out by hand."""
 
 import math
 
@@ -31,7 +31,7 @@ def test_a_median_that_is_not_reached_is_infinite():
 
 
 def test_median_interval_is_where_band_contains_one_half():
-    """Freireich's remission times of 6-MP, whose median is 23 weeks, 95 % from 13 on (R's survfit, log-log)."""
+    """Freireich's remission times of 6-MP have the median 23 weeks, 95 % from 13 on (R's survfit, log-log)."""
     found = [6, 6, 6, 7, 10, 13, 16, 22, 23]
     censored = [6, 9, 10, 11, 17, 19, 20, 25, 32, 32, 34, 35]
     each = curve([*found, *censored], [True] * len(found) + [False] * len(censored))
@@ -40,7 +40,7 @@ def test_median_interval_is_where_band_contains_one_half():
 
 
 def test_the_interval_of_uncensored_times():
-    """Freireich's controls, whose median is 8 weeks, 95 % from 4 to 11 (R's survfit, log-log)."""
+    """Freireich's controls have the median 8 weeks, 95 % from 4 to 11 (R's survfit, log-log)."""
     each = curve([1, 1, 2, 2, 3, 4, 4, 5, 5, 8, 8, 8, 8, 11, 11, 12, 12, 15, 17, 22, 23])
     assert each.median == 8
     assert each.median_interval == (4, 11)
@@ -76,7 +76,7 @@ class TestRatio:
         assert each == (3, 3)
 
     def test_strata_keep_their_sizes(self):
-        """Two defects with one time each: however seeds are drawn, the mean remains what it is."""
+        """Two defects have one time each: the mean stays the same however seeds are resampled."""
         first = Sample.of([1, 1, 1, 9, 9, 9], [True] * 6)
         second = Sample.of([2] * 6, [True] * 6)
         strata = ["soon"] * 3 + ["late"] * 3

@@ -1,4 +1,4 @@
-"""``python -m pytest_pafot corpus``: which saved scenarios there are, without running them."""
+"""The command ``python -m pytest_pafot corpus``, which lists saved scenarios without running them."""
 
 import errno
 import json
@@ -58,7 +58,7 @@ def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch,
     os.close(end)
     with os.fdopen(start, "w") as head, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", head)
-        assert main(["corpus", "list", str(folder)]) == 141  # as of a program that SIGPIPE has ended
+        assert main(["corpus", "list", str(folder)]) == 141  # like a program that SIGPIPE has ended
     assert capsys.readouterr().err == ""
     if Path("/dev/full").exists():
         with Path("/dev/full").open("w") as full, monkeypatch.context() as patch:
@@ -71,7 +71,7 @@ def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch,
 
 
 def save(folder, **findings):
-    """Write files into a folder, by id: of chains of so many instructions, with what else is given of each finding."""
+    """Write files into a folder, by id; each has chains with a number of instructions, and other given fields."""
     for name, (genes, changes) in findings.items():
         scenario = Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0), PositionInstruction(Cell(2), 8.0)) * genes,))
         write(folder / f"{name}.pafot.yaml", plain_finding(**{"id": name, "scenario": scenario} | changes))
@@ -82,7 +82,7 @@ def names(folder):
 
 
 def join(folder, capsys, *options):
-    """The exit code, and the lines without the folder."""
+    """Return the exit code, and the output without the folder's path."""
     code = main(["corpus", "join", *options, str(folder)])
     return code, capsys.readouterr().out.replace(f"{folder}{os.sep}", "").splitlines()
 
@@ -104,7 +104,7 @@ def test_join_leaves_the_simplest_file_of_each_kind(tmp_path, capsys):
 
 
 def test_join_leaves_files_with_entered_lane_fault_alone(tmp_path, capsys):
-    """Into the side of one and in front of another are two failures, and the fault in a file is one name of both."""
+    """Moving into a vehicle's side or in front of it are two failures, but the file has one fault for both."""
     entered = {"expect": replace(plain_finding().expect, fault="entered-lane")}
     unanswered = {"expect": replace(plain_finding().expect, fault="leader-unanswered")}
     save(tmp_path, a=(1, entered), b=(2, entered), c=(1, unanswered), d=(2, unanswered))

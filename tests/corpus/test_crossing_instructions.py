@@ -1,4 +1,4 @@
-"""Scenarios in which somebody crosses are saved and read like others, as strictly."""
+"""Scenarios with crossing NPCs are saved and read like others, and as strictly."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Scenarios of Lane-Instructions are saved, read, shrunk and told like those of Position-Instructions."""
+"""Scenarios of Lane-Instructions are saved, read, shrunk and reported like those of Position-Instructions."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ chains = st.lists(st.lists(instructions, min_size=1, max_size=6).map(tuple), min
 
 
 def scenario(*texts, **fields):
-    """From texts such as "left@22 keep@24.5"."""
+    """Return a scenario from texts such as "left@22 keep@24.5"."""
     pairs = [[gene.split("@") for gene in text.split()] for text in texts]
     return Scenario(npcs=[[LaneInstruction(lane, float(speed)) for lane, speed in chain] for chain in pairs], **fields)
 

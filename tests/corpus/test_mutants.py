@@ -1,4 +1,4 @@
-"""No damaged file is read as something else than it says; ``tests/benchmarks/mutants.py`` has more of the same."""
+"""No damaged file is read differently from its text; ``tests/benchmarks/mutants.py`` tries more of them."""
 
 import random
 from dataclasses import replace
@@ -18,7 +18,7 @@ from tests.helpers.tables import table
 GOLDEN = sorted(Path(__file__).with_name("saved").glob("*.pafot.yaml"))
 TEXTS = [path.read_text(encoding="utf-8") for path in GOLDEN]
 EXAMPLES = settings.default.max_examples * 3 // 4
-"""Of each kind of damage."""
+"""The number of examples for each kind of damage."""
 LOADERS = [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)]
 
 

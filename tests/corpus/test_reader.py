@@ -40,7 +40,7 @@ def path(tmp_path):
 
 
 def fault(path, content):
-    """The error that a file gives, whichever of PyYAML's parsers reads it."""
+    """Return the error about a file, which is the same from both of PyYAML's parsers."""
     content = content.encode() if isinstance(content, str) else content
     errors = []
     for loader in LOADERS:
@@ -486,7 +486,7 @@ def test_error_in_saved_scenario_shows_the_wrong_value(path):
 
 @pytest.fixture
 def place(tmp_path):
-    """Of a file in a corpus, with all its folders."""
+    """Return the path of a file in a corpus, and make all its folders."""
     place = tmp_path / "project" / "pafot_corpus" / "test_it" / "test_it" / NAME
     place.parent.mkdir(parents=True)
     return place

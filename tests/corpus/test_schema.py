@@ -1,4 +1,4 @@
-"""The stored format: saved files are read and written as they are, whatever the defaults of worlds become."""
+"""The stored format: saved files keep their meaning when the defaults of worlds change."""
 
 import copy
 from dataclasses import fields

@@ -1,6 +1,6 @@
-"""What is measured of an NPC that crosses the ego's way, or merges: in the plane as of any, along the way nothing.
+"""Measures of an NPC that crosses the ego's way, or merges: normal in the plane, undefined along the way.
 
-Each public measure is in one of the lists below, so that a new one has to decide.
+Each public measure is in one of the lists below, so that the author of a new one must decide.
 """
 
 import math
@@ -23,7 +23,7 @@ IN_THE_PLANE = ("centre_distance", "ettc", "gap", "post_encroachment_time", "ttc
 EXTREMES_IN_THE_PLANE = ("mettc", "min_centre_distance", "min_gap", "min_ttc")
 ALONG_THE_WAY = ("lateral_gap", "longitudinal_gap", "rss_lateral", "rss_longitudinal", "safety_distance")
 IN_ONE_LANE = ("ego_follows", "required_deceleration", "safety_shortfall")
-"""They are False, or 0, for whoever is not in the ego's lane."""
+"""Measures that are False or 0 for a vehicle outside the ego's lane."""
 OTHERS = {
     "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "execution_time", "hardest_brake",
     "max_safety_shortfall", "min_safety_distance", "passages", "planned_duration", "still_to_pass",
@@ -31,11 +31,11 @@ OTHERS = {
 }  # fmt: skip
 
 MERGED = 62
-"""The tick at which the second NPC is on the ego's way."""
+"""The tick at which the second NPC reaches the ego's way."""
 
 
 def mixed(**more):
-    """An NPC that crosses the whole time, one that merges 22 m ahead of the ego, and one on the grid."""
+    """Return an NPC that crosses the whole time, one that merges 22 m ahead of the ego, and one on the grid."""
     return junction_trace((CROSSES, 0.0), (MERGES, 0.0), (None, 20.0), **more)
 
 
@@ -167,7 +167,7 @@ def test_a_lane_change_knows_nothing_of_who_crosses():
 
 
 def test_passage_has_entry_and_exit_times_in_zone():
-    """The ego is in the zone from 4.55 to 5.45 s, the first NPC, 10 m later, from 6.55 to 7.45 s."""
+    """The ego is in the zone from 4.55 to 5.45 s, and the first NPC, 10 m later, from 6.55 to 7.45 s."""
     first, second, third = passages(junction_trace((CROSSES, -10.0), (MERGES, -60.0), (None, 20.0)))
     assert (first.npc, first.zone) == (0, ZONES[CROSSES])
     times = (first.ego_enters, first.ego_leaves, first.npc_enters, first.npc_leaves)

@@ -1,4 +1,4 @@
-"""Every measure against an oracle written another way, by hand in SI units, and under symmetries."""
+"""Every measure against an independent oracle by hand in SI units, and under symmetries."""
 
 import math
 
@@ -38,12 +38,12 @@ speeds = st.sampled_from([0.0, 10.0]) | st.floats(-5, 30)
 
 @st.composite
 def movers(draw):
-    """One vehicle at one tick, parallel and standing ones included."""
+    """Return one vehicle at one tick; it may be parallel or standing."""
     return vehicle(draw(coordinates), draw(coordinates), heading=draw(angles), speed=draw(speeds), lane=1)
 
 
 def of_one_npc(measure, ego, npc, **fields):
-    """The value of a measure for one ego and one NPC at one tick."""
+    """Return the value of a measure for one ego and one NPC at one tick."""
     return measure(trace_of(ego, npc, **fields))[0, 0]
 
 
@@ -57,7 +57,7 @@ def with_states(states, sizes, lanes=None):
 
 
 def assert_same(actual, expected):
-    """Equal up to rounding; infinite and astronomically large times are the same."""
+    """Assert equality up to rounding; infinite and astronomically large times are the same."""
     np.testing.assert_allclose(np.tanh(actual / 100), np.tanh(expected / 100), rtol=1e-6, atol=1e-9)
 
 
@@ -298,7 +298,7 @@ class TestHardestBrake:
 
 
 def stopping_way(speed, response, acceleration, braking, *, step=1e-3):
-    """Way of a vehicle that accelerates for its response time and then brakes to a standstill, by small steps."""
+    """Return the distance in which a vehicle accelerates for its response time and then stops, in small steps."""
     way, time = 0.0, 0.0
     while time < response - step / 2 or speed > 0:
         change = acceleration if time < response - step / 2 else -braking
@@ -421,7 +421,7 @@ class TestDurations:
 
 
 def differing(measures, one, other):
-    """Names of the measures that do not give the same for two traces; infinite and huge times are the same."""
+    """Return the measures that differ between two traces; infinite and huge times are the same."""
     pairs = {measure.__name__: (np.tanh(measure(one) / 100), np.tanh(measure(other) / 100)) for measure in measures}
     return [name for name, pair in pairs.items() if not np.allclose(*pair, rtol=1e-6, atol=1e-9)]
 

@@ -1,4 +1,4 @@
-"""Where NPCs are relative to the ego in a bend, by everybody who says so, against angles and radii of a circle."""
+"""NPCs' places relative to the ego in a bend, from every source, against angles and radii of a circle."""
 
 import math
 from array import array
@@ -21,12 +21,12 @@ from tests.helpers.traces import LANE_WIDTH, LENGTH, WIDTH, scenario_of, trace_o
 from tests.report.builders import view_of
 
 RADIUS = 20.0
-"""Of the ego's way, which turns to the right [m]; the other lane is outside of it, to the left."""
+"""The radius of the ego's way, which turns to the right [m]; the other lane is outside, to the left."""
 POINTS = 200
 
 
 def circle():
-    """A road of two lanes around the point (0, RADIUS)."""
+    """Return a road of two lanes around the point (0, RADIUS)."""
     angle = np.arange(POINTS) * STEP / RADIUS
     line = Line(
         x=RADIUS * np.sin(angle),
@@ -67,7 +67,7 @@ def circle():
 
 
 def driven(*vehicles, touched=False):
-    """The trace that the record of a run gives; of each vehicle angles and radii around the centre, in rad and m."""
+    """Return the trace of a recorded run; each vehicle has angles and radii around the centre, in rad and m."""
     angles, radii = (np.array(rows).T for rows in zip(*vehicles, strict=True))
     road, bodies = circle(), [Body(LENGTH, WIDTH) for _ in vehicles]
     frame, rows = NetworkFrame(road, None, angles[0] * RADIUS), array("d")
@@ -90,13 +90,13 @@ def driven(*vehicles, touched=False):
 
 
 def approach(last, radius):
-    """Ego and NPC on a circle of a radius, the NPC ahead by so much at the end, along that circle [m]."""
+    """Return an ego and an NPC on a circle; the NPC is this far ahead at the end, along that circle [m]."""
     gaps = np.linspace(12.0, last, 10)
     return (np.full(10, 1.0), np.full(10, radius)), (1.0 + gaps / radius, np.full(10, radius))
 
 
 def test_all_sources_agree_on_cell_in_a_bend():
-    """2.64 m ahead of the ego, as they drive, and only 2.2 m along the ego's way, which is inside of them."""
+    """The NPC is 2.64 m ahead along their circle, but only 2.2 m along the ego's way, which is inside it."""
     trace = driven(*approach(2.64, RADIUS + LANE_WIDTH), touched=True)
     run = Run(trace)
     assert Encounters(trace).ahead[0, -1] == pytest.approx(2.64, abs=0.01)

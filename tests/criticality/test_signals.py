@@ -1,4 +1,4 @@
-"""Signals against oracles written another way: motions whose formulas are known, and loops over ticks and NPCs."""
+"""Signals against independent oracles: motions whose formulas are known, and loops over ticks and NPCs."""
 
 import copy
 import math
@@ -165,7 +165,7 @@ def braking_run():
 
 
 def nearest_ahead(run, tick):
-    """The leader and the way to its rear, by a loop over the NPCs."""
+    """Return the leader and the distance to its rear, by a loop over the NPCs."""
     ego = run.trace.ego[tick]
     best, leader = math.inf, -1
     for index, npc in enumerate(run.trace.npcs[tick]):

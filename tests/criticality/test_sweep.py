@@ -1,4 +1,4 @@
-"""The compiled passes over a run give what numpy's whole arrays give, to the last bit."""
+"""The compiled passes over a run give the same as numpy's whole arrays, to the last bit."""
 
 import functools
 import importlib.util
@@ -25,7 +25,7 @@ seeds = st.integers(0, 2**32)
 
 
 def interpreted(module):
-    """The same module from its source, also where a compiled one lies beside it."""
+    """Return the same module from its source, even if there is a compiled one next to it."""
     spec = importlib.util.spec_from_file_location("interpreted", Path(module.__file__).parent / f"{NAMES[module]}.py")
     copy = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(copy)
@@ -38,7 +38,7 @@ INTERACTIONS = {"as installed": interaction, "interpreted": interpreted(interact
 
 
 def swept(module, trace):
-    """The extremes by one pass; None where it leaves the run to the arrays."""
+    """Return the extremes by one pass, or None if it leaves the run to the arrays."""
     heading = trace.lanes[0].heading
     road = math.cos(heading), math.sin(heading)
     found = module.Sweep(trace.states, trace.sizes, road, MANOEUVRE_SECONDS)
@@ -56,7 +56,7 @@ def kept(module, trace):
 
 
 def drawn(seed, *, spread=25.0):
-    """A run of vehicles that are anywhere at any tick, on a road of any heading."""
+    """Return a run whose vehicles are anywhere at any tick, on a road of any heading."""
     rng = np.random.default_rng(seed)
     rows, vehicles = int(rng.integers(1, 40)), int(rng.integers(2, 6))
     sizes = rng.uniform(1, 6, (vehicles, 2))
@@ -66,7 +66,7 @@ def drawn(seed, *, spread=25.0):
 
 
 def meeting(seed):
-    """Contact is 3 s away at first; at the next tick the two are anywhere else and drive at each other, or nearly."""
+    """Return a run with a contact 3 s away at first; then two random vehicles drive at each other, or nearly."""
     rng = np.random.default_rng(seed)
     angle, distance, noise = rng.uniform(-math.pi, math.pi), rng.uniform(15, 80), rng.normal(0, 0.1, 2)
     ego, npc = (math.remainder(heading, math.tau) for heading in (angle + noise[0], angle + math.pi + noise[1]))
@@ -84,7 +84,7 @@ def meeting(seed):
 
 
 def driven(seed):
-    """The run of a random scenario with an ego that keeps its speed and weaves a little."""
+    """Return the run of a random scenario with an ego that keeps its speed and weaves a little."""
     rng = np.random.default_rng(seed)
     scenario = sample(SearchSpace(npcs=int(rng.integers(1, 6)), genes=3), rng)
     return Highway().rollout(scenario, lambda: lambda seen: (0.0, 0.002 * math.cos(seen.time)))
@@ -92,7 +92,7 @@ def driven(seed):
 
 @functools.cache
 def runs():
-    """Runs of the world, with an ego that keeps its speed and weaves a little."""
+    """Return runs of the world, with an ego that keeps its speed and weaves a little."""
     return [driven(seed) for seed in range(20)]
 
 

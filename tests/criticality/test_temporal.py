@@ -1,4 +1,4 @@
-"""Temporal logic against its definition, written as loops over ticks, and against another implementation of it."""
+"""Temporal logic against its definition, written as loops over ticks, and against a second implementation."""
 
 import math
 import pickle
@@ -31,19 +31,19 @@ formulas = st.recursive(
 
 
 def pairs_of_signals(least, values=numbers):
-    """Two lists of one length, of so many ticks at least."""
+    """Return two lists of the same length, with at least this many ticks."""
     lengths = st.integers(least, 12)
     return lengths.flatmap(lambda ticks: st.tuples(*[st.lists(values, min_size=ticks, max_size=ticks)] * 2))
 
 
 def chosen(cells, choose, default):
-    """The least or the greatest of values with the ticks that decide them: the first NaN, else the first one."""
+    """Choose the least or greatest value with the tick that decides it: the first NaN, otherwise the first one."""
     lost = [cell for cell in cells if math.isnan(cell[0])]
     return lost[0] if lost else choose(cells, key=lambda cell: cell[0], default=(default, math.inf))
 
 
 def by_definition(formula, values, tick):
-    """The robustness of a formula at a tick, as the papers write it, and the tick that has it; windows are in ticks."""
+    """Return a formula's robustness at a tick, as papers define it, and the deciding tick; windows are in ticks."""
     kind, *rest = formula
     ticks = len(values["x"])
     if kind in ("above", "below"):
@@ -78,7 +78,7 @@ def margin_of(formula, values):
 
 
 def text_of(formula):
-    """As rtamt reads it, with windows in ticks of a second."""
+    """Return a formula's text for rtamt, with windows in ticks of a second."""
     kind, *rest = formula
     if kind in ("above", "below"):
         return f"({rest[0]} {'>=' if kind == 'above' else '<='} {BOUND})"

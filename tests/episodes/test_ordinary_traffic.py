@@ -1,4 +1,4 @@
-"""Episodes in an environment's own traffic: compiled as by the environment's own steps, for every kind of ADS."""
+"""Episodes in an environment's own traffic: compiled as with the environment's own steps, for every kind of ADS."""
 
 import time
 
@@ -32,7 +32,7 @@ def driven(world, factory, seed, **options):
 
 
 class Sluggish(IDMVehicle):
-    """A vehicle class with code of its own, that remembers what it did."""
+    """A vehicle class with its own code that remembers its actions."""
 
     def act(self, action=None):
         before = self.action["acceleration"]
@@ -41,14 +41,14 @@ class Sluggish(IDMVehicle):
 
 
 class Coasting(Vehicle):
-    """One that wants neither a lane nor a speed."""
+    """A vehicle that has neither a target lane nor a target speed."""
 
     def act(self, action=None):
         super().act({"acceleration": -0.5, "steering": 0.001})
 
 
 def looking_ahead(env):
-    """A planner that simulates inside of the environment: it takes the action whose next second is free of a crash."""
+    """Return a planner that simulates inside the environment and takes the action whose next second has no crash."""
 
     def act(observation):
         for action in (3, 1, 4):
@@ -75,7 +75,7 @@ def looking_ahead(env):
     ],
 )
 def test_compiled_episode_matches_the_steps_of_the_environment(world, factory, options):
-    options = {"seed": 0, "is_recorded": True, **options}  # with seed 3 others think of moving ahead of the ego
+    options = {"seed": 0, "is_recorded": True, **options}  # with seed 3 other vehicles try to move ahead of the ego
     compiled = driven(world, factory, **options)
     stepped = driven(world, factory, may_compile=False, **options)
     assert (compiled.steps, stepped.steps) == ("", "that was requested")
@@ -107,7 +107,7 @@ def test_other_traffic_or_roads_use_environment_steps():
 
 
 class HighwayOfOurOwn(HighwayEnvFast):
-    """With steps that the kernel knows nothing of."""
+    """An environment with steps that the kernel does not know."""
 
     def step(self, action):
         return super().step(1)

@@ -1,4 +1,4 @@
-"""What is said of two versions of a policy, from what both did in the same situations."""
+"""The verdict on two versions of a policy, from their results in the same situations."""
 
 import json
 from dataclasses import asdict
@@ -17,7 +17,7 @@ from tests.helpers.traces import trace_of, vehicle
 
 
 def rows(part, *counts):
-    """Rows of one part: `(how many, old failed, new failed)`."""
+    """Return rows of one part from `(count, old failed, new failed)`."""
     pairs = [(old, new) for count, old, new in counts for _ in range(count)]
     return [
         PairRow(part=part, name=str(number), old=Result(failed=old), new=Result(failed=new))
@@ -26,7 +26,7 @@ def rows(part, *counts):
 
 
 def measured(*pairs):
-    """Rows of scenarios in which both fail at these speeds [m/s], or with these margins of a check."""
+    """Return rows of scenarios in which both fail at these speeds [m/s], or with these margins of a check."""
     return [
         PairRow(
             part="scenarios",

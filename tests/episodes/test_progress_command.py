@@ -1,4 +1,4 @@
-"""`python -m pytest_pafot progress`: from two versions of a policy to a sentence, a page, figures and an exit code."""
+"""The command `python -m pytest_pafot progress`: from two versions of a policy to its outputs and exit code."""
 
 import json
 import re

@@ -21,7 +21,7 @@ def rate(*arguments):
 
 
 def rated(name, **outcomes):
-    """A rate of episodes of 36 s, with the outcomes of some of the first ten seeds, `s0="collision"`."""
+    """Return a rate of episodes of 36 s, with the outcomes of some of the first ten seeds, `s0="collision"`."""
     return Rate(
         ads=name,
         rows=tuple(
@@ -72,7 +72,7 @@ def test_interrupted_rate_continues_and_can_be_extended(tmp_path, capsys, monkey
 
 
 class Trained:
-    """A factory that says which weights its policy has, as those of ``pafot.policies`` do."""
+    """A factory that names its policy's weights, as those of ``pafot.policies`` do."""
 
     weights_digest = "sha256:1"
 

@@ -21,7 +21,7 @@ def view(*others, time=0.0, ego=None, lanes=4):
 
 
 def drive(seconds, *, lane=1, lanes=4, hz=15):
-    """The ego's y and speed at every tick on an empty road, by the bicycle model of highway-env."""
+    """Return the ego's y and speed at every tick on an empty road, by highway-env's bicycle model."""
     ads, ego, track = blind_lane_change.make(), vehicle(lane=lane), []
     for tick in range(round(seconds * hz)):
         if tick % 3 == 0:

@@ -1,4 +1,4 @@
-"""Each positive control is IDM+MOBIL but for one defect, which shows in its own situation and in no other."""
+"""Each positive control is IDM+MOBIL with one defect, which shows only in its own situation."""
 
 from dataclasses import dataclass, replace
 
@@ -22,7 +22,7 @@ DEFECTIVE = [name for name in defects.POLICIES if name != "healthy"]
 
 @dataclass(frozen=True)
 class Other:
-    """A vehicle: centre ahead of the ego's [m], lane, speed [m/s], and the speed and lane that it had at first."""
+    """A vehicle: distance ahead of the ego's centre [m], lane, speed [m/s], and its first speed and lane."""
 
     ahead: float
     lane: int
@@ -36,10 +36,10 @@ class Scene:
     """The ego in lane 1 and others around it.
 
     Attributes:
-        others: as they are when the ego decides.
-        speed: of the ego [m/s].
-        since: how long the ego has seen the others [s].
-        lane_before: that the ego was in until now.
+        others: The other vehicles when the ego decides.
+        speed: The ego's speed [m/s].
+        since: How long the ego has seen the others [s].
+        lane_before: The ego's lane until now.
     """
 
     others: tuple[Other, ...]
@@ -49,7 +49,7 @@ class Scene:
 
 
 def decision(policy, scene):
-    """Acceleration [m/s^2] and target lane of a driver that may change lanes now."""
+    """Return acceleration [m/s^2] and target lane of a driver that may change lanes now."""
     road = Road(RoadNetwork.straight_road_network(4, speed_limit=26.8), np_random=np.random.default_rng(0))
     driver = policy(road, [500.0, LANE * scene.lane_before], 0.0, scene.speed)
     others = [Vehicle(road, [500.0 + o.ahead, LANE * o.lane], 0.0, o.speed) for o in scene.others]
@@ -82,7 +82,7 @@ def _put_in_lane_one(driver):
 LEADER = Scene((Other(40.0, 1, 20.0), Other(40.0, 0, 20.0), Other(40.0, 2, 20.0)))
 SLOW_LEADER = Other(30.0, 1, 15.0)
 TAKEN = (SLOW_LEADER, Other(30.0, 0, 15.0))
-"""The own lane and the left one are slow; the right one is faster, and what stands there decides."""
+"""The own lane and the left one are slow, and the right one is faster; a vehicle there decides."""
 
 SITUATIONS = {
     "follows-too-close": [LEADER],
@@ -99,7 +99,7 @@ SITUATIONS = {
     "brakes-for-ghosts": [Scene((), since=12.1), Scene((), since=25.0)],
     "stops-in-its-lane": [Scene((), since=20.1), Scene((), since=45.0)],
 }
-"""Where the defect shows."""
+"""Scenes in which the defect shows."""
 
 HARMLESS = {
     "an empty road": Scene(()),
@@ -121,7 +121,7 @@ LIKE_HEALTHY = {
     "brakes-for-ghosts": [LEADER, Scene((), since=11.9), Scene((), since=13.5)],
     "stops-in-its-lane": [LEADER, Scene((), since=19.9), Scene((), since=33.0)],
 }
-"""Close to the situation, but not in it."""
+"""Scenes that are close to the situation, but not in it."""
 
 
 def cases(situations):
@@ -175,7 +175,7 @@ def test_the_same_scenario_gives_the_same_trace(name):
 
 @pytest.mark.parametrize("scenario", [oracle(PASSES_BY), oracle(STEADY_LEADER), BRAKES_AHEAD])
 def test_the_healthy_one_drives_as_highway_envs_own(scenario):
-    road = replace(ROAD, engine="highway-env")  # the kernel rounds as the C library does, and numpy may not
+    road = replace(ROAD, engine="highway-env")  # numpy may round differently from the C library and the kernel
     healthy, stock = (road.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle))
     assert (healthy.states == stock.states).all()
 

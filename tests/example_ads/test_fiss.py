@@ -19,7 +19,7 @@ def vehicle(*, x=100.0, lane=1, speed=22.0):
 
 
 def moved(car, acceleration=0.0, steering=0.0):
-    """One tick of highway-env's bicycle model."""
+    """Move a car by one tick of highway-env's bicycle model."""
     slip = math.atan(math.tan(steering) / 2)
     y = car.y + car.speed * math.sin(car.heading + slip) / HZ
     return car._replace(
@@ -32,7 +32,7 @@ def moved(car, acceleration=0.0, steering=0.0):
 
 
 def drive(seconds, *others, ego=None, lanes=4):
-    """The ego and the others, who keep their speed, at every tick; ends at a contact of their boxes."""
+    """Return the ego and the others, which keep their speed, at every tick until their boxes touch."""
     ads, ego, track = fiss.make(), ego or vehicle(), []
     for tick in range(round(seconds * HZ)):
         if tick % 3 == 0:

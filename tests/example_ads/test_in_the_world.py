@@ -1,4 +1,4 @@
-"""The example policies drive in the worlds that they are made for, each with its own flaw and no other."""
+"""The example policies drive in the worlds for which they are made, each with its own flaw and no other."""
 
 import importlib.util
 from dataclasses import replace
@@ -30,7 +30,7 @@ if importlib.util.find_spec("libsumo"):
 
 
 def slow_ones_by_oracle(drivers):
-    """The same drivers, of which FISS+ drives with ``-m oracle`` only: it takes longer than all others together."""
+    """Return the drivers, with FISS+ only for ``-m oracle``: it takes longer than all others together."""
     return [oracle(*each.values, id=each.id) if each.id == "fiss" else each for each in drivers]
 
 
@@ -46,7 +46,7 @@ STAYS_AT_THE_RIGHT = one_npc((Cell.RIGHT, 25.0), (Cell.RIGHT, 25.0))
 
 @cache
 def first_run(world, make, scenario):
-    """Run it once for all tests that look at it; an ADS that plans takes some hundred milliseconds for each."""
+    """Run a scenario once for all tests that use it; a planning ADS takes some hundred milliseconds for each."""
     return world.rollout(scenario, make)
 
 

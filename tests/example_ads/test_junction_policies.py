@@ -1,4 +1,4 @@
-"""The example policies for environments with junctions know their roads, give way, and drive on where nobody comes."""
+"""The example policies for junctions know their roads, give way, and drive on if no vehicle comes."""
 
 import math
 
@@ -12,7 +12,7 @@ from tests.helpers.tables import table
 
 
 def left_turn(*others, place=-40.0, speed=9.0):
-    """What intersection-v0 shows of the ego at a place of its way, and of others at x, y, vx, vy."""
+    """Return intersection-v0's observation of the ego at a place on its way, and of others at x, y, vx, vy."""
     (x, y), (to_x, to_y) = intersection_policy.position(place), intersection_policy.position(place + 0.1)
     heading = math.atan2(to_y - y, to_x - x)
     rows = [(x, y, speed * math.cos(heading), speed * math.sin(heading)), *others]
@@ -54,7 +54,7 @@ def test_it_waits_at_the_line_and_goes_on():
 
 
 def entry(*others, y=40.0, speed=8.0):
-    """What roundabout-v0 shows of the ego at y of the road from the south, and of others at x, y, vx, vy."""
+    """Return roundabout-v0's observation of the ego at y on the south road, and of others at x, y, vx, vy."""
     seen = np.zeros((5, 5))
     rows = [(2.0, y, 0.0, -speed), *others]
     seen[: len(rows), 0] = 1.0

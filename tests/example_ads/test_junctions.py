@@ -17,7 +17,7 @@ def ego(x=70.0, speed=9.0):
 
 
 def other(distance, speed=8.0, *, x=70.0, number=0, **zone):
-    """A vehicle so far before its zone, as an ego at x sees it; nobody looks at where it is in the plane."""
+    """Return a vehicle this far before its zone, as an ego at x sees it; its place in the plane does not matter."""
     zone = pafot.Zone(
         **{name: getattr(ZONE, name) for name in ("way", "kind", "origin", "ego", "npc", "priority")} | zone
     )
@@ -33,7 +33,7 @@ def acceleration(*crossing, **seen):
 
 
 def comes_to_rest(seconds=20.0, start=60.0, *, of):
-    """Where and how fast the ego is after some time among the vehicles that ``of(time, x)`` gives."""
+    """Return the ego's place and speed after some time among the vehicles that ``of(time, x)`` gives."""
     driver, x, speed = junctions.make(), start, 9.0
     for tick in range(round(seconds * 15)):
         if tick % 3 == 0:
@@ -56,7 +56,7 @@ def test_alone_it_drives_on():
         (20.0, 8.0, "ego", False),  # it gives way
         (10.0, 9.0, "ego", True),  # it cannot stop any more
         (-3.0, 8.0, "ego", True),  # it is in the zone
-        (60.0, 8.0, "npc", False),  # the ego has left for 1.5 s before it arrives
+        (60.0, 8.0, "npc", False),  # the ego has been gone for 1.5 s when it arrives
         (-13.0, 8.0, "npc", False),  # it has left
     ],
 )

@@ -1,4 +1,4 @@
-"""The policies with planted defects are complete, drawn into two halves, and drive."""
+"""The policies with planted defects are complete, are split into random halves, and drive."""
 
 from collections import Counter
 

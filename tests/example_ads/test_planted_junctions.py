@@ -1,4 +1,4 @@
-"""The drivers with a defect at junctions are complete, drive, and are careful once they are repaired."""
+"""The drivers with a defect at junctions are complete and drive; without the defect they are careful."""
 
 import pytest
 
@@ -9,7 +9,7 @@ from tests.benchmarks.planted.junctions import PLACES, PLANTED, WHERE
 
 
 def scenario_of(world, *slots):
-    """Somebody with the ego at as many zones as there are slots."""
+    """Return a scenario with an NPC per slot, each at a zone with the ego."""
     lane, speed = world.start
     ways = [zone.way for zone in world.crossings.zones]
     npcs = [[CrossingInstruction(way, slot, 7.0)] for way, slot in zip(ways[:: len(ways) // 2], slots, strict=False)]

@@ -1,4 +1,4 @@
-"""The PPO policy: plain arrays, run by numpy, that drive well in the environment that they were trained for."""
+"""The PPO policy consists of plain arrays, runs in numpy, and drives well in its training environment."""
 
 import itertools
 
@@ -14,7 +14,7 @@ ACTIONS = 5
 
 @pytest.fixture(scope="module")
 def observations():
-    """Kinematics observations, shape [500, 5, 5]: presence, then what highway-env clips to [-1, 1]."""
+    """Return Kinematics observations, shape [500, 5, 5]: presence, then values that highway-env clips to [-1, 1]."""
     return np.random.default_rng(0).uniform(-1, 1, size=(500, 5, 5)).astype(np.float32)
 
 

@@ -1,4 +1,4 @@
-"""What the training script writes is what stable-baselines3 would decide; the training itself is not run."""
+"""The training script's output decides as stable-baselines3 does; the training itself is not run."""
 
 import gymnasium as gym
 import numpy as np
@@ -13,7 +13,7 @@ from example_ads.ppo import train  # noqa: E402
 
 
 class FiveVehicles(gym.Env):
-    """The spaces of highway-v0, and nothing that moves."""
+    """An environment with the spaces of highway-v0, in which nothing moves."""
 
     observation_space = gym.spaces.Box(-np.inf, np.inf, shape=(5, 5), dtype=np.float32)
     action_space = gym.spaces.Discrete(5)
@@ -27,7 +27,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def shipped(model):
-    """stable-baselines3's own policy with the weights that are shipped."""
+    """Return stable-baselines3's own policy with the shipped weights."""
     train.give_actor(model, ppo.read_actor())
     return model
 

@@ -1,4 +1,4 @@
-"""What the example counts before and after training; the training itself runs where stable-baselines3 is."""
+"""The example's counts before and after training; the training itself only runs with stable-baselines3."""
 
 import numpy as np
 import pytest
@@ -8,9 +8,9 @@ from example_ads.ppo import train, train_on_failures
 from example_ads.ppo.train_on_failures import TRAINED_ON, faults, measured, row, scenarios
 
 COUNT = 12
-"""Random scenarios that are counted."""
+"""The number of random scenarios in each count."""
 TO_THE_RIGHT = ppo.PpoPolicy(((np.zeros((25, 5), np.float32), np.float32([0, 0, 1, 0, 0])),))
-"""Changes to the next lane, and then on to the last one."""
+"""A policy that changes to the next lane, and then on to the last one."""
 
 
 @pytest.fixture(scope="module")

@@ -166,7 +166,7 @@ def test_only_signed_records_of_this_folder_are_trusted(tmp_path, monkeypatch):
     abandoned(other, "1-x.inflight", record)
     assert [left.path for left in left_by(OWNER, own)] == [path]
     assert (len(leftovers(own)), [left.is_own for left in leftovers(other)]) == (4, [False])
-    monkeypatch.setattr(crash_records.tempfile, "tempdir", str(other))  # with another key: of another user
+    monkeypatch.setattr(crash_records.tempfile, "tempdir", str(other))  # a different user has a different key
     assert left_by(OWNER, own) == []
 
 
@@ -204,7 +204,7 @@ def test_folder_of_records_follows_no_links(tmp_path):
     before = sorted(folder.iterdir())
     assert leftovers(folder) == ()
     (tmp_path / "link").symlink_to(folder)
-    (folder / "9-x.inflight").write_text("\n")  # which would be removed
+    (folder / "9-x.inflight").write_text("\n")  # it would be removed
     with pytest.raises(CrashRecordError, match="a link; nothing is written"):
         leftovers(tmp_path / "link")
     with CrashRecord(tmp_path / "link", OWNER) as record:

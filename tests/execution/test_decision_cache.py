@@ -1,4 +1,4 @@
-"""A run that takes its first decisions from an earlier one is the run that asks for them all."""
+"""A run that takes its first decisions from an earlier one equals the run that makes all decisions."""
 
 from dataclasses import replace
 
@@ -23,11 +23,11 @@ PARENT = Scenario(
     npcs=((PI(2, 22.0), PI(1, 24.0), PI(2, 20.0)), (PI(6, 22.0), PI(7, 22.0), PI(6, 25.0))), gene_seconds=3.0
 )
 EVERY_GENE = 15
-"""Decisions in a gene of 3 s."""
+"""The number of decisions in a gene of 3 s."""
 
 
 class Counting:
-    """A pure policy that follows what is ahead and weaves with what is beside it, and counts its decisions."""
+    """A pure policy that follows vehicles ahead, weaves with vehicles alongside, and counts its decisions."""
 
     def __init__(self):
         self.asked = 0
@@ -43,13 +43,13 @@ class Counting:
 
 
 def driven(scenario, decisions=(), world=WORLD):
-    """A run, and how many decisions the policy was asked for."""
+    """Return a run, and the number of decisions that the policy made."""
     ads = Counting()
     return world.rollout(scenario, lambda: ads, decisions=decisions), ads.asked
 
 
 def differences(trace, other):
-    """Fields that are not the same to the last bit."""
+    """Return the fields that are not equal to the last bit."""
     plain = ("scenario", "executed", "outcome", "collision", "actions", "arrivals", "off_road_tick", "driven")
     found = [name for name in plain if getattr(trace, name) != getattr(other, name)]
     found += [name for name in ("states", "sizes") if getattr(trace, name).tobytes() != getattr(other, name).tobytes()]
@@ -65,7 +65,7 @@ def remembering(*scenarios, world=WORLD):
 
 
 def shared_decisions(child, parent=PARENT):
-    """How many decisions are known of a child, once it is checked that it drives the same with and without them."""
+    """Return how many decisions of a child are known, after checking that it drives the same with and without them."""
     decisions = remembering(parent).recall(child)
     whole, all_of_them = driven(child)
     resumed, asked = driven(child, decisions)
@@ -99,13 +99,13 @@ def test_related_runs_with_recalled_decisions_drive_the_same(name, seed, npcs, l
 
 
 def laned(scenario, rng):
-    """The same with Lane-Instructions."""
+    """Return the same scenario with Lane-Instructions."""
     chains = [[LaneInstruction(str(rng.choice(["keep", "left", "right"])), g.speed) for g in c] for c in scenario.npcs]
     return replace(scenario, npcs=tuple(map(tuple, chains)))
 
 
 def varied(scenario, space, rng, lanes):
-    """A child: shortened, with another seed or start, or other genes."""
+    """Return a child: shortened, with a different seed or start, or with other genes."""
     what = rng.integers(6)
     if what == 0:
         return scenario.truncated(int(rng.integers(1, scenario.genes + 1)))
@@ -122,7 +122,7 @@ def varied(scenario, space, rng, lanes):
 
 
 def changed(npc, gene, *instead):
-    """The parent with other genes from one on."""
+    """Return the parent with other genes from a place on."""
     chains = list(PARENT.npcs)
     chains[npc] = (*chains[npc][:gene], *instead, *chains[npc][gene + len(instead) :])
     return replace(PARENT, npcs=tuple(chains))

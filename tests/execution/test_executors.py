@@ -1,4 +1,4 @@
-"""Runs by any executor: what travels, how much at a time, and what becomes of tasks that are lost."""
+"""Runs by any executor: what is sent, how much at a time, and what happens to lost tasks."""
 
 import multiprocessing
 import os
@@ -26,11 +26,11 @@ SCENARIOS = [scenario(number) for number in range(48)]
 
 
 class KilledWorker(Exception):  # noqa: N818
-    """As Dask's scheduler raises it."""
+    """An error like the one that Dask's scheduler raises."""
 
 
 class Inline(Executor):
-    """Runs tasks at once; some of them, by their number, it loses."""
+    """An executor that runs tasks at once and loses some of them, by number."""
 
     def __init__(self, lost=(), error=KilledWorker):
         self.sizes, self.lost, self.error = [], lost, error
@@ -49,7 +49,7 @@ ran = []
 
 
 class InThisProcess:
-    """In the place of the process of a worker."""
+    """A stand-in for a worker's process."""
 
     failure = ""
 
@@ -65,7 +65,7 @@ class InThisProcess:
 
 @pytest.fixture
 def pool_of(tmp_path, monkeypatch):
-    """Makes pools of an executor, whose workers need no process of their own."""
+    """Return a function that makes pools of an executor, whose workers need no own process."""
 
     def make(executor, ads=idle, worker=InThisProcess):
         monkeypatch.setattr(executors, "WorkerPool", worker)
@@ -115,7 +115,7 @@ def test_world_and_ads_are_sent_once_per_worker(pool_of):
     pool = pool_of(executor, ads=lambda: lambda number: large)
     fetched(pool, SCENARIOS[:1])
     fetched(pool, SCENARIOS[1:2])
-    executors._bench.cache_clear()  # the next task comes to another worker
+    executors._bench.cache_clear()  # the next task goes to a different worker
     assert numbers(fetched(pool, SCENARIOS[2:3])) == [2]
     fetched(pool, SCENARIOS[3:4])
     assert [size > 100_000 for size in executor.sizes] == [True, False, False, True, False]
@@ -255,7 +255,7 @@ def test_hanging_or_dying_run_leaves_its_worker_alive(tmp_path):
     assert (first[0].outcome, hangs[0].outcome) == (Outcome.SAFE, Outcome.HANG)
     assert isinstance(dies, ProcessLostError)
     assert dies.how == "ended with exit code 9"
-    executors._bench.cache_clear()  # and with it the only end of a pipe that the process waits at
+    executors._bench.cache_clear()  # and with it the only end of a pipe for which the process waits
     for process in multiprocessing.active_children():
         process.join(60.0)
     assert multiprocessing.active_children() == []

@@ -1,4 +1,4 @@
-"""A pool of processes for any task: what it answers, and what is told of processes that do not come back."""
+"""A pool of processes for any task: its answers, and its report about processes that do not come back."""
 
 import contextlib
 import faulthandler
@@ -28,7 +28,7 @@ TASKS = list(range(6))
 
 @pytest.fixture
 def pool_of():
-    """Makes pools that square numbers after doing something with them; none of their processes remains."""
+    """Return a function that makes pools that square numbers after some action; end their processes afterwards."""
     pools = []
 
     def make(do, size=2, patience=30.0, method="fork", **options):
@@ -56,7 +56,7 @@ def test_pool_processes_skip_garbage_collection_of_inherited_objects(pool_of):
 
     before, young = gc.get_freeze_count(), [[] for _ in range(10_000)]
     assert fetched(pool_of(frozen, 1), [3]) == [9]
-    assert gc.get_freeze_count() <= before  # a few of them are gone by now
+    assert gc.get_freeze_count() <= before  # some of them are gone by now
 
 
 @pytest.mark.parametrize(
@@ -122,14 +122,14 @@ def test_what_a_process_has_started_ends_with_it(pool_of, is_stuck):
 
 
 class Unreadable:
-    """Can be pickled, and not made again of that."""
+    """An object that can be pickled, but not unpickled."""
 
     def __reduce__(self):
         return int, ("four",)
 
 
 class Unportable(Exception):  # noqa: N818
-    """Pickled, it would be made of one argument, unless a library has taught exceptions better, and of no part."""
+    """An exception that unpickles from one argument by default, but needs none."""
 
     def __init__(self, number, noun):
         super().__init__(f"{number} {noun}")
@@ -145,7 +145,7 @@ def test_exceptions_and_unsendable_results_are_clear_answers():
         if number == 3:
             raise SystemExit("enough")
         if number == 4:
-            os.kill(os.getpid(), signal.SIGINT)  # from the keyboard: for the session alone
+            os.kill(os.getpid(), signal.SIGINT)  # as from the keyboard, which reaches only the session
             time.sleep(0.01)
         return (lambda: number) if number == 5 else number
 
@@ -273,28 +273,28 @@ def test_process_that_dies_between_tasks_is_replaced(pool_of):
 
 def test_silent_process_is_killed_as_a_hang(pool_of):
     def work(number):
-        if number == 1:  # Not a signal in the world reaches Python code in this thread.
+        if number == 1:  # No signal reaches Python code in this thread.
             signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR2])
             time.sleep(60)
 
     pool = pool_of(work)
     pool.expect(TASKS[:3])
     answers = [pool.fetch(0), pool.fetch(2)]
-    pool.patience = 0.3  # only now, as a busy machine may keep any process from answering for so long
+    pool.patience = 0.3  # only now, since a busy machine may delay any answer that long
     lost = pool.fetch(1)
     assert (lost.is_hang, lost.how) == (True, "did not answer for 0.3 s and was killed")
     assert answers == [0, 4]
 
 
 def answering(then):
-    """The process answers signals from now on, and does something after each answer."""
+    """Make the process answer signals from now on, and act after each answer."""
     answer = signal.getsignal(signal.SIGUSR2)
     signal.signal(signal.SIGUSR2, lambda *signalled: (answer(*signalled), then()))
 
 
 @pytest.mark.processes
 def test_slow_process_that_answers_signals_is_not_killed(pool_of):
-    now = multiprocessing.RawValue("d", 0.0)  # moves with each answer, however long that takes on a busy machine
+    now = multiprocessing.RawValue("d", 0.0)  # advances with each answer, however long that takes on a busy machine
 
     def later():
         now.value += 0.2
@@ -359,7 +359,7 @@ def test_program_awaited_by_a_process_ends_with_it(pool_of, tmp_path):
 
 def _is_running(pid):
     try:
-        return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"  # nobody may have asked for its exit code yet
+        return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"  # its exit code may not have been read yet
     except (FileNotFoundError, ProcessLookupError):
         return False
 
@@ -416,7 +416,7 @@ def test_processes_end_when_the_session_is_killed(tmp_path):
 
 
 def is_alive(pid):
-    """Whether a process runs: one that nobody has waited for yet does not."""
+    """Return whether a process runs; one whose exit code is not read yet does not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -457,7 +457,7 @@ def test_tasks_complete_as_they_finish_and_report_progress(tmp_path):
 
 
 def doubled(number, tell):
-    """Of this module, so that processes that are not forked find it."""
+    """Double a number; a function of this module, so that processes that are not forked find it."""
     return 2 * number
 
 

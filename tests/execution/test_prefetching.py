@@ -1,4 +1,4 @@
-"""When runs are made before they are asked for, in lock step or in other processes, and that nobody can tell."""
+"""When runs are made in advance, in lock step or in other processes; the results stay the same."""
 
 import json
 
@@ -17,7 +17,7 @@ SCENARIOS = [scenario(number) for number in range(8)]
 
 
 class Pool:
-    """Answers at once, and remembers what was asked for."""
+    """A pool that answers at once, and remembers its requests."""
 
     def __init__(self, answers=None, seconds=0.02):
         self.answers, self.seconds = answers or {}, seconds
@@ -37,7 +37,7 @@ class Pool:
 
 
 class World:
-    """Runs scenarios in this process, each of which takes a given time."""
+    """A world that runs scenarios in this process, each for a given time."""
 
     def __init__(self, seconds=0.0):
         self.now, self.seconds, self.ran, self.together = 0.0, seconds, [], []
@@ -58,7 +58,7 @@ class World:
 
 @pytest.fixture
 def runner_of(tmp_path, monkeypatch):
-    """Makes runners of a world and a pool of processes; without a pool, starting one fails the test."""
+    """Return a function that makes runners of a world and a pool; without a pool, starting one fails the test."""
     records = []
 
     def make(world, pool=None, workers=2, ads=object, **options):
@@ -73,7 +73,7 @@ def runner_of(tmp_path, monkeypatch):
 
 
 def asked(runner, scenarios=SCENARIOS):
-    """The numbers of the runs that were given, in order."""
+    """Return the numbers of the runs, in order."""
     runner.announce(scenarios)
     return [runner.run(each).scenario.seed for each in scenarios]
 
@@ -212,7 +212,7 @@ class TestProcesses:
 
 class Batched:
     def batch(self, observations):
-        """Never called: the world has no physics."""
+        """Fail: the world has no physics, so nothing calls it."""
 
 
 class TestLockStep:
@@ -222,7 +222,7 @@ class TestLockStep:
 
     @pytest.fixture
     def runner(self, runner_of, world):
-        """A runner that has seen that its ADS decides for many runs at once."""
+        """Return a runner that knows that its ADS decides for many runs at once."""
         runner = runner_of(world, ads=Batched)
         runner.run(SCENARIOS[7])
         world.ran.clear()

@@ -1,4 +1,4 @@
-"""One way to run a scenario: who makes a run, and how short the way from the search to the physics is."""
+"""The runner of scenarios: who makes a run, and how few calls are between the search and the physics."""
 
 import os
 import sys
@@ -16,11 +16,11 @@ SCENARIOS = [
 ]
 
 FRAMES = 8
-"""From the function that asks for a run to the engine's function, both counted."""
+"""The number of frames from the function that requests a run to the engine's function, both included."""
 
 
 class Planner:
-    """Keeps its lane and speed, and notes who called it."""
+    """A planner that keeps its lane and speed, and records its callers."""
 
     def __init__(self):
         self.callers = callers
@@ -44,7 +44,7 @@ callers = []
 
 
 def frames():
-    """Names of the functions of Python that are under way, innermost first."""
+    """Return the names of the active Python functions, innermost first."""
     frame, names = sys._getframe(2), []
     while frame is not None:
         names.append(frame.f_code.co_name)
@@ -60,7 +60,7 @@ def job_of(tmp_path):
 
 @pytest.fixture
 def runner_of(job_of):
-    """Makes runners whose crash records are closed in the end."""
+    """Return a function that makes runners, and close their crash records at the end."""
     records = []
 
     def make(ads, engine="auto", **options):

@@ -1,4 +1,4 @@
-"""Processes that run scenarios: what they answer, say and leave on disk."""
+"""Processes that run scenarios: their answers, their messages, and their files."""
 
 import logging
 import os
@@ -20,13 +20,13 @@ SCENARIOS = [scenario(number) for number in range(6)]
 
 @pytest.fixture
 def job_of(tmp_path):
-    """Makes jobs in a world without physics."""
+    """Return a function that makes jobs in a world without physics."""
     return lambda ads: Job(world=Toy(), ads=ads, records=tmp_path / "records", owner="test_it.py::test_it")
 
 
 @pytest.fixture
 def pool_of(job_of, tmp_path):
-    """Makes pools whose ADS is a function of the number of the scenario; nothing of their records remains."""
+    """Return a function that makes pools whose ADS is a function of the scenario's number; remove their records."""
     if sys.platform != "linux":
         pytest.skip("processes are forked on Linux alone")
     pools = []
@@ -62,7 +62,7 @@ def test_what_raises_is_left_to_this_process(pool_of):
 
 def test_result_that_cannot_be_sent_is_an_exception(pool_of):
     class Local(UserWarning):
-        """Of no module, so that it cannot be pickled."""
+        """A warning that belongs to no module, so it cannot be pickled."""
 
     assert isinstance(fetched(pool_of(lambda number: warnings.warn("a warning", Local, stacklevel=1))), Exception)
 

@@ -1,4 +1,4 @@
-"""Single runs in another process: what they show, and what becomes of what was in flight when a process died."""
+"""Single runs in a separate process: their results, and what happens to the scenario in flight if it dies."""
 
 import json
 import os
@@ -21,7 +21,7 @@ ONE, TWO = scenario(1), scenario(2)
 
 @pytest.fixture
 def job_of(tmp_path):
-    """Makes jobs whose ADS is a function of the number of the scenario."""
+    """Return a function that makes jobs whose ADS is a function of the scenario's number."""
     return lambda drive: Job(world=Toy(), ads=lambda: drive, records=tmp_path / "records", owner="test_it.py::test_it")
 
 
@@ -31,11 +31,11 @@ def no_fork(monkeypatch):
 
 
 def idle(number):
-    """Drives without harm."""
+    """Drive without harm."""
 
 
 def praise(trace):
-    """Judges nothing."""
+    """Accept every run."""
 
 
 def die_in_first(number):
@@ -109,7 +109,7 @@ def test_session_of_its_own_is_used_without_forking(job_of, no_fork):
 class TestRetrying:
     @pytest.fixture
     def retried(self, job_of, tmp_path):
-        """What came of the record of a process that died, what was kept, and what was run in this process."""
+        """Return the result of a dead process's record, the remaining records, and the runs in this process."""
 
         def retried(*scenarios, drive=idle):
             folder = tmp_path / "records"

@@ -1,4 +1,4 @@
-"""Runs of saved scenarios on a straight road and on bends, and the largest difference to what a reader has of them."""
+"""Runs of saved scenarios on a straight road and in bends, and the largest difference to a reader's values."""
 
 from pathlib import Path
 
@@ -10,9 +10,9 @@ from pytest_pafot.commands.policy_reference import ads_factory
 
 FILES = Path(__file__).parents[1] / "corpus" / "saved"
 POLICIES = {"collision-xfail": "constant_speed", "gym-merge": "idm_mobil", "gym-roundabout": "idm_mobil"}
-"""Who drives in which file; the first and the last collide."""
+"""The policy that drives in each file; the first and the last one collide."""
 JUNCTION = "junction"
-"""Instead of a file, two NPCs that cross the way of an ego with a constant action, which collides with one of them."""
+"""A stand-in for a file: two NPCs cross the way of an ego with a constant action, and one of them is hit."""
 
 
 def at_junction():
@@ -24,9 +24,9 @@ def at_junction():
 
 @pytest.fixture(scope="session", params=[*POLICIES, JUNCTION])
 def exported(request):
-    """A finding, and the trace of a run of it; or of a file with a policy, which ``tests.benchmarks.exports`` gives."""
+    """Return a finding and its trace, for a built-in file or one that ``tests.benchmarks.exports`` gives."""
     name = request.param
-    if name == JUNCTION:  # of the finding an exporter needs the id alone
+    if name == JUNCTION:  # an exporter only needs the finding's id
         return pafot.load(FILES / "collision-xfail.pafot.yaml").finding, at_junction()
     file, policy = (FILES / f"{name}.pafot.yaml", POLICIES[name]) if isinstance(name, str) else name
     saved = pafot.load(file)
@@ -42,7 +42,7 @@ def refuses():
 
 @pytest.fixture(scope="session")
 def ended_at_once():
-    """The same of a run that ends with the first decision of its ADS."""
+    """Return a finding and a trace that ends with the first decision of its ADS."""
     saved = pafot.load(FILES / "collision-xfail.pafot.yaml")
     trace = saved.replay(refuses).trace
     assert trace.ticks == 0
@@ -51,7 +51,7 @@ def ended_at_once():
 
 @pytest.fixture
 def largest(record_property):
-    """Records and prints the largest difference of some arrays, by what they are, and gives it."""
+    """Record, print and return the largest difference of some arrays, by name."""
 
     def of(name, one, other):
         difference = float(np.abs(np.asarray(one) - np.asarray(other)).max())

@@ -19,7 +19,7 @@ def export(*arguments):
 
 
 def summary(finding, trace):
-    """An exporter of one's own."""
+    """Export a summary, in a user's own format."""
     return {f"{finding.id}.json": json.dumps({"outcome": trace.outcome, "ticks": trace.ticks}).encode()}
 
 

@@ -1,4 +1,4 @@
-"""Each format as another library, or a program, reads it: the positions, the lanes, and the tick of the collision."""
+"""Each format as a library or program reads it: the positions, the lanes, and the tick of the collision."""
 
 import csv
 import json
@@ -17,12 +17,12 @@ from pytest_pafot.model.trace import HEADING, LANE, SPEED, Lane, X, Y
 from tests.helpers.tables import table
 from tests.helpers.traces import straight_lanes, trace_of, vehicle
 
-# What CommonRoad's library imports is older than the rules that it is told about.
+# CommonRoad's library imports packages that use deprecated functions.
 pytestmark = pytest.mark.filterwarnings("ignore:Call to deprecated create function:DeprecationWarning")
 
 
 def written(exported, name, folder):
-    """The paths of the files of a format, in order."""
+    """Return the paths of a format's files, in order."""
     paths = []
     for file, content in exporter(name)(*exported).items():
         paths.append(folder / file)
@@ -31,19 +31,19 @@ def written(exported, name, folder):
 
 
 def centres(trace):
-    """x and y to the left of every vehicle [m], shape [ticks + 1, vehicles, 2]."""
+    """Return x and y to the left of every vehicle [m], shape [ticks + 1, vehicles, 2]."""
     return trace.states[..., [X, Y]] * (1, -1)
 
 
 def lines(trace):
-    """The centre line of every lane, y to the left [m]."""
+    """Return the centre line of every lane, y to the left [m]."""
     for lane in trace.lanes:
         end = lane.x + lane.length * math.cos(lane.heading), lane.y + lane.length * math.sin(lane.heading)
         yield np.array(lane.points or ((lane.x, lane.y), end)) * (1, -1)
 
 
 def distance(points, line):
-    """Of points to a line of straight pieces, at most [m]."""
+    """Return the largest distance of points to a line of straight pieces [m]."""
     start, along = line[:-1], np.diff(line, axis=0)
     share = ((points[:, None] - start) * along).sum(-1) / (along**2).sum(-1)
     nearest = start + np.clip(share, 0, 1)[..., None] * along
@@ -185,12 +185,12 @@ def test_a_turned_straight_road_is_turned_in_opendrive():
 
 
 def along(points):
-    """A lane with these points."""
+    """Return a lane with these points."""
     return Lane(x=points[0][0], y=points[0][1], heading=0.0, length=1.0, width=4.0, speed_limit=9.0, points=points)
 
 
 def circle(laps, radius=30.0, steps=100):
-    """Points of a circle, each lap of which has its points at other places."""
+    """Return points of a circle; each lap has its points at different places."""
     turns = 2 * math.pi * np.arange(round(laps * steps) + 1) / (steps + 0.25)
     return tuple(zip((radius * np.sin(turns)).tolist(), (radius * np.cos(turns)).tolist(), strict=True))
 
@@ -233,7 +233,7 @@ def test_foxglove_file_has_same_numbers_and_times(exported, tmp_path):
     assert [each["time"] for each in told] == trace.times.tolist()
     for topic in ("/vehicles", "/states"):
         assert [m.log_time for m in by_topic[topic]] == [round(time * 1e9) for time in trace.times.tolist()]
-    # Its boxes stand where the vehicles are: the numbers of a message are in it as they are in memory.
+    # The boxes are at the vehicles' places: a message contains its numbers as in memory.
     for tick, message in enumerate(by_topic["/vehicles"]):
         for value in centres(trace)[tick].ravel():
             assert value == 0 or np.float64(value).tobytes() in message.data
@@ -262,7 +262,7 @@ def test_commonroad_reads_the_same_vehicles_and_lanes(exported, tmp_path, larges
     lanelets = scenario.lanelet_network.lanelets
     for lanelet, line in zip(lanelets, lines(trace), strict=True):
         assert np.abs(lanelet.center_vertices - line[: len(lanelet.center_vertices)]).max() < 1e-8
-        # Of several laps one is told; highway-env's tracks have corners, which each lap has other points of.
+        # Only one of several laps is exported; highway-env's tracks have corners, where each lap has different points.
         assert distance(line, lanelet.center_vertices) < 0.2
     for lanelet, lane in zip(lanelets, trace.lanes, strict=True):
         along, across = np.diff(lanelet.center_vertices, axis=0), lanelet.left_vertices - lanelet.right_vertices

@@ -1,4 +1,4 @@
-"""Findings for tests: one that is plain, and a strategy for ones that are nasty."""
+"""Findings for tests: a plain one, and a strategy for nasty ones."""
 
 from functools import cache
 from typing import get_args
@@ -55,7 +55,7 @@ def plain_finding(**changes):
     return Finding(**(fields | changes))
 
 
-@cache  # hypothesis looks through a strategy once
+@cache  # hypothesis then examines a strategy only once
 def texts(min_size=0):
     nasty = st.sampled_from([text for text in NASTY_TEXTS if len(text) >= min_size])
     printable = st.text(CHARACTERS, min_size=min_size, max_size=60)
@@ -80,7 +80,7 @@ def plain_data():
 
 @cache
 def plain_worlds():
-    """Complete worlds of this package as a file may hold them, whatever their values are."""
+    """Return complete worlds of this package as a file may contain them, with any values."""
 
     def world(kind, keys):
         numbers = st.fixed_dictionaries(dict.fromkeys(LIMITS.required, st.floats(allow_nan=False)))
@@ -96,7 +96,7 @@ def any_worlds():
 
 
 def traffics():
-    """Of each style, most with parts of their own, but for the paper's, which has none."""
+    """Return traffics of each style, most with changed parts, except for the paper's, which has none."""
     parts = {name: st.floats(low, high) for name, (low, high) in BOUNDS.items()}
     return st.just(PAPERS) | st.builds(
         lambda style, own: Traffic(style, **own),

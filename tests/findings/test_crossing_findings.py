@@ -1,4 +1,4 @@
-"""Failures with NPCs that cross: what tells them apart, from which situation they arose, and what a replay means."""
+"""Failures with NPCs that cross: their distinction, their situation, and the meaning of a replay."""
 
 import pytest
 
@@ -20,12 +20,12 @@ STRAIGHT, LEFT = "west straight", "west left"
 
 
 def crash(npc="north straight", *, enters=8.0, speed=9.0, ego=STRAIGHT, changes=(), **road):
-    """An ego that keeps its 10 m/s, or changes it, is hit by, or hits, one that crosses and enters the zone then."""
+    """Return a collision of an ego at 10 m/s, unless changed, with an NPC that enters the zone at a time [s]."""
     return Run(hit(plan(ego, 8.0, 10.0, *changes), plan(npc, enters, speed), **road))
 
 
 def passes(npc="north straight", *, enters=8.0, speed=9.0, changes=((4.0, 3.0, 0.0),)):
-    """The same of an ego that brakes from 4 s on, and so gives way."""
+    """Return the same run with an ego that brakes from 4 s on and so gives way."""
     return Run(driven(plan(STRAIGHT, 8.0, 10.0, *changes), plan(npc, enters, speed)))
 
 
@@ -53,7 +53,7 @@ def test_its_file_is_named_by_fault_and_origin():
     run = crash()
     assert run.attribution.fault == "did-not-give-way"
     assert of_failure(run, FAILS).slug == "did-not-give-way-left"
-    assert of_failure(run, FAILS) == Expect.of(run, FAILS).signature  # a file says it all
+    assert of_failure(run, FAILS) == Expect.of(run, FAILS).signature  # a file contains everything
 
 
 @table(
@@ -122,7 +122,7 @@ def test_situation_past_the_beginning_of_zone_says_so():
         (passes(enters=8.3, speed=9.5), True),
         (passes(enters=12.0), False),  # it comes long after the ego
         (passes(enters=4.0), False),
-        (passes(speed=4.0), False),  # another NPC would have come at that speed
+        (passes(speed=4.0), False),  # the original NPC would have come at that speed
         (passes(changes=((0.0, 6.0, 0.0),)), False),  # the ego never comes near the zone
     ],
 )

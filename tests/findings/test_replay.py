@@ -37,13 +37,13 @@ HIT_STANDING = trace_of(
     collision=collision_at(30, cell=Cell.REAR, side="rear", ego_speed=0.0),
 )
 BESIDE = (situations.driven(0.0, shifts=[(2.0, situations.LEFT, 3.0)]), situations.driven(1.0, situations.LEFT))
-"""An ego that moves into the one beside it."""
+"""An ego that moves into the vehicle alongside."""
 REAR = of_failure(Run(HIT_STANDING), FAILS)
-"""The ego stands, so that the NPC is responsible."""
+"""The ego stands, so the NPC is responsible."""
 
 
 def lane_change(gap, *, faster):
-    """The ego changes lanes ahead of another at a gap [m], and answers for it."""
+    """Return a collision for which the ego is responsible: it changes lanes ahead of another at a gap [m]."""
     trace = situations.lane_change(gap, faster=faster)
     assert (trace.collision is not None, Run(trace).attribution.fault) == (True, "entered-lane")
     return Run(trace)

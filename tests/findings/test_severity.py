@@ -1,4 +1,4 @@
-"""How bad a failure is: figures by laws of mechanics and by hand, an order that is total, and what became worse."""
+"""How bad a failure is: figures by mechanics and by hand, a total order, and what became worse."""
 
 import itertools
 import math
@@ -39,11 +39,11 @@ def failed(value, **bounds):
 
 @pytest.mark.parametrize("steering", [0.05, 0.2])
 def test_collision_is_measured_one_tick_after_contact(steering):
-    """The ego turns its wheels towards the NPC beside it, and moves to where these lead, not to where it points."""
+    """The ego steers towards the NPC alongside. It moves where its wheels point, not where its body does."""
     scenario = Scenario(npcs=[[PositionInstruction(4, 22.0)]], ego_lane=1, ego_speed=22.0)
     trace = Highway().rollout(scenario, lambda: lambda seen: (0.0, steering if seen.time > 8.0 else 0.0))
     before, last = np.diff(trace.states[-3:, :2, : Y + 1], axis=0) * trace.physics_hz
-    ego, npc = 2 * last - before  # of the next tick, as if there had been no contact
+    ego, npc = 2 * last - before  # the next tick, as if there had been no contact
     (speed, other), course = (
         np.hypot(*np.transpose([ego, npc])),
         np.arctan2(ego[1], ego[0]) - np.arctan2(npc[1], npc[0]),

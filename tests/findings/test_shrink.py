@@ -1,4 +1,4 @@
-"""Shrinking with predicates in the place of runs: what goes in, what still fails, and the exact minimal answer."""
+"""Shrinking with predicates instead of runs: the input, what still fails, and the exact minimal answer."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from tests.helpers.tables import table
 
 
 def scenario(*chains, **fields):
-    """From texts such as "4@22 3@24.5": cell and speed of each gene."""
+    """Return a scenario from texts such as "4@22 3@24.5": cell and speed of each gene."""
     npcs = [
         [
             PositionInstruction(Cell(int(cell)), float(speed))
@@ -27,12 +27,12 @@ def scenario(*chains, **fields):
 
 
 def written(given):
-    """The inverse of `scenario`."""
+    """Return the texts of a scenario, the inverse of `scenario`."""
     return tuple(" ".join(f"{int(gene.cell)}@{gene.speed:g}" for gene in chain) for chain in given.npcs)
 
 
 def shrunk(given, fails, *, rollouts=5000, **arguments):
-    """Shrink by a predicate, and check on the way what holds for every result."""
+    """Shrink by a predicate, and check everything that must be true of every result."""
     asked = []
 
     def attempt(candidate):
@@ -47,21 +47,21 @@ def shrunk(given, fails, *, rollouts=5000, **arguments):
 
 
 def minimal(given, fails):
-    """The chains of the result, which must be minimal."""
+    """Return the chains of the result, which must be minimal."""
     simplest, how = shrunk(given, fails)
     assert how.is_minimal
     return written(simplest)
 
 
 BUSY = scenario("4@22.3 3@24.1 2@7.7 2@7.7 3@19 4@1.2", "8@21 1@3.4 8@26.8 8@26.8 7@5 6@2.5", seed=77)
-"""Two NPCs with six genes each."""
+"""A scenario with two NPCs with six genes each."""
 
 
 BUSY_AMONG_ATTENTIVE = replace(BUSY, traffic=Traffic())
 
 
 def has(cell, at_least=0.0, at_most=100.0):
-    """Whether some NPC is told to drive in a cell at a speed in a range."""
+    """Return a predicate that is true if an NPC has an instruction for a cell at a speed in a range."""
     return lambda each: any(
         gene.cell == cell and at_least <= gene.speed <= at_most for chain in each.npcs for gene in chain
     )
@@ -340,7 +340,7 @@ def test_the_order_of_simpler(simpler, other):
 
 @st.composite
 def failures(draw):
-    """A scenario and a failure that it shows: so many NPCs and genes, and some cells at speeds up to a limit."""
+    """Return a scenario and a failure that it shows: numbers of NPCs and genes, and cells with speed limits."""
     given = draw(scenarios(max_npcs=2, max_genes=4))
     genes = [gene for chain in given.npcs for gene in chain]
     cells = draw(st.sets(st.sampled_from(sorted({gene.cell for gene in genes})), max_size=3))
@@ -385,7 +385,7 @@ def test_the_furthest_step_is_found_exactly():
 
 
 def test_runs_are_reserved_for_speeds_that_still_fail():
-    """Nothing can be left out or be slower, and there are more ways to try than runs."""
+    """Nothing can be left out or be slower, and there are more candidates than runs."""
 
     def fails(each):
         now, then = ([gene for chain in of.npcs for gene in chain] for of in (each, BUSY))

@@ -1,4 +1,4 @@
-"""Shrinking scenarios in which somebody crosses, with predicates in the place of runs."""
+"""Shrinking scenarios with crossing NPCs, with predicates instead of runs."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def crosses(**changes):
 
 
 def scenario(*npcs, **fields):
-    """One NPC for each instruction at a zone, or for each list of cells."""
+    """Return a scenario with one NPC for each instruction at a zone, or for each list of cells."""
     chains = [
         (each,)
         if isinstance(each, CrossingInstruction)
@@ -36,7 +36,7 @@ BUSY = scenario(
 
 
 def shrunk(given, fails, *, rollouts=3000, **arguments):
-    """Shrink by a predicate, and check on the way what holds for every result."""
+    """Shrink by a predicate, and check everything that must be true of every result."""
     asked = []
 
     def attempt(candidate):
@@ -56,7 +56,7 @@ def told(each):
 
 
 def some(test):
-    """Whether a test holds for an NPC that crosses."""
+    """Return a predicate that is true if a test holds for a crossing NPC."""
     return lambda each: any(map(test, told(each)))
 
 

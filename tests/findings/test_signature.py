@@ -29,7 +29,7 @@ def crash(**where):
 
 
 STANDING = {"cell": Cell.LEFT, "side": "left", "ego_speed": 0.0}
-"""A collision that the ego does not answer for."""
+"""A collision for which the ego is not responsible."""
 
 SITUATIONS_BY_SLUG = {
     "lane-change-10-m-ahead": "entered-lane",

@@ -1,4 +1,4 @@
-"""A situation, and runs in which it comes up again or does not; positions are drawn by hand."""
+"""A situation, and runs in which it occurs again or does not; the positions are made by hand."""
 
 from dataclasses import replace
 
@@ -19,9 +19,9 @@ from tests.helpers.traces import LENGTH, trace_of
 FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")
 FOUND = Found(seed=1, generation=0, algorithm="distinct")
 BRAKES = {"brakes": [(3.0, 6.0, 8.0)]}
-"""From 20 to 8 m/s, between 3 and 5 s."""
+"""Braking from 20 to 8 m/s, between 3 and 5 s."""
 MOVES = {"shifts": [(4.0, RIGHT, 3.0)]}
-"""Into the lane to the right, between 4 and 7 s."""
+"""A move into the lane to the right, between 4 and 7 s."""
 
 
 def situation(run, failure=FAILS):
@@ -29,17 +29,17 @@ def situation(run, failure=FAILS):
 
 
 def rear_end():
-    """The leader, 35 m ahead, slows from 20 to 8 m/s, which the ego does not answer."""
+    """Return a run with a leader, 35 m ahead, that slows from 20 to 8 m/s; the ego does not answer."""
     return Run(crash(driven(0.0), driven(35.0, **BRAKES)))
 
 
 def into_the_side():
-    """The ego changes lanes into another that drives beside it, 2 m behind, as fast as it."""
+    """Return a run in which the ego changes lanes into a vehicle that drives alongside, 2 m behind, at its speed."""
     return Run(crash(driven(0.0, **MOVES), driven(-2.0, RIGHT), side="right"))
 
 
 def comes_up(failed, ego, npc):
-    """Whether the situation of a failed run comes up where the two drive so."""
+    """Return whether the situation of a failed run occurs if the two drive like this."""
     return not missed(situation(failed), Run(trace_of(ego, npc)))
 
 
@@ -144,7 +144,7 @@ def test_lane_without_vehicle_alongside_ego_is_no_fix(ego, npc):
 
 
 def test_start_positions_do_not_count_as_later_situation():
-    """The ego stops for no reason, and the other, which was beside it, goes on."""
+    """The ego stops for no reason, and the other, which was alongside, drives on."""
     stopping = driven(0.0, brakes=[(0.0, 6.0, 0.0)])
     assert not comes_up(into_the_side(), stopping, driven(-2.0, RIGHT))
 
@@ -167,7 +167,7 @@ def test_pass_is_fixed_only_if_situation_came_up():
 
 
 def test_blameless_impact_after_failure_time_is_fixed():
-    """The ego slows down as its leader does, which it did not; then one that does not slow down hits it from behind."""
+    """The ego slows down as its leader does, unlike before; then a vehicle that does not slow hits it from behind."""
     saved = Finding.of(rear_end(), FAILS, test="t.py::t", world={}, found=FOUND)
     ego, leader = driven(0.0, **BRAKES), driven(35.0, **BRAKES)
     safe = Run(trace_of(ego, leader))
@@ -197,7 +197,7 @@ def test_ego_that_leaves_road_has_fixed_nothing():
 
 
 def test_same_collision_with_other_responsibility_is_no_fix():
-    """The ego drives as before, and the verdict alone has changed, as where the other has cut in just before."""
+    """The ego drives as before, and only the verdict has changed, as if the other had cut in just before."""
     run = rear_end()
     assert run.responsibility == "ego"
     saved = Finding.of(run, FAILS, test="t.py::t", world={}, found=FOUND)

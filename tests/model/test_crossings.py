@@ -1,4 +1,4 @@
-"""Instructions at a zone, and when and where NPCs are planned to be on their ways."""
+"""Instructions at a zone, and the planned times and places of NPCs on their ways."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tests.helpers.tables import table
 
 JUNCTION = junction()
 EACH = 0.002
-"""Duration of a step of the oracle [s]."""
+"""The duration of a step of the oracle [s]."""
 
 crossings = st.builds(
     CrossingInstruction,
@@ -44,7 +44,7 @@ chains = st.lists(crossings.map(lambda one: [one]) | cells, min_size=1, max_size
 
 
 def mixed(npcs):
-    """Chains of instructions from chains of cells."""
+    """Return chains of instructions from chains of cells."""
     return [[each if isinstance(each, CrossingInstruction) else one(each) for each in chain] for chain in npcs]
 
 
@@ -176,7 +176,7 @@ class TestScenarios:
 
 
 def driven(way, instruction, start, seconds):
-    """Where an NPC is every few milliseconds that drives from a place on at its speed, or as fast as bends allow."""
+    """Return an NPC's place every few milliseconds, if it drives at its speed, or as fast as bends allow."""
     places, points = [start], np.arange(len(way.speeds)) * STEP
     while len(places) * EACH < seconds:
         speed = float(np.interp(places[-1], points, np.minimum(way.speeds, instruction.speed)))
@@ -185,12 +185,12 @@ def driven(way, instruction, start, seconds):
 
 
 def occupied(instruction, stretch, seconds=40.0):
-    """First and last time within a stretch [s], by driving along; None where it starts outside of its way."""
+    """Return the first and last time within a stretch [s], by driving along, or None if it starts off its way."""
     way, start = JUNCTION.ways[instruction.zone], JUNCTION.start(instruction)
     if not 0 <= start <= way.zone.npc[0]:
         return None
     places = driven(way, instruction, start, seconds)
-    if instruction.act != "pass":  # nobody knows when it goes on from its line
+    if instruction.act != "pass":  # it is unknown when it drives on from its line
         places = np.minimum(places, way.zone.npc[0])
     inside = np.flatnonzero((places >= stretch[0]) & (places <= stretch[1]))
     return (inside[0] * EACH, inside[-1] * EACH) if inside.size else (math.inf, -math.inf)
@@ -277,7 +277,7 @@ def test_npcs_clash_exactly_if_they_meet_in_time(a, b):
 
 
 def room_between(a, b, until):
-    """The least distance of two NPCs in the lane from which both come [m]; below 0 where one overtakes the other."""
+    """Return the least distance of two NPCs in the lane from which both come [m]; negative if one overtakes."""
     places = [driven(JUNCTION.ways[each.zone], each, JUNCTION.start(each), 40.0) for each in (a, b)]
     ahead = places[0] - places[1]
     ahead = ahead[np.minimum(*places) <= until]
@@ -297,9 +297,9 @@ def test_npcs_of_one_lane_stay_in_order():
     [
         ({}, True),
         ({"zone": "o1>o4"}, False),
-        ({"slot": 5.0, "speed": 9.0}, False),  # 12.5 s up to the zone, which is 90 m from the beginning of the way
+        ({"slot": 5.0, "speed": 9.0}, False),  # 12.5 s to the zone, which is 90 m from the way's beginning
         ({"slot": 5.0, "speed": 7.0}, True),
-        ({"zone": "o3>o1", "slot": -5.0, "speed": 3.0}, False),  # it is to enter its zone before the run begins
+        ({"zone": "o3>o1", "slot": -5.0, "speed": 3.0}, False),  # it should enter its zone before the run begins
         ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0}, True),  # it enters its zone after 1 s, at the latest
         ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0, "act": "stop"}, True),
         ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0, "act": "hold"}, True),

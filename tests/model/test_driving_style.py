@@ -1,4 +1,4 @@
-"""Styles of traffic: their parts, their plain form and back, and what is refused."""
+"""Styles of traffic: their parts, their plain form and back, and invalid values."""
 
 import math
 import pickle

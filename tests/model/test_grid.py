@@ -41,7 +41,7 @@ def chains_of(most=8, genes=6):
 
 @st.composite
 def gene_requests(draw, most=8):
-    """(previous distinct cells, requested cells, cells whose lane exists, one coin per NPC)."""
+    """Return (previous distinct cells, requested cells, cells whose lane exists, one coin per NPC)."""
     previous = draw(st.lists(cells, min_size=1, max_size=most, unique=True))
     requested = draw(st.lists(cells, min_size=len(previous), max_size=len(previous)))
     coins = draw(st.lists(st.booleans(), min_size=len(previous), max_size=len(previous)))
@@ -140,7 +140,7 @@ def test_repaired_gene_does_not_depend_on_later_genes(chains, seed):
 
 
 def preference(previous, requested, existing, clockwise):
-    """In words of the docstring: the request, then a neighbour by coin, then the other, then to hold."""
+    """Return the docstring's order: the request, then a neighbour by coin, then the other, then the present cell."""
     order = [requested] if previous == requested or requested in previous.neighbours else []
     order += reversed(previous.neighbours) if clockwise else previous.neighbours
     order = [cell for cell in order if cell in existing]
@@ -204,7 +204,7 @@ def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed)
 
 
 def test_vanished_lane_leaves_the_one_existing_neighbour():
-    """The ego is on the left lane: cells 1, 7 and 8 are off the road."""
+    """The ego is on the left lane, so cells 1, 7 and 8 are off the road."""
     right_side = ALL_CELLS - {Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT}
     for coin in (False, True):
         assert repair_gene([Cell.FRONT], [Cell.FRONT_LEFT], right_side, lambda npc, c=coin: c) == (Cell.FRONT_RIGHT,)
@@ -217,7 +217,7 @@ def test_first_of_two_npcs_gets_the_wanted_cell():
 
 
 class TestRepairThatSkipsMissingCells:
-    """For roads on which few cells exist."""
+    """The repair for roads on which few cells exist."""
 
     one_lane = frozenset({Cell.FRONT, Cell.REAR})
 

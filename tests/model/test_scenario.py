@@ -1,4 +1,4 @@
-"""Position-Instructions and scenarios: what is valid, and what the errors say."""
+"""Position-Instructions and scenarios: which are valid, and the errors about the others."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ def test_scenario_is_accepted_exactly_if_repair_changes_nothing(chains):
 
 
 class TestLaneInstructions:
-    """Genes without a cell: keep the own lane or change it by one, at a speed."""
+    """Lane-Instructions are genes without a cell: keep the own lane or change it by one, at a speed."""
 
     def test_lane_instructions_take_three_lanes_and_tenths(self):
         assert LaneInstruction("left", 12).speed == 12.0

@@ -1,4 +1,4 @@
-"""What is seen of the others: held against rays that are followed step by step, and against numbers of many draws."""
+"""The sight of other vehicles, against rays in small steps, and against statistics of many samples."""
 
 import math
 from fractions import Fraction
@@ -18,7 +18,7 @@ LENGTH, WIDTH = 5.0, 2.0
 
 
 def states(*places):
-    """Everybody at x, y [m] and with a heading [rad], the ego first."""
+    """Return the vehicles' states from x, y [m] and heading [rad], the ego first."""
     return np.array([(x, y, heading, 20.0, 0.0, LENGTH, WIDTH) for x, y, heading in places])
 
 
@@ -27,7 +27,7 @@ def seen(sight, *places, seed=1, tick=0):
 
 
 def hidden_by_rays(everybody, wider):
-    """Follows each ray in steps of 2 cm, to points of a box that is looked at, past boxes so much wider [m]."""
+    """Follow each ray in steps of 2 cm to points of the target's box, past boxes that are wider by a margin [m]."""
     eye, found = everybody[0, :2], []
     boxes = [(row[:2], row[2], row[5] / 2 + wider, row[6] / 2 + wider) for row in everybody[1:]]
     for index, row in enumerate(everybody[1:]):

@@ -1,4 +1,4 @@
-"""The record of a run: shapes, read-only arrays, and what follows from them."""
+"""The record of a run: shapes, read-only arrays, and values derived from them."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ JERK = np.array([0.0, 3.0, -1.0, 35.1, 12.0])
 
 
 def made(value, *, hz=2, ticks=4, **bounds):
-    """The one check of a run, whether it holds or not."""
+    """Return the only check of a run, whether it holds or not."""
     recording = Recording(hz=hz, ticks=ticks)
     with recorded(recording), suppress(CheckFailed):
         pafot.check(value, name="jerk", **bounds)

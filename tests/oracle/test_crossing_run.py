@@ -1,4 +1,4 @@
-"""What a run says of NPCs that cross the ego's way: where they were, what they were told, and what came of it."""
+"""A run's account of NPCs that cross the ego's way: their places, their instructions, and the result."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from tests.helpers.traces import collision_at
 
 
 def crash(**more):
-    """The ego hits an NPC from the left in the middle of the zone."""
+    """Return a run in which the ego hits an NPC from the left in the middle of the zone."""
     return Run(junction_trace((CROSSES, 10.0), hits=0, seconds=4.8, **more))
 
 
@@ -53,7 +53,7 @@ def test_merged_npc_has_a_cell_after_its_zone():
 
 
 def test_collision_place_without_record_is_left_out():
-    """A world of the user's own may have such a track, and no zones."""
+    """A user's own world may have such a track, and no zones."""
     trace = replace(crash().trace, zones=(), on_way=None)
     assert Run(trace).explain().startswith("collision after 4.8 s: NPC 0 against the ego's front\n")
 

@@ -164,7 +164,7 @@ def test_explanation_covers_event_fault_and_npc_instructions():
     ],
 )
 def test_hardest_braking_in_explanation_agrees_with_the_reason(tick, braking, told):
-    """The danger begins at 1 s, when the NPC ahead slows down, and what is too little counts as no braking."""
+    """The danger begins at 1 s, when the NPC ahead slows down; a tiny deceleration counts as no braking."""
     ego, speed = vehicle(0.0, 4.0, speed=20.0, ticks=45), np.where(np.arange(46) < 15, 20.0, 4.0)
     npc = vehicle(50.0 + np.concatenate(([0.0], np.cumsum(speed[1:]) / 15)), 4.0, speed=speed)
     ego[tick, ACCELERATION], ego[tick:, SPEED] = -braking, 20.0 - braking / 15
