@@ -1,4 +1,4 @@
-"""The page about the rooms is true: every room, library, file and name on it is that of the code."""
+"""The page about the rooms is true: every room, library, file and name on it agrees with the code."""
 
 import ast
 import re
@@ -26,17 +26,17 @@ def rooms_on_the_page():
 
 
 def mentions():
-    """Files and names on the page, in the explanation, and in what contributors read."""
+    """Return files and names on the page, in the explanation, and in the pages for contributors."""
     return sorted({(path, name) for path, name in MENTION.findall(PAGE + EXPLANATION + CONTRIBUTING)})
 
 
 def place(path):
-    """Of a file or folder that is named: in the package, or in the repository."""
+    """Return the path of a named file or folder, in the package or in the repository."""
     return next((at for at in (PACKAGE / path, ROOT / path) if at.exists()), None)
 
 
 def defined(body):
-    """Names that statements define, with those inside of classes."""
+    """Return the names that statements define, including those inside classes."""
     names = {}
     for node in body:
         if isinstance(node, ast.ClassDef):
@@ -90,7 +90,7 @@ def test_missing_files_and_names_are_not_found():
 
 
 def entries():
-    """The rows of the tables of rules, and the paragraphs that say how to add something."""
+    """Return the rows of the tables of rules, and the paragraphs about how to add something."""
     rows = re.findall(r"^\| (?!---|What|Section).*\|$", section("Where is the rule of ..."), re.MULTILINE)
     return [*rows, *re.findall(r"^\*\*.*?(?=\n\n|\Z)", section("How to add a ..."), re.MULTILINE | re.DOTALL)]
 

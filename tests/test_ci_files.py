@@ -1,4 +1,4 @@
-"""The action and the workflows: well-formed, of steps that tests run, and in agreement with each other."""
+"""The action and the workflows are well-formed, consist of steps that tests run, and agree with each other."""
 
 import re
 
@@ -8,7 +8,7 @@ from tests.helpers.actions import EXPRESSION, OWN, ROOT, SCRIPT, WORKFLOWS, acti
 from tests.helpers.tables import table
 
 COMMANDS = ['sh "$GITHUB_ACTION_PATH/ci/pafot.sh" install', 'sh "$GITHUB_ACTION_PATH/ci/pafot.sh" "$TASK"']
-"""That ``test_ci_script.py`` runs."""
+"""The commands that ``test_ci_script.py`` runs."""
 
 TASKS = ["install", "replay", "search", "pull-request", "night", "merge"]
 OTHERS = {
@@ -23,7 +23,7 @@ SCRIPT_TEXT = SCRIPT.read_text(encoding="utf-8")
 
 
 def expressions(value):
-    """All expressions anywhere in a document."""
+    """Return all expressions anywhere in a document."""
     if isinstance(value, dict):
         return [each for inner in value.values() for each in expressions(inner)]
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""What jobs of a CI do, played through in a shell: ``ci/pafot.sh``, by the commands of the action."""
+"""The jobs of a CI, run in a shell: ``ci/pafot.sh``, by the commands of the action."""
 
 import os
 import shutil
@@ -58,7 +58,7 @@ echo "{\\"exit\\": ${JSON:-${CODE:-0}}}" >pafot.json
 [ "${JSON:-}" != none ] || rm pafot.json
 exit "${CODE:-0}"
 """
-"""A Python that notes what it is asked for, finds what it is told to, and sees what happens elsewhere meanwhile."""
+"""A fake Python that records its calls, returns given results, and sees changes made elsewhere meanwhile."""
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def summary(tmp_path):
 
 @pytest.fixture
 def repository(tmp_path):
-    """A clone with one commit, beside the repository that it is a clone of."""
+    """Return a clone with one commit, next to the repository from which it was cloned."""
     folder = tmp_path / "clone"
     git(tmp_path, "init", "-q", "--bare", "-b", "main", "origin.git")
     git(tmp_path, "init", "-q", "-b", "main", "clone")
@@ -94,7 +94,7 @@ def saved(folder):
 
 
 class TestAPullRequest:
-    """Through the workflow, with a search that is shorter than its."""
+    """A pull request runs through the workflow, with a shorter search."""
 
     def run(self, folder, summary, **changes):
         values = {"github.event.pull_request.base.sha": git(folder, "rev-parse", "main")}
@@ -228,7 +228,7 @@ def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
 
 @pytest.fixture
 def fake(tmp_path):
-    """The folder of a Python that searches nothing; variables that put it first, and what it was asked for."""
+    """Return the folder of a Python that searches nothing, the variables that put it first, and its record."""
     folder = tmp_path / "bin"
     folder.mkdir()
     python = folder / "python"
@@ -274,7 +274,7 @@ def test_the_exit_code_is_that_of_pytest(repository, fake, code):
     ],
 )
 def test_session_passes_only_by_exit_code_in_json(repository, fake, written, received):
-    (repository / "pafot.json").write_text('{"exit": 0}')  # of an earlier session
+    (repository / "pafot.json").write_text('{"exit": 0}')  # a file from an earlier session
     code, printed = shell(
         f"sh {SCRIPT} night", repository, BRANCH="finds", FINDS_NOW="a", CODE="0", JSON=written, **fake
     )
@@ -313,7 +313,7 @@ FOLDER = "pafot_corpus/test_it/test_x"
 
 
 class TestTheBranch:
-    """Where nights and merges keep what they find."""
+    """The branch where nightly jobs and merges store their findings."""
 
     def night(self, folder, fake, *, finds="", code="1"):
         inputs = inputs_of("night", "night") | {"requirements": ""}
@@ -398,7 +398,7 @@ class TestTheBranch:
         return git(folder, "show", f"refs/kept:{name}")
 
     def colleague(self, repository, branch, files, remove=()):
-        """Push files to a branch from a clone of somebody else."""
+        """Push files to a branch from a second clone."""
         other = repository.parent / "other"
         if not other.exists():
             git(repository.parent, "clone", "-q", "origin.git", "other")

@@ -1,4 +1,4 @@
-"""What contributors are told to run exists, and is the same wherever it is told."""
+"""The commands for contributors exist, and are the same everywhere."""
 
 import ast
 import importlib.util
@@ -28,7 +28,7 @@ PROJECT, PYTEST = CONFIG["project"], CONFIG["tool"]["pytest"]["ini_options"]
 
 
 def commands():
-    """Every command of every block, as words, without variables of the environment."""
+    """Return every command of every block, as words, without environment variables."""
     blocks = "".join(re.findall(r"^```sh\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL))
     for line in re.split(r"\n| && ", blocks.strip()):
         words = shlex.split(line)
@@ -38,12 +38,12 @@ def commands():
 
 
 def calls_of_pytest():
-    """The arguments of each."""
+    """Return the arguments of each call of pytest."""
     return [words[3:] for words in commands() if words[:3] == ["python", "-m", "pytest"]]
 
 
 def said():
-    """Commands of the blocks, and those inside of sentences."""
+    """Return the commands of the blocks, and those inside sentences."""
     return [*commands(), *(shlex.split(text) for text in re.findall(r"`((?:python -m|nox) [^`]*)`", TEXT))]
 
 

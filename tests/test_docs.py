@@ -2,20 +2,21 @@
 
 Samples are fenced blocks, and their first line says what they are:
 
-- ``# name.py`` (or .toml, .yml): a file that is written under this name;
-- ``# pafot_corpus/....pafot.yaml``: a corpus file as an earlier command has written it;
-- ``# last line of pafot_corpus/....pafot.yaml``: what replaces that line;
-- ``$ pytest ...`` or ``$ python ...``: a command with what it prints.
+- ``# name.py`` (or .toml, .yml): a file with this name;
+- ``# pafot_corpus/....pafot.yaml``: a corpus file that an earlier command has written;
+- ``# last line of pafot_corpus/....pafot.yaml``: the replacement for that line;
+- ``$ pytest ...`` or ``$ python ...``: a command with its output.
 
 The blocks of a document run in order, in one folder; ``<!-- new folder -->`` starts with an empty one. In expected
-output a line ``...`` stands for anything; all else is compared, but for white space. What ``pytest`` prints ends with
-its summary line (``1 failed, 2 passed in 0.4s``), which tells the exit status, too; ``$ python`` exits with 0.
+output a line ``...`` stands for anything; everything else is compared, except for white space. The output of ``pytest``
+ends with its summary line (``1 failed, 2 passed in 0.4s``), which also gives the exit status; ``$ python`` exits with
+0.
 
 Seconds of wall clock vary, as in that line and in ``20 runs in 1.0 s``. For other numbers that vary, a comment before
-the block names the texts that they stand in: ``<!-- varies: 3 of 4 workers | pid 17 -->``. What stands in one folder
-with ``<!-- needs: library -->`` is run where that is installed.
+the block names the texts that contain them: ``<!-- varies: 3 of 4 workers | pid 17 -->``. The blocks in a folder with
+``<!-- needs: library -->`` only run if that library is installed.
 
-Where the output has changed on purpose, this brings samples whose words are the same up to it, for a look at the diff:
+If the output has changed on purpose, this command updates the samples whose words are the same; read the diff:
 
     PAFOT_REFRESH=1 python -m pytest tests/test_docs.py -m stories
 """
@@ -74,12 +75,12 @@ CORPUS_NAME = re.compile(r"([a-z0-9-]+)-[0-9a-f]{6}(?=\.pafot\.yaml|\])")
 
 class Block(NamedTuple):
     varies: tuple[str, ...]
-    """Texts whose numbers vary."""
+    """The texts whose numbers vary."""
     language: str
     first: str
     """The first line."""
     rest: str
-    """All others."""
+    """All other lines."""
 
 
 def text_of(document):
@@ -87,7 +88,7 @@ def text_of(document):
 
 
 def place(document):
-    """Of a document in the repository, without its suffix."""
+    """Return the path of a document in the repository, without its suffix."""
     return document.relative_to(ROOT).with_suffix("").as_posix()
 
 
@@ -99,7 +100,7 @@ def blocks_of(text):
 
 
 def stories():
-    """The parts of all documents that run in a folder of their own."""
+    """Return the parts of all documents that run in their own folders."""
     for document in DOCUMENTS:
         for number, part in enumerate(GENERATED.sub("", text_of(document)).split(NEW_FOLDER)):
             if any(block.language in RUN for block in blocks_of(part)):
@@ -109,11 +110,11 @@ def stories():
 
 
 def pattern(text, varying):
-    """Of a text: white space and rules of ``=`` are loose, and numbers where something says so.
+    """Return a pattern for a text: white space, rules of ``=`` and some numbers may differ.
 
     Args:
-        text: as in a document.
-        varying: whether the number at a place in it varies.
+        text: The text as in a document.
+        varying: Returns whether the number at a place in the text varies.
     """
     parts = []
     for found in re.finditer(rf"\s+|={{3,}}|{NUMBER.pattern}|.", text.strip()):
@@ -129,7 +130,7 @@ def pattern(text, varying):
 
 
 def compared(text, varies):
-    """The pattern of a text whose numbers count, but for seconds of wall clock and what else varies."""
+    """Return the pattern of a text in which only seconds of wall clock, and the numbers in ``varies``, may differ."""
     text = text.strip()
     spans = [found.span() for found in WALL_CLOCK.finditer(text)]
     spans += [found.span() for each in varies for found in re.finditer(re.escape(each), text)]
@@ -137,7 +138,7 @@ def compared(text, varies):
 
 
 def check_output(block, printed):
-    """The block as it should be, which is as it is."""
+    """Check a block against the printed output; return it as it should be."""
     position, right = 0, block.rest
     for part in re.split(r"^\.\.\.$", block.rest, flags=re.MULTILINE):
         found = compared(part, block.varies).search(printed, position)
@@ -154,7 +155,7 @@ def check_output(block, printed):
 
 
 def check_end(block, result):
-    """The summary line that a sample of pytest ends with is the last one printed, and tells the exit status."""
+    """Check that a pytest sample ends with the last printed line, the summary, and agrees with the exit status."""
     last = block.rest.rstrip().rpartition("\n")[2]
     summary = SUMMARY.fullmatch(last)
     assert summary, f"expected {block.first} to end with a summary line such as `2 passed in 0.4s`, not with: {last}"
@@ -162,7 +163,7 @@ def check_end(block, result):
 
 
 class Folder:
-    """Where a story runs."""
+    """The folder in which a story runs."""
 
     def __init__(self, pytester, document):
         self.pytester = pytester
@@ -193,7 +194,7 @@ class Folder:
         path.write_text(content, encoding="utf-8")
 
     def saved(self, name):
-        """The file of this name, whatever its scenario's digits are here."""
+        """Return the file of this name; the digits of its scenario may differ here."""
         path = self.path / self.with_own_ids(name)
         assert path.is_file(), f"{name}: expected among {self.ids}"
         return path
@@ -207,7 +208,7 @@ class Folder:
         return sorted(path.name.removesuffix(".pafot.yaml") for path in self.path.rglob("*.pafot.yaml"))
 
     def with_own_ids(self, text):
-        """With the digits that the saved scenarios have here, on this machine."""
+        """Replace the digits of saved scenarios in a text by those of this machine."""
 
         def own(found):
             slug = found[1].rpartition("saved-")[2]
@@ -225,13 +226,13 @@ class Folder:
             assert done.ret == 0
             return
         assert program == "pytest", block.first
-        # unraisableexception collects all garbage at the end of each session, which is slow and shows nothing here.
+        # unraisableexception collects all garbage at the end of each session, which is slow and not needed here.
         result = in_process(self.pytester, "-p", "pafot", "-p", "no:unraisableexception", *arguments)
         self.compare(block, result.stdout.str())
         check_end(block, result)
 
     def compare(self, block, printed):
-        """What is printed with what the document says, or the other way round."""
+        """Compare the output with the document, or update the document."""
         right = check_output(block, printed)
         if right != block.rest:
             text = text_of(self.document).replace(block.rest, right)
@@ -254,7 +255,7 @@ def folder(pytester, monkeypatch, document):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # whatever else is installed prints and warns as it likes
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # other installed plugins may print and warn
     return Folder(pytester, document)
 
 
@@ -457,7 +458,7 @@ def test_site_has_every_public_name_and_package():
 
 
 def anchor(heading):
-    """As code hosts make it."""
+    """Return the anchor that code hosts make from a heading."""
     return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
 
 
@@ -467,7 +468,7 @@ def anchors(document):
 
 
 def links():
-    """Every link and picture inside of the repository, with the document that has it."""
+    """Return every link and picture inside the repository, with its document."""
     for document in DOCUMENTS:
         for target in re.findall(r"(?:\]\(|src=\"|srcset=\")([^)\"\s]+)", FENCE.sub("", text_of(document))):
             if "://" not in target:
@@ -520,5 +521,5 @@ def test_searching_job_has_more_time_than_its_searches():
         searching = {name: text for name, text in commands.items() if "--pafot-generations=0" not in text}
         assert searching
         for name, text in searching.items():
-            (seconds,) = re.findall(r"--pafot-total-time=(\d+)", text)  # --pafot-max-time is for each of any number
+            (seconds,) = re.findall(r"--pafot-total-time=(\d+)", text)  # --pafot-max-time is for each search
             assert workflow["jobs"][name]["timeout-minutes"] * 60 >= int(seconds) + 15 * 60

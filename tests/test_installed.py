@@ -1,4 +1,4 @@
-"""The package as it is installed: what lies in it, and what works in a folder that is no clone."""
+"""The installed package: its content, and what works in a folder that is no clone."""
 
 import os
 import re
@@ -21,7 +21,7 @@ BUILD = (
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
-    """The folder of modules that an installation puts beside other packages."""
+    """Return the folder of modules that an installation puts next to other packages."""
     lib = tmp_path_factory.mktemp("installed")
     scratch = tmp_path_factory.mktemp("egg-info")
     subprocess.run([sys.executable, "-W", "ignore", "-c", BUILD, scratch, lib], cwd=ROOT, check=True)

@@ -14,7 +14,7 @@ ROOMS = (
     "world", "policies", "execution", "strategies", "testing", "campaign", "commands", "comparison", "report",
     "episodes", "training", "export", "plugin", "__main__",
 )  # fmt: skip
-"""A room may import the rooms before it, and itself."""
+"""The rooms in order: each may import the rooms before it, and itself."""
 
 HOMES = {
     "yaml": {"corpus"},
@@ -42,7 +42,7 @@ HOMES = {
     "foxglove": {"export"},
     "commonroad": {"export"},
 }
-"""Libraries that only some rooms may know."""
+"""Libraries that only some rooms may import."""
 
 MODULES = [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py"]
 
@@ -52,7 +52,7 @@ def room_of(path: Path) -> str:
 
 
 def statements(node: ast.AST) -> Iterator[ast.AST]:
-    """Statements right inside of one, and what has some in its turn; expressions are most of a module, and left out."""
+    """Yield the statements directly inside a node, and those inside them; expressions are skipped for speed."""
     for name in ("body", "orelse", "finalbody", "handlers", "cases"):
         inner = getattr(node, name, ())
         yield from inner if isinstance(inner, list) else ()
@@ -66,13 +66,13 @@ def walked(node: ast.AST) -> Iterator[ast.AST]:
 
 @cache
 def nodes_of(path: Path) -> list[ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef]:
-    """Imports, functions and classes of a module, also those inside of functions."""
+    """Return imports, functions and classes of a module, including those inside functions."""
     nodes = walked(ast.parse(path.read_text(encoding="utf-8")))
     return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef)]
 
 
 def imports_of(path: Path) -> list[ast.Import | ast.ImportFrom]:
-    """Anywhere in a module, also inside of its functions and for types alone."""
+    """Return the imports anywhere in a module, including those inside functions and only for types."""
     return [node for node in nodes_of(path) if isinstance(node, ast.Import | ast.ImportFrom)]
 
 
@@ -93,7 +93,7 @@ def module_name(path: Path) -> str:
 
 
 def imported_modules(path: Path, known: set[str]) -> set[str]:
-    """Modules of the package that a module imports anywhere, also inside of its functions and for types alone."""
+    """Return the package's modules that a module imports anywhere, also inside functions and only for types."""
     names = set()
     for node in imports_of(path):
         if isinstance(node, ast.ImportFrom):
@@ -105,7 +105,7 @@ def imported_modules(path: Path, known: set[str]) -> set[str]:
 
 
 def circles(arrows: dict[str, set[str]]) -> list[list[str]]:
-    """Groups of modules each of which is reached from every other (Tarjan, 1972)."""
+    """Return the groups of modules that all reach each other (Tarjan, 1972)."""
     order: dict[str, int] = {}
     low: dict[str, int] = {}
     stack: list[str] = []

@@ -1,4 +1,4 @@
-"""What a package index shows, and the checks before a release: each refuses what it is there to refuse."""
+"""The project's page on a package index, and the checks before a release: each refuses what it should."""
 
 import os
 import re
@@ -20,7 +20,7 @@ long_description = SETUP["long_description"]
 
 @pytest.fixture
 def check():
-    """The names of the script, whose globals can be changed for a test."""
+    """Return the names of the script, whose globals a test can change."""
     return runpy.run_path(str(ROOT / ".ci" / "release_check.py"))
 
 
@@ -71,7 +71,7 @@ def test_every_classifier_has_something_that_makes_it_true(check):
         "Framework :: Pytest": "pytest11" in entries,
         "Framework :: Hypothesis": "hypothesis" in entries,
         "Operating System :: POSIX :: Linux": "auditwheel"
-        in check["TOOLS"],  # which makes wheels for it, with which tests run
+        in check["TOOLS"],  # builds wheels for this Python and runs tests with them
         "Typing :: Typed": (ROOT / "pytest_pafot" / "py.typed").is_file(),
         **{f"Programming Language :: Python :: 3.{name[3:-2]}": True for name in wheels},
     }
@@ -114,7 +114,7 @@ LICENCE = "pytest_pafot-0.1.0.dist-info/licenses/LICENSE"
 
 
 def members():
-    """Of a wheel as it should be."""
+    """Return the members of a correct wheel."""
     assets = ("css", "html", "js")
     compiled = [each.relative_to(ROOT).with_suffix(".abi.so") for each in ROOT.glob("pytest_pafot/**/*.pxd")]
     data = [each.relative_to(ROOT) for kind in assets for each in ROOT.glob(f"pytest_pafot/report/assets/*.{kind}")]

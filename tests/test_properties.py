@@ -21,12 +21,12 @@ from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, straight_lanes, trace_of, vehicle
 
 FARTHER = 500.0
-"""Where an NPC is out of everybody's way [m]."""
+"""The place of an NPC that is in no vehicle's way [m]."""
 COLLISIONS = [each for group in SITUATIONS.values() for each in group]
 
 
 def judged(holds, trace, **arguments):
-    """The checks that a property made of a run, in its order."""
+    """Return the checks that a property made in a run, in order."""
     recording = Recording(hz=trace.physics_hz, ticks=trace.ticks)
     with recorded(recording), suppress(AssertionError):
         holds(pafot.Run(trace), **arguments)
@@ -34,13 +34,13 @@ def judged(holds, trace, **arguments):
 
 
 def only(holds, trace, **arguments):
-    """The one check that a property made of a run."""
+    """Return the only check that a property made in a run."""
     (made,) = judged(holds, trace, **arguments)
     return made
 
 
 def following(gap, *, speed=20.0, leader=20.0):
-    """The ego behind another in its lane for a tick."""
+    """Return a run of one tick with the ego behind another vehicle in its lane."""
     return trace_of(vehicle(0.0, OWN, speed=speed), vehicle(gap + LENGTH, OWN, speed=leader))
 
 
@@ -89,7 +89,7 @@ def test_exactly_the_safe_distance_is_enough():
 
 
 def test_side_by_side_it_is_the_gap_across():
-    # 2 m, less 0.1 m and twice what a second of 0.2 m/s^2 and braking with 0.8 m/s^2 come to
+    # 2 m, less 0.1 m, and twice the way of a second of 0.2 m/s^2 and of braking with 0.8 m/s^2
     abreast = trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(1.0, LEFT, speed=20.0))
     assert only(properties.rss_distance, abreast).value == pytest.approx(2.0 - 0.1 - 2 * (0.1 + 0.04 / 1.6))
     nearer = trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(-1.0, 1.7, speed=20.0))
@@ -160,7 +160,7 @@ def test_brief_jerk_does_not_count_in_full():
 
 
 def turning(rates, speed=20.0):
-    """An ego that drives with a turning rate [rad/s] in each tick, at 15 ticks a second."""
+    """Return an ego that drives with a turning rate [rad/s] in each tick, at 15 ticks a second."""
     ego = driven(0.0, speed=speed)[: len(rates) + 1]
     ego[1:, HEADING] = np.cumsum(rates) / 15
     return trace_of(ego, driven(FARTHER)[: len(ego)])
@@ -169,7 +169,7 @@ def turning(rates, speed=20.0):
 @table(("ticks", "share"), [(4, 0.5), (8, 1.0), (60, 1.0)])
 @table("sign", [1.0, -1.0])
 def test_lateral_acceleration_is_mean_of_half_a_second(ticks, share, sign):
-    """By the circle: a turning rate w at a speed v pulls with v w; half a second are eight ticks."""
+    """On a circle, a turning rate w at a speed v means w v sideways; half a second is eight ticks."""
     rates = np.zeros(200)
     rates[100 : 100 + ticks] = sign * 0.2
     made = only(properties.comfort, turning(rates), lateral_jerk=None, **ONLY_SIDEWAYS)
@@ -179,7 +179,7 @@ def test_lateral_acceleration_is_mean_of_half_a_second(ticks, share, sign):
 
 @table(("seconds", "holds"), [(0.2, False), (0.6, False), (0.9, True), (2.0, True)])
 def test_gradual_lateral_acceleration_is_no_jerk(seconds, holds):
-    """A spiral: the pull goes from 0 to 4 m/s^2 in so many seconds, in half of one by at most as much of it."""
+    """In a spiral, the sideways acceleration goes from 0 to 4 m/s^2 in these seconds, evenly."""
     rates = np.interp(np.arange(200) / 15, [5.0, 5.0 + seconds], [0.0, 4.0 / 20.0])
     made = only(properties.comfort, turning(rates), lateral_acceleration=None, **ONLY_SIDEWAYS)
     assert made.value == pytest.approx(4.0 / max(seconds, 8 / 15), rel=0.02)
@@ -187,13 +187,13 @@ def test_gradual_lateral_acceleration_is_no_jerk(seconds, holds):
 
 
 def test_what_a_bend_of_the_road_takes_counts():
-    """On a circle of 100 m and at 20 m/s everybody is pulled with 4 m/s^2."""
+    """On a circle of 100 m, at 20 m/s, every vehicle has 4 m/s^2 sideways."""
     made = only(properties.comfort, turning(np.full(200, 20.0 / 100.0)), lateral_jerk=None, **ONLY_SIDEWAYS)
     assert made.value == pytest.approx(400.0 / 100.0)
 
 
 def on_empty_road(ads, *, speed, seconds):
-    """The run of an ego with an NPC that falls behind."""
+    """Return the run of an ego with an NPC that falls behind."""
     npcs = [[pafot.PositionInstruction(6, 0.0)]]
     scenario = pafot.Scenario(npcs=npcs, ego_lane=1, ego_speed=speed, gene_seconds=seconds)
     return pafot.Highway(duration=seconds).rollout(scenario, lambda: ads)
@@ -341,7 +341,7 @@ def test_reason_that_vanishes_during_braking_still_counts():
 
 
 def expected_needless(trace):
-    """Whether any hard braking has no reason, stretch by stretch in plain loops."""
+    """Return whether any hard braking has no reason, stretch by stretch in plain loops."""
     hard, frame, found = (braking(trace) > 5.0).tolist(), RoadFrame(trace), False
     first = None
     for tick, is_hard in enumerate([*hard, False]):
@@ -368,7 +368,7 @@ def test_needless_braking_agrees_with_the_fault_rule():
 
 
 def cut_in(gap, *, slower=10.0, lasts=3.0, npc_brakes=(), ego_brakes=()):
-    """An NPC that comes from the left from 2 s on, and is 0.3 m over the line a gap ahead of the ego."""
+    """Return a run with an NPC from the left that begins at 2 s, and crosses the line by 0.3 m at a gap ahead."""
     when = 2.0 + np.ceil(lasts * 1.3 / 4.0 * HZ) / HZ
     npc = driven(LENGTH + gap + slower * when, LEFT, speed=20 - slower, brakes=npc_brakes, shifts=[(2.0, OWN, lasts)])
     return driven(0.0, brakes=ego_brakes), npc
@@ -479,7 +479,7 @@ def test_odd_runs_are_judged_without_an_error(odd):
 
 
 def test_careful_driver_satisfies_all_properties_in_ordinary_traffic():
-    """But for comfort and the distances of RSS where somebody cuts in on it, or brakes hard: it has to brake then."""
+    """Only comfort and the distances of RSS may fail if a vehicle cuts in or brakes hard, since it must brake then."""
     world, rng = pafot.Highway(duration=20.0), np.random.default_rng(0)
     quiet = 0
     for _ in range(30):
@@ -538,7 +538,7 @@ def test_rules_of_another_kind_are_refused():
 
 
 def slowed(trace, deceleration, *, since):
-    """The run with an ego that brakes from a time on [m/s^2], [s]."""
+    """Return the run with an ego that brakes with a deceleration [m/s^2] from a time on [s]."""
     states, track = trace.states.copy(), trace.track.copy()
     braking_for = np.maximum(trace.times - since, 0.0)
     speed = np.maximum(states[:, 0, SPEED] - deceleration * braking_for, 0.0)
@@ -593,7 +593,7 @@ def test_npc_arriving_at_same_zone_soon_justifies_braking(start, holds):
 
 
 def test_merging_npc_from_another_way_cuts_in_nowhere():
-    """At 20 m/s the ego reaches the NPC, which is in its lane at once when it is on its way at all."""
+    """At 20 m/s the ego reaches the NPC, which is in its lane as soon as it is on its way at all."""
     trace = junction_trace((MERGES, 12.0), ego_speed=20.0, seconds=4.0)
     assert (Encounters(trace).gap == 0).any()
     assert judged(properties.answers_cut_ins, trace) == []
@@ -626,7 +626,7 @@ def test_gives_way_ignores_earlier_unprioritised_or_stopped_npcs():
         assert judged(properties.gives_way, trace) == []
     trace = junction_trace((CROSSES, 0.0))
     states, on_way = trace.states.copy(), trace.on_way.copy()
-    states[45:, 1, SPEED], on_way[45:] = 0.0, on_way[45]  # it never comes, and is not expected to
+    states[45:, 1, SPEED], on_way[45:] = 0.0, on_way[45]  # it never arrives, and is not expected to
     assert only(properties.gives_way, replace(trace, states=states, on_way=on_way)).value == np.inf
 
 

@@ -1,4 +1,4 @@
-"""The public catalogue: complete, lazy, and free to import."""
+"""The public catalogue is complete, lazy, and fast to import."""
 
 import subprocess
 import sys

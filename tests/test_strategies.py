@@ -1,4 +1,4 @@
-"""The strategies draw valid values by construction, reach all of them, and shrink to the simplest."""
+"""The strategies generate valid values by construction, reach all of them, and shrink to the simplest."""
 
 import itertools
 import random
@@ -95,7 +95,7 @@ def test_npcs_may_follow_each_other_around_the_ring():
 
     pairs = strategies.scenarios(min_npcs=2, max_npcs=2, min_genes=2, max_genes=2)
     many = settings(max_examples=5000, phases=[Phase.generate])
-    for step, seed in ((1, 1), (-1, 5)):  # which find one soon
+    for step, seed in ((1, 1), (-1, 5)):  # these seeds find one soon
         assert find(pairs, follows(step), settings=many, random=random.Random(seed))
 
 

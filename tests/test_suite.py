@@ -1,4 +1,4 @@
-"""The project itself: what counts as an error in its tests, for which Pythons it is made, and the shape of its code."""
+"""The project itself: which warnings are errors in its tests, its Python versions, and the shape of its code."""
 
 import ast
 import re
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 OF_ONE_NAME = {
     "events": "what a campaign of generations yields, and what a whole search tells",
 }
-"""Why modules of different rooms are called alike."""
+"""The reasons why modules of different rooms have the same name."""
 BLOCKS = (ast.If, ast.For, ast.While, ast.With, ast.Try, ast.Match)
 
 
@@ -52,7 +52,7 @@ def repeated(names):
 
 
 def nesting(node, depth=0):
-    """How many blocks stand inside of each other at most; ``elif`` is no block inside of ``if``."""
+    """Return the largest number of nested blocks; ``elif`` is no block inside ``if``."""
     deepest = depth
     for child in statements(node):
         is_elif = isinstance(node, ast.If) and isinstance(child, ast.If) and node.orelse == [child]

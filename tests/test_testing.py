@@ -1,4 +1,4 @@
-"""The kit that checks a world: this package's pass, and one that breaks a promise is refused with the promise."""
+"""The kit that checks a world accepts this package's worlds, and names the promise that a world breaks."""
 
 from dataclasses import replace
 from functools import cache
@@ -19,13 +19,13 @@ ROAD = Highway(duration=4.0, hang_limit=0.3)
 
 @pytest.fixture(autouse=True)
 def clock(monkeypatch):
-    """Time passes only where the check has an ADS wait for its end, and there at once."""
+    """Return a clock that advances only, and at once, while the check has an ADS wait for its end."""
     clock = StoppedClock(monkeypatch)
     monkeypatch.setattr("pytest_pafot.testing.time", SimpleNamespace(sleep=clock.sleep))
 
 
 class Own:
-    """A world of one's own that keeps all promises; what is broken derives from it."""
+    """A user's own world that keeps all promises; broken worlds derive from it."""
 
     speed_limit, longest_run, hang_limit = 26.8, 4.0, 0.3
     limits = NpcLimits()
@@ -193,12 +193,12 @@ class Different(Own):
 
 
 def changing(name, **fields):
-    """A class whose traces have other fields."""
+    """Return a class whose traces have other fields."""
     return type(name, (Own,), {"changed": lambda self, trace: replace(trace, **fields)})
 
 
 def moving(name, change):
-    """A class whose traces have other states."""
+    """Return a class whose traces have other states."""
     return type(name, (Own,), {"changed": lambda self, trace: with_states(trace, change)})
 
 

@@ -1,4 +1,4 @@
-"""Episodes to learn from are the runs of a world, and those of its environment, with the environment's own reward."""
+"""Training episodes are the runs of a world or of its environment, with the environment's own reward."""
 
 from functools import partial
 
@@ -24,7 +24,7 @@ SLOW = Scenario(npcs=[[PositionInstruction(2, 10.0)], [PositionInstruction(6, 25
 
 
 def driven(env, seed, policy):
-    """What comes of one episode: the info of its reset, and the results of all its steps."""
+    """Run one episode; return the info of its reset, and the results of all its steps."""
     seen, first = env.reset(seed=seed)
     results = []
     while not results or not (results[-1][2] or results[-1][3]):
@@ -34,12 +34,12 @@ def driven(env, seed, policy):
 
 
 def keeping(action):
-    """A policy that always decides the same."""
+    """Return a policy that always decides the same."""
     return lambda observation: action
 
 
 class Told(gym.Wrapper):
-    """Keeps what the steps of an environment return."""
+    """A wrapper that stores the results of an environment's steps."""
 
     def __init__(self, env):
         super().__init__(env)
@@ -50,7 +50,7 @@ class Told(gym.Wrapper):
         return self.results[-1]
 
 
-@pytest.mark.filterwarnings("ignore:.*A Box observation space")  # the environment's own
+@pytest.mark.filterwarnings("ignore:.*A Box observation space")  # this warning comes from the environment
 @pytest.mark.parametrize("share", [oracle(0.0), 1.0])
 def test_gymnasium_finds_no_fault(share):
     env = gym.make("pytest_pafot.training:pafot/Scenarios-v0", world=FAST, share=share)
@@ -80,13 +80,13 @@ def test_observations_and_rewards_match_the_original_environment(env_id, action)
     _, results = driven(env, 2, keeping(action))
     pafot.World(env_id, wrappers=[told]).rollout(env.trace.scenario, lambda: keeping(action))
     assert len(own[-1].results) == len(results) > 5
-    for ours, theirs in zip(results[:-1], own[-1].results, strict=False):  # which does not know that it ended
+    for ours, theirs in zip(results[:-1], own[-1].results, strict=False):  # here the end is unknown
         assert np.allclose(ours[0], theirs[0], rtol=0, atol=1e-6)
         assert ours[1:4] == (pytest.approx(theirs[1], abs=1e-9), *theirs[2:4])
 
 
 def test_crash_ends_scenario_with_the_reward_for_crashes():
-    """At speeds below those that are rewarded, in the second of three lanes: -1 of -1 to 0.5, and half of 0.1."""
+    """Speeds below the rewarded range, in the second of three lanes: -1 of -1 to 0.5, and half of 0.1."""
     env = pafot.training_env(FAST, [Scenario(npcs=BRAKING.npcs, ego_speed=18.0)], share=1.0)
     _, results = driven(env, 0, keeping(1))
     _, reward, is_terminated, is_truncated, info = results[-1]
@@ -111,7 +111,7 @@ def test_ordinary_traffic_is_that_of_the_environment_itself(decide):
 
 
 def kinds(env, seed, count):
-    """Of each episode the id of its scenario, empty in ordinary traffic."""
+    """Return the id of each episode's scenario, empty in ordinary traffic."""
     infos = (env.reset(seed=None if number else seed)[1] for number in range(count))
     return [info["scenario"] for info in infos]
 

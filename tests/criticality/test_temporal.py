@@ -31,7 +31,7 @@ formulas = st.recursive(
 
 
 def pairs_of_signals(least, values=numbers):
-    """Return two lists of the same length, with at least this many ticks."""
+    """Return a strategy for two lists of the same length, with at least this many ticks."""
     lengths = st.integers(least, 12)
     return lengths.flatmap(lambda ticks: st.tuples(*[st.lists(values, min_size=ticks, max_size=ticks)] * 2))
 

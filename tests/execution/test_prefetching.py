@@ -1,4 +1,4 @@
-"""When runs are made in advance, in lock step or in other processes; the results stay the same."""
+"""Runs made in advance, in lock step or in other processes: when that happens, and that the results stay the same."""
 
 import json
 

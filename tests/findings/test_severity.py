@@ -1,4 +1,4 @@
-"""How bad a failure is: figures by mechanics and by hand, a total order, and what became worse."""
+"""The severity of failures: figures by mechanics and by hand, a total order, and what became worse."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""A project with a cheap ADS and short scenarios, in which pytest runs in this process."""
+"""A project with a fast ADS and short scenarios, in which pytest runs in this process."""
 
 import importlib
 import os
@@ -18,7 +18,7 @@ from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
 from tests.helpers.sessions import in_a_copy, in_process, quick_sessions
 
-# pytester forgets the modules that a session imports; those of the package stay, as reading them takes a while.
+# pytester forgets the modules that a session imports; those of the package stay, because importing them is slow.
 ROOMS = (
     "attribution", "campaign", "corpus", "execution", "findings", "oracle", "plugin", "report", "searching", "world",
 )  # fmt: skip
@@ -54,13 +54,13 @@ def drive(observation):
 def ads():
     return lambda: drive
 """
-"""With an ADS that ends every process but that of the session."""
+"""A conftest with an ADS that ends every process except the session's."""
 
 SHORT = "genes=2, gene_seconds=5, npcs=2, ego_lane=1, ego_speed=22"
 """Marker arguments of ten-second scenarios, all with the same start."""
 
 SETTINGS = ("CI", "COLUMNS", "GITHUB_STEP_SUMMARY")
-"""Variables of the environment that a session shows something of."""
+"""Environment variables that affect a session's output."""
 
 NOT_NAMED = (
     "doctest",
@@ -73,11 +73,11 @@ NOT_NAMED = (
     "stepwise",
     "unraisableexception",  # collects all garbage at the end of each session
 )
-"""Parts of pytest that a session goes without whose options do not name them: they take a fifth of a short session."""
+"""Parts of pytest that a session only loads if its options name them: they take a fifth of a short session."""
 
 
 class Project:
-    """A folder with tests, and what a session in it shows."""
+    """A folder with tests, and the sessions in it."""
 
     def __init__(self, pytester, found):
         self.pytester = pytester
@@ -86,16 +86,16 @@ class Project:
         pytester.makeconftest(CONFTEST)
 
     def write(self, source, name="test_it"):
-        """A test file; `SHORT` in it stands for the arguments of short scenarios."""
+        """Write a test file; `SHORT` in it stands for the arguments of short scenarios."""
         text = "import pytest\nimport pytest_pafot as pafot\n\n" + source.replace("SHORT", SHORT)
         return self.pytester.makepyfile(**{name: text})
 
     def run(self, *args, generations=1, seed=1, plugins=(), apart=False, fresh=False, **inline):
-        """A session with this plugin and no other people's but those asked for.
+        """Run a session with this plugin and no other plugins except those requested.
 
         Args:
-            apart: in a process that it may end.
-            fresh: in an interpreter that has imported nothing yet.
+            apart: Run in a process that the session may end.
+            fresh: Run in a new interpreter that has imported nothing yet.
         """
         parallel = ["xdist"] if any(str(arg).startswith(("-n", "--dist")) for arg in args) else []
         named = "".join(map(str, args)).replace("-", "")
@@ -113,9 +113,9 @@ class Project:
         return in_process(self.pytester, *options, **inline)
 
     def run_once(self, *args, **options):
-        """A session that begins with the same files and settings as one of another test is not run again.
+        """Run a session, or reuse a previous one with the same files and settings.
 
-        What that one showed and left behind is there as if it had been. Not for a test that patches a session's code.
+        The project then looks as if the session had run. A test that patches a session's code must not use this.
         """
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS or name.startswith("PAFOT_")}
@@ -141,12 +141,12 @@ class Project:
 
     @property
     def _tree(self):
-        """The contents of all files but compiled ones, by name, and no contents of each folder."""
+        """Return the contents of all files except compiled ones, by name, and no contents for folders."""
         found = (path for path in sorted(self.path.rglob("*")) if "__pycache__" not in path.parts)
         return {path.relative_to(self.path).as_posix(): None if path.is_dir() else path.read_bytes() for path in found}
 
     def leave_behind(self, owner, cells=(Cell.FRONT,), world=None):
-        """What a process leaves behind that died while a test ran a scenario, or several at once."""
+        """Write the record of a process that died while a test ran one scenario or several."""
         folder = self.path / ".pytest_cache" / "d" / "pafot"
         flight = CrashRecord(folder, owner, world=world or Highway(duration=10.0).to_dict())
         chains = [(PositionInstruction(cell, 20.0),) * 2 for cell in cells]
@@ -154,7 +154,7 @@ class Project:
         os.close(flight._descriptor)
 
     def leave_crash(self, owner):
-        """The same with an ADS that ends also the process in which the scenario runs again."""
+        """Write such a record, with an ADS that also ends the process in which the scenario runs again."""
         self.pytester.makeconftest(DEADLY)
         self.leave_behind(owner)
 
@@ -164,13 +164,13 @@ class Project:
 
     @property
     def files(self):
-        """All corpus files, relative to the project."""
+        """Return all corpus files, relative to the project."""
         found = sorted(self.path.rglob("*.pafot.yaml"))
         return [path.relative_to(self.path).as_posix() for path in found]
 
     @property
     def contents(self):
-        """Of all corpus files."""
+        """Return the contents of all corpus files."""
         return {name: (self.path / name).read_text() for name in self.files}
 
     def forget(self):
@@ -180,27 +180,27 @@ class Project:
 
     @property
     def only_file(self):
-        """The one corpus file."""
+        """Return the only corpus file."""
         (name,) = self.files
         return self.path / name
 
     @property
     def only_id(self):
-        """Its id."""
+        """Return the only corpus file's id."""
         return self.only_file.name.removesuffix(".pafot.yaml")
 
 
 @pytest.fixture(scope="session")
 def found():
-    """What every session showed and left behind that is run once for all tests."""
+    """Cache the output and files of every session that runs once for all tests."""
     return {}
 
 
 @pytest.fixture
 def project(request, pytester, monkeypatch, found):
-    """A project in which sessions do what takes long only for a test that asks for it.
+    """Return a project whose sessions omit slow steps unless a test requests them.
 
-    Finds are saved as they were found, without reference drivers, and are not run again in highway-env's own
+    Findings are saved without shrinking, without reference drivers, and without a second run in highway-env's own
     environment. Tests of several processes have whole sessions: what one process does, the others must do as well.
     """
     quick_sessions(monkeypatch)
@@ -228,13 +228,13 @@ def project(request, pytester, monkeypatch, found):
 
 @pytest.fixture
 def in_highway_env(project, monkeypatch):
-    """Let sessions run each find in highway-env's own environment too, as users' sessions do."""
+    """Let sessions also run each finding in highway-env's own environment, as users' sessions do."""
     monkeypatch.setattr(recorder, "_difference_in_gym", DIFFERENCE_IN_GYM)
 
 
 @pytest.fixture
 def shrinking(project, monkeypatch):
-    """Let sessions shrink their finds and try reference drivers in them, as users' sessions do."""
+    """Let sessions shrink their findings and try reference drivers in them, as users' sessions do."""
     monkeypatch.delenv("PAFOT_SHRINK_ROLLOUTS", raising=False)
     monkeypatch.setattr(Harness, "reference_outcomes", REFERENCE_OUTCOMES)
 
@@ -248,13 +248,13 @@ def test_fails(run):
 
 @pytest.fixture
 def failing(project):
-    """A project whose only test fails for every run, so that a search finds one failure at once."""
+    """Return a project whose only test fails for every run, so that a search finds one failure at once."""
     project.write(FAILING)
     return project
 
 
 @pytest.fixture
 def saved(failing):
-    """The failing project after a session that has saved its failure."""
+    """Return the failing project after a session that has saved its failure."""
     failing.run_once()
     return failing

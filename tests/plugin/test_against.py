@@ -9,7 +9,7 @@ from pytest_pafot.campaign import saved_scenario
 from pytest_pafot.corpus.reader import load
 
 KEEPS = "def make():\n    return lambda observation: (0.0, 0.0)\n"
-SPEEDS = KEEPS.replace("(0.0, 0.0)", "(1.25, 0.0)")  # in another length each, so that none is taken for another
+SPEEDS = KEEPS.replace("(0.0, 0.0)", "(1.25, 0.0)")  # the lengths differ, so that no stale copy is used
 BREAKS = KEEPS.replace("(0.0, 0.0)", "(-1.0, 0.0)")
 TEST = """
 import planner
@@ -28,7 +28,7 @@ def policies(project, now, before):
 
 @pytest.fixture
 def changed(project):
-    """A project whose policy speeds up, which it did not before, with what a session found of it."""
+    """Return a project whose policy now speeds up, unlike before, with what a session found about it."""
     project.write(TEST.replace("MORE", ""))
     policies(project, SPEEDS, KEEPS)
     project.result = project.run_once(AGAINST)
@@ -93,7 +93,7 @@ def test_saved_scenario_replays_normally_without_the_reference(changed):
 
 
 def test_common_failure_hides_no_regression_of_same_kind(changed):
-    # Before, the policy failed in the saved scenario, by the number of vehicles there, and in no other.
+    # The old policy failed in the saved scenario, which it recognises by the number of vehicles, and in no other.
     others = len(load(changed.only_file).scenario.npcs)
     policies(changed, SPEEDS, SPEEDS.replace("1.25", f"1.25 * (len(observation.others) == {others})"))
     result = changed.run(AGAINST)

@@ -28,9 +28,9 @@ def test_lane_finding_is_saved_confirmed_shrunk_and_replayed(project, algorithm,
 
 @pytest.fixture(scope="module")
 def libraries():
-    """Libraries of algorithms, imported before pytester notes which modules it forgets after a session.
+    """Import the libraries of algorithms before pytester notes which modules it forgets after a session.
 
-    Compiled ones cannot be loaded a second time.
+    Compiled libraries cannot be loaded a second time.
     """
     import cmaes  # noqa: F401
     import pymoo.operators.survival.rank_and_crowding  # noqa: F401

@@ -1,4 +1,4 @@
-"""`python -m pytest_pafot bisect`: the commit of a policy since which a saved scenario fails."""
+"""The command `python -m pytest_pafot bisect`: the commit of a policy since which a saved scenario fails."""
 
 import json
 import os
@@ -39,7 +39,7 @@ expect: {failure: AssertionError, assertion: not run.collision, outcome: collisi
          situation: {npc: 1, time: 13.2, ahead: 20.0, lane: 0, ego_speed: 9.0, npc_speed: 0.1}}
 found: {seed: 1977854157, generation: 0, algorithm: distinct, versions: {numpy: 0.0.1}}
 """
-"""A leader stands still, which a planner meets that keeps a headway of 0.6 s, and none that keeps 0.9 s."""
+"""A saved scenario with a standing leader: a planner with a headway of 0.6 s hits it, and one with 0.9 s does not."""
 
 GOOD, BAD, BROKEN, OTHER = "good", "bad", "import nothing", "other"
 
@@ -50,7 +50,7 @@ def git(*arguments):
 
 @pytest.fixture
 def commit(tmp_path, monkeypatch):
-    """Commit a policy, in a repository that has the test and the saved scenario as files of now."""
+    """Return a function that commits a policy, in a repository that also has the test and the saved scenario."""
     root = tmp_path / "project"
     (root / FILE).parent.mkdir(parents=True)
     (root / FILE).write_text(FINDING)
@@ -75,7 +75,7 @@ def commit(tmp_path, monkeypatch):
 
 @pytest.fixture
 def tried(monkeypatch):
-    """What is tried, where a policy says of itself how it does."""
+    """Replace the trials by the policy's own statement of its result."""
     texts = []
 
     def session(self):
@@ -236,7 +236,7 @@ def test_runs_that_cannot_be_compared_are_told(commit):
 
 @pytest.fixture
 def told(monkeypatch, tmp_path):
-    """What a session tells the command."""
+    """Return a session's message to the command."""
     monkeypatch.setenv(TOLD, json.dumps({"file": str(tmp_path / "told.json"), "policy": [str(tmp_path / "elsewhere")]}))
     return lambda: json.loads((tmp_path / "told.json").read_text())
 
@@ -249,7 +249,7 @@ def replay(project, told):
 
 @pytest.fixture
 def safety(project):
-    """The finding in a project whose planner keeps the headway that a test writes."""
+    """Return the finding in a project whose planner has the headway that a test writes."""
     (project.path / FILE).parent.mkdir(parents=True)
     (project.path / FILE).write_text(FINDING)
     project.write(TEST, "test_safety")
@@ -311,7 +311,7 @@ def test_policy_imported_from_elsewhere_gives_no_verdict(safety, told, monkeypat
 
 @pytest.fixture
 def real(commit, monkeypatch):
-    """The repository with the test, and no settings of the session that runs this one."""
+    """Return the repository with the test, without the settings of the outer session."""
     Path("test_safety.py").write_text("import pytest_pafot as pafot\n" + TEST)
     for name in ("PYTEST_ADDOPTS", "PYTHONPATH"):
         monkeypatch.delenv(name, raising=False)

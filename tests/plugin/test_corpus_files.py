@@ -1,4 +1,4 @@
-"""Files of a corpus that are garbled, deleted, read-only or taken cost their own item at most, and no find is lost."""
+"""Corpus files that are garbled, deleted, read-only or taken cost at most their own item, and no finding is lost."""
 
 import os
 import re
@@ -193,7 +193,7 @@ def pytest_unconfigure():
 
 
 def test_each_file_of_class_methods_is_read_once(project):
-    """Their folders end with a digest, and the name of one may begin with that of another."""
+    """Their folders end with a digest, and one's name may begin with another's."""
     project.write("""
 class TestAll:
     @pafot.search(SHORT)
@@ -220,7 +220,7 @@ class TestAll:
     assert ids == [
         f"{name.rstrip(']')}{'-' if '[' in name else '['}{part}]" for name in names for part in ("search", "saved-x")
     ]
-    result.stdout.fnmatch_lines(["{'read': 4, 'made': 11}"])  # the items, and pytest's own of each function
+    result.stdout.fnmatch_lines(["{'read': 4, 'made': 11}"])  # for the items, and pytest's own nodes for each function
 
 
 def test_failure_saved_meanwhile_by_another_session_still_fails(saved):

@@ -1,4 +1,4 @@
-"""What a process was running when it died is reported and saved by the next session."""
+"""The next session reports and saves what a process was running when it died."""
 
 import pytest
 
@@ -24,7 +24,7 @@ def test_dies(run):
     result.assert_outcomes(failed=2)
     assert project.only_id.startswith("crash-")
     result.stdout.fnmatch_lines(["*died while it ran this scenario*"])
-    # Reported once: from now on the file speaks for itself.
+    # It is reported once: from now on, the file shows the failure.
     project.pytester._monkeypatch.setenv("MENDED", "1")
     result = project.run()
     result.assert_outcomes(passed=2)

@@ -1,4 +1,4 @@
-"""A saved scenario in which a process died, or hung, replays in another process: it costs its own item and no more."""
+"""A saved scenario that killed or hung a process replays in a separate process and costs only its own item."""
 
 import signal
 import sys
@@ -38,19 +38,19 @@ def drive(observation):
 def ads():
     return lambda: drive
 """
-"""With an ADS that ends every process, that of the session too."""
+"""A conftest with an ADS that ends every process, including the session's."""
 
 SPAWNS = """
 import pytest_pafot.execution.scenario_pool
 
 pytest_pafot.execution.scenario_pool.METHOD = "spawn"
 """
-"""As on a platform where processes cannot be forked."""
+"""A conftest as on a platform that cannot fork processes."""
 
 
 @pytest.fixture
 def crash(project):
-    """A project with a saved crash, whose ADS still ends every process that it runs in."""
+    """Return a project with a saved crash, whose ADS still ends every process in which it runs."""
     project.write(TESTS)
     project.leave_crash("test_it.py::test_it")
     project.run(generations=0)
@@ -60,7 +60,7 @@ def crash(project):
 
 
 def replayed(project, *args, **options):
-    """A session that replays, in a process of its own, so that the test lives whatever comes."""
+    """Run a session that replays, in a separate process, so that the test survives in any case."""
     return project.run("--junitxml=junit.xml", *args, apart=True, **{"generations": 0} | options)
 
 
@@ -156,7 +156,7 @@ def test_process_may_die_of_the_test_function(crash):
 @forks
 def test_crash_against_a_reference_is_introduced_or_common(crash):
     drives, keeps = "def make():\n    return drive\n", "def make():\n    return lambda seen: (0.0, 0.0)\n"
-    # In the saved scenario there is one other vehicle, in those of the search there are two.
+    # The saved scenario has one other vehicle, those of the search have two.
     once = "def make():\n    return lambda seen: drive(seen) if len(seen.others) == 1 else (0.0, 0.0)\n"
     for before, generations, label, found in (
         (keeps, 0, "introduced", 0),

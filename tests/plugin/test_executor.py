@@ -56,7 +56,7 @@ def test_many(run):
 
 @pytest.fixture
 def elsewhere(project):
-    """A project whose ADS is defined in a module of its own, and what a search of one process finds in it."""
+    """Return a project whose ADS has its own module, and the findings of a search in one process there."""
     project.pytester.makeconftest(CONFTEST)
     project.pytester.makepyfile(my_planner=PLANNER)
     project.write(MANY)
@@ -66,7 +66,7 @@ def elsewhere(project):
 
 
 def session(project, *args):
-    """A session that begins without saved scenarios, and what is saved after it."""
+    """Run a session that begins without saved scenarios; return it and what it saved."""
     project.forget()
     result = project.run("-p", "no:cacheprovider", "--show-capture=stdout", *args, generations=3)
     return result, project.contents
@@ -95,7 +95,7 @@ def test_a_fixture_that_gives_something_else_is_refused(project):
 
 @pytest.fixture(scope="module")
 def cluster():
-    """A scheduler with two workers, each a process."""
+    """Return a scheduler with two workers, each in its own process."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as started:
         yield started

@@ -1,4 +1,4 @@
-"""A search without pytest beside that of an item."""
+"""A search without pytest, compared with an item's search."""
 
 SOURCE = """
 from example_ads import blind_lane_change, constant_speed

@@ -27,7 +27,7 @@ def ads():
     return Planner
 """
 BUGGY = PLANNER.replace("WANTED", "-8.0 if gap < 5.0 + 0.1 * ego.speed + more / 12 else 2.0").replace("STEP", "99.0")
-"""Follows at a tenth of a second, and brakes all at once."""
+"""A planner that follows at a tenth of a second, and brakes all at once."""
 
 FIXED = PLANNER.replace("WANTED", "0.5 * (gap - 4.0 - 1.2 * ego.speed - more / 8)").replace("STEP", "2.0")
 
@@ -42,7 +42,7 @@ def test_drives_well(run):
 
 @pytest.fixture
 def buggy(project, monkeypatch, shrinking):
-    """A project whose planner has both bugs."""
+    """Return a project whose planner has both bugs."""
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "20")
     project.pytester.makeconftest(BUGGY)

@@ -1,4 +1,4 @@
-"""How failures are shown: one compact block each, lines that fit, and a summary that says what failed."""
+"""The report of failures: one compact block each, lines that fit, and a summary that names the failures."""
 
 import re
 from types import SimpleNamespace
@@ -20,13 +20,13 @@ def test_collides(run):
 
 @pytest.fixture
 def explained(project, shrinking):
-    """A project whose test says of each failing run what happened."""
+    """Return a project whose test explains each failing run."""
     project.write(EXPLAINED)
     return project
 
 
 def block(result, name):
-    """The lines of a failure's section, with its title."""
+    """Return the lines of a failure's section, with its title."""
     lines = result.stdout.str().splitlines()
     start = next(number for number, line in enumerate(lines) if re.fullmatch(rf"_+ {re.escape(name)} _+", line))
     titles = (number for number, line in enumerate(lines) if number > start and re.fullmatch(r"[_=]+ .* [_=]+", line))
@@ -121,7 +121,7 @@ def test_record_contains_explanation_and_avoidance_of_the_collision(explained):
 def test_an_id_is_not_repeated_without_need(explained):
     text = search(explained).stdout.str()
     told = [line for line in text.splitlines() if explained.only_id in line]
-    assert len(told) == 6  # announced; search: block, summary; find: title, file, summary
+    assert len(told) == 6  # announced; search: block, summary; finding: title, file, summary
 
 
 @pytest.mark.parametrize("flag", ["-v", "--tb=long"])

@@ -1,4 +1,4 @@
-"""Saved scenarios whose test is gone fail a session of a CI, once, with the way out; nothing else does."""
+"""Saved scenarios whose test is gone fail a CI session, once and with the way out; nothing else does."""
 
 import json
 import shutil
@@ -24,14 +24,14 @@ def replay(project, *args):
 
 
 def is_red(result):
-    """Whether a session fails by one error, which is the one of tests that are gone."""
+    """Return whether a session fails by exactly one error, about tests that are gone."""
     errors = [line for line in result.stdout.lines if line.startswith(f"ERROR {ERROR} - ")]
     assert len(errors) <= 1
     return result.ret == 1 and len(errors) == 1
 
 
 def way_out(project):
-    """What a red session advises for its one folder."""
+    """Return a failed session's advice for its only folder."""
     result = replay(project)
     assert is_red(result)
     lines = result.stdout.lines
@@ -90,7 +90,7 @@ def test_what_lets_a_session_pass_all_the_same(saved, ci, monkeypatch):
             patch.setenv(name, value)
             assert replay(saved).ret == 0, name
     saved.only_file.write_text("test: test_it.py::test_of_another_folder\n")
-    assert is_red(replay(saved, "--pafot-prune"))  # which leaves it alone
+    assert is_red(replay(saved, "--pafot-prune"))  # `prune` changes nothing here
 
 
 def test_deselected_tests_do_not_count_as_gone(saved, ci):

@@ -1,4 +1,4 @@
-"""Texts that a stranger's file, its name, its folder or a crash record holds command nobody who reads the output."""
+"""Texts in a malicious file, its name, its folder or a crash record have no effect on readers of the output."""
 
 import json
 import os
@@ -28,7 +28,7 @@ def test_fails(run):
 
 
 def write_hostile(project):
-    """Every kind of file whose texts, keys or names a session may show, next to the one that a search has saved."""
+    """Write every kind of file whose texts, keys or names a session may display, next to the file of a search."""
     path, finding = project.only_file, load(project.only_file)
     expect = replace(
         finding.expect, failure=WORST, assertion=WORST, message=WORST, traceback=WORST, against=WORST,
@@ -51,12 +51,12 @@ def write_hostile(project):
     }
     for name, text in files.items():
         path.with_name(f"{name}.pafot.yaml").write_text(text, encoding="utf-8")
-    for folder in (path.parent.with_name(f"gone {WORST}"), path.parents[1]):  # an orphan, and a stray
+    for folder in (path.parent.with_name(f"gone {WORST}"), path.parents[1]):  # an orphan, and a stray file
         folder.mkdir(exist_ok=True)
         (folder / f"other {WORST}.pafot.yaml").write_text(files["texts"], encoding="utf-8")
     project.leave_behind(WORST)
     project.leave_behind("test_it.py::test_fails", world={"kind": WORST})
-    return len(files) + 1  # with the one that was saved; of the crash there is only a note
+    return len(files) + 1  # with the saved one; the crash only has a note
 
 
 def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
@@ -83,7 +83,7 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
     assert len(records) == count
     assert any(record["id"] == f"name {WORST}" and record["file"].endswith(f"{WORST}.pafot.yaml") for record in records)
     assert any(record["xfail"] == {"reason": WORST, "until": None} for record in records)
-    for name in ("accepted", "over", "flaky", "value", "nested", "key", "scalar"):  # in which nothing differs by style
+    for name in ("accepted", "over", "flaky", "value", "nested", "key", "scalar"):  # files without differences by style
         next(saved.path.glob(f"pafot_corpus/*/*/{name}.pafot.yaml")).unlink()
     for style in ("native", "line", "long", "--full-trace"):
         options = ["-vv", style] if style.startswith("-") else [f"--tb={style}"]
@@ -108,13 +108,13 @@ def pytest_sessionfinish():
     Worker().pytest_sessionfinish(SimpleNamespace(config=config))
     execnet.dumps(config.workeroutput)
 """
-"""Lets pytest-xdist pack what a worker would send."""
+"""A conftest in which pytest-xdist packs what a worker would send."""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names are text on other systems")
 @pytest.mark.parametrize("workers", [[], pytest.param(["-n1"], marks=pytest.mark.processes)], ids=["alone", "a worker"])
 def test_workers_accept_file_names_that_are_not_text(saved, workers):
-    """An item's file, an orphan and a stray: a worker that could not send such a name was replaced without end."""
+    """The names are an item's file, an orphan and a stray file: a worker unable to send them was replaced forever."""
     saved.pytester.makeconftest(CONFTEST if workers else CONFTEST + SENDS)
     saved.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
     (test,) = saved.path.glob("pafot_corpus/*/*")

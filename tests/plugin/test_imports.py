@@ -1,4 +1,4 @@
-"""What a session imports for the plugin, and what the plugin uses of pytest."""
+"""A session's imports for the plugin, and the plugin's use of pytest."""
 
 import ast
 import json
@@ -22,7 +22,7 @@ def test_modules():
 def test_session_without_marked_tests_imports_only_the_plugin(project):
     project.pytester.makeconftest("")
     found = []
-    # With another plugin in both: for the first that is installed as a package, pytest reads that package's metadata.
+    # Another plugin is in both, because pytest reads a package's metadata for the first installed plugin.
     for name, options in (("with.json", ["-p", "xdist", "-p", "pafot"]), ("without.json", ["-p", "xdist"])):
         project.pytester.makepyfile(test_it=MODULES.format(name=name))
         project.pytester.runpytest_subprocess(*options).assert_outcomes(passed=1)
@@ -64,7 +64,7 @@ def test_the_plugin_uses_no_private_names_of_pytest():
 
 
 def private_names(path):
-    """Modules and attributes of others that a module uses though they are private."""
+    """Return the private modules and attributes of other packages that a module uses."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     imported = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     imported += [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
@@ -74,7 +74,7 @@ def private_names(path):
         for node in attributes
         if node.attr.startswith("_") and not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
     ]
-    of_python = ("_exit", "_current_frames")  # documented, of os and sys
+    of_python = ("_exit", "_current_frames")  # documented by Python, in os and sys
     return [
         *(name for name in imported if name.split(".")[0] == "_pytest"),
         *(name for name in private if not name.startswith("__") and name not in of_python),

@@ -1,4 +1,4 @@
-"""The option `isolate`: the ADS runs in other processes alone, which may die of it, and the search is the same."""
+"""The option `isolate`: the ADS runs only in other processes, which may die, and the search is the same."""
 
 import os
 import sys
@@ -61,8 +61,8 @@ QUICK = ("--pafot-shrink-rollouts=0",)
 
 @pytest.fixture
 def isolated(project, monkeypatch):
-    """A project whose ADS is some source text."""
-    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "60")  # of the 300 that none of these tests needs
+    """Return a project whose ADS has the given source text."""
+    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "60")  # none of these tests needs the default of 300
 
     def write(drive="keep", more="", test=MANY):
         project.pytester.makeconftest(CONFTEST.replace("DRIVE", drive).replace("MORE", more))
@@ -73,7 +73,7 @@ def isolated(project, monkeypatch):
 
 
 def session(project, *args, generations=3):
-    """A session that begins without saved scenarios, and what is saved after it."""
+    """Run a session that begins without saved scenarios; return it and what it saved."""
     project.forget()
     result = project.run("-p", "no:cacheprovider", *args, generations=generations)
     return result, project.contents
@@ -176,7 +176,7 @@ def drive(observation):
 
 def test_process_death_while_shrinking_is_a_finding(isolated):
     project = isolated("drive", LONE)
-    few = "--pafot-shrink-rollouts=20"  # each that leaves one NPC ends a process
+    few = "--pafot-shrink-rollouts=20"  # each attempt that leaves one NPC ends a process
     result = project.run("--pafot-isolate", "--pafot-stop-after=1", few, generations=1, apart=True)
     crash, other = sorted(project.files, key=lambda name: "crash-" not in name)
     assert len(load(project.path / crash).scenario.npcs) == 1

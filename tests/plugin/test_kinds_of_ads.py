@@ -1,4 +1,4 @@
-"""Every kind of ADS is searched as it is given, and what it raises is a finding."""
+"""Every kind of ADS can be searched, and what it raises is a finding."""
 
 import sys
 import textwrap

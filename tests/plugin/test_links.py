@@ -1,4 +1,4 @@
-"""Links that a pull request may bring: nothing behind them is shown, written or removed."""
+"""Links from a pull request: nothing behind them is displayed, written or removed."""
 
 import os
 import shutil
@@ -12,7 +12,7 @@ SECRET = "machine github.com login bot password HUSH\n"
 
 @pytest.fixture
 def elsewhere(tmp_path_factory):
-    """A folder out of the project, with a secret and what a search would clean up."""
+    """Return a folder outside the project, with a secret and files that a search would clean up."""
     folder = tmp_path_factory.mktemp("elsewhere")
     (folder / ".netrc").write_text(SECRET)
     (folder / ".pafot-1-00.tmp").write_text("not a file of a search")
@@ -52,14 +52,14 @@ def test_links_out_of_corpus_fail_and_show_nothing(failing, elsewhere):
     assert all_in(elsewhere) == before
     assert (folder / "l-0.pafot.yaml").is_symlink()
     failing.run(folder / "l-0.pafot.yaml").assert_outcomes(failed=1)
-    assert failing.run(folder / "l-6.pafot.yaml").ret == pytest.ExitCode.USAGE_ERROR  # leads to itself
+    assert failing.run(folder / "l-6.pafot.yaml").ret == pytest.ExitCode.USAGE_ERROR  # it leads to itself
 
 
 def test_overlong_links_and_names_do_not_end_session(failing):
     failing.run()
     file = failing.only_file
     folder, module, corpus = file.parents[:3]
-    for gone in (module / "test_gone", corpus / ("m" * 254) / "test_gone"):  # with .py no name of a file
+    for gone in (module / "test_gone", corpus / ("m" * 254) / "test_gone"):  # too long for a file's name with .py
         gone.mkdir(parents=True)
         shutil.copy(file, gone)
     for link in (folder / "a.pafot.yaml", module / "test_gone" / "folder", module / "test_linked", corpus / "linked"):
@@ -71,7 +71,7 @@ def test_overlong_links_and_names_do_not_end_session(failing):
 
 @pytest.mark.parametrize(("level", "cache"), [(0, ()), (1, ()), (2, ("-p", "no:cacheprovider"))])
 def test_search_changes_nothing_behind_a_linked_folder(failing, elsewhere, level, cache):
-    """A link in the place of the test's folder, the module's or the corpus."""
+    """The link replaces the test's folder, the module's or the corpus."""
     failing.run_once()
     file = failing.only_file
     folder = file.parents[level]
@@ -134,7 +134,7 @@ def test_corpus_link_out_of_project_is_not_listed(project, elsewhere):
 
 def test_states_and_crash_records_behind_links_stay_unchanged(failing, elsewhere):
     (elsewhere / "d" / "pafot").mkdir(parents=True)
-    (elsewhere / "d" / "pafot" / "1-x.inflight").write_text("\n")  # which would be removed
+    (elsewhere / "d" / "pafot" / "1-x.inflight").write_text("\n")  # it would be removed
     (failing.path / "states").symlink_to(elsewhere)
     (failing.path / "cache").symlink_to(elsewhere)
     before = all_in(elsewhere)

@@ -1,4 +1,4 @@
-"""When the runs of a search take place in lock step, and that its finds are those of runs one by one."""
+"""Searches in lock step: when they use it, and that their findings are the same as one by one."""
 
 import re
 
@@ -41,7 +41,7 @@ def test_calls():
 
 
 def searched(project, ads, source=PLANNERS + SEARCH, **more):
-    """The finds of a search, and the line of calls."""
+    """Return the findings of a search, and the line of calls."""
     project.write(source.replace("ADS", ads))
     output = project.run_once("-s", generations=2, **more).stdout.str()
     finds = {
@@ -72,7 +72,7 @@ def test_lock_step_search_finds_the_same_files(project, in_highway_env):
     ],
 )
 def test_a_search_tells_once_why_workers_are_idle(project, ads, workers, notes, monkeypatch):
-    monkeypatch.setattr(prefetching, "DEAR", 60.0)  # cheap is any run then, also on a busy machine
+    monkeypatch.setattr(prefetching, "DEAR", 60.0)  # then every run counts as fast, even on a busy machine
     project.write(PLANNERS + f"@pafot.search(SHORT, ads={ads})\ndef test_drives(run):\n    pass\n")
     text = " ".join(project.run(f"--pafot-workers={workers}", generations=3).stdout.str().split())
     told = [note.partition(" ==")[0] for note in text.split("note: --pafot-workers=2: ")[1:]]
@@ -154,7 +154,7 @@ def test_dies(run):
 @pytest.mark.processes
 @pytest.mark.parametrize(
     ("alone", "expected"),
-    [("len(calls) > 70", ([9, 1], ["crash-"])), ("False", ([0, 0], []))],  # a run by itself is 50 calls
+    [("len(calls) > 70", ([9, 1], ["crash-"])), ("False", ([0, 0], []))],  # a separate run has 50 calls
     ids=["and the second dies again", "and none dies again"],
 )
 def test_lock_step_scenarios_are_retried_here_without_forking(project, alone, expected):

@@ -1,4 +1,4 @@
-"""What kind of function may be marked, and what becomes of what it raises."""
+"""Marked functions: which are allowed, and what happens to what they raise."""
 
 import pytest
 
@@ -170,11 +170,11 @@ WRONG = [
     ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
     ("algorithm='magic'", "*(algorithm=...): expected distinct, pafot, * or cma-es, received 'magic'*"),
 ]
-"""Arguments that are an error of their item before any fixture, with what it says."""
+"""Arguments that are an error of their item before any fixture, and the error's text."""
 
 
 def shown_of(project, cases, before=""):
-    """What a session shows, and of each of these arguments the lines of its failure."""
+    """Return a session's output, and the lines of the failure of each of these arguments."""
     tests = [f"@pafot.search({arguments})\ndef test_{n}(run):\n    pass\n" for n, (arguments, _) in enumerate(cases)]
     project.write("\n".join([before, *tests, "def test_other():\n    pass\n"]))
     result = project.run()

@@ -1,4 +1,4 @@
-"""``--pafot-merge``: the finds of other machines come into the corpus."""
+"""The option ``--pafot-merge``: the findings of other machines are added to the corpus."""
 
 import hashlib
 import shutil
@@ -22,7 +22,7 @@ UNSHRUNK = "--pafot-shrink-rollouts=0"
 
 
 def machine(project, name, *args, **options):
-    """The corpus of another machine: what a search there has found, in a folder of its name."""
+    """Return the corpus of a second machine, with its findings, in a folder of that name."""
     project.run(UNSHRUNK, *args, **options)
     shutil.move(project.path / "pafot_corpus", project.path / name)
     return project.path / name
@@ -46,7 +46,7 @@ def machines(project):
 
 @pytest.fixture
 def other(failing):
-    """A project without a corpus, beside the one of another machine with a single find."""
+    """Return a project without a corpus, next to a second machine's corpus with one finding."""
     return machine(failing, "other")
 
 

@@ -1,4 +1,4 @@
-"""How names of items, of tests and of saved scenarios go into each other."""
+"""The conversion between the names of items, tests and saved scenarios."""
 
 from types import SimpleNamespace
 
@@ -8,7 +8,7 @@ from pytest_pafot.plugin.node_ids import base_id, base_name, saved_name, saved_n
 
 
 class Item(SimpleNamespace):
-    """An item with a name, which replays a saved scenario where it has the id of one."""
+    """An item with a name, which replays a saved scenario if its name has an id."""
 
     def __init__(self, name, saved=None, parent="test_it.py::TestBraking"):
         super().__init__(name=name, location=("test_it.py", 3, f"TestBraking.{name}"), saved=saved)

@@ -9,12 +9,12 @@ from pytest_pafot.plugin.session import misspelt
 
 
 def settings(project, *args, ini="", marker=None, environ=None):
-    """The settings of a config that is made from these sources."""
+    """Return the settings of a config that is made from these sources."""
     if ini:
         project.pytester.makeini(f"[pytest]\n{ini}")
-    # One config of the same lines serves all tests, as nothing writes to it.
+    # One config with the same lines serves all tests, because nothing writes to it.
     if (ini, args) not in project.found:
-        # unraisableexception collects all garbage when a config ends, which is slow and shows nothing here.
+        # unraisableexception collects all garbage when a config ends, which is slow and not needed here.
         config = project.pytester.parseconfigure("-p", "pafot", "-p", "no:unraisableexception", *args)
         project.found[ini, args] = config
     return resolve(project.found[ini, args], marker or {}, fresh_seed=77, environ=environ or {})
@@ -22,7 +22,7 @@ def settings(project, *args, ini="", marker=None, environ=None):
 
 def test_misspelt_environment_variable_suggests_the_right_one(failing, monkeypatch):
     monkeypatch.setenv("PAFOT_SEDE", "3")
-    monkeypatch.setenv("PAFOT_REFRESH", "1")  # nobody's misspelling, so somebody's own
+    monkeypatch.setenv("PAFOT_REFRESH", "1")  # a similar name that is not a misspelling, but someone else's variable
     told = [line for line in failing.run().outlines if "environment variable" in line]
     assert [line.split("environment variable ")[1] for line in told] == [
         "PAFOT_SEDE: expected the variable of an option, received a name that nothing reads; did you mean PAFOT_SEED?"
@@ -95,14 +95,14 @@ def test_budget_comes_from_one_source_and_overrides_profile(project, sources, ru
 
 
 EVERYWHERE = [option for option in OPTIONS if option.everywhere and option.name != "profile"]
-"""All but the one that changes the others, which has a test above."""
+"""All options except the one that changes the others, which has its own test above."""
 
 
 SWITCHES = [option.name for option in EVERYWHERE if option.kind == "switch"]
 
 
 def text_of(option, switch):
-    """A text for an option in which it differs from the others; of switches one is on."""
+    """Return a text for an option that makes it differ from the others; for switches, one is on."""
     number = EVERYWHERE.index(option)
     texts = {"text": f"x{number}", "page": f"x{number}.html", "switch": str(option.name == switch).lower()}
     return option.choices[-1] if option.choices else texts.get(option.kind, str(7 + number))
@@ -122,7 +122,7 @@ def test_options_work_as_argument_variable_and_ini_key(project, switch):
 
 
 def given(found, names):
-    """These settings of all."""
+    """Return the settings with these names."""
     return {name: getattr(found, name) for name in names}
 
 

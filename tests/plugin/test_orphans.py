@@ -1,4 +1,4 @@
-"""Saved scenarios that no test runs are told and kept; only what is no test's own is pruned."""
+"""Saved scenarios that no test runs are reported and retained; pruning removes only those without a test."""
 
 
 def test_renamed_test_leaves_a_reported_orphan(saved):

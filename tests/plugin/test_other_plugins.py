@@ -1,4 +1,4 @@
-"""Beside other plugins, and under pytest's own ways to stop early or to run nothing."""
+"""The plugin together with other plugins, and with pytest's own options to stop early or to run nothing."""
 
 import pytest
 
@@ -23,7 +23,7 @@ ONE_SIGNATURE = """
 def test_one(run):
     assert run.scenario.id == ""
 """
-"""A search of one run has one finding."""
+"""A test file whose search of one run has one finding."""
 
 COUNTED = """
 @pafot.search(SHORT, shrink_rollouts=0)
@@ -71,7 +71,7 @@ def test_with_another_plugin_finds_are_reported_once(project, plugin):
         "--junitxml=junit.xml",
         "-rA",
         plugins=(plugin, "metadata") if plugin == "html" else (plugin,),
-        apart=plugin in ("pytest_cov", "sugar"),  # Both change the process that they run in.
+        apart=plugin in ("pytest_cov", "sugar"),  # both plugins change the process in which they run
         generations=None,
     )
     assert result.ret == pytest.ExitCode.TESTS_FAILED
@@ -175,7 +175,7 @@ def test_last_failed_repeats_search_once_findings_pass(failing):
 def test_stepwise_restarts_after_a_finding_then_continues_there(project):
     project.write(ONE_SIGNATURE)
     project.run("--stepwise", generations=None)
-    # Looked at closely: pytest starts over whenever the number of tests has changed, which a find does.
+    # pytest starts over whenever the number of tests has changed, which a finding does.
     project.run("--stepwise", generations=None).assert_outcomes(passed=1, failed=1)
     project.run("--stepwise", generations=None).assert_outcomes(failed=1, deselected=1)
 

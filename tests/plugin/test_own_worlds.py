@@ -1,4 +1,4 @@
-"""Worlds that are code, the user's own and environments in wrappers, are searched and replayed as tests name them."""
+"""Worlds that are code: the user's own and wrapped environments are searched and replayed as tests name them."""
 
 import re
 import textwrap
@@ -70,7 +70,7 @@ def wrapped(project, wrappers="wrappers=[FlattenObservation]", shape="(25,)", ve
 
 @pytest.fixture
 def saved(project):
-    """A project with one scenario that was saved in a world of its own."""
+    """Return a project with one scenario that was saved in the project's own world."""
     own(project)
     project.run_once(generations=5)
     return project
@@ -78,7 +78,7 @@ def saved(project):
 
 @pytest.fixture
 def saved_wrapped(project):
-    """The same in a wrapped environment."""
+    """Return a project with one scenario that was saved in a wrapped environment."""
     wrapped(project)
     project.run_once(generations=5)
     return project
@@ -280,7 +280,7 @@ def test_fails(run):
 
 @pytest.fixture
 def registered(project, monkeypatch):
-    """A project with one scenario that was saved in a world that a package has registered."""
+    """Return a project with one scenario that was saved in a package's registered world."""
     given = metadata.entry_points
     rings = (metadata.EntryPoint("ring", "rings:Ring", GROUP),)
     monkeypatch.setattr(

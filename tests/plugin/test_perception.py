@@ -1,4 +1,4 @@
-"""A find of an ADS that sees imperfectly: what a session tells of it, and of its replay with other eyes."""
+"""A finding of an ADS with imperfect sight: a session's report about it, and about its replay with different sight."""
 
 from pytest_pafot.corpus.reader import load
 

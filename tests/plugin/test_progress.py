@@ -1,4 +1,4 @@
-"""Live progress: lines in a log, one rewritten line on a terminal, nothing when it is to be quiet."""
+"""Live progress: lines in a log, one rewritten line on a terminal, and nothing in quiet sessions."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What ``--pafot-prune`` removes, and what it must never touch; and that nothing in a corpus is collected."""
+"""The option ``--pafot-prune``: what it removes, what it must never touch; nothing in a corpus is collected."""
 
 import errno
 import os
@@ -16,7 +16,7 @@ BOTH = FAILING + FAILING.replace("test_fails", "test_gone")
 
 @pytest.fixture
 def orphaned(project):
-    """A project with the saved scenarios of two tests, one of which is gone."""
+    """Return a project with the saved scenarios of two tests, one of which is gone."""
     project.write(BOTH)
     project.run_once()
     project.write(FAILING)
@@ -112,7 +112,7 @@ def test_a_broken_file_that_names_the_test_goes(orphaned):
 @links
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_nothing_behind_a_link_is_touched(orphaned, level, tmp_path_factory):
-    """A link in the place of the test's folder, the module's or the corpus."""
+    """The link replaces the test's folder, the module's or the corpus."""
     folder = gone(orphaned).parents[level]
     elsewhere = tmp_path_factory.mktemp("elsewhere") / folder.name
     shutil.move(folder, elsewhere)
@@ -139,7 +139,7 @@ def test_link_in_place_of_a_file_stays(orphaned, tmp_path_factory):
 
 
 def test_files_of_another_project_in_shared_corpus_stay(orphaned, tmp_path_factory):
-    """The other project's test files are not in this rootdir; what this project's own tests left behind goes."""
+    """The other project's test files are not in this rootdir; scenarios of this project's removed tests go."""
     shared = tmp_path_factory.mktemp("shared")
     shutil.copytree(orphaned.path / "pafot_corpus" / "test_it", shared / "test_it")
     others = [shared / "test_b" / "test_gone", shared / "tests" / "test_it" / "test_gone"]
@@ -160,7 +160,7 @@ def test_files_of_another_project_in_shared_corpus_stay(orphaned, tmp_path_facto
 
 
 def test_file_of_a_nested_project_stays(orphaned):
-    """Collected from above, it names its test by its own rootdir."""
+    """The nested project's file names its test by its own rootdir, even if collected from above."""
     nested = orphaned.path / "nested"
     nested.mkdir()
     for name in ("pafot_corpus", "test_it.py", "conftest.py"):

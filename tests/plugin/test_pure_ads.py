@@ -1,4 +1,4 @@
-"""A search with an ADS that is declared pure asks it less, and finds and saves what it would have without."""
+"""A search calls an ADS that is declared pure less often, and finds and saves the same."""
 
 import re
 import sys
@@ -35,7 +35,7 @@ def test_calls():
 
 
 def searched(project, ads, source=PLANNERS + SEARCH, args=()):
-    """The finds of a search as saved, the number of decisions, and what was printed."""
+    """Return the findings as saved, the number of decisions, and the output of a search."""
     project.write(source.replace("ads=ADS", f"ads={ads}"))
     output = project.run_once("-s", *args, generations=2).stdout.str()
     finds = {
@@ -74,7 +74,7 @@ def test_drives(run):
 
 
 def test_stateful_ads_shrunk_as_pure_retains_its_scenario(project):
-    """Whatever a shorter scenario seemed to do, the file is of a run that asked for everything."""
+    """Whatever a shorter scenario seemed to do, the file is from a run that made every decision."""
     stateful = """
 class Stateful(Pure):
     def decided(self, observation):

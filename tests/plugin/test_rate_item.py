@@ -1,4 +1,4 @@
-"""``@pafot.rate``: a test that fails where an ADS crashes too often in ordinary traffic."""
+"""The mark ``@pafot.rate``: a test that fails if an ADS crashes too often in ordinary traffic."""
 
 import pytest
 

@@ -12,7 +12,7 @@ def test_fails(run):
         pafot.reject()
     LINE
 """
-"""All failures of this have one signature."""
+"""A test all of whose failures have one signature."""
 
 FAILS = KNOWN.replace("LINE", "assert run.outcome == 'x'")
 PASSES = KNOWN.replace("LINE", "assert run.outcome")
@@ -27,7 +27,7 @@ def test_fails(run):
 
 @pytest.fixture
 def saved(shrinking, project):
-    """A project with one saved scenario, whose search finds nothing but that."""
+    """Return a project with one saved scenario, whose search finds only that one."""
     project.write(FAILS)
     project.run_once(generations=5)
     assert len(project.files) == 1
@@ -140,7 +140,7 @@ def test_invalid_today_on_command_line_is_refused(saved):
 
 def test_failure_whose_saved_files_pass_is_new_again(saved):
     first, scenario = saved.only_id, load(saved.only_file).scenario
-    # The same assertion fails in the same way, but no longer for the scenario that is saved.
+    # The same assertion fails in the same way, but not for the saved scenario.
     saved.write(FAILS.replace("run.collision:", f"run.collision or run.scenario.id == '{scenario.id}':"))
     result = saved.run(generations=5)
     result.stdout.fnmatch_lines(["1 new finding in *"])
@@ -221,7 +221,7 @@ def test_replay_whose_passing_run_is_cut_has_drifted(saved):
 
 
 def copies_that_differ(project, edits):
-    """What a session shows of copies of a file, each with other text in one place, that lie where the file did."""
+    """Return a session's output about edited copies of a file, in the same folder."""
     file, text = project.only_file, project.only_file.read_text()
     for number, (old, new, _) in enumerate(edits):
         assert old in text

@@ -1,4 +1,4 @@
-"""``--pafot-report`` and the row in the report of pytest-html."""
+"""The option ``--pafot-report``, and the row in the report of pytest-html."""
 
 import html
 import json
@@ -27,7 +27,7 @@ def test_interrupted(run):
 
 
 def data_of(path):
-    """What a page shows."""
+    """Return the data that a page displays."""
     return json.loads(DATA.search(path.read_text(encoding="utf-8"))[1])
 
 
@@ -300,7 +300,7 @@ def test_session_without_search_or_replay_writes_no_page(project, page):
 
 
 def rows_of(project, *options, **more):
-    """The frames in a report of pytest-html."""
+    """Return the frames in a report of pytest-html."""
     project.run("--html=out.html", "--self-contained-html", *options, plugins=("html", "metadata"), **more)
     text = html.unescape((project.path / "out.html").read_text(encoding="utf-8"))
     return re.findall(r'<iframe class=\\"pafot-finding\\" title=\\"(.*?)\\"', text)

@@ -186,7 +186,7 @@ def test_second_session_with_the_same_state_is_refused(project, monkeypatch):
 
 
 def simulated(state):
-    """Runs that a state tells of."""
+    """Return the number of runs in a state."""
     import json
 
     return json.loads(state.read_text())["sums"][3]

@@ -1,4 +1,4 @@
-"""What was in flight when a process died is run again before anybody is blamed."""
+"""A scenario in flight when a process died runs again before its ADS is blamed."""
 
 import signal
 import sys
@@ -38,12 +38,12 @@ def planner(act):
 
 
 def write(project, act, test=TEST):
-    """A test whose ADS does something in every process but that of the session."""
+    """Write a test whose ADS acts in every process except the session's."""
     project.write(ELSEWHERE + test.replace("ADS", f"planner(lambda observation: {act})"))
 
 
 def replayed(project):
-    """A session that searches for nothing new, as lines that are not wrapped."""
+    """Run a session that searches for nothing new; return its lines, not wrapped."""
     result = project.run(generations=0)
     text = result.stdout.str().replace("\n    ", " ")
     result.stdout.lines[:] = text.splitlines()
@@ -55,7 +55,7 @@ def records(project):
 
 
 def left_in_the_end(project, count):
-    """Whether there are so many records once the processes of a session that died have seen it, and have ended."""
+    """Return whether this many records remain after the processes of a dead session have ended."""
     until = time.monotonic() + 30
     while len(records(project)) != count and time.monotonic() < until:
         time.sleep(0.01)

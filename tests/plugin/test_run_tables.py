@@ -1,4 +1,4 @@
-"""``--pafot-table``: all runs of a session's searches in one file."""
+"""The option ``--pafot-table``: all runs of a session's searches in one file."""
 
 import csv
 

@@ -1,4 +1,4 @@
-"""`python -m pytest_pafot search`: a finding without a test file, and the test file for who wants to keep it."""
+"""The command `python -m pytest_pafot search`: a finding without a test file, and a test file to keep it."""
 
 import os
 import signal
@@ -109,7 +109,7 @@ def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
     assert search.returncode == 130
     assert error == "\nsearch: interrupted\n"
     assert "ended: interrupted" in rest
-    assert "report: pafot.html (1 " in rest  # an error, if the interrupt comes as the finding is drawn
+    assert "report: pafot.html (1 " in rest  # an error, if the interrupt comes while the finding is drawn
     assert (here / "pafot.html").exists()
 
 

@@ -1,4 +1,4 @@
-"""What goes wrong while a session ends is told in its summary, beside the texts of all failures."""
+"""Errors at the end of a session appear in its summary, together with the texts of all failures."""
 
 import errno
 import sys
@@ -24,16 +24,16 @@ def test_fails(run):
         raise KeyboardInterrupt
     assert not run
 """
-"""A search that is interrupted after its first find."""
+"""A test file whose search is interrupted after its first finding."""
 
 
 def text_of(result):
-    """What a session shows, on one line."""
+    """Return a session's output on one line."""
     return " ".join(result.stdout.str().split())
 
 
 def is_whole(result):
-    """Whether a session ended as one whose tests failed, with the text of the failure."""
+    """Return whether a session ended normally with failed tests, and has the text of the failure."""
     result.stdout.fnmatch_lines(["*AssertionError: the text of the failure*", "FAILED test_it.py::test_fails*"])
     return result.ret == pytest.ExitCode.TESTS_FAILED and "INTERNALERROR" not in result.stdout.str()
 

@@ -1,4 +1,4 @@
-"""``--pafot-json``, the summary of a CI job and properties for JUnit: what a session tells to programs."""
+"""A session's reports to programs: ``--pafot-json``, the summary of a CI job and properties for JUnit."""
 
 import json
 import os
@@ -50,7 +50,7 @@ def recorded(project, *args, **options):
 
 
 def properties(project):
-    """Of each test case of JUnit's file, by its name."""
+    """Return the properties of each test case in JUnit's file, by name."""
     cases = ElementTree.parse(project.path / "junit.xml").getroot().iter("testcase")
     return {case.get("name"): {each.get("name"): each.get("value") for each in case.iter("property")} for case in cases}
 
@@ -165,7 +165,7 @@ def test_junit_properties_identify_search_finding_and_replay(failing):
     find = load(failing.only_file)
     search, found = properties(failing).values()
     told = {"pafot_id": find.id, "pafot_signature": find.signature.text, "pafot_file": failing.files[0]}
-    told["pafot_severity"] = "none"  # of an assertion on how long the run takes
+    told["pafot_severity"] = "none"  # an assertion about the run's length has no severity
     assert search == found == {"pafot_seed": str(find.found.seed), "pafot_base_seed": "1", **told}
     failing.run("--junitxml=junit.xml", generations=0)
     replay = properties(failing)[f"test_fails[saved-{find.id}]"]
@@ -213,7 +213,7 @@ def test_nothing_is_written_where_tests_are_only_listed(failing):
 
 @pytest.fixture
 def summary(project, monkeypatch):
-    """The file for the summary of a step, with what an earlier command of that step has written."""
+    """Return the file for the summary of a step, which already has an earlier command's text."""
     path = project.path / "summary.md"
     path.write_text("before\n")
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(path))

@@ -1,4 +1,4 @@
-"""The same exception in every run of the first generation is an error of the set-up, and no finding."""
+"""The same exception in every run of the first generation is an error of the setup, not a finding."""
 
 import fnmatch
 
@@ -348,7 +348,7 @@ def test_mark_without_decorator_is_refused_with_advice(project):
 
 
 def steers(actions):
-    """A test of an ADS that always acts in the same way, for each action."""
+    """Return a test of an ADS that always acts in the same way, for each action."""
     return "\n".join(
         f"@pafot.search(SHORT, ads=lambda: lambda seen: {action})\ndef test_drive_{n}(run):\n    pass\n"
         for n, action in enumerate(actions)

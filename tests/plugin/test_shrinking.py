@@ -1,4 +1,4 @@
-"""After a search: finds are confirmed, shrunk and limited, and nothing that was found is lost on the way."""
+"""After a search, findings are confirmed, shrunk and limited, and none is lost."""
 
 import json
 from types import SimpleNamespace
@@ -8,7 +8,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
 import pytest_pafot.campaign.simplification
-import pytest_pafot.world.engines.gym_replay  # pytester forgets modules that a run imports; reading them takes a while
+import pytest_pafot.world.engines.gym_replay  # pytester forgets modules that a run imports; reading them is slow
 from example_ads import constant_speed
 from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, _Turn, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
@@ -48,7 +48,7 @@ def test_run_off_the_road_has_no_later_start():
 
 
 def run(project, *args, **kwargs):
-    """A session with a seed whose find takes few runs to shrink."""
+    """Run a session with a seed whose finding takes few runs to shrink."""
     return project.run_once(*args, **{"generations": 10, "seed": 2, **kwargs})
 
 
@@ -123,7 +123,7 @@ def test_shrunk_file_replays_and_covers_the_finding(collides):
 
 
 def test_existing_shrunk_file_is_no_new_finding(collides):
-    """As when two processes search the same item: the second finds the file of the first, which is shrunk by now."""
+    """Two processes may search the same item: the second then finds the first's file, which is already shrunk."""
     run(collides)
     first = collides.contents
     collides.only_file.rename(collides.path / "kept")
@@ -205,7 +205,7 @@ def test_finding_cut_again_says_so_despite_replay(project, monkeypatch):
 
 
 def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
-    """From the second gene on the ego would start in the outer lane, beside which there is no room for six NPCs."""
+    """From the second gene on, the ego would start in the outer lane, which has no room for six NPCs around it."""
     starts = ((1, 22.0), (0, 22.0), (0, 22.0))
     monkeypatch.setattr(pytest_pafot.campaign.simplification, "starts_of", lambda run, top_speed: starts)
 

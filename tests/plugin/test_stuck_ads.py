@@ -1,4 +1,4 @@
-"""An ADS that takes no interruption: the session ends with what was found, and the next one names the scenario."""
+"""An ADS that ignores interruptions: the session ends with its findings, and the next one names the scenario."""
 
 import os
 import sys
@@ -68,7 +68,7 @@ def test_ordinary():
 
 @pytest.fixture
 def hanging(project):
-    """A project whose ADS hangs after some finds, by a function of the conftest."""
+    """Return a project whose ADS hangs after some findings, by a function of the conftest."""
 
     def write(hang):
         project.pytester.makeconftest(STUCK.replace("HANG", hang))
@@ -83,7 +83,7 @@ def one_line(result):
 
 
 def named_by_the_next(project):
-    """The find that the next session makes of the record, and lives."""
+    """Return the finding that the next session makes from the record, without hanging."""
     assert project.run(generations=0, apart=True).ret == pytest.ExitCode.TESTS_FAILED
     (path,) = [project.path / name for name in project.files if "hang-" in name]
     return load(path)

@@ -1,4 +1,4 @@
-"""Limits of time: one of each search, and one of the session that its searches share."""
+"""Time limits: one for each search, and one for the session that its searches share."""
 
 import math
 import re
@@ -33,7 +33,7 @@ def test_second(run):
 
 @pytest.fixture
 def two(project):
-    """A project with two searches by an ADS that takes its time."""
+    """Return a project with two searches of a slow ADS."""
     project.write(TWO)
     return project
 
@@ -51,7 +51,7 @@ def limits(max_time=None, total_time=None):
         (limits(total_time=60), 2, ("--pafot-total-time", 125)),
         (limits(max_time=10, total_time=60), 2, ("--pafot-max-time", 110)),
         (limits(max_time=30, total_time=60), 2, ("--pafot-total-time", 125)),
-        (limits(total_time=5), 3, ("--pafot-total-time", 100)),  # all is gone: one run, and no more
+        (limits(total_time=5), 3, ("--pafot-total-time", 100)),  # no time is left: one run, and no more
     ],
 )
 def test_search_ends_at_own_limit_or_total_share(settings, left, expected):
@@ -91,7 +91,7 @@ def test_remaining_searches_are_counted_per_process(searches, workers, begun, le
 
 
 def runs(result):
-    """Of each search."""
+    """Return the number of runs of each search."""
     return [int(found) for found in re.findall(r"^  (\d+) runs? in ", result.stdout.str(), re.MULTILINE)]
 
 
@@ -101,7 +101,7 @@ def test_two_searches_share_total_time_and_say_so(two, args):
         pytest.importorskip("xdist")
     begun = time.monotonic()
     result = two.run("--pafot-total-time=2", *args, generations=9999, apart=True)
-    assert time.monotonic() - begun < 60  # each would take many minutes
+    assert time.monotonic() - begun < 60  # without limits, each would take many minutes
     result.assert_outcomes(passed=2)
     text = result.stdout.str()
     assert text.count("ended: --pafot-total-time") == 2

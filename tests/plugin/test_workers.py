@@ -53,7 +53,7 @@ def test_many(run):
 
 @pytest.fixture
 def dear(project):
-    """A project whose ADS takes long enough for workers, and which makes it of some source text."""
+    """Return a project with an ADS slow enough for workers, made from some source text."""
 
     def write(drive="keep", more="", test=MANY):
         project.pytester.makeconftest(DEAR.replace("DRIVE", drive) + more)
@@ -64,15 +64,15 @@ def dear(project):
 
 
 def summary(result):
-    """What a session says, without times, process ids, progress, and the note that workers were in use."""
+    """Return a session's output without times, process ids, progress, and the note about workers."""
     depends = re.compile(r"pafot-workers| \d+/s$").search
     lines = [line for line in result.stdout.lines if not depends(line)]
-    rule = re.compile(r"(?<= )=+$|^=+(?= )")  # which is shorter where a time has more digits
+    rule = re.compile(r"(?<= )=+$|^=+(?= )")  # the rule is shorter if a time has more digits
     return [rule.sub("", re.sub(r"\d+\.\d+ ?s\b|0x[0-9a-f]+|pid \d+", "...", line)) for line in lines]
 
 
 def session(project, workers, *args, **options):
-    """A session that begins without saved scenarios, and what is saved after it."""
+    """Run a session that begins without saved scenarios; return it and what it saved."""
     project.forget()
     result = project.run(f"--pafot-workers={workers}", "-p", "no:cacheprovider", *args, **options)
     return result, project.contents
@@ -99,7 +99,7 @@ def test_early_ending_search_ends_at_same_run(dear):
 
 
 def test_cheap_runs_stay_in_process_with_a_note(project, monkeypatch):
-    monkeypatch.setattr(prefetching, "DEAR", 60.0)  # cheap is any run then, also on a busy machine
+    monkeypatch.setattr(prefetching, "DEAR", 60.0)  # then every run counts as fast, even on a busy machine
     project.write(MANY.replace("genes=2, gene_seconds=4", "genes=1, gene_seconds=1"))
     result = project.run("--pafot-workers=2", generations=3)
     result.stdout.fnmatch_lines(["*note: --pafot-workers=2: not in use, since a run took * ms, and it pays*"])
@@ -223,7 +223,7 @@ import signal, sys, pytest
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.exit(pytest.main())
 """
-"""A session that can be interrupted, also where this one was put in the background by a shell and so cannot."""
+"""A session that can be interrupted, even if a shell put the outer session in the background."""
 
 
 def test_keyboard_interrupt_ends_all_processes_without_losing_findings(dear):

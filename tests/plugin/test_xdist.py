@@ -1,4 +1,4 @@
-"""Workers of pytest-xdist, hash seeds and kills change nothing of what is found, saved and told."""
+"""Workers of pytest-xdist, hash seeds and kills do not change what is found, saved and reported."""
 
 import re
 import subprocess

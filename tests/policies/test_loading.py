@@ -1,4 +1,4 @@
-"""What loaders do whatever they load, and frames: without the libraries that real models need."""
+"""The common behaviour of loaders, and frames, without the libraries that real models need."""
 
 import json
 import pickle
@@ -24,7 +24,7 @@ CUT_IN = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 10.0)]])
 
 
 class Weighing:
-    """A model as Stable-Baselines3 has it: its action is a weighted sum of all that it sees."""
+    """A model with Stable-Baselines3's interface, whose action is a weighted sum of its observation."""
 
     action_space = Discrete(5)
 
@@ -98,7 +98,7 @@ def test_each_run_in_lock_step_has_own_frames(frames):
     space = SearchSpace(npcs=3, genes=1, gene_seconds=5.0, speed_limit=26.0)
     scenarios = [sample(space, rng) for _ in range(6)]
     together = WORLD.rollout_batch(scenarios, Loader(frames=frames))
-    assert len({trace.ticks for trace in together}) > 1  # so that runs end one after the other
+    assert len({trace.ticks for trace in together}) > 1  # runs end one after another
     for trace in together:
         alone = WORLD.rollout(trace.scenario, Loader(frames=frames))
         assert alone.actions == trace.actions
@@ -125,7 +125,7 @@ def test_policy_is_compared_with_world_before_any_run(world):
 
 
 class Planner:
-    """Its methods, called alike, are those of an ADS and not of its factory."""
+    """An ADS whose methods have the names of a factory's."""
 
     def __call__(self, observation):
         return 1
@@ -199,11 +199,11 @@ def test_policy_is_loaded_before_isolated_runs_fork():
 
 @pytest.fixture
 def statistics(tmp_path, monkeypatch):
-    """What ``VecNormalize.save`` writes, which is the pickle of an instance."""
+    """Return a file as ``VecNormalize.save`` writes it: the pickle of an instance."""
     module = "stable_baselines3.common.vec_env.vec_normalize"
     fake = types.ModuleType(module)
     fake.VecNormalize = type("VecNormalize", (), {"__module__": module})
-    for end in range(1, 5):  # a class is pickled by its name, from which it is imported
+    for end in range(1, 5):  # pickle imports a class by its name
         name = ".".join(module.split(".")[:end])
         monkeypatch.setitem(sys.modules, name, fake if name == module else types.ModuleType(name))
     path = tmp_path / "vecnormalize.pkl"
@@ -215,7 +215,7 @@ STORED = {":type:": "<class 'numpy.ndarray'>", ":serialized:": "gASVAAAAAA=="}
 
 
 def test_statistics_missing_for_the_zip_are_reported(tmp_path):
-    """As ``save`` writes it: with a replay buffer observations are kept in either case."""
+    """The zip is as ``save`` writes it: with a replay buffer, it contains observations in either case."""
     of_ppo, of_dqn = {"clip_range": 0.2}, {"buffer_size": 9, "exploration_fraction": 0.1}
     file = zipped(tmp_path / "model.zip", {**of_ppo, "_last_original_obs": STORED})
     assert pafot.policies.sb3(file).loading_hint == (
@@ -238,7 +238,7 @@ def test_statistics_beside_the_zip_are_a_hint(tmp_path, statistics):
     )
     below = tmp_path / "model"
     below.mkdir()
-    statistics.rename(below / statistics.name)  # where RL Zoo has them
+    statistics.rename(below / statistics.name)  # RL Zoo has them here
     assert "vecnormalize='model/vecnormalize.pkl')" in pafot.policies.sb3(file).loading_hint
     (below / statistics.name).unlink()
     assert pafot.policies.sb3(file).loading_hint == ""

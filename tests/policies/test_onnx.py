@@ -1,4 +1,4 @@
-"""Networks in ONNX files, which a test writes by hand and numpy computes again."""
+"""Networks in ONNX files that tests write by hand, against the same networks in numpy."""
 
 import sys
 

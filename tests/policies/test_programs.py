@@ -39,19 +39,19 @@ SEEN = Observation(0.0, VehicleState(0, 0, 0, 20, 0, 5, 2), (), 4, 4.0, 26.8)
 def program(folder, body, **options):
     file = folder / f"planner_{len(list(folder.iterdir()))}.py"
     file.write_text(LOOP.replace("{body}", textwrap.indent(textwrap.dedent(body), "    ").strip()))
-    return pafot.policies.process([sys.executable, "-S", "-E", str(file)], **options)  # which start twice as fast
+    return pafot.policies.process([sys.executable, "-S", "-E", str(file)], **options)  # these options halve the start
 
 
 def children():
-    """The ids of processes that this one has started, those that have ended and were not waited for among them."""
+    """Return the ids of this process's children, including ended ones without a wait."""
     listed = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children")
     return {*listed.read_text().split()} if listed.exists() else set()
 
 
 @pytest.fixture(autouse=True)
 def no_program_is_left():
-    before = children()  # of other tests
-    gc.freeze()  # all that was there before: looking through it takes half a second, and no program is in it
+    before = children()  # those of other tests
+    gc.freeze()  # no program is in the older objects, and looking through them takes half a second
     yield
     programs._idle_in.cache_clear()
     gc.collect()
@@ -215,7 +215,7 @@ def test_what_a_program_has_started_ends_with_it(ending, message, tmp_path):
             CUT_IN, program(tmp_path, STARTS_ANOTHER.format(path=path, ending=ending), keep=False)
         ).error
         os.set_blocking(lives.fileno(), True)
-        assert lives.read() == ""  # up to the end of the last that could write
+        assert lives.read() == ""  # up to the end of the last process that could write
     assert message in (error.message if error else "no error")
 
 
@@ -223,7 +223,7 @@ def test_program_with_unexpected_output_drives_no_other_run(tmp_path):
     loader = program(tmp_path, "answer(action=os.getpid())")
     first = loader()
     first([1])
-    first._program._buffer += b"{}\n"  # which would be the answer to the first observation of the next
+    first._program._buffer += b"{}\n"  # it would answer the next run's first observation
     first.close()
     second = loader()
     assert second([1]) != first._program._process.pid
@@ -263,7 +263,7 @@ def test_finding_includes_the_last_stderr_of_program(tmp_path, capfd):
     error = ROAD.rollout(CUT_IN, ads).error
     assert error is not None
     assert "the end of its stderr:\nno map here" in error.traceback
-    assert "no map here" not in error.message  # which is part of what makes two failures the same
+    assert "no map here" not in error.message  # this text distinguishes failures
     assert capfd.readouterr().err == "no map here\n"
 
 
@@ -326,7 +326,7 @@ def test_forked_process_starts_its_own_program(tmp_path):
     pid = ads([1])
     ads.close()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which libraries have
+        warnings.simplefilter("ignore", DeprecationWarning)  # about threads, which libraries have
         child = os.fork()
     if not child:
         os._exit(loader()([1]) == pid)

@@ -1,4 +1,4 @@
-"""Models of Stable-Baselines3, where it is installed: it needs torch, which is large."""
+"""Models of Stable-Baselines3; the tests need it installed, with torch, which is large."""
 
 import pickle
 
@@ -38,7 +38,7 @@ def same(a, b):
 
 @pytest.fixture(scope="module")
 def framed(tmp_path_factory):
-    """PPO on three frames of normalised observations."""
+    """Return PPO on three frames of normalised observations."""
     folder = tmp_path_factory.mktemp("framed")
     return saved_model(
         folder, stable_baselines3.PPO, frames=3, is_normalised=True, steps=256, n_steps=64, learning_rate=0.01

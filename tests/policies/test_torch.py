@@ -1,4 +1,4 @@
-"""Modules of torch, where it is installed: it is large."""
+"""Modules of torch; the tests need it installed, and it is large."""
 
 import pickle
 

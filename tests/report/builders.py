@@ -1,4 +1,4 @@
-"""Reports for tests: real runs, runs made by hand, and strategies for views that nobody would expect."""
+"""Reports for tests: real runs, runs made by hand, and strategies for unexpected views."""
 
 import math
 from dataclasses import fields, is_dataclass
@@ -48,7 +48,7 @@ def scenario(*chains, **more):
 
 
 CUT_IN = scenario([(1, 25.0), (2, 8.0)], [(4, 20.0), (4, 20.0)], seed=7)
-"""NPC 0 comes from the front left, cuts in and brakes; NPC 1 stays at the right."""
+"""A scenario in which NPC 0 comes from the front left, cuts in and brakes; NPC 1 stays at the right."""
 
 
 def finding_of(trace, **more):
@@ -70,13 +70,13 @@ def cut_in_trace():
 
 @cache
 def rear_trace():
-    """An NPC drives into the ego from behind; another one falls far behind."""
+    """Return a run in which an NPC drives into the ego from behind; a second NPC falls far behind."""
     return pafot.Highway().rollout(scenario([(6, 26.8)] * 3, [(7, 2.0)] * 3, ego_speed=15.0), constant_speed)
 
 
 @cache
 def bend_trace():
-    """An NPC cuts in where the racetrack bends, and brakes."""
+    """Return a run in which an NPC cuts in at a bend of the racetrack, and brakes."""
     world = pafot.World("racetrack-v1", duration=20.0)
     chains = scenario([(1, 4.0), (2, 0.0)], [(6, 10.0), (6, 10.0)], gene_seconds=4.0, ego_speed=10.0)
     return world.rollout(chains, lambda: ControlledVehicle)
@@ -84,7 +84,7 @@ def bend_trace():
 
 @cache
 def campaign_parts():
-    """The events of a real search of the constant-speed policy."""
+    """Return the events of a real search of the constant-speed policy."""
     world, fitness = pafot.Highway(duration=30.0), resolve("default")
 
     def evaluate(scenario):
@@ -107,7 +107,7 @@ def real_report():
 
 
 def bend_report():
-    """A finding on a road that is not straight."""
+    """Return the report of a finding on a road that is not straight."""
     return Report(title="In the bend", findings=(view_of(bend_trace()),))
 
 
@@ -116,7 +116,7 @@ def texts():
 
 
 def values_of(kind, leaves=None):
-    """A strategy for any dataclass of views, from its annotations; ``leaves`` replaces those of types by name."""
+    """Return a strategy for a dataclass of views, from its annotations; ``leaves`` replaces those of types by name."""
     leaves = {
         str: texts(),
         float: st.floats(-1e6, 1e6).map(lambda value: round(value, 3)),

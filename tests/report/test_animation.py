@@ -17,7 +17,7 @@ images = pytest.importorskip("PIL.Image", reason="Pillow draws the animations")
 
 @pytest.fixture(scope="module")
 def brief():
-    """The last 0.8 s of the cut-in, so that drawing it is quick."""
+    """Return the last 0.8 s of the cut-in, which is quick to draw."""
     view = view_of(cut_in_trace())
     ticks = 12
     rows = cut_in_trace().states[-ticks - 1 :]
@@ -27,12 +27,12 @@ def brief():
 
 @pytest.fixture(scope="module")
 def drawn(brief):
-    """Its animation."""
+    """Return the animation of the cut-in."""
     return animate(brief)
 
 
 def frames(content):
-    """How many pictures an animation has, and how long each is shown [ms]."""
+    """Return the number of pictures in an animation, and how long each is displayed [ms]."""
     picture = images.open(io.BytesIO(content))
     durations = []
     for frame in range(getattr(picture, "n_frames", 1)):

@@ -1,4 +1,4 @@
-"""What a search's view says of its events."""
+"""A search's view of its events."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What the page shows of a check that failed: its figures, its curve and the moment."""
+"""The page of a failed check: its figures, its curve and the moment."""
 
 from dataclasses import replace
 
@@ -20,11 +20,11 @@ from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import finding_of
 
 TICKS = 300
-"""Of a run of 20 s, a frame at every second one."""
+"""The ticks of a run of 20 s, with a frame at every second one."""
 
 
 def peaks(**values):
-    """A value of 1 at each tick, but for those named ``t17=...``."""
+    """Return a value of 1 at each tick, except those named ``t17=...``."""
     array = np.ones(TICKS + 1)
     for name, value in values.items():
         array[int(name[1:])] = value
@@ -32,14 +32,14 @@ def peaks(**values):
 
 
 def checked(value, **arguments):
-    """The failed check of a run."""
+    """Return the failed check of a run."""
     with recorded(Recording(hz=15, ticks=TICKS)), pytest.raises(CheckFailed) as failed:
         pafot.check(value, **{"name": "jerk", "unit": "m/s^3"} | arguments)
     return failed.value.check
 
 
 def shown(value, **arguments):
-    """The view of a find by that check."""
+    """Return the view of a finding by that check."""
     trace = trace_of(vehicle(0.0, speed=20.0, ticks=TICKS), vehicle(50.0, speed=20.0, ticks=TICKS))
     check = checked(value, **arguments)
     failure = Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)

@@ -1,4 +1,4 @@
-"""Runs with NPCs that cross are shown with their ways, their zones, and places in words where there is no cell."""
+"""Pictures of runs with crossing NPCs have ways and zones, and words for places without a cell."""
 
 import io
 from dataclasses import replace
@@ -24,19 +24,19 @@ from tests.report.builders import HOSTILE, bend_trace, finding_of
 
 @cache
 def mixed():
-    """An NPC that crosses after the ego, one that merges ahead of it, and one on the grid."""
+    """Return an NPC that crosses after the ego, one that merges ahead of it, and one on the grid."""
     return run_view(junction_trace((CROSSES, 0.0), (MERGES, 0.0), (None, 20.0)))
 
 
 @cache
 def crash():
-    """An NPC from the left hits the ego; another one is still to come."""
+    """Return a run in which an NPC from the left hits the ego; a second NPC is still on its way."""
     return run_view(junction_trace((CROSSES, 10.0), (MERGES, -60.0), hits=0, seconds=4.8))
 
 
 @cache
 def real():
-    """Two NPCs at a junction of highway-env."""
+    """Return a run with two NPCs at a junction of highway-env."""
     world = pafot.World("intersection-v0")
     told = CrossingInstruction("o1>o3", 0.0, 8.0), CrossingInstruction("o3>o1", 1.0, 7.0)
     scenario = Scenario(npcs=[[each] for each in told], ego_lane=0, ego_speed=world.crossings.ego_speed)
@@ -93,7 +93,7 @@ def test_world_gives_ways_that_its_npcs_drive():
     for npc, vehicle in enumerate(view.vehicles[1:]):
         way, places = np.array(vehicle.zone.way), trace.states[:, npc + 1, :2]
         gaps = np.hypot(*(places[:, None] - way).transpose(2, 0, 1)).min(axis=1)
-        assert gaps.max() < 1.3  # a point each 2 m
+        assert gaps.max() < 1.3  # there is a point every 2 m
     assert view.grid == ()
     assert view.event.cell is None
 
@@ -163,7 +163,7 @@ def test_the_zone_is_shaded_in_a_picture():
         content = notebook.animation.strip(view, [1.0])
         return {colour for _, colour in images.open(io.BytesIO(content)).convert("RGB").getcolors(1 << 20)}
 
-    shaded = (0xF0, 0xD2, 0xC0)  # of NPC 0
+    shaded = (0xF0, 0xD2, 0xC0)  # the colour of NPC 0's zone
     seen = replace(
         mixed(),
         vehicles=tuple(
@@ -192,7 +192,7 @@ def test_unseen_finding_is_described_by_its_expectation():
 
 
 def test_hostile_names_of_zones_are_escaped():
-    """Files cannot have them; a world of the user's own can."""
+    """Files cannot have such names; a user's own world can."""
     zone = replace(ZONES[CROSSES], way=HOSTILE[0])
     view = run_view(replace(junction_trace((CROSSES, 0.0)), zones=(zone,)))
     rows = tuple(replace(row, zone=HOSTILE[0], words=HOSTILE[2]) for row in view.instructions)
@@ -254,7 +254,7 @@ def test_the_page_draws_ways_zones_and_labels(browser, tmp_path):
 @in_a_browser
 @pytest.mark.parametrize("width", [320, 400, 900, 1360])
 def test_crossing_npc_is_visible_long_before_contact(browser, tmp_path, width):
-    """At 10 m/s each the two are 42 m apart 3 s before; a page as narrow as a telephone shows half of that sideways."""
+    """At 10 m/s each, the two are 42 m apart 3 s before. A page on a telephone shows half of that sideways."""
     page = opened(browser, tmp_path, crash(), 1.8, width=width)
     drawn = page.evaluate(
         "document.querySelector('article.current [data-vehicle=\"NPC 0\"]').getAttribute('visibility')"

@@ -1,4 +1,4 @@
-"""What a finding's view says of its run."""
+"""A finding's view of its run."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -20,7 +20,7 @@ from tests.report.builders import CUT_IN, TEST, cut_in_trace, finding_of, is_clo
 
 
 def braking_ahead(**more):
-    """An NPC 40 m ahead in the ego's lane at 10 m/s; the ego comes with 20 m/s and hits it after 3.5 s."""
+    """Return a run with an NPC 40 m ahead at 10 m/s; the ego comes at 20 m/s and hits it after 3.5 s."""
     ticks = 52
     npc = vehicle(40.0, 4.0, speed=10.0, ticks=ticks)
     return trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=ticks), npc, outcome=Outcome.COLLISION, **more)
@@ -137,7 +137,7 @@ def test_avoidance_is_above_picture_and_duty_in_explanation():
     assert view_of(trace).sentences == (first, *others)
     expect = replace(finding.expect, avoided_by=Avoidance(time=1.2, braking=6.0))
     avoided, other = (replace(finding, expect=each) for each in (expect, replace(expect, time=expect.time + 0.1)))
-    assert finding_view(trace, other, node_id="n").sentences == (first, *others)  # of another run than this one
+    assert finding_view(trace, other, node_id="n").sentences == (first, *others)  # this finding is from a different run
     assert finding_view(safe, avoided, node_id="n").sentences == ()
     view = finding_view(trace, avoided, node_id="n")
     assert view.sentences == (first, "Braking at 6 m/s^2 from 1.2 s on avoids the collision.", "NPC 0 is responsible.")

@@ -1,4 +1,4 @@
-"""The summary of a CI job: short, and nothing in it but what this plugin writes is markup."""
+"""The summary of a CI job is short, and only this plugin's own text in it is markup."""
 
 import re
 

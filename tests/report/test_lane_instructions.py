@@ -1,4 +1,4 @@
-"""Finds of searches that know no grid are shown without cells."""
+"""Findings of searches without a grid are displayed without cells."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What runs, findings and searches show in a notebook, and as pictures."""
+"""Runs, findings and searches in a notebook, and as pictures."""
 
 import html
 import io
@@ -17,7 +17,7 @@ from tests.report.builders import HOSTILE, cut_in_trace, finding_of, rear_trace
 
 
 def page(value):
-    """The page inside the one frame that is the output of a value."""
+    """Return the page inside the frame that is a value's output."""
     frame = re.fullmatch(r'<iframe class="pafot-finding" [^<>]* srcdoc="([^"<>]*)"></iframe>', value._repr_html_())
     assert frame, "one frame and nothing beside it, which two outputs of a notebook might share"
     return html.unescape(frame[1])

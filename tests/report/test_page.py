@@ -21,7 +21,7 @@ from tests.report.builders import CUT_IN, HOSTILE, cut_in_trace, real_report, sc
 
 
 class Reader(HTMLParser):
-    """Elements, the text of scripts and styles, and all other text."""
+    """A parser for elements, the text of scripts and styles, and all other text."""
 
     def __init__(self, page):
         super().__init__(convert_charrefs=True)
@@ -96,7 +96,7 @@ def test_page_data_equals_report_without_repeated_texts(page):
 
 
 def page_that_says(text):
-    """A page that holds a text wherever a report can."""
+    """Return a page that contains a text everywhere a report can."""
     finding = replace(
         real_report().findings[0], id=text, headline=text, explanation=text, yaml=text, node_id=text, command=text,
         label=text, path=text, responsibility=text, prevention=text, test=text,

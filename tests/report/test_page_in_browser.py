@@ -1,4 +1,4 @@
-"""The page in headless Chromium: it draws, listens to keys, follows links and asks nobody for anything."""
+"""The page in headless Chromium draws, listens to keys, follows links and makes no network requests."""
 
 import math
 import re
@@ -221,7 +221,7 @@ def test_the_scrubber_says_where_it_is(page):
 
 
 def drawn_vehicles(page):
-    """Where each vehicle is drawn, along and across the road [m]."""
+    """Return where each vehicle is drawn, along and across the road [m]."""
     return page.evaluate(
         "[...document.querySelectorAll('article.current [data-vehicle]')]"
         ".map(each => [Number(each.dataset.along), Number(each.dataset.across)])"
@@ -331,7 +331,7 @@ def test_picture_is_redrawn_when_the_window_changes_size(opened):
 
 
 def grouped_report():
-    """Findings of three tests, each with one of either outcome."""
+    """Return findings of three tests, each with a finding of either outcome."""
     base = real_report()
     findings = []
     for name in ("test_first", "test_second", "test_third"):
@@ -563,7 +563,7 @@ def test_a_finding_without_frames_can_be_passed_through(browser, tmp_path):
 
 
 def saved_by(browser, page, folder):
-    """The file that the button of the finding shown saves, which is pressed by the keyboard."""
+    """Return the file that the displayed finding's button saves; the keyboard presses it."""
     since = len(browser.events)
     browser.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(folder), eventsEnabled=True)
     page.evaluate("document.querySelector('article.current .save-run').focus()")

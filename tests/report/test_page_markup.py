@@ -1,6 +1,6 @@
-"""How the words of a page, and the file of a finding on it, read as a whole, for a run that is made by hand.
+"""The words of a page, and the file of a finding on it, as a whole text for a run made by hand.
 
-The texts lie in ``__snapshots__``. ``--snapshot-update`` writes them anew; what it changes is to be read, then kept.
+The texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read the differences before you commit them.
 """
 
 import re
@@ -18,7 +18,7 @@ from tests.report.builders import CUT_IN, TEST, finding_of, scenario, view_of
 
 
 def hand_made_trace():
-    """An NPC brakes ahead of the ego, which hits it after 3.5 s; a second NPC stays at the right."""
+    """Return a run in which the ego hits a braking NPC ahead after 3.5 s; a second NPC stays at the right."""
     ticks = 52
     npcs = vehicle(40.0, 4.0, speed=10.0, ticks=ticks), vehicle(0.0, 8.0, speed=20.0, ticks=ticks)
     return trace_of(
@@ -34,7 +34,7 @@ def hand_made_finding():
 
 
 def hand_made_campaign():
-    """Two generations, the second after a restart, and a local search."""
+    """Return the events of two generations, the second after a restart, and a local search."""
     counts = [(label, 9 - number, 8 - number, 7 - number) for number, label in enumerate("12345678")]
     rows = tuple(CoverageRow(label=label, requested=a, driven=b, reached=c) for label, a, b, c in counts)
     never = CoverageRow(label="8 to 7", requested=1, driven=0, reached=0)
@@ -63,7 +63,7 @@ def hand_made_campaign():
 
 
 def lines_of(markup):
-    """HTML with a line for each block and each row of a table."""
+    """Return HTML with a line for each block and each row of a table."""
     blocks = "article|section|header|nav|div|details|summary|h[1-6]|p|pre|ul|ol|li|dl|table|tr"
     return re.sub(rf">(?=<(?:{blocks})\b)", ">\n", markup)
 

@@ -13,7 +13,7 @@ from tests.report.builders import cut_in_trace, scenario, view_of
 
 
 def driving(*npcs, **more):
-    """The ego at 20 m/s in lane 1 from the origin, for 2 s; NPCs as given."""
+    """Return a run with the ego at 20 m/s in lane 1 from the origin, for 2 s, and the given NPCs."""
     return view_of(trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=30), *npcs, **more))
 
 

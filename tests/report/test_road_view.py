@@ -1,4 +1,4 @@
-"""The picture of roads that are not straight: lanes as the world has them, cells along the bend."""
+"""The picture of roads that are not straight: the world's lanes, and cells along the bend."""
 
 import math
 from dataclasses import replace
@@ -59,5 +59,5 @@ def test_an_ego_off_all_lanes_has_no_cells(view):
 
 
 def test_the_run_is_animated_too(view, monkeypatch):
-    monkeypatch.setattr(animation, "RATES", animation.RATES[-1:])  # the file is small, whatever the rate
+    monkeypatch.setattr(animation, "RATES", animation.RATES[-1:])  # the file is small at any rate
     assert animate(replace(view, times=view.times[:16])).startswith(b"\x89PNG")

@@ -1,4 +1,4 @@
-"""What came of a session, for programs: its fields, its text and back."""
+"""A session's result for programs: its fields, its text and back."""
 
 import json
 import re

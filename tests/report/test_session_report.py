@@ -1,4 +1,4 @@
-"""The report of a session: the order of what it shows, whoever told it first, and the files that it becomes."""
+"""The report of a session: its order, from any order of events, and its files."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from tests.report.builders import real_report
 
 
 def short(finding, **more):
-    """A single frame, so that drawing it is quick."""
+    """Return a single frame, which is quick to draw."""
     pytest.importorskip("PIL.Image", reason="Pillow draws the animations")
     return replace(finding, times=finding.times[:1], **more)
 
@@ -41,7 +41,7 @@ def test_findings_with_same_id_have_distinct_valid_files():
 
 RANKED = [
     ("b1", "new", "ego", 9, 12.0),
-    ("b2", "still failing", "ego", 9, 30.0),  # known, but of the test that comes first
+    ("b2", "still failing", "ego", 9, 30.0),  # known, but its test comes first
     ("a1", "new (flaky: the outcome)", "both", 2, 10.0),
     ("a2", "new", "ego", 9, 3.0),
     ("a4", "new", "npc", 1, 20.0),
@@ -49,7 +49,7 @@ RANKED = [
     ("a6", "new", "nobody can tell", 4, None),
     ("a7", "still failing", "ego", 9, 30.0),
 ]
-"""Name, of which the first letter is the test's; label, responsibility, runs and closing speed."""
+"""Findings: a name, whose first letter is the test's, the label, responsibility, runs and closing speed."""
 
 
 def shown(name="a1", label="new", responsibility="ego", runs=1, closing=None):

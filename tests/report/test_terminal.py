@@ -1,6 +1,6 @@
 """Texts for the terminal: plain ASCII, 80 columns, and plain data on the way.
 
-Long texts lie in ``__snapshots__``. ``--snapshot-update`` writes them anew; what it changes is to be read, then kept.
+Long texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read the differences before you commit them.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""What the tests of the search share: evaluations by hand, a cheap world, and exact bounds of a rate."""
+"""Shared parts of the search's tests: evaluations by hand, a fast world, and exact bounds of a rate."""
 
 import math
 from dataclasses import dataclass
@@ -32,13 +32,13 @@ def _evaluation(scenario=None, **fields):
 
 @pytest.fixture(scope="session")
 def make_evaluation():
-    """A safe, valid evaluation of fitness 0 but for the fields given."""
+    """Return a safe, valid evaluation of fitness 0, except for the given fields."""
     return _evaluation
 
 
 @pytest.fixture(scope="session")
 def make_population():
-    """Evaluations of random scenarios whose seeds are 0, 1, 2, ...; the last is the fittest."""
+    """Return evaluations of random scenarios whose seeds are 0, 1, 2, ...; the last is the fittest."""
 
     def population(size=4, npcs=2, genes=6):
         rng = np.random.default_rng(0)
@@ -53,7 +53,7 @@ def make_population():
 
 
 def _binomial_tail(successes, trials, rate):
-    """The smaller one of P(X <= successes) and P(X >= successes)."""
+    """Return the smaller one of P(X <= successes) and P(X >= successes)."""
 
     def log_mass(k):
         ways = math.lgamma(trials + 1) - math.lgamma(k + 1) - math.lgamma(trials - k + 1)
@@ -66,7 +66,7 @@ def _binomial_tail(successes, trials, rate):
 
 @pytest.fixture(scope="session")
 def assert_rate():
-    """Refuse a count that a binomial distribution of the rate gives with a probability below 1e-4."""
+    """Refuse a count that has a probability below 1e-4 in the rate's binomial distribution."""
 
     def check(successes, trials, rate):
         assert _binomial_tail(successes, trials, rate) > 0.5e-4, f"{successes} of {trials} is not a rate of {rate}"
@@ -76,11 +76,10 @@ def assert_rate():
 
 @dataclass
 class CheapWorld:
-    """Runs of a few microseconds that obey the contract of a real one.
+    """A world whose runs take a few microseconds and obey the contract of a real one.
 
-    The left lane is missing, so that repair inside the run happens. The run ends with a collision in the first
-    gene in which some NPC drives faster than ``crash_speed`` in cell 2. Everything in the evaluation depends on
-    the driven genes alone.
+    The left lane is missing, so repair happens inside the run. The run ends with a collision in the first gene in which
+    an NPC drives faster than ``crash_speed`` in cell 2. Everything in the evaluation depends only on the driven genes.
     """
 
     crash_speed: float = 22.0
@@ -129,5 +128,5 @@ class CheapWorld:
 
 @pytest.fixture(scope="session")
 def cheap_world():
-    """The class, so that each example makes its own."""
+    """Return the class, so that each example makes its own world."""
     return CheapWorld

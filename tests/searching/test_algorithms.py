@@ -1,4 +1,4 @@
-"""What the room offers by name, and algorithms of others by class."""
+"""The algorithms that can be named, and those of users by class."""
 
 from dataclasses import dataclass, field
 
@@ -29,7 +29,7 @@ SPACE = SearchSpace(npcs=3)
 
 @dataclass(frozen=True)
 class Own(GenerationalSearch):
-    """An algorithm of somebody else."""
+    """A user's own algorithm."""
 
     name = "own"
     jump: float = field(default=0.5, kw_only=True)

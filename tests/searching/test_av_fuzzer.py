@@ -37,14 +37,14 @@ def scenarios(count, seed=0):
 
 
 def one(text, **fields):
-    """A scenario from texts such as "left@22 keep@3"."""
+    """Return a scenario from texts such as "left@22 keep@3"."""
     pairs = [[gene.split("@") for gene in chain.split()] for chain in text.split("; ")]
     return Scenario(npcs=[[LaneInstruction(lane, float(speed)) for lane, speed in chain] for chain in pairs], **fields)
 
 
 @pytest.fixture
 def landscape(make_evaluation):
-    """Evaluates scenarios by a function of them."""
+    """Return a function that evaluates scenarios by a function."""
 
     def evaluate(fitness):
         return lambda each: make_evaluation(each, fitness=fitness(each))
@@ -95,7 +95,7 @@ class TestOperators:
                 kinds["speed" if before.speed != after.speed else "lane"] += 1
                 places[npc, gene] += 1
         assert_rate(kinds["speed"], DRAWS, 1 / 3 * 268 / 269)
-        assert_rate(kinds["lane"], DRAWS, 1 / 3 * 2 / 3)  # a drawn action is the old one in a third of the cases
+        assert_rate(kinds["lane"], DRAWS, 1 / 3 * 2 / 3)  # a sampled action equals the old one in a third of the cases
         assert len(places) == 10
 
 
@@ -154,7 +154,7 @@ class TestCourse:
         asked = Counter(event.generation for event in events if isinstance(event, Evaluated))
         assert asked[0] == 4
         touched = sum(asked[generation] for generation in range(1, 150))
-        # A scenario is touched by its own mutation, or by one of two crossovers of two out of four.
+        # A scenario changes by its own mutation, or by one of two crossovers of two out of four.
         assert_rate(touched, 149 * 4, 1 - 0.6 * (1 - 0.4 / 2) ** 2)
 
     def test_generation_without_any_change_still_counts(self, landscape):
@@ -243,7 +243,7 @@ class TestCourse:
         begun = []
 
         def fitness(each):
-            """The same for all until a restart, then better with each run."""
+            """Return the same for all until a restart, then more with each run."""
             begun.append(len(begun) if restarts else 0)
             return float(begun[-1])
 

@@ -16,7 +16,7 @@ def brake(speed):
 
 
 def by_hand(trace):
-    """The formula of the release, sample by sample and vehicle by vehicle; the road runs along x."""
+    """Return the released formula, sample by sample and vehicle by vehicle; the road runs along x."""
     samples = {round(k * trace.physics_hz / 4) for k in range(int(trace.duration * 4 + 1e-9) + 1)}
     if trace.collision is not None:
         samples.add(trace.collision.tick)

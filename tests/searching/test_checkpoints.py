@@ -1,4 +1,4 @@
-"""A campaign that is cut and goes on is the one that was not cut, event by event."""
+"""A campaign that is cut and continues equals one that was not cut, event by event."""
 
 import json
 from dataclasses import replace
@@ -34,7 +34,7 @@ ALGORITHMS = [DistinctSearch(SearchSpace(genes=3), population=5, random_runs=10)
 
 
 class Telling:
-    """A cheap world whose runs have kinds of failures, mistakes and margins."""
+    """A fast world whose runs have kinds of failures, mistakes and margins."""
 
     def __init__(self, world):
         self.world = world
@@ -58,7 +58,7 @@ class Telling:
 
 
 def through_json(algorithm, checkpoint):
-    """As a file has it."""
+    """Return a checkpoint after JSON, as from a file."""
     parts = [
         algorithm.stored(checkpoint.state),
         *map(plain, (checkpoint.sums, checkpoint.remembered, checkpoint.begun)),
@@ -73,7 +73,7 @@ def through_json(algorithm, checkpoint):
 
 
 def campaign(algorithm, world, checkpoints=None, generations=None, **options):
-    """The events, with the checkpoint at each border and at the end by the number of events before."""
+    """Return the events, and the checkpoints at each border and at the end, by the number of events before."""
     events, kept = [], {} if checkpoints is None else checkpoints
     told = run_campaign(
         algorithm,
@@ -89,7 +89,7 @@ def campaign(algorithm, world, checkpoints=None, generations=None, **options):
 
 
 def body(events):
-    """Without the frame of a session, and of a generation that two told as finished the later telling."""
+    """Return the events without a session's frame; of a generation that was finished twice, only the later report."""
     last = {each.generation: index for index, each in enumerate(events) if isinstance(each, GenerationFinished)}
     return [
         each

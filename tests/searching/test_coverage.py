@@ -1,4 +1,4 @@
-"""What a search asked for, had driven and saw reached."""
+"""The instructions that a search requested, that were driven, and that were reached."""
 
 from pytest_pafot.model.grid import Cell, is_adjacent
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
@@ -73,6 +73,6 @@ def test_a_long_random_search_covers_all_there_is(cheap_world):
     events = list(run_campaign(RandomSearch(), cheap_world(crash_speed=99.0), generations=40, seed=1))
     coverage = Health.of(events).coverage
     assert keys(coverage.requested, "cell") == {(cell,) for cell in range(1, 9)}
-    # The cheap world has no left lane, so that no run comes to its three cells.
+    # The fast world has no left lane, so no run reaches its three cells.
     assert keys(coverage.driven, "cell") == {(cell,) for cell in (2, 3, 4, 5, 6)}
     assert len(keys(coverage.driven, "step")) == 13

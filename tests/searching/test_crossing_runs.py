@@ -1,4 +1,4 @@
-"""What a search sees of runs in which somebody crosses: fitness, who came nearest, whether anything happened."""
+"""A search's view of runs with crossing NPCs: fitness, the nearest NPC, and whether anything happened."""
 
 import math
 
@@ -15,7 +15,7 @@ EGO = plan("west straight", 8.0, 10.0)
 
 
 def run_of(*enters, npc="north straight", ego=EGO, **road):
-    """An ego that enters its zone after 8 s, and NPCs at 9 m/s that would drive through it."""
+    """Return a run with an ego that enters its zone after 8 s, and NPCs at 9 m/s that would drive through it."""
     first, *others = (plan(npc, each, 9.0) for each in enters)
     return driven(ego, first, others=tuple(others), **road)
 

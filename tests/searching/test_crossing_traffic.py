@@ -1,4 +1,4 @@
-"""Traffic at zones: what a search draws, varies and repairs there, and that nothing changes without zones."""
+"""Traffic at zones: how a search samples, mutates and repairs it, and that nothing changes without zones."""
 
 import hashlib
 import json
@@ -51,8 +51,8 @@ def told(scenario):
 
 
 def check(scenario, space):
-    """Hold a scenario to all that a search with a space promises of it."""
-    assert scenario == Scenario.from_canonical(json.loads(scenario.canonical()))  # which checks all of its rules
+    """Check everything that a search with a space promises about a scenario."""
+    assert scenario == Scenario.from_canonical(json.loads(scenario.canonical()))  # this checks all scenario rules
     assert not JUNCTION.clashes(scenario)
     assert len(scenario.npcs) - len(told(scenario)) <= space.most_on_grid
     assert len(scenario.npcs) <= (max(space.most_npcs) if space.most_npcs else space.npcs)
@@ -171,13 +171,13 @@ def test_every_part_of_an_instruction_varies():
     moved = [each.slot for each in new if (each.zone, each.speed, each.act) == ("o1>o3", 8.0, "pass")]
     assert 0.4 < len(moved) / len(new) < 0.6
     assert np.abs(np.array(moved) - 0.5).mean() < 1.0
-    assert new.count(instruction) < 10  # by chance, another one is the same
+    assert new.count(instruction) < 10  # by chance, some other ones are equal
     assert {each.act for each in new} == {"pass", "hold", "stop"}
     assert len({each.zone for each in new}) == 4
 
 
 class Judged:
-    """Evaluates scenarios by digests of their texts: by nothing that a search could learn, and the same everywhere."""
+    """Evaluate scenarios by digests of their texts: no search can learn them, and they are the same everywhere."""
 
     def __init__(self, make_evaluation):
         self.make_evaluation = make_evaluation
@@ -225,7 +225,7 @@ AS_BEFORE = {
     ("random-manoeuvre", "wide"): "5669f3be3436",
     ("random-manoeuvre", "bend"): "b582d4195c24",
 }
-"""Digests of what each algorithm drew before there were zones, with the space and the seed 0."""
+"""Digests of each algorithm's samples before there were zones, with the space and the seed 0."""
 
 
 @table(("name", "space"), AS_BEFORE)

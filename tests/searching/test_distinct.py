@@ -18,7 +18,7 @@ from tests.helpers.traces import collision_at
 
 
 class Judge:
-    """Evaluates scenarios by a rule for their fitness, and one for the kind in which they fail."""
+    """Evaluate scenarios by one rule for their fitness, and one for the kind of their failure."""
 
     def __init__(self, make_evaluation, kind, fitness=lambda scenario: scenario.npcs[0][0].speed):
         self.make_evaluation, self.kind, self.fitness = make_evaluation, kind, fitness
@@ -114,7 +114,7 @@ def test_children_differ_from_parent_in_few_instructions(make_evaluation):
         for child in children:
             pairs = zip(child.npcs, parent.executed.npcs, strict=True)
             counts.add(sum(a != b for own, other in pairs for a, b in zip(own, other, strict=True)))
-    assert counts <= {0, 1, 2, 3}  # none where a later mutation takes an earlier one back
+    assert counts <= {0, 1, 2, 3}  # none if a later mutation reverts an earlier one
     assert {1, 2, 3} <= counts
 
 

@@ -1,4 +1,4 @@
-"""The order of evaluations, and what is read from a trace."""
+"""The order of evaluations, and the values that they take from a trace."""
 
 import math
 import pickle
@@ -65,7 +65,7 @@ def test_all_genes_count_when_none_was_started(make_evaluation):
 
 
 def trace(ego_speed=20.0, npc_speed=20.0, *, ahead=60.0, same_lane=True, seconds=10, **fields):
-    """Ego and one NPC at constant speeds; the NPC starts so far ahead [m] of the ego."""
+    """Return an ego and an NPC at constant speeds; the NPC starts ahead of the ego by a distance [m]."""
     times = np.arange(15 * seconds + 1) / 15
     states = np.zeros((len(times), 2, 7))
     states[:, 0, 0] = 1000 + ego_speed * times

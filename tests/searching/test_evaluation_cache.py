@@ -1,4 +1,4 @@
-"""A scenario is known exactly when an earlier run shows what it does."""
+"""A scenario's result is known exactly if an earlier run determines it."""
 
 from dataclasses import replace
 
@@ -125,7 +125,7 @@ def test_lanes_differ_from_each_other_and_from_cells(make_evaluation, lane):
 
 
 def test_lane_instructions_are_known_with_their_seed_only(make_evaluation):
-    """Where their NPCs start is repaired by the seed."""
+    """Their NPCs' start is repaired by the seed."""
     scenario = Scenario(npcs=((LaneInstruction("keep", 20.0),),), seed=3)
     memory = EvaluationCache([make_evaluation(scenario)])
     assert memory.recall(scenario) is not None

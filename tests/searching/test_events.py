@@ -1,4 +1,4 @@
-"""The history of a campaign can be read back from its events alone."""
+"""A campaign's history can be rebuilt from its events only."""
 
 from dataclasses import dataclass, field
 
@@ -18,7 +18,7 @@ from tests.helpers.stages import mostly_oracle
 
 @dataclass
 class History:
-    """Populations rebuilt from single evaluations and from what the parts of the search report."""
+    """Populations rebuilt from single evaluations and from the reports of the search's parts."""
 
     population: list = field(default_factory=list)
     local_population: list = field(default_factory=list)

@@ -21,7 +21,7 @@ without_collision = st.sampled_from([Outcome.SAFE, Outcome.OFF_ROAD, Outcome.ADS
 
 
 def following(*, outcome=Outcome.SAFE, **fields):
-    """The ego at 20 m/s, 20 m behind an NPC at 10 m/s: TTC 2 s, SD 30 m, one tick."""
+    """Return the ego at 20 m/s, 20 m behind an NPC at 10 m/s: TTC 2 s, SD 30 m, one tick."""
     return trace_of(vehicle(0, speed=20), vehicle(25, speed=10), outcome=outcome, **fields)
 
 
@@ -30,19 +30,19 @@ def harmless(**fields):
 
 
 def near_miss():
-    """The ego comes within 1 m of its leader at 12 m/s more, and then the NPC is gone."""
+    """Return a run in which the ego comes within 1 m of its leader, 12 m/s faster, and then the NPC is gone."""
     ego = vehicle(0, speed=22, ticks=90)
     leader = vehicle([500] * 30 + [ego[30, 0] + 6] + [500] * 60, speed=10)
     return trace_of(ego, leader)
 
 
 def crash(*, outcome=Outcome.COLLISION, **fields):
-    """The ego drives into a standing NPC after 6 s."""
+    """Return a run in which the ego drives into a standing NPC after 6 s."""
     return trace_of(vehicle(0, speed=20, ticks=90), vehicle(124, ticks=90), outcome=outcome, **fields)
 
 
 def rammed(**fields):
-    """An NPC at 30 m/s rams the ego at 20 m/s from behind after 6 s; until then nothing happened."""
+    """Return a run in which an NPC at 30 m/s rams the ego at 20 m/s from behind after 6 s, and nothing before."""
     return trace_of(
         vehicle(0, speed=20, ticks=90), vehicle(-64, speed=30, ticks=90), outcome=Outcome.COLLISION, **fields
     )
@@ -252,7 +252,7 @@ class TestMeasures:
 
 
 def front_is_to_blame(trace):
-    """For the test's own collisions: the ego is responsible when it hit something with its front."""
+    """Return whether the ego hit something with its front, the rule of these collisions."""
     return trace.collision is not None and trace.collision.side == "front"
 
 

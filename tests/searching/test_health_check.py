@@ -10,7 +10,7 @@ WELL = {"genes_started": 12, "genes_reached": 9}
 
 
 def health_of(make_evaluation, *groups):
-    """Groups are (how many, fields)."""
+    """Return the health of groups of evaluations, given as (count, fields)."""
     health = Health()
     for number, fields in groups:
         for _ in range(number):
@@ -69,7 +69,7 @@ def test_runs_that_test_nothing_warn_when_most_common(make_evaluation, fields, e
     assert health_of(make_evaluation, (1, {}), (1, fields)).warnings() == []
     (warning,) = health_of(make_evaluation, (1, {}), (2, fields)).warnings()
     assert warning.startswith(expected)
-    assert "; " in warning  # and what to do
+    assert "; " in warning  # and the way out
 
 
 def test_invalid_runs_do_not_count_as_without_interaction(make_evaluation):

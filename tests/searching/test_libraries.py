@@ -1,4 +1,4 @@
-"""The searches that rest on pymoo, pyribs and cmaes, each behind the same interface."""
+"""The searches that use pymoo, pyribs and cmaes, each behind the same interface."""
 
 import sys
 from collections import Counter
@@ -19,7 +19,7 @@ NAMES = [name for name in ALGORITHMS if resolve_algorithm(name).library]
 
 @pytest.fixture(autouse=True, scope="module")
 def libraries():
-    """All of them, imported by the first test, since that takes a second."""
+    """Import all of them in the first test, since that takes a second."""
     for name in NAMES:
         pytest.importorskip(resolve_algorithm(name).library)
 
@@ -73,10 +73,10 @@ def test_states_are_values_and_turns_can_repeat(name, cheap_world):
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", NAMES)
 def test_it_learns(name, cheap_world):
-    """More failing scenarios in the second half than random search has.
+    """The second half has more failing scenarios than random search finds.
 
-    In the sum of ten seeds: one search of CMA-ES can stick, and which one does depends on the machine, whose linear
-    algebra rounds in its own way.
+    It counts the sum of ten seeds, because one search of CMA-ES can stick. Which one does depends on the machine, whose
+    linear algebra rounds differently.
     """
 
     def failing(name):

@@ -1,4 +1,4 @@
-"""The operators do what sections 3.4 and 3.5 of the paper say."""
+"""The operators follow sections 3.4 and 3.5 of the paper."""
 
 import math
 from dataclasses import replace

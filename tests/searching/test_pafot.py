@@ -23,7 +23,7 @@ from tests.helpers.tables import table
 
 
 class Driver:
-    """Drives a search generation by generation, with fitnesses given."""
+    """Drive a search generation by generation, with given fitnesses."""
 
     def __init__(self, make_evaluation, search=None, seed=0):
         self.make_evaluation = make_evaluation
@@ -33,7 +33,7 @@ class Driver:
         self.asked = ()
 
     def round(self, *fitnesses, **fields):
-        """Ask and tell once; the last fitness stands for all that follow."""
+        """Ask and tell once; the last fitness applies to all further scenarios."""
         self.state, self.asked = self.search.ask(self.state, self.rng)
         given = [*fitnesses, *[fitnesses[-1]] * len(self.asked)]
         evaluations = [
@@ -114,7 +114,7 @@ def test_a_restart_forgets_the_population_and_its_best(driver):
 
 
 def start_local_search(driver):
-    """Three generations, then one that sets a new best."""
+    """Run three generations, then one that sets a new best."""
     for fitness in (4.0, 1.0, 1.0):
         driver.round(fitness)
     events = driver.round(5.0, 1.0)
@@ -196,7 +196,7 @@ def test_equal_scenario_does_not_replace_the_incumbent(driver):
 
 
 def bred(search, state, rounds=400):
-    """Children of many asks from the same state, in their order."""
+    """Return the children of many calls of ask from the same state, in order."""
     rng = np.random.default_rng(8)
     return [search.ask(state, rng)[1] for _ in range(rounds)]
 

@@ -1,4 +1,4 @@
-"""Dangerous patterns, and chains that are made of them."""
+"""Dangerous patterns, and chains made from them."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""What a search stores of itself comes back as it was, and nothing else comes in."""
+"""A search's stored state loads unchanged, and nothing else loads."""
 
 import json
 import math
@@ -117,7 +117,7 @@ def test_set_is_stored_in_one_fixed_order():
 
 @dataclass(frozen=True)
 class Steps:
-    """Of an algorithm of one's own."""
+    """The state of a user's own algorithm."""
 
     size: float
     number: int

@@ -66,7 +66,7 @@ def test_scenarios_are_announced_in_order_for_each_generation(cheap_world, algor
 
     def evaluate(scenario):
         evaluated.append(scenario)
-        while foreseen[-1].pop(0) != scenario:  # Not evaluated, since another one showed what it does.
+        while foreseen[-1].pop(0) != scenario:  # Not evaluated, since an earlier run determined its result.
             pass
         return world(scenario)
 
@@ -114,7 +114,7 @@ def test_every_generation_has_its_own_draws():
 
 
 def shows(run, scenario):
-    """Whether a run tells what a scenario does: it agrees in the start and in the genes that the run came to."""
+    """Return whether a run determines a scenario's result: the start and all genes that the run reached are equal."""
     genes, executed, asked = (
         [chain[: run.depth] for chain in each.npcs] for each in (scenario, run.executed, run.scenario)
     )
@@ -140,7 +140,7 @@ def test_a_reused_evaluation_is_marked(cheap_world):
 
 
 def ticking():
-    """A clock that advances a second each time it is read."""
+    """Return a clock that advances a second each time it is read."""
     ticks = count()
     return lambda: float(next(ticks))
 
@@ -193,7 +193,7 @@ def test_search_finishing_in_last_second_is_not_cut(cheap_world):
 
 @pytest.fixture(scope="module")
 def longer(cheap_world):
-    """The events of a search of more runs than those that are ended."""
+    """Return the events of a search with more runs than those that are ended."""
     return list(run_campaign(PafotSearch(), cheap_world(), generations=12, seed=1))
 
 
@@ -326,7 +326,7 @@ def best_after(algorithm, evaluate, *, simulations, seed):
 
 
 def test_genetic_algorithm_beats_random_search_on_smooth_landscape(make_evaluation):
-    """A smooth landscape: drive in the front cell at 10 m/s; every gene counts alone."""
+    """The landscape is smooth: the goal is the front cell at 10 m/s, and every gene counts separately."""
 
     def evaluate(scenario):
         genes = [gene for chain in scenario.npcs for gene in chain]

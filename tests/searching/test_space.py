@@ -1,4 +1,4 @@
-"""What a search draws from."""
+"""The space that a search samples."""
 
 import json
 from dataclasses import replace
@@ -64,7 +64,7 @@ def test_drawn_and_varied_scenarios_are_valid_within_limits(space, sizes, seed, 
 
 
 def some_genes(space):
-    """How many genes chains may have that were longer or shorter once: an NPC keeps its lane and speed after them."""
+    """Return possible numbers of genes in a changed chain: an NPC keeps its lane and speed after its last gene."""
     return range(1, max(map(space.genes_of, space.gene_durations)) + 1) if space.gene_durations else ()
 
 

@@ -1,4 +1,4 @@
-"""Files are written as a whole or not at all, and what a killed writer left behind goes."""
+"""Files are written as a whole or not at all, and a killed writer's leftovers are removed."""
 
 import errno
 import os
@@ -105,7 +105,7 @@ time.sleep(60)
 
 @pytest.fixture
 def writer(path):
-    """A process that is writing a file, and the name of its temporary file."""
+    """Start a process that is writing a file; return it and the name of its temporary file."""
     path.parent.mkdir(parents=True)
     with subprocess.Popen([sys.executable, "-c", WRITER, path.parent], stdout=subprocess.PIPE, text=True) as process:
         yield process, path.parent / process.stdout.readline().strip()

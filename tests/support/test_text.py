@@ -1,4 +1,4 @@
-"""Texts of strangers command nobody, wherever they are shown, and can still be recognised."""
+"""Strangers' texts have no effect wherever they are displayed, and can still be recognised."""
 
 import contextlib
 import io

@@ -1,4 +1,4 @@
-"""What attentive NPCs do around the ego in situations by hand, and what no NPC of a style does at any tick."""
+"""Attentive NPCs around the ego in situations by hand, and what no NPC of a style does at any tick."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Scene:
         return abs(self.npc.x - self.ego.x) - LENGTH
 
     def drive(self, seconds, acceleration=0.0, sideways=0.0):
-        """Go on for so long, and give the NPC's acceleration and how far it was across from the ego, by the tick."""
+        """Drive for a time; return the NPC's acceleration and its distance across from the ego, by tick."""
         rows = []
         for _ in range(round(seconds * HZ)):
             self.director.command(self.ego)
@@ -71,7 +71,7 @@ class Scene:
 
 
 def first(condition):
-    """The first tick at which something holds."""
+    """Return the first tick at which a condition holds."""
     assert condition.any()
     return int(np.argmax(condition))
 
@@ -130,7 +130,7 @@ def test_ego_stopping_gently_for_nothing_is_not_hit(braking):
 
 
 def test_npc_predicts_position_of_a_steady_ego_exactly():
-    """Late sight of an ego that does not brake makes no gap smaller or larger."""
+    """Delayed sight of an ego that does not brake makes no gap smaller or larger."""
     led, alone = Scene((1, -30.0, 26.0, "keep@26"), LEADER), Scene((1, -30.0, 26.0, "keep@26"))
     assert led.drive(4.0)[0] == pytest.approx(alone.drive(4.0)[0], abs=1e-6)
 
@@ -196,7 +196,7 @@ def test_reversing_ego_gets_no_room_for_its_speed():
 
 
 class TestLimitsOfAStyle:
-    """At every tick of random runs of egos that do anything."""
+    """The limits of a style hold at every tick of random runs, with egos that do anything."""
 
     @given(seed=st.integers(0, 2**32), style=st.sampled_from(["assertive", "everyday"]), own=st.booleans())
     def test_hold_at_every_tick(self, seed, style, own):
@@ -235,10 +235,10 @@ class TestLimitsOfAStyle:
 
 
 def unhindered(trace):
-    """By tick and NPC, whether nobody was ahead within two lanes for two seconds, so that it brakes on its own."""
+    """Return by tick and NPC whether its braking is its own: no vehicle was ahead within two lanes for two seconds."""
     x, y = trace.states[..., X], trace.states[..., Y]
     hindering = (x[:, None, :] >= x[:, 1:, None]) & (abs(y[:, None, :] - y[:, 1:, None]) < 10.0)
-    hindering[:, range(trace.npcs.shape[1]), range(1, trace.npcs.shape[1] + 1)] = False  # nobody hinders itself
+    hindering[:, range(trace.npcs.shape[1]), range(1, trace.npcs.shape[1] + 1)] = False  # no vehicle hinders itself
     hindered = hindering.any(axis=2)
     lately = [hindered[max(tick - 30, 0) : tick + 1].any(axis=0) | (tick < 30) for tick in range(len(hindered))]
     return ~np.array(lately)

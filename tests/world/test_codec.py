@@ -1,4 +1,4 @@
-"""Worlds as plain data: what a corpus file holds, and what it may not."""
+"""Worlds as plain data: what a corpus file may contain, and what not."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def test_reading_a_world_makes_no_environment():
 
 
 SIX_GENES = Scenario(npcs=((PositionInstruction(1, 20.0),) * 6,))
-"""A minute, where the world lets it last so long."""
+"""A scenario of a minute, if the world allows such a length."""
 
 
 def test_file_cannot_exceed_time_limits_of_the_test():

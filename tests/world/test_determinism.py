@@ -1,4 +1,4 @@
-"""The same scenario gives the same trace: in another process, with other hash seeds, whatever else is random."""
+"""The same scenario gives the same trace, also in other processes, with other hash seeds and other random states."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ SHUFFLED = {"observation": {"type": "Kinematics", "order": "shuffled", "vehicles
 
 
 def hungry(env_action=1):
-    """A policy whose action depends on every bit of a shuffled observation."""
+    """Return a policy whose action depends on every bit of a shuffled observation."""
     return lambda observation: int(hashlib.sha256(observation.tobytes()).digest()[0] % 5)
 
 
 def cases():
-    """(world, ADS factory) of every kind."""
+    """Return (world, ADS factory) of every kind."""
     yield from ((Highway(duration=8.0), ego) for ego in EGOS)
     yield from ((World("highway-v0", duration=8.0), ads) for ads in (policy, shooter, IDMVehicle))
     yield World("highway-v0", config=SHUFFLED, duration=8.0), functools.partial(hungry)
 
 
 def digests():
-    """A digest of each case's traces over a few scenarios with conflicts, vanished lanes and repairs."""
+    """Return a digest of each case's traces over a few scenarios with conflicts, vanished lanes and repairs."""
     result = []
     for number, (world, ads) in enumerate(cases()):
         rng = random.Random(number)
@@ -91,7 +91,7 @@ print(json.dumps({**found, "digests": digests()}))
 
 @pytest.fixture(scope="module")
 def elsewhere():
-    """What another process, with another hash seed, came to, and what was imported in it by when."""
+    """Return the results of a process with a different hash seed, and its imports over time."""
     environment = {**os.environ, "PYTHONHASHSEED": "12345"}
     done = subprocess.run(
         [sys.executable, "-c", ELSEWHERE], cwd=ROOT, env=environment, capture_output=True, text=True, check=True,

@@ -1,4 +1,4 @@
-"""Every wrong world, and every scenario that does not fit one, is one clear error: place, expected, received, fix."""
+"""Every wrong world, and every scenario that does not fit, gives one clear error: place, expected, received, fix."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A wrapped environment runs as ``gymnasium.make``, the wrappers and ``env.step`` do; none is dropped unseen.
+"""A wrapped environment runs as ``gymnasium.make``, the wrappers and ``env.step`` do; no wrapper is dropped silently.
 
-The plain loop here knows nothing of this package: an environment whose own reset places vehicles, and NPCs that are
-given the controls which the trace has recorded.
+The plain loop here is independent of this package: the environment's own reset places vehicles, and NPCs follow the
+controls from the trace.
 """
 
 from functools import partial
@@ -43,7 +43,7 @@ CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5}
 
 
 class Staged(HighwayEnv):
-    """highway-v0 with the first moment of a trace as its reset."""
+    """A version of highway-v0 whose reset gives the first moment of a trace."""
 
     trace = None
 
@@ -54,7 +54,7 @@ class Staged(HighwayEnv):
         npcs = [Replayed(self.road, *place) for place in first[1:]]
         for index, npc in enumerate(npcs, start=1):
             controls = states[1:, index, (ACCELERATION, STEERING)]
-            npc.tick, npc.controls = 0, np.concatenate([controls, np.zeros((60, 2))])  # the last decision goes on
+            npc.tick, npc.controls = 0, np.concatenate([controls, np.zeros((60, 2))])  # the last decision continues
         self.road.vehicles = [ego, *npcs]
         self.controlled_vehicles = [ego]
         for vehicle in self.road.vehicles:
@@ -62,7 +62,7 @@ class Staged(HighwayEnv):
 
 
 class Listener:
-    """A policy whose actions depend on every bit that it sees, and which keeps both."""
+    """A policy whose actions depend on every bit of its observations, and which stores both."""
 
     def __init__(self, space):
         self.space, self.seen, self.actions = space, [], []
@@ -73,7 +73,7 @@ class Listener:
         if isinstance(self.space, gymnasium.spaces.Discrete):
             action = int(rng.integers(self.space.n))
         else:
-            low, high = np.maximum(self.space.low, -1.5), np.minimum(self.space.high, 1.5)  # clipped ones have no end
+            low, high = np.maximum(self.space.low, -1.5), np.minimum(self.space.high, 1.5)  # without infinite bounds
             action = (low + high) / 2 + rng.uniform(-0.02, 0.02, self.space.shape) * (high - low)
         self.seen.append(array.copy())
         self.actions.append(action)
@@ -161,7 +161,7 @@ def test_each_run_has_fresh_wrappers_and_is_confirmed():
 
 
 def flattened(config=None, render_mode=None):
-    """An entry point that returns a wrapped environment."""
+    """Return a wrapped environment, as an entry point."""
     return FlattenObservation(HighwayEnv(config, render_mode))
 
 
@@ -217,7 +217,7 @@ def test_registered_configuration_applies_unless_another_is_given(register):
 
 
 class Doubled(HighwayEnv):
-    """A straight road, and a reset and step of its own."""
+    """A straight road with its own reset and step."""
 
     def reset(self, **options):
         seen, info = super().reset(**options)
@@ -229,7 +229,7 @@ class Doubled(HighwayEnv):
 
 
 class Wet(HighwayEnv):
-    """A straight road, and a simulation of its own."""
+    """A straight road with its own simulation."""
 
     def _simulate(self, action=None):
         self.vehicle.speed *= 0.9
@@ -238,7 +238,7 @@ class Wet(HighwayEnv):
 
 def test_custom_step_is_used_on_straight_roads_too(register):
     register("mine-v0", entry_point=Doubled)
-    own, stock = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(2))  # of one action
+    own, stock = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(2))  # a policy with one action
     World("mine-v0", duration=2.0).rollout(SCENARIO, lambda: own)
     World("highway-v0", duration=2.0).rollout(SCENARIO, lambda: stock)
     assert np.array_equal(own.seen[0], 2 * stock.seen[0])

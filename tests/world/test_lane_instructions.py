@@ -15,7 +15,7 @@ from tests.helpers.world_cases import EGOS, constant_speed, violations
 
 
 def chain(*genes):
-    """From texts such as "left@22.5"."""
+    """Return a chain from texts such as "left@22.5"."""
     pairs = (gene.split("@") for gene in genes)
     return tuple(LaneInstruction(lane, float(speed)) for lane, speed in pairs)
 
@@ -90,7 +90,7 @@ def test_npc_without_target_lane_stays_in_its_own():
 
 
 def test_npc_does_not_steer_into_another_npc():
-    """NPC 0, to the left of NPC 1 and as fast, is told to move over; NPC 1 stays where it is."""
+    """NPC 0, to the left of NPC 1 and equally fast, has the instruction to move over; NPC 1 stays where it is."""
     trace = drive(scenario(chain("right@22", "keep@22"), chain("keep@22", "keep@22")), duration=10.0)
     assert trace.outcome is Outcome.SAFE
     assert trace.arrivals[0] == (None, 75)

@@ -1,4 +1,4 @@
-"""NPCs are vehicles and not missiles: their limits hold at every tick of every trace."""
+"""NPCs drive like vehicles: their limits hold at every tick of every trace."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_less_than_a_quarter_of_runs_is_invalid(ego, runs):
 
 
 def test_npc_drives_to_cell_then_at_its_speed():
-    """The ego drives 20 m/s in lane 1; the NPC is to go to the front left, then to cut in and brake."""
+    """The ego drives 20 m/s in lane 1; the NPC should go to the front left, then cut in and brake."""
     chain = [PositionInstruction(1, 24.0), PositionInstruction(2, 8.0)]
     trace = Highway(clearance=3.0).rollout(Scenario(npcs=[chain], ego_speed=20.0), constant_speed)
     (first, second), npc, ego = trace.arrivals[0], trace.npcs[:, 0], trace.ego
@@ -121,7 +121,7 @@ def test_npc_drives_to_cell_then_at_its_speed():
 
 
 def test_npc_with_ended_chain_retains_lane_and_speed():
-    """Its cell is behind an ego that drives away; once its only gene is over it no longer follows."""
+    """Its cell is behind an ego that drives away; it follows only until its only gene is over."""
     short, long = [PositionInstruction(6, 25.0)], [PositionInstruction(4, 25.0)] * 6
     scenario = Scenario(npcs=[short, long], ego_speed=15.0, gene_seconds=2.0)
     trace = Highway().rollout(scenario, lambda: lambda observation: (3.0, 0.0))
@@ -145,7 +145,7 @@ def test_lane_that_vanishes_inside_gene_is_not_approached():
 
 
 def test_npcs_brake_for_each_other():
-    """The first stops in the left lane ahead of the second, which wants 26 m/s: it stops behind it."""
+    """The first NPC stops in the left lane ahead of the second, which wants 26 m/s: it stops behind it."""
     stop, rush = [PositionInstruction(1, 0.0)], [PositionInstruction(7, 26.0)]
     trace = Highway().rollout(Scenario(npcs=[stop, rush], gene_seconds=30.0), constant_speed)
     gap = trace.npcs[:, 0, X] - trace.npcs[:, 1, X] - 5.0

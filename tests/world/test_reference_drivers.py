@@ -1,4 +1,4 @@
-"""The reference drivers: what they do alone, and that they see no more than an ADS does."""
+"""The reference drivers: their separate behaviour, and that they see no more than an ADS does."""
 
 import math
 from itertools import takewhile
@@ -29,7 +29,7 @@ def car(x, y=4.0, speed=20.0, heading=0.0):
 
 
 def drive(driver, other, *, seconds=10.0, speed=20.0, hz=HZ):
-    """A driver behind another vehicle, given by its state at each time; gap [m], speed [m/s], acceleration [m/s^2]."""
+    """Return gap [m], speed [m/s] and acceleration [m/s^2] of a driver behind a vehicle with given states."""
     rows, x = [], 0.0
     for tick in range(round(seconds * hz)):
         time = tick / hz
@@ -44,7 +44,7 @@ def drive(driver, other, *, seconds=10.0, speed=20.0, hz=HZ):
 
 
 def leader(gap, speed, brakes_at=math.inf, braking=0.0):
-    """A vehicle in the ego's lane that may brake."""
+    """Return a vehicle in the ego's lane that may brake."""
 
     def state(time):
         braked = min(max(time - brakes_at, 0.0), speed / braking if braking else 0.0)
@@ -64,7 +64,7 @@ def leader(gap, speed, brakes_at=math.inf, braking=0.0):
 
 
 def cut_in(gap, speed, begins, seconds=2.0):
-    """A vehicle in the left lane that moves into the ego's, 4 m in so many seconds, and begins at a gap from 20 m/s."""
+    """Return a vehicle in the left lane that moves 4 m into the ego's in some seconds, from 20 m/s at a gap."""
     ahead = 5.0 + gap + (20.0 - speed) * begins
 
     def state(time):
@@ -145,7 +145,7 @@ class TestFuzzySafety:
         assert min(a for *_, a in rows) == -6.0
 
     def test_fuzzy_driver_hits_a_hard_braking_leader(self):
-        """It takes the leader to keep its speed: 4 m/s^2 until that no longer is enough, then 6, too late."""
+        """It assumes that the leader keeps its speed. It brakes with 4 m/s^2 until that is too weak; 6 is too late."""
         brakes = leader(24.0, 20.0, brakes_at=0.0, braking=6.0)
         approach = list(takewhile(lambda row: row[1] > 0, drive(FuzzySafety(), brakes)))
         assert len(approach) < 10 * HZ
@@ -172,12 +172,12 @@ class TestIdmAeb:
 
 
 def scenario(*speeds, cell=2, lane=1):
-    """One NPC that holds a cell."""
+    """Return a scenario with one NPC that stays in a cell."""
     return Scenario(npcs=[[PositionInstruction(cell, speed) for speed in speeds]], ego_lane=lane, ego_speed=22.0)
 
 
 BRAKES = scenario(22.0, 4.0, 4.0)
-"""Falls back to 3 m ahead of the ego, then drives 22 m/s, then falls back again and drives 4 m/s."""
+"""An NPC that falls back to 3 m ahead of the ego, drives 22 m/s, falls back again and drives 4 m/s."""
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -213,12 +213,12 @@ class TestInTheWorld:
 
 
 def constant_speed_in(told):
-    """The run of an ego that never brakes, in a world with reference drivers."""
+    """Return the run of an ego that never brakes, in a world with reference drivers."""
     return Run(Highway().rollout(told, lambda: lambda observation: (0.0, 0.0)), world=Highway())
 
 
 def test_what_nobody_survives_is_preventable_by_nobody():
-    """From behind, at the limit: no lane keeper can do anything about it."""
+    """The NPC comes from behind, at the limit: no lane keeper can do anything about it."""
     run = constant_speed_in(scenario(26.8, cell=6))
     assert run.preventable_by == ()
     assert run.reference_drivers == dict.fromkeys(REFERENCES, "hit")
@@ -237,7 +237,7 @@ def test_unknown_driver_is_refused_with_the_known_names():
 
 
 def crossing(time, ego, *, kind="crossing", priority="npc", distance, speed, ego_distance=40.0, ahead=5.0):
-    """One that comes so near to its zone [m] at a constant speed, while the ego has driven so far [m]."""
+    """Return a vehicle at a constant speed before its zone; ``ego`` is how far the ego has driven until then [m]."""
     zone = Zone(way="a>b", kind=kind, origin="left", ego=(0.0, 10.0), npc=(0.0, 10.0), priority=priority)
     return CrossingVehicle(
         id=0,
@@ -254,7 +254,7 @@ def crossing(time, ego, *, kind="crossing", priority="npc", distance, speed, ego
 
 
 def drive_up(driver, *, seconds=20.0, hz=HZ, **other):
-    """A driver that comes to a zone 40 m ahead; (time, distance to it [m], speed [m/s], acceleration [m/s^2])."""
+    """Return (time, distance to the zone [m], speed [m/s], acceleration [m/s^2]) of a driver with a zone 40 m ahead."""
     rows, x, speed = [], 0.0, 10.0
     for tick in range(round(seconds * hz)):
         time = tick / hz

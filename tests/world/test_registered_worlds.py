@@ -1,4 +1,4 @@
-"""Worlds of installed packages: a file names the kind that a package has registered, and no other code."""
+"""Worlds of installed packages: a file names a registered kind of world, and no other code."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from tests.helpers.tables import table
 
 
 class Ring:
-    """A world of one's own that a file can describe."""
+    """A user's own world that a file can describe."""
 
     speed_limit, longest_run = 26.8, 10.0
 

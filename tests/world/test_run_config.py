@@ -1,4 +1,4 @@
-"""Danger is created by driving: at tick 0 nobody touches or endangers anybody."""
+"""Danger comes only from driving: at tick 0 no vehicle touches or endangers another."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.helpers.world_cases import LENGTH, WIDTH, chains, constant_speed, ran
 
 
 def starts(world, scenario, ego=constant_speed):
-    """The states at tick 0."""
+    """Return the states at tick 0."""
     return world.rollout(scenario, ego)
 
 
@@ -97,7 +97,7 @@ def test_a_long_ego_starts_with_the_same_gaps(speed):
 
 
 def test_npc_starts_no_faster_than_bend_allows():
-    """Lying in its lane as in the bend it turns by v sin(lean) / (length / 2) [rad/s], which v times is sideways."""
+    """If it leans in its lane as in the bend, it turns by v sin(lean) / (length / 2) [rad/s]; times v is sideways."""
     world = World("racetrack-v0")
     rules, scenario, slowed = world.rules, hold(*Cell, ego_lane=0, ego_speed=20.0), 0
     cells = tuple(Cell)

@@ -1,4 +1,4 @@
-"""The negative control that changes lanes: it overtakes where there is room, and only there."""
+"""The negative control that changes lanes overtakes only if there is room."""
 
 import math
 
@@ -13,7 +13,7 @@ QUEUE = tuple((-30.0 * place, 2, 26.0, 0.0) for place in range(1, 9))
 
 
 def lanes(*others, speed=22.0, seconds=25.0):
-    """The lane at each tick, the rightmost first, among others: ahead [m], lane, speed, and what they gain of it."""
+    """Return the lane at each tick, the rightmost first; others have distance ahead [m], lane, speed, acceleration."""
     driver, x, y, heading, seen = SoundLaneChanger(), 0.0, 3 * WIDTH, 0.0, []
     for tick in range(round(seconds * HZ)):
         time = tick / HZ
@@ -48,7 +48,7 @@ def test_it_reckons_with_one_behind_who_speeds_up(gain, overtakes):
 
 @pytest.mark.parametrize(("heading", "brakes"), [(0.0, False), (0.5, True)])
 def test_sound_driver_brakes_for_obstacle_on_planned_path(heading, brakes):
-    """One turned on the line reaches 20 cm into the ego's track there, and not into the one that it is in now."""
+    """A vehicle turned on the line reaches 20 cm into the ego's planned path, and not into its present track."""
     driver, ego = SoundLaneChanger(), VehicleState(0.0, WIDTH + 0.5, -0.02, 8.0, 1, 5.0, 2.0)
     standing = VehicleState(15.0, 1.1, heading, 0.0, 0, 5.0, 2.0)
     acceleration, _ = driver(Observation(0.0, ego, (standing,), 4, WIDTH, 26.8))

@@ -1,4 +1,4 @@
-"""What is imported with highway-env."""
+"""The modules that are imported with highway-env."""
 
 import subprocess
 import sys

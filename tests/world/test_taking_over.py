@@ -1,4 +1,4 @@
-"""A reference driver that takes over in the midst of a recorded run: all is as recorded before, and its own after."""
+"""A reference driver takes over in the middle of a recorded run: before that, everything is as recorded."""
 
 import math
 
@@ -28,13 +28,13 @@ HIGHWAY = Highway(duration=14.0)
 
 
 class Lorry(IDMVehicle):
-    """Longer and wider than what is told of by a planner."""
+    """A vehicle longer and wider than those that a planner sees."""
 
     LENGTH, WIDTH = 8.0, 2.5
 
 
 def on(env_id, drive, **config):
-    """A run in an environment: its world and its trace."""
+    """Run in an environment; return its world and its trace."""
     world = World(env_id, duration=6.0, **config)
     lane, speed = world.start or (1, 22.0)
     chain = [PositionInstruction(2, 8.0)]

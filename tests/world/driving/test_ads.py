@@ -1,4 +1,4 @@
-"""The four kinds of ADS, fresh per scenario, and the factories that make them."""
+"""The four kinds of ADS, new for each scenario, and the factories that make them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ worlds = pytest.mark.parametrize(("world", "idle"), [(HIGHWAY, (0.0, 0.0)), (GYM
 
 
 def always(action):
-    """A factory of an ADS that always returns one thing."""
+    """Return a factory of an ADS that always returns the same thing."""
     return lambda: lambda observation: action
 
 
@@ -153,7 +153,7 @@ def test_error_in_vehicle_class_counts_as_ads_error(world, idle):
 
 
 def genes_reachable_from(thing):
-    """Whether a search through all that an object refers to, by whatever way, meets a director or a gene."""
+    """Return whether a search through all references of an object reaches a director or a gene."""
     seen, queue = set(), [thing]
     while queue:
         item = queue.pop()
@@ -194,7 +194,7 @@ def test_planner_changing_its_environment_does_not_change_run():
             inside = copy.deepcopy(env)
             for _ in range(3):
                 inside.step(env.action_space.sample())
-            env.step(0)  # in the view itself, too
+            env.step(0)  # inside the view, too
             env.vehicle.position[:] = 0.0
             env.road.vehicles.clear()
             env.config["simulation_frequency"] = 1
@@ -225,7 +225,7 @@ def test_planner_environment_stays_in_step_with_run():
 
 
 def test_planner_that_samples_plans_the_same_each_time():
-    """Random shooting with the environment's own action space, and highway-env's random traffic behaviour."""
+    """It is random shooting with the environment's own action space, and highway-env's random traffic behaviour."""
 
     def shooter(env):
         def plan(observation):

@@ -1,4 +1,4 @@
-"""A planner that names a lane, and a speed or an acceleration, is driven there as a car drives."""
+"""A planner that names a lane, and a speed or an acceleration: the vehicle drives there as a car does."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def always(action):
 
 
 def changing(seed):
-    """Lanes, speeds, accelerations and pairs in turn."""
+    """Return lanes, speeds, accelerations and pairs in turn."""
 
     def factory():
         rng = random.Random(seed)
@@ -66,7 +66,7 @@ def test_highway_env_step_drives_to_lanes_the_same():
 
 
 class ToSpeed25(ControlledVehicle):
-    """highway-env's own controllers, with a goal."""
+    """highway-env's own controllers, with a target speed."""
 
     def act(self, action=None):
         self.target_speed = 25.0
@@ -85,7 +85,7 @@ def test_speed_follows_controller_of_highway_env_vehicles():
 
 
 def alone(decide, *, speed, seconds, physics_hz=15, ads_hz=15):
-    """The run of an ego in lane 1 of 4, with an NPC that falls behind."""
+    """Return the run of an ego in lane 1 of 4, with an NPC that falls behind."""
     world = Highway(duration=seconds, speed_limit=36.0, physics_hz=physics_hz, ads_hz=ads_hz)
     npcs = [[PositionInstruction(6, 0.0)]]
     scenario = Scenario(npcs=npcs, ego_lane=1, ego_speed=speed, gene_seconds=seconds)
@@ -93,7 +93,7 @@ def alone(decide, *, speed, seconds, physics_hz=15, ads_hz=15):
 
 
 def pulls(trace):
-    """Lateral acceleration by the way of the centre, and by the turning of the body [m/s^2], 0 before the start."""
+    """Return lateral accelerations by the centre's path and by the body's turning [m/s^2], 0 before the start."""
     hz, ego = trace.physics_hz, trace.ego
     along, across = np.diff(ego[:, [X, Y]].T) * hz
     speed = np.hypot(along, across)
@@ -198,7 +198,7 @@ def test_gentle_drive_takes_longer_than_sporty_drive():
 @table("speed", [10.0, 25.0])
 @table("jerk", [0.1, 0.5, 3.0, 20.0])
 def test_larger_acceleration_limit_never_slows_lane_change(speed, jerk):
-    """The limit of jerk decides then: a change of 4 m under a jerk j takes at least (32 * 4 / j)^(1/3) seconds."""
+    """The jerk limit decides then: a change of 4 m under a jerk j takes at least (32 * 4 / j)^(1/3) seconds."""
     times = [
         seconds_to_next_lane(speed=speed, lateral_jerk=jerk, lateral_acceleration=most)
         for most in (0.5, 1.0, 2.5, 5.0, 10.0, 100.0)
@@ -273,7 +273,7 @@ def test_speeds_in_kilometres_an_hour_are_doubted():
 
 
 class Weaving:
-    """Decides for many runs at once, with lanes for some and pairs for others."""
+    """An ADS that decides for many runs at once, with lanes for some and pairs for others."""
 
     def __call__(self, seen):
         lane = int(seen.time) % seen.lanes

@@ -1,4 +1,4 @@
-"""NPCs that cross: when they come, what they do at their zone, and that they drive into nobody but the ego."""
+"""NPCs that cross: their timing, their acts at their zone, and that they hit no vehicle except the ego."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from tests.helpers.tables import table
 from tests.helpers.world_cases import STANDING, beyond
 
 LEFT, AHEAD, RIGHT, INTO = "o1>o3", "o2>o0", "o3>o0", "o3>o1"
-"""Ways at an intersection where the ego, from o0, turns to the left, to o1: three across its way, one into its lane."""
+"""Ways at an intersection where the ego turns left from o0 to o1: three across its way, one into its lane."""
 FREEZE, RESPONSE = 3.0, 1.0
 
 
 class Steady(ControlledVehicle):
-    """Keeps to its route and its first speed, whatever the rules of highway-env's road ask it to do."""
+    """A vehicle that keeps its route and first speed, whatever the rules of highway-env's road require."""
 
     first: float | None = None
 
@@ -33,7 +33,7 @@ class Steady(ControlledVehicle):
 
 
 def scenario_of(*npcs, world=None, seed=0):
-    """NPCs from instructions as tuples, or from chains for the grid."""
+    """Return a scenario with NPCs from instructions as tuples, or from chains for the grid."""
     lane, speed = (world or world_of("intersection-v0")).start
     chains = [[CrossingInstruction(*npc)] if isinstance(npc, tuple) else npc for npc in npcs]
     return Scenario(npcs=chains, ego_lane=lane, ego_speed=speed, gene_seconds=4.0, seed=seed)
@@ -45,7 +45,7 @@ def rollout(*npcs, ego=Steady, world=None):
 
 
 def braking_at(time, until=0.0, braking=6.0):
-    """A vehicle class that keeps its speed up to a time [s], brakes to another [m/s], and keeps that."""
+    """Return a vehicle class that keeps its speed up to a time [s], brakes to a second speed [m/s], and keeps that."""
 
     class Braking(Steady):
         ticks = 0
@@ -61,14 +61,14 @@ def braking_at(time, until=0.0, braking=6.0):
 
 
 def times_in(trace, npc=0):
-    """When the ego and an NPC enter and leave the zone [s]."""
+    """Return when the ego and an NPC enter and leave the zone [s]."""
     zone, clock = trace.zones[npc], trace.times
     ego = np.interp(zone.ego, trace.track[:, 0, ALONG], clock)
     return (*ego, *np.interp(zone.npc, trace.on_way[:, npc], clock))
 
 
 def slot_of(trace, npc=0):
-    """How long after the ego leaves the NPC enters; below 0, before the ego enters the NPC leaves [s]."""
+    """Return the time from the ego's exit to the NPC's entry; if the NPC is first, minus the time between [s]."""
     ego_in, ego_out, npc_in, npc_out = times_in(trace, npc)
     if npc_out < ego_in:
         return npc_out - ego_in
@@ -95,7 +95,7 @@ def test_together_they_collide_where_nobody_gives_way(zone):
 
 
 def test_npc_follows_arrival_of_a_slower_ego():
-    """From 10 to 7 m/s at once: it comes two seconds later, and so does the NPC."""
+    """The ego slows from 10 to 7 m/s at once and comes two seconds later, and so does the NPC."""
     late = rollout((LEFT, 1.0, 7.0), ego=braking_at(0.0, 7.0))
     assert times_in(late)[0] - times_in(rollout((LEFT, 1.0, 7.0)))[0] > 1.5
     assert slot_of(late) == pytest.approx(1.0, abs=0.3)
@@ -152,7 +152,7 @@ def test_late_npc_starts_from_line_by_its_slot():
 
 
 def entering_and_standing():
-    """An ego that drives into the zone of those from the left and stops there."""
+    """Return an ego that drives into the zone of NPCs from the left and stops there."""
     return braking_at(6.6, 0.0, 8.0)
 
 
@@ -191,7 +191,7 @@ def test_npc_follows_a_slower_ego_behind_a_merge():
 
 
 def test_npc_with_the_higher_number_waits():
-    """Across each other's way, both as long after the ego; their windows clash, so that no search draws them."""
+    """They cross each other's way, both equally long after the ego; their windows clash, so no search samples them."""
     first, second = (LEFT, 1.0, 8.0), ("o3>o0", 1.0, 6.0)
     world = world_of("intersection-v0")
     assert world.crossings.clashes(scenario_of(first, second))
@@ -223,7 +223,7 @@ def test_npcs_that_start_too_near_in_one_lane_clash_whether_it_is_that_of_their_
 
 
 def drawn(rng, world, on_grid=0):
-    """A random scenario whose NPCs do not clash."""
+    """Return a random scenario whose NPCs do not clash."""
     names = sorted(world.crossings.ways)
     while True:
         npcs = [
@@ -250,7 +250,7 @@ def drawn(rng, world, on_grid=0):
 
 
 def slowing():
-    """A policy that brakes, waits and goes on at random, always in the same way."""
+    """Return a policy that brakes, waits and drives on at random, always in the same way."""
     rng = np.random.default_rng(5)
     return lambda seen: int(rng.integers(3))
 
@@ -280,7 +280,7 @@ def test_npcs_without_clash_never_touch_and_respect_limits(env_id, on_grid, runs
 
 
 def violations(trace, world):
-    """Which limits the NPCs break that cross, and how far they are beside their ways."""
+    """Return the limits that crossing NPCs break, and how far they leave their ways."""
     limits, dt = world.limits, trace.dt
     crossing = [npc for npc, each in enumerate(trace.scenario.crossings) if each is not None]
     s = trace.npcs[:, crossing]
@@ -305,7 +305,7 @@ def violations(trace, world):
 
 @table("zone", [LEFT, AHEAD, RIGHT])
 def test_higher_numbered_of_grid_and_crossing_npc_waits(zone):
-    """The one ahead of the ego and the one that crosses would be in the zone together."""
+    """The NPC ahead of the ego and the crossing NPC would be in the zone together."""
     ahead, crossing, ego = [PositionInstruction(2, 9.0)] * 3, (zone, -0.5, 8.0), braking_at(0.0, 7.0, 2.0)
     alone = [rollout(ahead, ego=ego).npcs[:, 0, SPEED], rollout(crossing, ego=ego).npcs[:, 0, SPEED]]
     for npcs, waits in (((ahead, crossing), 1), ((crossing, ahead), 1)):
@@ -337,7 +337,7 @@ def test_npc_on_grid_avoids_cell_next_to_merged():
 
 
 def steering():
-    """A policy of continuous actions that holds the wheel straight and speeds up a little."""
+    """Return a policy of continuous actions that holds the wheel straight and speeds up a little."""
     return lambda seen: np.array([0.3, 0.0], dtype=np.float32)
 
 

@@ -1,4 +1,4 @@
-"""Kinematics observations equal highway-env's own to the last bit; all others are highway-env's own."""
+"""Kinematics observations equal highway-env's own to the last bit; all other observations are highway-env's own."""
 
 from __future__ import annotations
 

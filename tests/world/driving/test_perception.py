@@ -1,4 +1,4 @@
-"""An ADS in a Perception: what it is shown, in each engine and kind, against what the trace says there was."""
+"""An ADS with imperfect sight: its observations, in each engine and kind, against the true states in the trace."""
 
 import functools
 from collections import deque
@@ -50,7 +50,7 @@ FASTER, IDLE = 3, 1
 
 
 class Watching:
-    """Drives like another planner, and keeps what it is shown."""
+    """An ADS that drives like a second planner, and stores its observations."""
 
     def __init__(self):
         self.shown = []
@@ -62,7 +62,7 @@ class Watching:
 
 
 class WatchingPolicy:
-    """Drives at its speed, and keeps what it is shown."""
+    """A policy that keeps its speed, and stores its observations."""
 
     def __init__(self, env=None):
         self.shown = []
@@ -77,7 +77,7 @@ class WatchingPolicy:
 
 
 def run(rollout, kind, **imperfections):
-    """The trace of a run, and the ADS that drove it."""
+    """Return the trace of a run, and the ADS that drove it."""
     made = []
 
     def factory():
@@ -88,7 +88,7 @@ def run(rollout, kind, **imperfections):
 
 
 def delayed(rows, ticks):
-    """Rows as a delay line gives them out: the first one until it is full."""
+    """Return rows as a delay line releases them: the first one until it is full."""
     line = deque([rows[0]] * (ticks + 1), maxlen=ticks + 1)
     for row in rows:
         line.append(row)
@@ -203,7 +203,7 @@ def test_vehicle_lane_is_that_of_its_seen_position():
 def test_occupancy_grid_is_empty_without_visible_vehicles():
     config = {"observation": {"type": "OccupancyGrid", "features": ["presence"]}, "duration": 3}
     rollout = pafot.World("highway-v0", config).rollout
-    assert sum(grid.sum() for grid in run(rollout, WatchingPolicy)[1].shown) > 3  # of four times, the ego aside
+    assert sum(grid.sum() for grid in run(rollout, WatchingPolicy)[1].shown) > 3  # four times, without the ego
     assert {grid.sum() for grid in run(rollout, WatchingPolicy, range=0.0)[1].shown} == {1.0}
 
 

@@ -1,4 +1,4 @@
-"""A planner in SI units sees who drives along its way there, and everybody else where their ways cross."""
+"""A planner in SI units sees vehicles along its way there, and all others at junctions."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ WORLD = World("intersection-v0", config={"destination": "o2"}, planner_hz=5)
 JUNCTION = WORLD.rules.junction
 FROM_THE_RIGHT, TURNS_IN = JUNCTION.ways["o3>o1"], JUNCTION.ways["o3>o2"]
 HALF = 111.0
-"""Of the intersection: from the middle to the outer ends of the roads [m]."""
+"""The distance from the middle of the intersection to the outer ends of the roads [m]."""
 
 
 def planner_on(*npcs, ways=(), sight=None):
-    """A planner whose ego has driven 60 m from the south, among vehicles at x, y, heading, speed."""
+    """Return a planner whose ego has driven 60 m from the south, among vehicles at x, y, heading, speed."""
     road = Road(WORLD.network, np_random=np.random.default_rng(0))
     cars = [Car(road, place[:2], *place[2:]) for place in ((2.0, HALF - 60.0, -math.pi / 2, 10.0), *npcs)]
     road.vehicles = cars
@@ -40,7 +40,7 @@ def planner_on(*npcs, ways=(), sight=None):
 
 EGO_ENTERS, ENTERS = FROM_THE_RIGHT.way.zone.ego[0], FROM_THE_RIGHT.way.zone.npc[0]
 EAST = (HALF - 90.0, -2.0, math.pi, 8.0)
-"""Who has driven 90 m from the east towards the west."""
+"""A vehicle that has driven 90 m from the east towards the west."""
 
 
 def test_crossing_vehicle_is_seen_on_its_own_way():

@@ -64,14 +64,14 @@ def test_the_closest_lane_is_highway_envs(network, x, y, heading):
 
 
 class Shifted(StraightLane):
-    """A class of lane of which nothing is known: all along it is elsewhere than its positions say."""
+    """An unknown class of lane: each place along it is elsewhere than its positions say."""
 
     def local_coordinates(self, position):
         return super().local_coordinates(np.asarray(position) - [0.0, 60.0])
 
 
 def tangled():
-    """Lanes of all kinds that cross and lie on each other, some of them twice."""
+    """Return lanes of all kinds that cross and cover each other, some of them twice."""
     network = RoadNetwork()
     lanes = [
         StraightLane([-40, -10], [60, 30]),
@@ -90,7 +90,7 @@ def tangled():
 
 
 def places(network, rng, count):
-    """Near lanes, beyond their ends, and anywhere else."""
+    """Return places near lanes, beyond their ends, and anywhere else."""
     for number in range(count):
         heading = None if number % 2 else rng.uniform(-10, 10)
         lane = network.lanes_list()[rng.integers(len(network.lanes_list()))]
@@ -147,7 +147,7 @@ def test_a_directed_vehicle_steers_as_highway_envs_own(position, heading, speed,
 
 
 def crossroads(kind, seed, ego_class):
-    """An ego and others near the middle of an intersection, on a road of a kind, and how others foresee them."""
+    """Return an ego and others near the middle of an intersection, and how the others predict their places."""
     rng, network = np.random.default_rng(seed), World("intersection-v0").network
     road = kind(network, np_random=rng)
     lanes = [lane for index, lane in network.lanes_dict().items() if index[0].startswith("o")]

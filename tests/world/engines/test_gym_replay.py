@@ -1,4 +1,4 @@
-"""The plain registered environment shows the same runs, for every kind of ADS and every way to end."""
+"""The plain registered environment gives the same runs, for every kind of ADS and every ending."""
 
 import random
 from itertools import islice
@@ -35,7 +35,7 @@ def scenarios(seed, count, **arguments):
 
 
 def ending(world, ads, outcome, seed=0):
-    """The first of many scenarios that ends in a way."""
+    """Return the first of many scenarios that has a given outcome."""
     return next(
         each
         for each in scenarios(seed, 400, npcs=5 if outcome is Outcome.INVALID else 2)
@@ -141,7 +141,7 @@ def test_an_ads_that_raises_raises_there_too():
 
 
 def test_environment_drives_its_own_road_and_vehicles(monkeypatch):
-    """Nothing of this package's physics takes part: break it, and the run in the environment stays as it is."""
+    """Nothing of this package's physics is used: even if it is broken, the run in the environment stays the same."""
     from pytest_pafot.world.driving.vehicles import Car
 
     world, (scenario,) = Highway(), scenarios(4, 1)

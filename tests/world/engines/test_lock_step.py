@@ -1,4 +1,4 @@
-"""Runs in lock step are the runs of the same ADS asked one by one."""
+"""Runs in lock step equal the runs of the same ADS one by one."""
 
 import time
 
@@ -19,13 +19,13 @@ ALONE = Scenario(npcs=[[PositionInstruction(2, 15.0)]])
 
 
 def scenarios(count=6):
-    """Of different numbers of NPCs, most of which end in a collision sooner or later."""
+    """Return scenarios with different numbers of NPCs, most of which end in a collision."""
     rng = np.random.default_rng(3)
     return [sample(SearchSpace(npcs=1 + index % 4, genes=2, gene_seconds=6.0), rng) for index in range(count)]
 
 
 class Planner:
-    """Pushes on and weaves, by the row; each row is decided upon by itself."""
+    """An ADS that pushes on and weaves; it decides for each row separately."""
 
     def __init__(self, asked=None):
         self.asked = [] if asked is None else asked
@@ -42,14 +42,14 @@ class Planner:
 
 
 class MetaPolicy(Planner):
-    """The same for highway-env's own observation and meta-actions."""
+    """The same ADS for highway-env's own observation and meta-actions."""
 
     def decided(self, observation):
         return int(abs(observation).sum() * 1000) % 5
 
 
 def differences(traces, others):
-    """What of two lists of traces is not the same to the last bit."""
+    """Return what differs between two lists of traces, to the last bit."""
     names = ("scenario", "executed", "outcome", "collision", "error", "actions", "arrivals", "off_road_tick", "lanes")
     return [
         (index, name)
@@ -144,7 +144,7 @@ def test_one_scenario_is_no_batch():
 
 
 class Failing(Planner):
-    """Raises, or hangs, or answers nonsense, where there is one NPC."""
+    """An ADS that raises, hangs, or answers nonsense if there is one NPC."""
 
     def __init__(self, how):
         super().__init__()
@@ -163,7 +163,7 @@ def panics():
 
 
 class Panic(BaseException):
-    """As the bindings of a native library raise it."""
+    """An error like the one that a native library's bindings raise."""
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What is recorded of a collision."""
+"""The record of a collision."""
 
 import random
 

@@ -1,7 +1,7 @@
 """The same actions give the same trajectories as highway-env's own vehicles, road and ``env.step``.
 
-NPCs are driven there by stock vehicles with the controls that the trace has recorded, so the physics, the action types,
-the decision rate, the observations and highway-env's own drivers are compared, and not this package with itself.
+Stock vehicles drive the NPCs there with the controls from the trace. So the tests compare the physics, the action
+types, the decision rate, the observations and highway-env's own drivers, and not this package with itself.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ STATE = slice(0, SPEED + 1)
 
 @pytest.fixture(params=mostly_oracle(["exactly", "within a centimetre"], "exactly"))
 def exact(request):
-    """Whether to compare to the last bit, which machines agree on with the C library's functions only."""
+    """Return whether to compare to the last bit, on which machines agree only with the C library's functions."""
     with c_library() if request.param == "exactly" else nullcontext():
         yield request.param == "exactly"
 
@@ -40,7 +40,7 @@ only_exactly = pytest.mark.parametrize("exact", ["exactly"], indirect=True)
 
 
 class Npc(Replayed):
-    """A stock vehicle of which an IDM follower assumes what it assumes of an NPC: that it likes its speed."""
+    """A stock vehicle about which an IDM follower assumes the same as about an NPC: it drives at its desired speed."""
 
     @property
     def target_speed(self):
@@ -48,7 +48,7 @@ class Npc(Replayed):
 
 
 def stock_env(trace, env_id="highway-v0", config=None, ego_class=None):
-    """An environment of gymnasium with the trace's vehicles at their start, and a log of their states."""
+    """Return an environment of gymnasium with the trace's vehicles at their start, and a log of their states."""
     config = {"vehicles_count": 0, "duration": 10_000, **(config or {})}
     env = gymnasium.make(env_id, config=config, disable_env_checker=True)
     env.reset(seed=0)
@@ -119,7 +119,7 @@ def test_highway_planner_drives_like_continuous_actions(exact, physics_hz, ads_h
             "action": {"type": "ContinuousAction"},
         },
     )
-    env.unwrapped.observation_type.observe = lambda: None  # nobody looks, and it costs more than all the rest
+    env.unwrapped.observation_type.observe = lambda: None  # not needed, and slower than all the rest
     for action in actions[: len(trace.actions)]:
         env.step(action)
     assert trace.outcome is not Outcome.ADS_ERROR
@@ -195,7 +195,7 @@ def test_vehicle_classes_drive_themselves_as_in_gymnasium(exact, world, ego_clas
 
 
 def test_collisions_start_at_first_overlap_of_stock_boxes():
-    """highway-env's own polygons, tested for contact without its prediction."""
+    """It uses highway-env's own polygons, tested for contact without its prediction."""
     from highway_env.utils import are_polygons_intersecting
 
     world, found = Highway(), 0

@@ -1,4 +1,4 @@
-"""The kernel and highway-env's objects: which of them runs, and that nobody can tell from the trace."""
+"""The kernel and highway-env's objects: which one runs, and that both give the same trace."""
 
 from __future__ import annotations
 
@@ -65,9 +65,9 @@ def test_both_engines_give_same_trace_for_every_ego(ego, seed):
 
 @pytest.mark.parametrize("first", [10_000, oracle(10_020)])
 def test_numpy_rounding_changes_positions_by_less_than_centimetre(first):
-    """True of nearly all runs, as rounding can decide what a vehicle does, hence of these in particular."""
+    """This is true of nearly all runs, but rounding can decide a vehicle's action, so the test names these runs."""
     cases = [Case.random(seed) for seed in range(first, first + 20)]
-    # The model of an IDM ego that wants to stand trembles about 0 m/s, which makes any rounding grow.
+    # The model of an IDM ego that wants to stand oscillates around 0 m/s, which amplifies any rounding.
     cases = [case for case in cases if case.ego not in (IDMVehicle, Hurried) or case.scenario.ego_speed > 0]
     assert len(cases) > 13
     for case in cases:
@@ -145,7 +145,7 @@ def test_the_kernel_knows_highway_envs_vehicles():
 
 @pytest.fixture
 def ran(monkeypatch):
-    """Names of the engines that ran, in turn."""
+    """Return the names of the engines that ran, in order."""
     names = []
     for name, engine in (("run_planner", "kernel"), ("run_model", "kernel"), ("_by_objects", "highway-env")):
         original = getattr(engines, name)

@@ -1,4 +1,4 @@
-"""An ADS that raises, returns nonsense, hangs or is slow: an outcome of its own, never a collision, never a crash."""
+"""An ADS that raises, returns nonsense, hangs or is slow has its own outcome, never a collision or a crash."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CustomFault(Exception):  # noqa: N818
 
 
 def failing_after(decisions, fail, idle):
-    """An ADS that drives for so many decisions, then calls ``fail``."""
+    """Return an ADS that drives for a number of decisions, then calls ``fail``."""
 
     def factory():
         count = iter(range(1000))
@@ -68,7 +68,7 @@ def test_raising_ads_ends_run_with_its_own_traceback(world, idle):
 
 
 class Panic(BaseException):
-    """As the bindings of a native library raise it."""
+    """An error like the one that a native library's bindings raise."""
 
 
 FAULTS = [
@@ -202,7 +202,7 @@ def spinning():
 
 
 def spinning_deaf():
-    """Swallows whatever interrupts it, once."""
+    """Swallow the first interruption."""
     try:
         spinning()
     except BaseException:  # noqa: BLE001
@@ -211,7 +211,7 @@ def spinning_deaf():
 
 @pytest.fixture
 def clock(monkeypatch):
-    """The clock of all limits, which shows more only where a test says so: no healthy decision is ever too slow."""
+    """Return the clock of all limits, which only tests advance, so that no healthy decision is ever too slow."""
     return StoppedClock(monkeypatch)
 
 
@@ -272,13 +272,13 @@ def test_time_between_decisions_is_not_a_hang():
 
 @pytest.mark.parametrize("inside_thread", [False, True])
 def test_late_interruption_never_breaks_the_following_code(inside_thread):
-    """Decisions of about the limit, over and over: each is interrupted inside, or not at all."""
+    """Decisions take about the limit, many times: each is interrupted inside, or not at all."""
     from pytest_pafot.world.guard.hang_guard import AdsHang
 
     escaped = []
 
     def decide(until):
-        """In a frame of its own, as an ADS's: CPython 3.13 leaves the jump of a ``while`` out of the ``try`` around."""
+        """Use a separate frame, as an ADS does: CPython 3.13 puts a ``while``'s jump outside the ``try`` around it."""
         while time.perf_counter() < until:
             pass
 
@@ -340,7 +340,7 @@ def test_slow_decisions_are_measured_and_change_nothing_else():
 
 @pytest.mark.processes
 def test_thread_can_be_traced_after_another_thread_hangs():
-    # CPython 3.11 hangs in a traced function after an exception for a thread was taken back by its C interface.
+    # CPython 3.11 hangs in a traced function after its C interface has revoked an exception for a thread.
     code = """
 import sys, threading
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard

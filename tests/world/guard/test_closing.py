@@ -1,4 +1,4 @@
-"""An ADS with a method ``close`` is closed once when its run is over, however that ends and whatever stepped it."""
+"""An ADS with a method ``close`` is closed once when its run is over, whatever the ending and the engine."""
 
 import functools
 import itertools
@@ -17,7 +17,7 @@ BESIDE = Scenario(npcs=[[PositionInstruction(4, 22.0)]], gene_seconds=2.0)
 
 
 class Program:
-    """Drives as told, for a second; how often it is closed is written into a list."""
+    """An ADS that drives as given, for a second; it writes into a list when it is closed."""
 
     def __init__(self, log, then=lambda: (0.0, 0.0), end=lambda: None):
         self.log, self.then, self.end, self.asked = log, then, end, 0

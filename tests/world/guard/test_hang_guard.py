@@ -1,4 +1,4 @@
-"""The thread that watches all decisions of a process: it is there when it is needed, and only then."""
+"""The thread that watches all decisions of a process exists only when needed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.world.driving.test_ads import SCENARIO
 
 @pytest.fixture
 def watchdog(monkeypatch):
-    """A fresh one, which looks every ten milliseconds."""
+    """Return a new watchdog, which looks every ten milliseconds."""
     monkeypatch.setattr(hang_guard, "LONGEST_PAUSE", 0.01)
     monkeypatch.setattr(hang_guard, "_WATCHDOG", fresh := hang_guard._Watchdog())
     return fresh
@@ -38,7 +38,7 @@ def fork_and_go_on():
 
 
 def forks_once(fork, when):
-    """A factory of ADSs that fork in the factory, or in the first decision."""
+    """Return a factory of ADSs that fork in the factory, or in the first decision."""
 
     def ads():
         if when == "factory":
@@ -78,7 +78,7 @@ def test_a_copy_that_comes_later_is_waited_for(monkeypatch):
 
 
 def hang(limit):
-    """Whether a decision that never ends is interrupted."""
+    """Return whether a decision that never ends is interrupted."""
     with HangGuard(limit) as watched:
         try:
             try:
@@ -123,7 +123,7 @@ def test_short_limit_holds_while_long_one_is_watched(monkeypatch):
 
 
 def test_decision_within_its_limit_is_not_overdue():
-    """The order of :class:`HangGuard`: the watching thread reads the clock first, and then what is under way."""
+    """This is the order of :class:`HangGuard`: the watching thread reads the clock, and then the current decisions."""
     times = iter([0.0, 5.0, 5.1])
     watched = HangGuard(5.0, clock=lambda: next(times))
     watched.started = watched.clock()
@@ -169,7 +169,7 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 
 
 def swallow(seconds, limit):
-    """A decision that goes on, whatever interrupts it, until two looks have found that it has ignored that for long."""
+    """Make a decision that ignores interruptions until two looks have found it overdue for this long."""
     found = []
     with HangGuard(limit) as watched:
         look = watched.look
@@ -197,7 +197,7 @@ def test_last_resort_ends_decisions_that_ignore_interruption(watchdog, grace, is
 
 
 class Timer:
-    """In the place of faulthandler's."""
+    """A stand-in for faulthandler's timer."""
 
     def __init__(self):
         self.seconds = []
@@ -211,7 +211,7 @@ class Timer:
 
 
 def comes_true(condition):
-    """Whether it does within half a minute."""
+    """Return whether a condition becomes true within half a minute."""
     deadline = time.monotonic() + 30
     while not condition() and time.monotonic() < deadline:
         time.sleep(0.01)

@@ -1,4 +1,4 @@
-"""The contact oracle, against one of another kind: clipping one polygon with the other."""
+"""The contact oracle, against a different method: clipping one polygon with the other."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def corners(box):
 
 
 def shared_area(a, b):
-    """Area of the intersection by Sutherland and Hodgman's clipping and the shoelace formula."""
+    """Return the area of the intersection, by Sutherland and Hodgman's clipping and the shoelace formula."""
     polygon, clip = corners(a), corners(b)
     for (x1, y1), (x2, y2) in zip(clip, clip[1:] + clip[:1], strict=True):
 
@@ -126,7 +126,7 @@ EGO = Box(0.0, 0.0, 0.0, 5.0, 2.0)
         (Box(0.0, -2.3, 0.0, 5.0, 2.0), "left"),
         (Box(6.0, 1.9, 0.0, 5.0, 2.0), "front"),  # offset, but still in the way
         (Box(6.0, -1.9, 0.0, 5.0, 2.0), "front"),
-        (Box(4.8, 2.3, -0.2, 5.0, 2.0), "right"),  # cuts in from beside
+        (Box(4.8, 2.3, -0.2, 5.0, 2.0), "right"),  # cuts in from the side
         (Box(-4.8, -2.3, 0.2, 5.0, 2.0), "left"),
         (Box(-5.5, 1.0, 0.1, 5.0, 2.0), "rear"),
         (Box(5.3, 2.1, -0.1, 5.0, 2.0), "front"),  # over the corner, further apart ahead

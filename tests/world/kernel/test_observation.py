@@ -1,4 +1,4 @@
-"""What a planner sees is made where it looks, and is a value like any other."""
+"""A planner's observation is made on access, and is a value like any other."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_observation_matches_last_tick_of_the_trace():
     assert [(now.acceleration, now.steering) for now in seen] == [tuple(row) for row in trace.ego[:-1:5, 4:6].tolist()]
     assert {(now.decision_period, now.ids, now.road_length) for now in seen} == {(1 / 3, (0, 1), trace.lanes[0].length)}
     assert {now.lane_centres for now in seen} == {tuple(lane.y for lane in trace.lanes)}
-    next_tick = np.diff(trace.states[:, 0, 1])[5::5] * 15  # the ego's controls are held
+    next_tick = np.diff(trace.states[:, 0, 1])[5::5] * 15  # the ego's controls stay constant
     assert [now.lateral_velocities[0] for now in seen[1:]] == pytest.approx(next_tick, abs=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""The grid on every road of highway-env: cells, limits, ends of a run, and the same again by ``env.step``."""
+"""The grid on every road of highway-env: cells, limits, ends of a run, and the same run by ``env.step``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.helpers.stages import mostly_oracle, oracle
 
 
 def hold(world, *cells, speed=8.0, genes=1, **fields):
-    """NPCs that hold a cell each, from the environment's own start, in genes that share a run."""
+    """Return NPCs that stay in one cell each, from the environment's own start, in genes that share a run."""
     lane, ego_speed = world.start
     seconds = math.floor(world.longest_run * world.physics_hz / genes) / world.physics_hz
     fields = {"ego_lane": lane, "ego_speed": ego_speed, "gene_seconds": seconds, **fields}
@@ -40,7 +40,7 @@ def idm():
 
 
 def constant():
-    """Keeps its lane and its speed."""
+    """Return an ADS that keeps its lane and its speed."""
     return ControlledVehicle
 
 
@@ -59,13 +59,13 @@ def test_limits_hold_and_executed_chain_stays_fixed(env_id):
 @pytest.mark.parametrize(
     ("seed", "cells", "speeds"),
     [
-        # An NPC starts to change lanes at 5 m/s, and could drive 10 m/s in the bend: it must not, turned outwards.
+        # An NPC begins a lane change at 5 m/s and could drive 10 m/s in the bend: it must not, while turned outwards.
         oracle(
             65554407,
             ([3, 2, 3, 4, 3, 4], [4, 3, 2, 3, 2, 3]),
             ([4.5, 8.1, 6.9, 1.8, 7.7, 3.9], [2.1, 8.1, 6.9, 4.9, 7.7, 3.9]),
         ),
-        # An NPC changes lanes where the bend of one of them begins later than that of the other.
+        # An NPC changes lanes where one lane's bend begins later than the other's.
         oracle(
             974133204,
             ([2, 2, 2, 1, 2, 3], [7, 7, 6, 5, 6, 5]),
@@ -157,11 +157,11 @@ def test_cells_exist_only_on_lanes_in_ego_direction():
     assert roundabout.cells(in_the_circle, 1, 8.0) == {1, 2, 6, 7, 8}  # the inner lane is to the left
     merge = world_of("merge-v1").road
     assert merge.cells(merge.start, 1, 8.0) == {1, 2, 6, 7, 8}
-    assert merge.cells(250.0, 1, 8.0) == {1, 2, 3, 4, 5, 6, 7, 8}  # beside the lane that ends
+    assert merge.cells(250.0, 1, 8.0) == {1, 2, 3, 4, 5, 6, 7, 8}  # next to the lane that ends
     assert merge.cells(305.0, 1, 8.0) == {1, 2, 4, 5, 6, 7, 8}
     assert merge.cells(3.0, 1, 8.0) == {1, 2, 8}  # nothing is behind the beginning of the road
     two_way = world_of("two-way-v0").road
-    assert two_way.cells(100.0, 1, 8.0) == {1, 2, 6, 7, 8}  # the oncoming lane lies on the left one
+    assert two_way.cells(100.0, 1, 8.0) == {1, 2, 6, 7, 8}  # the oncoming lane covers the left one
 
 
 def test_more_npcs_than_start_cells_is_clear_error():
@@ -180,7 +180,7 @@ def test_lane_instructions_are_refused_on_curved_roads():
 
 
 def test_ring_steps_skip_cells_that_do_not_exist():
-    """On the single lane before the roundabout a step from 2 to 3 leads to 6."""
+    """On the single lane before the roundabout, a step from 2 to 3 leads to 6."""
     world = World("roundabout-v1", duration=4.0)
     chain = [PositionInstruction(2, 8.0), PositionInstruction(3, 8.0)]
     fields = {"ego_lane": 1, "ego_speed": 1.0, "gene_seconds": 2.0}
@@ -191,7 +191,7 @@ def test_ring_steps_skip_cells_that_do_not_exist():
 
 
 def test_npcs_never_exceed_what_bends_allow():
-    """The outer bend of the racetrack has a radius of 20 m: 4 m/s^2 allow 8.9 m/s, while the ego drives 10."""
+    """The outer bend of the racetrack has a radius of 20 m: 4 m/s^2 allow 8.9 m/s, while the ego drives 10 m/s."""
     world = world_of("racetrack-v1", duration=20.0)
     trace = world.rollout(hold(world, 2, speed=10.0), idm)
     speeds = trace.npcs[:-1, 0, SPEED]
@@ -219,7 +219,7 @@ def test_way_follows_ego_route_or_default_choice():
 
 
 def test_way_behind_the_ego_leads_to_its_start():
-    """On a circuit NPCs behind the ego are on the lanes that lead to its start."""
+    """On a circuit, NPCs behind the ego are on the lanes that lead to its start."""
     road = world_of("racetrack-v1").road
     assert road.start > 150
     x, y, _ = road.position(road.start - 60, road.ego_lane)
@@ -294,7 +294,7 @@ def test_trace_lanes_are_indexed_and_curves_have_points():
 
 @pytest.mark.usefixtures("registered")
 def test_headway_is_measured_along_the_road_in_bends():
-    """Two seconds at 10 m/s and a vehicle's length, on a lane with a radius of 46 m."""
+    """The headway is two seconds at 10 m/s and a vehicle's length, on a lane with a radius of 46 m."""
     world = World("OwnCircuit-v0", duration=2.0)
     trace = world.rollout(hold(world, 2, speed=10.0), constant)
     chord = 2 * 46 * math.sin(25 / 46 / 2)
@@ -304,7 +304,7 @@ def test_headway_is_measured_along_the_road_in_bends():
 
 
 def test_copied_vehicle_shares_its_way_with_the_original():
-    """highway-env's intersections copy every vehicle, with all that hangs on it, to see whether it must yield."""
+    """highway-env's intersections copy every vehicle, with everything it refers to, to see whether it must yield."""
     road = world_of("intersection-v0").road
     assert copy.deepcopy([road])[0] is road
 
@@ -318,7 +318,7 @@ def test_reference_drivers_follow_the_road():
 
 
 class OwnCircuit(AbstractEnv):
-    """A user's environment: two lanes around a circle, and nothing of highway-env's but its road."""
+    """A user's environment: two lanes around a circle, with only the road from highway-env."""
 
     @classmethod
     def default_config(cls):
@@ -327,7 +327,7 @@ class OwnCircuit(AbstractEnv):
     def _reset(self):
         network = RoadNetwork()
         for node, after, start in (("n", "s", 0.0), ("s", "n", math.pi)):
-            for radius in (50, 46):  # clockwise on the screen, so that the outer lane is the left one
+            for radius in (50, 46):  # clockwise on the screen, so the outer lane is the left one
                 network.add_lane(node, after, CircularLane([0, 0], radius, start, start + math.pi, speed_limit=12))
         self.road = Road(network, np_random=self.np_random)
         lane = network.get_lane(("n", "s", 1))
@@ -346,7 +346,7 @@ class OwnCircuit(AbstractEnv):
 
 
 class OwnDeadEnd(OwnCircuit):
-    """The road ends in front of the ego."""
+    """A user's environment whose road ends in front of the ego."""
 
     def _reset(self):
         network = RoadNetwork()
@@ -357,7 +357,7 @@ class OwnDeadEnd(OwnCircuit):
 
 
 class OwnTaper(OwnCircuit):
-    """The right one of two straight lanes ends, and nothing else happens."""
+    """A user's environment in which the right one of two straight lanes ends."""
 
     @classmethod
     def default_config(cls):
@@ -374,7 +374,7 @@ class OwnTaper(OwnCircuit):
 
 
 class OwnMeeting(OwnCircuit):
-    """A straight road from west to east, and another one that does something with it."""
+    """A straight road from west to east, and a second one that meets or passes it."""
 
     @classmethod
     def default_config(cls):
@@ -391,14 +391,14 @@ class OwnMeeting(OwnCircuit):
 
 
 class OwnTraffic(OwnMeeting):
-    """The same, where a step may do anything."""
+    """The same environment with a changed step."""
 
     def step(self, action):
         return super().step(action)
 
 
 class OwnHalves(OwnCircuit):
-    """Two half circles, the second of which no run comes to: its nodes are those of the first in the other order."""
+    """Two half circles. No run reaches the second one: its nodes are those of the first in the other order."""
 
     def _reset(self):
         network = RoadNetwork()
@@ -436,7 +436,7 @@ def test_an_environment_of_ones_own_works_the_same():
 @pytest.mark.usefixtures("registered")
 @pytest.mark.parametrize("lane", [0, 1])
 def test_attentive_npc_in_bend_holds_distance_along_road(lane):
-    """At 10 m/s 6 m and a vehicle's length, on either lane; only one of them is as long as the way."""
+    """At 10 m/s it is 6 m and a vehicle's length, on either lane; only one lane is as long as the way."""
     world = World("OwnCircuit-v0", duration=24.0)
     trace = world.rollout(hold(world, 6, speed=12.0, ego_lane=lane, ego_speed=10.0, traffic=Traffic()), constant)
     assert np.hypot(*(trace.ego[-1, :2] - trace.npcs[-1, 0, :2])) == pytest.approx(11.0, abs=0.2)
@@ -469,7 +469,7 @@ def test_only_paper_npcs_hit_braking_ego_in_bend(style):
     [(6.0, 100.0, False), oracle(6.0, 130.0, True), oracle(25.0, 350.0, False), (25.0, 500.0, True)],
 )
 def test_ending_lane_is_entered_only_with_enough_room(speed, taper, does_enter):
-    """Slow NPCs must have three seconds before its end, fast ones as much as it takes to stop gently."""
+    """Slow NPCs need three seconds before its end, fast ones as long as it takes to stop gently."""
     world = World("OwnTaper-v0", config={"taper": taper}, duration=13.0)
     chain = [PositionInstruction(2, speed), PositionInstruction(3, speed)]
     given = Scenario(npcs=[chain], ego_lane=0, ego_speed=speed, gene_seconds=8.0)
@@ -504,7 +504,7 @@ UNUSED |= {name: {"joins"} for name in ("merge", "merge-generic", "roundabout", 
 
 
 def test_a_world_knows_the_roads_that_nobody_uses():
-    """On others nothing meets the ego's way: the exit leaves it, circuits and bends have no other road."""
+    """On other roads nothing meets the ego's way: the exit leaves it, and circuits and bends have no other road."""
     assert {env_id: set(world_of(env_id, duration=10.0).unused_roads) for env_id in ROADS} == {
         env_id: UNUSED.get(env_id.rpartition("-")[0], set()) for env_id in ROADS
     }
@@ -519,7 +519,7 @@ def test_a_world_knows_the_roads_that_nobody_uses():
         (("n", "b"), ([200, -80], [300, 0]), {"joins"}),
         (("b", "s"), ([300, 0], [400, 90]), set()),  # leaves
         (("n", "s"), ([200, -80], [200, -10]), set()),  # ends before it
-        (("n", "s"), ([0, 12], [600, 12]), set()),  # runs beside it
+        (("n", "s"), ([0, 12], [600, 12]), set()),  # runs next to it
         (("b", "a"), ([300, -4], [0, -4]), {"oncoming"}),
     ],
 )

@@ -1,4 +1,4 @@
-"""Ways of other traffic and the zones in which they meet the ego's, against boxes that are laid along them."""
+"""Ways of other traffic and the zones in which they meet the ego's, against boxes placed along them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_right_turn_meets_vehicles_entering_the_same_road():
 
 
 def test_circulating_vehicles_have_priority_and_roundabout_zones_merge():
-    """The ego enters in the south and leaves in the north; the ring turns to the left, by way of the east."""
+    """The ego enters in the south and leaves in the north; the ring turns left, through the east."""
     circulating = ("wer>wxr", "wer>nxr", "wer>exr", "ner>nxr", "ner>exr")
     entering = ("eer>exr", "eer>wxr", "eer>sxr", "eer>nxr")
     expected = dict.fromkeys(circulating, ("merging", "left", "npc"))
@@ -74,7 +74,7 @@ def test_circulating_vehicles_have_priority_and_roundabout_zones_merge():
     "env_id", [each for each in ROADS if not each.startswith(("intersection", "roundabout"))] + ["highway-v0"]
 )
 def test_other_roads_of_highway_env_have_no_crossings(env_id):
-    """Their ramps jump by a lane, two-way roads lie side by side, circuits have no entry."""
+    """Their ramps jump by a lane, two-way roads are side by side, and circuits have no entry."""
     assert world_of(env_id).crossings is None
 
 
@@ -101,11 +101,11 @@ def test_way_speeds_respect_its_limit_and_bends(destination):
         assert way.length == pytest.approx(math.fsum(np.hypot(np.diff(line.x), np.diff(line.y))), abs=STEP)
 
 
-# An oracle: boxes as polygons, at places of the two ways that are no points of their lines.
+# An oracle: boxes as polygons, at places of the two ways between the points of their lines.
 
 
 def poses_of_way(world, name):
-    """Places along a way and the poses of a vehicle there, by what highway-env's lanes say of a way of points."""
+    """Return places along a way and a vehicle's poses there, by highway-env's lanes for a way of points."""
     way = world.rules.junction.ways[name]
     places = np.arange(0.1, way.way.length - 1, 0.47)
     return places, posed(way.line, np.array(way.column.lean), places)
@@ -118,7 +118,7 @@ def poses_of_ego(world):
 
 
 def inner(places, poses):
-    """Those in the midst of a junction, and not on the roads that lead away from it."""
+    """Return those inside a junction, without the roads that lead away from it."""
     is_inner = np.hypot(poses[:, 0], poses[:, 1]) < 40
     return places[is_inner], poses[is_inner]
 
@@ -130,7 +130,7 @@ def posed(line, lean, places):
 
 
 def touching(first, second, wider):
-    """Which poses of two rows of them touch as boxes, by their corners and edges."""
+    """Return which poses of two rows touch as boxes, by their corners and edges."""
     near = np.hypot(*(first[:, None, :2] - second[None, :, :2]).transpose(2, 0, 1)) < math.hypot(LENGTH, WIDTH + wider)
     found = np.zeros(near.shape, dtype=bool)
     for a, b in np.argwhere(near):
@@ -140,7 +140,7 @@ def touching(first, second, wider):
 
 
 def first_run(places, flags, since):
-    """The first and the last of the places that are flagged, from the first one on that follow each other."""
+    """Return the first and last of the first consecutive flagged places from a place on."""
     flagged = np.flatnonzero(flags & (places >= since))
     breaks = np.flatnonzero(np.diff(flagged) > 2)
     return places[flagged[0]], places[flagged[breaks[0] if breaks.size else -1]]
@@ -167,7 +167,7 @@ def test_zones_are_stretches_where_boxes_along_ways_touch(world):
             first, last = first_run(places, touches, places[0])
             assert enters <= first <= enters + 1.5, zone
             if zone.kind == "merging":
-                assert last > leaves, zone  # they go on in one lane
+                assert last > leaves, zone  # both continue in one lane
             else:
                 assert leaves - 1.5 <= last <= leaves, zone
         assert touching(ego[own], npc[near], 0.0).any(), zone
@@ -216,7 +216,7 @@ def test_ways_meet_wherever_boxes_along_them_touch(world):
                 pose, its_pose = (each[np.abs(places - end).argmin()] for each, places, end in (
                     (first, along, ends), (second, its_along, its_ends)
                 ))  # fmt: skip
-                if np.hypot(*(pose - its_pose)[:2]) < 1.0:  # they lead on in one lane
+                if np.hypot(*(pose - its_pose)[:2]) < 1.0:  # both lead on in one lane
                     known |= mine[:, None] & theirs
             assert not (touches & ~known).any(), (one, other)
 
@@ -225,7 +225,7 @@ def test_ways_meet_wherever_boxes_along_them_touch(world):
 
 
 class OwnJunction(AbstractEnv):
-    """A straight road from west to east, another one across it, and a road that joins it with a bend.
+    """A straight road from west to east, a second one across it, and a road that joins it with a bend.
 
     The option says from where the ego comes, the west or the bend.
     """

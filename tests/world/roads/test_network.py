@@ -1,4 +1,4 @@
-"""What bends allow, and how vehicles lean in them, by hand."""
+"""The speeds that bends allow, and how vehicles lean in them, computed by hand."""
 
 import math
 
