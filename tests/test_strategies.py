@@ -15,7 +15,7 @@ from pytest_pafot.model.grid import Cell, is_adjacent
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from tests.helpers.tables import table
 
-SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # which parts matter is nobody's question
+SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # no need to explain which parts matter
 
 
 @given(strategies.position_instructions(cells=[2, 6], min_speed=3.05, max_speed=7.0))

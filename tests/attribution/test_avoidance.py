@@ -139,7 +139,7 @@ speeds = st.floats(0, 35)
     wobble=st.integers(0, 99),
 )
 def test_driver_slower_than_reference_need_not_brake(gap, leader, braking, own, wobble):
-    """The reference is stepped through anew: what it drives behind the recorded other."""
+    """The test steps the reference behind the recorded other, and the driver is slower at each tick."""
     rng, speed, driven = np.random.default_rng(wobble), own, []
     for tick in range(10 * HZ + 1):
         driven.append(speed + (rng.uniform(-2.0, ALIKE) if tick >= HZ else 0.0))

@@ -5,8 +5,8 @@
 
 The ego is highway-env's IDM+MOBIL on the default road. The first table counts collisions, as the paper does: its
 algorithm with other grids, fitness terms, populations and genes. The second counts distinct failures for which the ego
-answers (``blame="ego"``): the default search with and without what it adds to the paper's operators. Both are Markdown;
-values are means of a run, with the standard error of the mean.
+is responsible (``blame="ego"``): the default search with and without what it adds to the paper's operators. Both are
+Markdown; values are means of a run, with the standard error of the mean.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ def campaign(algorithm, world, checkpoints=None, generations=None, **options):
         **options,
     )
     for event in told:
-        events.append(event)  # noqa: PERF402  (what is told at a border comes after the events before)
+        events.append(event)  # noqa: PERF402  (a checkpoint at a border follows the earlier events)
     return events
 
 

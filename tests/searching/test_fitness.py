@@ -252,7 +252,7 @@ class TestMeasures:
 
 
 def front_is_to_blame(trace):
-    """Return whether the ego hit something with its front, the rule of these collisions."""
+    """Return whether the ego hit the NPC with its front, which decides responsibility in these tests."""
     return trace.collision is not None and trace.collision.side == "front"
 
 

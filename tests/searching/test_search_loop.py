@@ -193,7 +193,7 @@ def test_search_finishing_in_last_second_is_not_cut(cheap_world):
 
 @pytest.fixture(scope="module")
 def longer(cheap_world):
-    """Return the events of a search with more runs than those that are ended."""
+    """Return the events of a search that is longer than the interrupted ones."""
     return list(run_campaign(PafotSearch(), cheap_world(), generations=12, seed=1))
 
 
