@@ -1,4 +1,4 @@
-"""A finding as an animated picture (APNG), for places that show no pages. ``drawing`` draws it with Pillow."""
+"""A finding as an animated picture (APNG), for places that cannot show an HTML page."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from pytest_pafot.report.page_data import FindingView
 from pytest_pafot.report.picture import picture_at
 
 MAX_SECONDS = 8.0
-"""The longest part of a run that is shown [s]."""
+"""The length of the longest animation [s]. A longer run is cut at its start."""
 
 AFTER = 2.0
-"""Time that is shown after the moment that a finding is about [s]. A collision ends its run, so nothing follows it."""
+"""Time shown after the moment of a failed check [s]. After a collision nothing is shown, because it ends the run."""
 
 HOLD_MILLISECONDS = 2500
-"""Time for which the last frame stays [ms]."""
+"""Time for which the last frame stays before the animation starts again [ms]."""
 
 MAX_BYTES = 300_000
-"""The largest allowed file; mail and code review refuse or shrink larger pictures."""
+"""The largest allowed file [bytes]. Mail and code review refuse or shrink larger pictures."""
 
 RATES = (8, 6, 4, 2, 1)
-"""Frames per second, tried in this order; the first rate with a small enough file is used."""
+"""Frames per second, tried in this order until the file has at most ``MAX_BYTES``."""
 
 
 class AnimationError(RuntimeError):
@@ -30,7 +30,9 @@ class AnimationError(RuntimeError):
 
 
 def animate(finding: FindingView) -> bytes:
-    """Return the end of a finding's run as the content of a file; equal views give equal bytes with the same Pillow.
+    """Draw the end of a finding's run, as the content of an APNG file.
+
+    With the same version of Pillow, equal views give equal bytes.
 
     Raises:
         AnimationError: without Pillow, for a finding without frames, or with too many vehicles for a small file.
@@ -54,7 +56,7 @@ def animate(finding: FindingView) -> bytes:
 
 
 def strip(finding: FindingView, times: Sequence[float]) -> bytes:
-    """Draw the moments of a finding's run at these times [s] one below the other, as the content of a PNG file.
+    """Draw a finding's run at some times [s], one picture below the other, as the content of a PNG file.
 
     Raises:
         AnimationError: without Pillow.
@@ -68,13 +70,16 @@ def _drawing() -> ModuleType:
         return import_module("pytest_pafot.report.drawing")
     except ImportError as error:
         raise AnimationError(
-            "expected Pillow to draw pictures, received an environment without it; "
+            "expected Pillow to draw pictures, received a Python environment in which it is not installed; "
             'install it with pip install "pytest-pafot[report]", or write a page instead: --pafot-report=report.html'
         ) from error
 
 
 def moments(finding: FindingView, rate: int) -> tuple[float, ...]:
-    """Return the times of the frames [s] at a rate [1/s]: 8 s up to the end, or to shortly after the moment."""
+    """Return the times of an animation's frames [s], at a rate [1/s].
+
+    They cover the last ``MAX_SECONDS`` of the run. If a check failed earlier, they end ``AFTER`` after that moment.
+    """
     end = min(finding.duration, max(finding.moment + AFTER, MAX_SECONDS))
     count = int(min(MAX_SECONDS, end) * rate + 1e-9)
     return tuple(round(end - step / rate, 6) for step in range(count, -1, -1))

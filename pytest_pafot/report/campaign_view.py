@@ -1,4 +1,4 @@
-"""The view of a search, built from its events."""
+"""The data that the report page shows of a search, built from the search's events."""
 
 from __future__ import annotations
 
@@ -31,11 +31,14 @@ def campaign_view(
     responsibilities: Mapping[str, int] | None = None,
     cut_by: str = "",
 ) -> CampaignView:
-    """Build the view of a search from its events, also if the search was cut short.
+    """Build the view of a search from the events that it emitted. A search that was cut short has a view, too.
 
-    The speed limit is the highest target speed [m/s] and determines the number of speed bins. Responsibilities are
-    counts of simulated runs by who was responsible. ``cut_by`` is ``error`` or ``interrupted`` if that ended the
-    search, because no event reports it.
+    Args:
+        node_id: node id of the search's item.
+        events: the events so far.
+        speed_limit: the highest target speed [m/s], which determines the number of speed bins.
+        responsibilities: the number of simulated runs by who was responsible.
+        cut_by: ``error`` or ``interrupted`` if that ended the search, because no event reports it; otherwise empty.
     """
     events = list(events)
     simulated = [event.evaluation for event in events if isinstance(event, Evaluated) and not event.reused]
@@ -104,5 +107,5 @@ def _zone_labels(coverage: Coverage) -> Iterable[tuple[str, Key]]:
 
 
 def _by_count(names: Iterable[str]) -> tuple[tuple[str, int], ...]:
-    """Count names, the most frequent first, then by name."""
+    """Return each name with its number of occurrences, the most frequent first; equally frequent ones by name."""
     return tuple(Counter(sorted(names)).most_common())

@@ -15,21 +15,24 @@ from pytest_pafot.report.picture import DrawnCell, DrawnVehicle, Picture, Point,
 
 WIDTH = 720
 SCALE = 8.0
-"""Scale [px/m]."""
+"""Scale of the picture [px/m]."""
 
 SMOOTH = 2
-"""Everything is drawn larger by this factor and then reduced, for smooth edges."""
+"""Factor by which a frame is drawn larger than needed. Reducing it afterwards makes the edges smooth."""
 
 HEAD, FOOT = 26, 26
 """Height of the lines of text above and below the road [px]."""
 SHOULDER = 1.4
-"""Width of the strips beyond the outer lanes [m]."""
+"""Width of the shoulders, the strips of road outside the outer lanes [m]."""
 HALF_HEIGHT = 18.0
-"""Half of the height that the picture of a bent road shows, above and below the ego [m]."""
+"""Length of road that the picture of a bent road shows above the ego, and also below it [m]."""
 EGO_AT = 0.42
-"""Position of the ego, as a share of the picture's width."""
+"""Position of the ego from the left edge of the picture, as a share of the picture's width."""
 CROSSED_SCALE, CROSSED_HALF_HEIGHT, CROSSED_EGO_AT = 5.0, 45.0, 0.5
-"""The same three values if a vehicle crosses; with the others it would come into sight only 2 s before contact."""
+"""``SCALE``, ``HALF_HEIGHT`` and ``EGO_AT`` for runs in which a vehicle crosses the ego's way.
+
+They show more of the road: with the usual values, the crossing vehicle would be visible only 2 s before contact.
+"""
 
 PAPER, ROAD, EDGE, DASH = "#fbfbfa", "#e6e8e9", "#8b939b", "#ffffff"
 INK, SOFT, EGO_INK, DANGER = "#171b20", "#535c66", "#ffffff", "#b3261e"
@@ -38,11 +41,14 @@ NPC_TINTS = ("#f0d2c0", "#bcd9d5", "#d8cbe6", "#e0d6bd", "#c0d5ea", "#e7c4d5", "
 
 OUTLINE = (-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)
 WINDSCREEN = (0.2, -0.36), (0.34, -0.28), (0.34, 0.28), (0.2, 0.36)
-"""Corners of a vehicle, and of the windscreen that marks its front, as shares of its length and width."""
+"""Corners of the windscreen, which marks a vehicle's front; like ``OUTLINE`` in shares of its length and width."""
 
 
 def draw_animation(finding: FindingView, pictures: Sequence[Picture], durations: Sequence[int]) -> bytes:
-    """Draw pictures of a finding, each for its duration [ms], as the content of an APNG file that plays in a loop."""
+    """Draw the pictures of a finding as an APNG file that plays in a loop, and return the file's content.
+
+    Each picture is shown for the duration at its place in ``durations`` [ms].
+    """
     # One palette for all frames, so that colours do not flicker and the file stays small.
     palette = Images.new("P", (1, 1))
     palette.putpalette(_palette(len(finding.vehicles) - 1))
@@ -68,7 +74,10 @@ def draw_strip(finding: FindingView, pictures: Sequence[Picture]) -> bytes:
 
 
 def _palette(npcs: int) -> list[int]:
-    """Return red, green and blue of every colour in a picture, one after the other: pure colours and blended edges."""
+    """Return the palette of a picture: red, green and blue of one colour after the other.
+
+    It holds the pure colours and the blends of two colours that occur at smooth edges.
+    """
     grounds, inks, tints = (
         [ImageColor.getrgb(colour) for colour in colours]
         for colours in ((PAPER, ROAD), (INK, SOFT, EDGE, DANGER, *NPC_INKS[:npcs]), (DASH, *NPC_TINTS[:npcs]))
@@ -83,7 +92,7 @@ def _palette(npcs: int) -> list[int]:
 
 
 class Sheet:
-    """One frame while it is drawn; it converts lengths in metres to pixels of the finished frame."""
+    """One frame of a picture while it is being drawn. Its methods convert metres to pixels of the finished frame."""
 
     def __init__(self, finding: FindingView, picture: Picture) -> None:
         self.finding = finding
@@ -104,7 +113,7 @@ class Sheet:
         self.pen = ImageDraw.Draw(self.image)
 
     def draw(self) -> Image:
-        """Draw the frame from the road at the bottom to the words on top."""
+        """Draw the frame in layers: the road first, the words last."""
         self._road()
         self._zones()
         self._cells()
@@ -139,7 +148,7 @@ class Sheet:
                 self._line([(self._x(start), y), (self._x(start + 3), y)], DASH, 2)
 
     def _zones(self) -> None:
-        """Draw the ways of NPCs that cross, and the parts of them that are in the ego's way."""
+        """Draw the ways of crossing NPCs, and mark the part of each way that is in the ego's way."""
         zones = [(npc, each.zone) for npc, each in enumerate(self.finding.vehicles[1:]) if each.zone is not None]
         for npc, zone in zones if self.is_bent else ():
             area = [self._at(*point) for point in zone.area]
@@ -197,7 +206,7 @@ class Sheet:
         self._text((64, foot), _cut(speeds_text(self.finding, self.picture), 110), SOFT, 12, "lm")
 
     def _pointer(self, npc: int, box: DrawnVehicle, y: float) -> None:
-        """Draw an arrow for an NPC outside the picture, below any arrows that are already at that place."""
+        """Draw an arrow at the edge for an NPC outside the picture, below earlier arrows at the same place."""
         ego = self.picture.ego
         is_behind = box.along < ego.along
         while any(side == is_behind and abs(other - y) < 16 for side, other in self.pointers):
@@ -258,12 +267,12 @@ class Sheet:
 
 
 def _large(points: Sequence[Point]) -> list[Point]:
-    """Convert places in the finished frame [px] to places in the enlarged drawing."""
+    """Convert points of the finished frame [px] to points of the enlarged drawing [px]; ``SMOOTH`` is the factor."""
     return [(x * SMOOTH, y * SMOOTH) for x, y in points]
 
 
 def speeds_text(finding: FindingView, picture: Picture) -> str:
-    """Return a line with the speed of each vehicle [m/s], and the cell that each NPC is driving to."""
+    """Return a line of text with each vehicle's speed [m/s] and the cell to which each NPC is driving."""
     parts = [f"ego {picture.ego.speed:.1f} m/s"]
     for npc, box in enumerate(picture.vehicles[1:]):
         told = instruction_at(finding, npc, picture.time)
@@ -274,6 +283,6 @@ def speeds_text(finding: FindingView, picture: Picture) -> str:
 
 
 def _cut(words: str, length: int) -> str:
-    """Cut a line to a length and replace characters that fonts lack."""
+    """Cut a line to a number of characters, and replace characters that the font lacks."""
     line = "".join(character if character.isprintable() and ord(character) < 0x250 else "?" for character in words)
     return line if len(line) <= length else line[: length - 3] + "..."

@@ -1,4 +1,4 @@
-"""The page's view of a finding, built from its file and from the record of one of its runs."""
+"""The data that the report page shows of a finding, built from its file and from the trace of one of its runs."""
 
 from __future__ import annotations
 
@@ -57,15 +57,16 @@ from pytest_pafot.world.roads.survey import SAME_DIRECTION
 # The road of a run for its picture: lanes and, if the road bends, the cells around the ego in world coordinates.
 
 DENSE = 0.5
-"""Distance between the points of a lane among which cells are searched for [m]."""
+"""Distance between neighbouring points of a lane, when the closest point to a cell is searched for [m]."""
 BEYOND = 150.0
-"""Distance by which the lanes are drawn beyond the farthest point that the ego reached [m]."""
+"""Length of road that is drawn beyond the farthest point that the ego reached [m]."""
 
 
 def road_view(trace: Trace, clearance: float) -> RoadView:
-    """Return the road of a run: the positions of straight lanes across it, or each lane of a bent road as a line.
+    """Return the road of a run, as a picture needs it.
 
-    The clearance is the gap between the ego and the cells ahead and behind [m].
+    A lane of a straight road is a position across the road; a lane of a bent road is a line in world coordinates. The
+    clearance is the gap between the ego and the cells ahead of and behind it [m].
     """
     ahead, behind = places(trace.scenario.traffic)
     road = RoadView(
@@ -91,7 +92,7 @@ def road_view(trace: Trace, clearance: float) -> RoadView:
 
 
 def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Convert world coordinates to the frame of the first lane: along it, and across it to the right [m]."""
+    """Convert world coordinates [m] to distances along the first lane, and across that lane to the right [m]."""
     lane = trace.lanes[0]
     dx, dy = x - lane.x, y - lane.y
     cos, sin = np.cos(lane.heading), np.sin(lane.heading)
@@ -99,7 +100,7 @@ def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatA
 
 
 def places(traffic: Traffic) -> tuple[Place, Place]:
-    """Return where the cells ahead of and behind the ego are in its lane, in line with :meth:`Director._target`."""
+    """Return the gaps to the cells ahead of and behind the ego, by the same rule as :meth:`Director._target`."""
     if not traffic.is_attentive:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     standing = following_gap(0.0)
@@ -108,14 +109,17 @@ def places(traffic: Traffic) -> tuple[Place, Place]:
 
 
 def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a lane's centre line, and the length of the line up to each of them [m]."""
+    """Return the points of a lane's centre line, and for each point its distance from the start along the line [m]."""
     end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
     points = np.array(lane.points or [(lane.x, lane.y), end])
     return points, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
 
 
 def grid_poses(trace: Trace, ticks: Sequence[int], road: RoadView) -> tuple[tuple[Pose | None, ...], ...]:
-    """Return the poses of the eight cells at some ticks: x [m], y [m], direction [rad]; None without a lane."""
+    """Return the poses of the eight cells around the ego at some ticks: x [m], y [m], direction [rad].
+
+    The pose is None for a cell in which there is no lane.
+    """
     other = float(trace.sizes[min(1, len(trace.sizes) - 1), 0])
     row = (float(trace.sizes[0, 0]) + other) / 2
     parts = []
@@ -134,7 +138,7 @@ def grid_poses(trace: Trace, ticks: Sequence[int], road: RoadView) -> tuple[tupl
 def _cells_around(
     ego: FloatArray, along: Sequence[float], lanes: Sequence[Lane], dense: FloatArray
 ) -> tuple[Pose | None, ...]:
-    """Return the poses of the cells, given how far ahead each one is along the ego's lane [m]."""
+    """Return the poses of the cells around the ego; ``along`` is how far ahead of the ego each cell is [m]."""
     own = np.flatnonzero(dense[3] == ego[LANE])
     if not len(own):
         return (None,) * len(Cell)
@@ -148,7 +152,10 @@ def _cells_around(
 
 
 def _beside(base: int, column: int, width: float, dense: FloatArray) -> Pose | None:
-    """Return the point of a neighbouring lane closest to one lane's width to the side of a point of the ego's lane."""
+    """Return the pose of the cell next to a cell in the ego's lane; None if there is no lane.
+
+    It is the point of a neighbouring lane that is closest to one lane's width to the side.
+    """
     xs, ys, headings, numbers = dense
     best = base
     if column:
@@ -166,20 +173,23 @@ def _beside(base: int, column: int, width: float, dense: FloatArray) -> Pose | N
 # The page's view of a failed check: its figures, and the curve of its values with the bounds.
 
 REACH = 3
-"""Extent of a curve on the passing side, in multiples of the bound or of the largest violation."""
+"""The shown extent of a check's curve on the passing side, in multiples of the bound or of the worst violation.
+
+The larger of the two is used. Values farther away from the bound are cut.
+"""
 
 
 def check_tick(trace: Trace, check: Check | None) -> int | None:
-    """Return the tick at which a check was worst; None if its time is unknown or outside the run."""
+    """Return the tick of a check's worst value; None if the time of that value is unknown or outside the run."""
     if check is None or check.time is None or not 0 <= check.time <= trace.duration:
         return None
     return round(check.time * trace.physics_hz)
 
 
 def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
-    """Return the view of a check that failed in a run, at the ticks of the frames.
+    """Return the view of a check that failed in a run, with a value for each frame; ``ticks`` are the frames' ticks.
 
-    It has a curve if the ticks of the check's values are known.
+    The view has no curve if it is unknown at which ticks the check's values were measured.
     """
     tick, hz = check_tick(trace, check), trace.physics_hz
     view = CheckView(
@@ -209,7 +219,7 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
 
 
 def _excess(check: Check, values: FloatArray) -> FloatArray:
-    """Return by how much each value breaks its bounds, negative if it satisfies them; NaN breaks every bound."""
+    """Return by how much each value breaks the check's bounds: negative if it satisfies them, infinite for NaN."""
     over = [values - check.at_most] if check.at_most is not None else []
     under = [check.at_least - values] if check.at_least is not None else []
     excess: FloatArray = np.max([*over, *under], axis=0)
@@ -217,7 +227,7 @@ def _excess(check: Check, values: FloatArray) -> FloatArray:
 
 
 def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
-    """Return the range of values to show: all values that break a bound, and some of those that satisfy it."""
+    """Return the lowest and highest value to show: all values that break a bound, and values near the bound."""
     bounds = [bound for bound in (check.at_most, check.at_least) if bound is not None]
     shown = [*values[np.isfinite(values)], *bounds]
     low, high = float(min(shown)), float(max(shown))
@@ -232,19 +242,21 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
 
 
 FRAMES_PER_SECOND = 7
-"""Approximate number of frames of a view per second: enough if the viewer interpolates between them."""
+"""Approximate number of frames per second of a run. The page interpolates between them, so more are not needed."""
 
 
 def finding_view(
     trace: Trace | None, finding: Finding, *, node_id: str, headline: str = "", check: Check | None = None
 ) -> FindingView:
-    """Return the view of a finding, with the node id of the item that replays it.
+    """Return the data that the report page shows of a finding.
 
     Use :func:`dataclasses.replace` to set what is known only later, such as the number of runs that failed in this way,
     the label or the path of the file.
 
     Args:
-        trace: the run of the finding's scenario; None if no run was recorded.
+        trace: a run of the finding's scenario; None if no run was recorded.
+        finding: the finding, as its file describes it.
+        node_id: node id of the item that replays the finding.
         headline: the title; by default the first line of the run's explanation.
         check: the check that failed in the run; None if something else failed.
     """
@@ -285,11 +297,11 @@ def finding_view(
 
 
 def drive_view(trace: Trace) -> DriveView:
-    """Return all states of a run without loss, in half the space that the compressed table takes.
+    """Pack all states of a run without loss, in half the space that a compressed table of them would take.
 
-    The packing has these steps: write a series of float64 for each column of each vehicle; read its bits as integers
-    and take second differences, which are small for even motion; store the lowest bytes of all numbers first, then the
-    next ones, so that similar bytes are adjacent; compress with zlib; encode in base64.
+    The packing has five steps. Write a series of float64 for each column of each vehicle. Read the bits of each number
+    as an integer and take second differences, which are small for even motion. Store the lowest bytes of all numbers
+    first, then the second lowest and so on, so that similar bytes are adjacent. Compress with zlib. Encode in base64.
     """
     changes = trace.states.transpose(1, 2, 0).astype("<f8", order="C").view("<i8")
     for _ in range(2):
@@ -300,7 +312,10 @@ def drive_view(trace: Trace) -> DriveView:
 
 
 def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
-    """Return the view of a run without a file or a verdict; the clearance is the gap to cells ahead and behind [m]."""
+    """Return the data to show of a run that has no file and no verdict.
+
+    The clearance is the gap between the ego and the cells ahead of and behind it [m].
+    """
     run = Run(trace)
     headline, _, explanation = _explanation(run, run.sentences).partition("\n")
     view = FindingView(
@@ -325,7 +340,7 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
 
 
 def _explanation(run: Run, sentences: Sequence[str]) -> str:
-    """Return the explanation of a run without the sentences that the page shows above the picture."""
+    """Return the explanation of a run without ``sentences``, which the page shows elsewhere, above the picture."""
     return "\n".join(line for line in run.explain().splitlines() if line.strip() not in sentences)
 
 
@@ -338,7 +353,7 @@ def _assertion(expect: Expect) -> str:
 
 
 def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | None) -> FindingView:
-    """Add what only a run shows to a view: the road, the vehicles' tracks, and the moment that it is about."""
+    """Return a view with what only a run shows: the road, the vehicles' tracks, and the moment of the event."""
     run, tick = Run(trace), check_tick(trace, check)
     ticks = frame_ticks(trace) if tick is None else sorted({*frame_ticks(trace), tick})
     road = road_view(trace, clearance)
@@ -360,7 +375,14 @@ def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | 
 
 
 def shrink_view(original: Scenario, shrunk: Scenario, *, rollouts: int, notes: Iterable[str] = ()) -> ShrinkView:
-    """Compare a scenario before and after shrinking; the notes are sentences about speeds that still fail."""
+    """Describe a scenario before and after shrinking.
+
+    Args:
+        original: the scenario as it was found.
+        shrunk: the scenario after shrinking.
+        rollouts: the number of runs that shrinking took.
+        notes: sentences on the NPC speeds at which the scenario still fails.
+    """
     return ShrinkView(
         original=tuple(map(_chain_text, original.npcs)),
         shrunk=tuple(map(_chain_text, shrunk.npcs)),
@@ -374,7 +396,7 @@ def shrink_view(original: Scenario, shrunk: Scenario, *, rollouts: int, notes: I
 
 
 def frame_ticks(trace: Trace) -> list[int]:
-    """Return the ticks of the frames: about seven per second, the last tick, and the tick of a collision."""
+    """Return the ticks of a run's frames: about seven per second, the last tick, and the tick of a collision."""
     stride = max(1, round(trace.physics_hz / FRAMES_PER_SECOND))
     ticks = {*range(0, trace.ticks + 1, stride), trace.ticks}
     if trace.collision is not None:
@@ -422,10 +444,15 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
 
 
 def zone_view(passage: Passage, length: float, width: float) -> ZoneView:
-    """Return the zone of an NPC of a length [m], and how it and the ego passed it; its area is one lane wide [m].
+    """Return the zone of a crossing NPC, and when the NPC and the ego were in it.
 
     A vehicle's centre is in the zone from when its front may touch a vehicle there until its rear no longer can, so the
-    drawn area is shorter than the zone by the vehicle's length.
+    drawn area is shorter than the zone by the NPC's length.
+
+    Args:
+        passage: the zone, and the times at which both vehicles passed it.
+        length: length of the NPC [m].
+        width: width of the drawn area, which is the width of a lane [m].
     """
     zone = passage.zone
     view = ZoneView(
@@ -454,7 +481,7 @@ def _window(enters: float, leaves: float) -> Window | None:
 
 
 def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionView, ...]:
-    """Return the NPCs' instructions; without a run those of the scenario, none of them started."""
+    """Return the instructions of all NPCs as they were driven; without a run, as in the scenario and not started."""
     asked = scenario if trace is None else trace.scenario
     driven, arrivals, hz = (asked.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
     zones = (None,) * len(asked.npcs) if trace is None or not trace.zones else trace.zones
@@ -484,13 +511,16 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
 
 
 def _numbers(values: FloatArray, digits: int) -> Numbers:
-    """Round values, with None for what is not a finite number, and never -0.0."""
+    """Round values to a number of digits. NaN and infinity become None, and -0.0 becomes 0.0."""
     rounded = np.round(values, digits) + 0.0
     return tuple(float(value) if np.isfinite(value) else None for value in rounded)
 
 
 def _chain_text(chain: Chromosome) -> str:
-    """Write one NPC's instructions in a line, repeated ones once: ``1 front-left 25.0 m/s x2, 2 front 8.0 m/s``."""
+    """Write one NPC's instructions in a line, such as ``1 front-left 25.0 m/s x2, 2 front 8.0 m/s``.
+
+    An instruction that is repeated appears once, with the number of repetitions.
+    """
     if isinstance(chain[0], CrossingInstruction):
         return f"{chain[0].goal}, {chain[0].speed:.1f} m/s"
     return ", ".join(

@@ -15,10 +15,10 @@ from pytest_pafot.report.session_record import ERROR, NEW, FindingRecord, Sessio
 from pytest_pafot.support.text import plural, visible
 
 MAX_LISTED = 20
-"""Findings of one kind that are listed one by one; the others are counted."""
+"""The largest number of entries that a list in the summary names. Any more are only counted."""
 
 MAX_TEXT = 300
-"""Characters of a user's text that are shown."""
+"""The largest number of characters of a user's text. A longer text is cut."""
 
 ACCEPTED = "accepted"
 """The group of failures that are accepted with ``xfail``."""
@@ -37,7 +37,7 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
         "fixed before": "Fixed before",
     }
 )
-"""Titles by status, in the order in which a reader must look at the findings."""
+"""The title of each group of findings, by status, with the most urgent group first."""
 
 _MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$)))")
 _ORDERED = re.compile(r"^(\d+)(?=[.)](?: |$))")
@@ -78,7 +78,7 @@ def _lines(record: SessionRecord) -> Iterator[str]:
 
 
 def _search_lines(record: SessionRecord) -> Iterator[str]:
-    """Yield how much was searched, and how to repeat the search."""
+    """Yield a line with the number of searches and runs, and with the options that repeat them."""
     ran = [search for search in record.searches if search.began]
     if not ran:
         yield "No search ran to its end." if record.searches else "No search was requested."
@@ -92,13 +92,13 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
 
 
 def _rank(finding: FindingRecord) -> tuple[Any, ...]:
-    """Return the key by which findings of one group are sorted."""
+    """Return the key that sorts findings of one group: the worst first, then those with the most runs."""
     severity = None if finding.severity is None else Severity.of_data(finding.severity)
     return *worst_first(finding.responsible, severity), -finding.runs, finding.node_id
 
 
 def _finding_lines(finding: FindingRecord) -> Iterator[str]:
-    """Yield the lines of a finding: what it is, and the command that replays it, with its file."""
+    """Yield two lines on a finding: its test and its description, then the command that replays it."""
     told = [plain(finding.headline or finding.detail)]
     if finding.severity is not None:
         severity = Severity.of_data(finding.severity)
@@ -129,7 +129,7 @@ def plain(text: str) -> str:
 
 
 def code(text: str) -> str:
-    """Return a text as code, fenced by more backticks than the text has in a row."""
+    """Return a text as Markdown code, between fences of more backticks than the text has in a row."""
     line = _one_line(text)
     fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
     pad = " " if line.startswith(("`", " ")) or line.endswith(("`", " ")) else ""

@@ -1,4 +1,4 @@
-"""The HTML of the page without a script: a list of findings with an article on each, and the figures of each search."""
+"""The HTML that the report page has without its scripts: a list of findings, an article on each, and each search."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from pytest_pafot.support.text import plural, visible_lines
 
 
 def text(value: object) -> str:
-    """Escape a text for HTML: nothing in it is markup, and characters that do not print become escapes."""
+    """Escape a text for HTML, so that nothing in it is markup. Unprintable characters become visible escapes."""
     return escape(visible_lines(str(value)), quote=True)
 
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
-    """Return names and values as an HTML list."""
+    """Return pairs of name and value as an HTML description list."""
     rows = "".join(f"<div><dt>{text(name)}</dt><dd>{text(value)}</dd></div>" for name, value in pairs)
     return f'<dl class="facts">{rows}</dl>' if rows else ""
 
 
 def copyable(command: str) -> str:
-    """Return a command with a button that copies it."""
+    """Return the HTML of a command with a button that copies the command."""
     return (
         f'<p class="copyline"><span class="label">Command</span><code>{text(command)}</code>'
         '<button type="button" class="copy" data-copy="code" aria-label="Copy: Command">Copy</button></p>'
@@ -43,29 +43,29 @@ def copyable(command: str) -> str:
 
 
 def details(summary: str, body: str) -> str:
-    """Fold HTML away under a summary."""
+    """Return HTML that is folded under a summary until the reader opens it."""
     return f"<details><summary>{summary}</summary>{body}</details>"
 
 
 def table(head: str, rows: Iterable[str]) -> str:
-    """Build a table from a head, see :func:`columns`, and rows, see :func:`row`."""
+    """Build an HTML table from its head, made by :func:`columns`, and its rows, made by :func:`row`."""
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
 
 
 def columns(*names: str) -> str:
-    """Build the head of a table."""
+    """Build the head of an HTML table from the names of its columns."""
     return "".join(f'<th scope="col">{name}</th>' for name in names)
 
 
 def row(name: str, *cells: object, attributes: str = "") -> str:
-    """Build a row of a table from HTML: its name and its cells."""
+    """Build a row of an HTML table. The name and the cells are HTML already, so they are not escaped."""
     return f'<tr{attributes}><th scope="row">{name}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
 
 
 # The page's text on findings without a script: their list, and an article on each with a place for its picture.
 
 SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013", "check": "\u25b2"}
-"""Symbols next to the words, so that responsibilities differ at a glance even without colour."""
+"""Symbols by who is responsible, or of a failed check. They differ at a glance, even without colour."""
 
 WHO = {
     "ego": "ego responsible",
@@ -76,11 +76,11 @@ WHO = {
 }
 
 SAVE_RUN = '<p class="save"><button type="button" class="save-run" hidden>Save the run as CSV</button></p>'
-"""A hidden button, which a script makes visible if it can save the run."""
+"""A button that saves a run. It is hidden until the page's script finds that it can save files."""
 
 
 def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
-    """Return unique keys for links and files: the findings' ids, numbered if several tests share one."""
+    """Return a unique key for each finding, for links and files: its id, with a number if several findings share it."""
     keys: dict[str, None] = {}
     for finding in findings:
         number = 1
@@ -91,7 +91,7 @@ def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
 
 
 def finding_list(findings: Sequence[FindingView]) -> str:
-    """List links to all findings, with counts; empty if there are none."""
+    """Return an HTML list of links to all findings, with counts; an empty text if there are none."""
     if not findings:
         return ""
     groups: dict[str, list[str]] = {}
@@ -122,7 +122,7 @@ def finding_list(findings: Sequence[FindingView]) -> str:
 
 
 def _filter(findings: Sequence[FindingView]) -> str:
-    """Return the fields that filter the list of findings; they need the script."""
+    """Return the input fields that filter the list of findings. They work only with the page's script."""
     options = ""
     for kind, count in sorted(Counter(map(_kind, findings)).items()):
         options += f'<option value="{text(kind)}">{text(kind.replace("_", " "))} ({count})</option>'
@@ -135,7 +135,7 @@ def _filter(findings: Sequence[FindingView]) -> str:
 
 
 def finding_article(finding: FindingView, index: int) -> str:
-    """Describe one finding in words, with an empty place for its picture."""
+    """Return the HTML article on one finding, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
     who, *tags = _tags(finding)
     tags += [each for each in (finding.prevention, finding.perception, finding.traffic) if each]
@@ -159,7 +159,7 @@ def finding_article(finding: FindingView, index: int) -> str:
 
 
 def _keep_section(finding: FindingView) -> str:
-    """Return the finding's command, if it has one, a button that saves its run as a table, and its file."""
+    """Return the HTML of the finding's command if it has one, the button that saves its run, and its file."""
     command = f"<h3>Run it again</h3>{copyable(finding.command)}" if finding.command else ""
     return (
         f'<section class="keep">{command}{SAVE_RUN if finding.drive else ""}'
@@ -170,7 +170,7 @@ def _keep_section(finding: FindingView) -> str:
 
 
 def _check_figures(check: CheckView) -> str:
-    """Return the value, the bound and the moment of a check, and for how long its bound was broken."""
+    """Return the HTML of a failed check: its value, bound and moment, and for how long the bound was broken."""
     unit = f' <span class="unit">{text(check.unit)}</span>' if check.unit else ""
     seconds = ' <span class="unit">s</span>'
     bounds = (("at most", check.at_most), ("at least", check.at_least))
@@ -194,7 +194,7 @@ def _kind(finding: FindingView) -> str:
 
 
 def _tags(finding: FindingView) -> list[str]:
-    """Return the properties that tell a finding from others at a glance."""
+    """Return short texts that distinguish a finding from others, such as who is responsible for the collision."""
     tags = [WHO.get(_who(finding), finding.responsibility)]
     if finding.check is not None and finding.responsibility != "none":
         tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
@@ -220,7 +220,7 @@ def _shrink_section(shrink: ShrinkView) -> str:
 
 
 def instruction_table(instructions: Iterable[InstructionView]) -> str:
-    """Return a table of the NPCs' instructions and whether the NPCs carried them out."""
+    """Return an HTML table of the NPCs' instructions, and whether the NPCs carried them out."""
     instructions = tuple(instructions)
     places = "cell or zone" if any(told.zone for told in instructions) else "cell or lane"
     rows = []
@@ -251,11 +251,14 @@ ENDS = {
     "stopped": "enough findings",
     "error": "with an error",
 }
-"""Texts for why a search ended."""
+"""The text for each reason for which a search ends; an empty reason means that its end is not known."""
 
 
 def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) -> str:
-    """Describe one search in a foldable article: its figures, a place for its fitness curve, and its coverage."""
+    """Return the HTML article on one search: its figures, a place for its fitness curve, and its coverage.
+
+    The reader can fold it; ``is_open`` is False if it is folded at first.
+    """
     finished, end = len(view.generations), ENDS.get(view.reason, view.reason)
     figures = (
         ("algorithm", view.algorithm),
@@ -317,7 +320,7 @@ def _coverage(title: str, what: str, rows: Sequence[CoverageRow]) -> str:
 
 
 def _ring(steps: Sequence[CoverageRow]) -> str:
-    """Return a table with a row per cell: how often an NPC stayed in it, stepped clockwise and anticlockwise."""
+    """Return an HTML table with a row per cell: how often an NPC in it stayed, stepped clockwise, or anticlockwise."""
     body = [
         f'<tr><th scope="row">{int(cell)} {cell.label}</th>{"".join(map(_step, steps[3 * cell - 3 : 3 * cell]))}</tr>'
         for cell in Cell
@@ -327,7 +330,7 @@ def _ring(steps: Sequence[CoverageRow]) -> str:
 
 
 def _slots(rows: Sequence[CoverageRow]) -> str:
-    """Return a table with a row per zone: how often an NPC was sent to each of its slots."""
+    """Return an HTML table with a row per zone: how often NPCs were sent to each of the zone's slots."""
     zones: dict[str, list[CoverageRow]] = {}
     for each in rows:
         zones.setdefault(each.label.partition(" ")[0], []).append(each)
@@ -346,7 +349,7 @@ def _figures(step: CoverageRow) -> str:
 
 
 def _bars(top: int, **values: int) -> str:
-    """Draw bars under each other, as shares of the largest value."""
+    """Draw a bar for each value, one below the other. A bar of the value ``top`` fills the width."""
     bars = "".join(
         f'<svg class="meter {kind}" viewBox="0 0 100 4" preserveAspectRatio="none">'
         f'<rect width="{100 * value / top if top else 0:.1f}" height="4"/></svg>'

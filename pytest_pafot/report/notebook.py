@@ -1,7 +1,7 @@
-"""The views of runs, findings and searches in notebooks, which :mod:`pytest_pafot.support.shown` requests.
+"""The output of runs, findings and searches in notebooks, which :mod:`pytest_pafot.support.shown` requests.
 
-Each output is a separate page inside a frame, so that no name, style or script of one output affects another. It needs
-nothing from the network.
+Each output is a separate page inside a frame, so that no name, style or script of one output affects another. The page
+needs nothing from the network.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.world.limits import CLEARANCE
 
 BEFORE = (4.0, 3.0, 2.0, 1.0, 0.0)
-"""The moments of a plot, as times before the moment that the run is about [s]."""
+"""The default moments of a plot, as times before the run's collision or other event [s]."""
 
 
 def html(value: object) -> str:
-    """Return a frame with the page of a value."""
+    """Return an HTML frame that shows a run, a finding or a search as a report page."""
     return render_frame(report_of(value))
 
 
 def plot(value: object, times: Sequence[float] | None) -> bytes:
-    """Draw a run at several moments [s], as the content of a PNG file."""
+    """Draw a run at some times [s], as the content of a PNG file; None for the last four seconds before its event."""
     view = _run_view(value)
     if times is None:
         times = sorted({max(0.0, view.moment - before) for before in BEFORE})
@@ -44,7 +44,7 @@ def plot(value: object, times: Sequence[float] | None) -> bytes:
         if not 0 <= time <= view.duration + 1e-3:  # the view's times are rounded to milliseconds
             raise ValueError(f"times: expected seconds from 0 to {view.duration:g}, received {time!r}")
     if len(times) == 0:  # `not times` would fail for an array
-        raise ValueError("times: expected at least one moment, received none; leave it out for the last four seconds")
+        raise ValueError("times: expected at least one time [s], received none; the default is the last 4 s")
     return animation.strip(view, times)
 
 
@@ -54,7 +54,7 @@ def animate(value: object) -> bytes:
 
 
 def report_of(value: object) -> Report:
-    """Return the report that the page of a value shows."""
+    """Return the report on a run, a finding or a search that its page in a notebook shows."""
     if isinstance(value, Exploration):
         views = tuple(_told_view(told, value) for told in value.told)
         title = f"{plural(len(views), 'finding')} in {plural(value.summary.runs, 'run')}"
@@ -73,14 +73,14 @@ def report_of(value: object) -> Report:
 
 
 def _finding_view(finding: Finding) -> FindingView:
-    """Return the view of a finding by itself, without a number of similar runs and without a command."""
+    """Return the view of a single finding, without the number of runs that failed like it and without a command."""
     headline = _event(finding.expect) if finding.trace is None else ""
     view = finding_view(finding.trace, finding, node_id=finding.test, headline=headline)
     return replace(view, runs=0, command="")
 
 
 def _event(expect: Expect) -> str:
-    """Describe the event that a file expects, in a line."""
+    """Describe in a line the event that the file of a finding expects, such as a collision."""
     if expect.is_crash or expect.message:
         return expect.message or expect.failure
     what = str(expect.outcome) if expect.check is None else f"{expect.assertion} failed"
@@ -92,7 +92,7 @@ def _event(expect: Expect) -> str:
 
 
 def _told_view(told: FindTold, value: Exploration) -> FindingView:
-    """Return the view of a finding of a search without pytest, which no test replays."""
+    """Return the view of a finding from a search outside pytest. It has no command, since no test replays it."""
     find = told.find
     view = finding_view(
         None if told.run is None else told.run.trace,

@@ -1,4 +1,4 @@
-"""The report as one self-contained HTML page: it needs no network, no library and no second file."""
+"""The report as one self-contained HTML page: it needs no network, no library and no other file."""
 
 from __future__ import annotations
 
@@ -17,20 +17,23 @@ from pytest_pafot.support.text import quiet_json
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
 SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "table.js", "campaign.js", "main.js")
-"""The scripts in order; each uses what the previous ones define."""
+"""The page's scripts, in the order in which they run. Each uses what the earlier scripts define."""
 
 FRAME_HEIGHT = 1010
-"""Height of a page inside another page [px]."""
+"""Height of a report that is embedded in another page [px]."""
 WORDS_HEIGHT = 480
-"""Height of an embedded page that shows no run [px]."""
+"""Height of an embedded report that shows no run [px]."""
 CURVE_HEIGHT = 180
-"""Additional height for the curve of a check [px]."""
+"""Height that the curve of a failed check adds to an embedded report [px]."""
 CROSSED_HEIGHT = 460
-"""Additional height for a picture in which a vehicle crosses, and for the curve below it [px]."""
+"""Height that a crossing vehicle adds to an embedded report, for the larger picture and a curve below it [px]."""
 
 
 def render_page(report: Report, *, embedded: bool = False) -> str:
-    """Render one self-contained page, to stand alone or to be embedded; equal reports give equal text."""
+    """Render a report as one self-contained HTML page. ``embedded`` is True for a page inside another page.
+
+    Equal reports give equal text.
+    """
     style = _asset(STYLE)
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
     # The hashes allow only this style and these scripts, and no connection to anywhere.
@@ -66,9 +69,9 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
 
 
 def render_frame(report: Report) -> str:
-    """Return an ``<iframe>`` that holds the page, to embed it in a row of pytest-html or a notebook's output.
+    """Return an ``<iframe>`` that holds the report's page, for a row of pytest-html or the output of a notebook.
 
-    The frame may run its own scripts and nothing else.
+    The frame may run its own scripts. Everything else, such as saving files, is forbidden to it.
     """
     page = render_page(report, embedded=True)
     has_curve = any(finding.check is not None and finding.check.values for finding in report.findings)
@@ -82,9 +85,9 @@ def render_frame(report: Report) -> str:
 
 
 def data_json(report: Report) -> str:
-    """Return the data for the scripts, as JSON that can be inside a ``<script>`` element.
+    """Return the report's data for the page's scripts, as JSON that is safe inside a ``<script>`` element.
 
-    Texts that the page already contains are left out. Nothing in the JSON can end the element or begin a comment, and
+    Texts that the page contains as HTML are left out. Nothing in the JSON can end the element or begin a comment, and
     everything beyond ASCII, such as U+2028, is escaped.
     """
     findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
@@ -94,7 +97,7 @@ def data_json(report: Report) -> str:
 
 
 def _nothing_found(report: Report) -> str:
-    """Return the text of a page without findings: the property is confirmed only if everything ran to its end."""
+    """Return the sentence on a page without findings. It says that the property held only if nothing was cut short."""
     ends = {view.reason for view in report.campaigns}
     if report.errors or "error" in ends:
         return "No findings, but an error stopped something before its end."

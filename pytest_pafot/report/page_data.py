@@ -1,9 +1,9 @@
 """The content of the report as plain frozen values: no arrays, no scenarios, nothing that computes.
 
-Positions are in the frame of the road: *along* it, and *across* it from the centre of lane 0, to the right. Headings
-are relative to it, positive to the right. Lengths are in m, times in s since the start of the run, speeds in m/s,
-accelerations in m/s^2, jerks in m/s^3, angles in rad. None stands for a number that does not exist, such as a time to
-contact of vehicles that never touch; an empty text means the same.
+Positions are in the frame of the road: *along* the road, and *across* it from the centre of lane 0 to the right.
+Headings are relative to the road, positive to the right. Lengths are in m, times in s since the start of the run,
+speeds in m/s, accelerations in m/s^2, jerks in m/s^3, angles in rad. None stands for a number that does not exist, such
+as the time to contact of vehicles that never touch. An empty text stands for a text that does not exist.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from pytest_pafot.model.grid import Cell
 
 Numbers = tuple[float | None, ...]
 Pose = tuple[float, float, float]
-"""Along [m], across [m], heading [rad]."""
+"""A place and a direction: along the road [m], across it [m], heading [rad]."""
 Errors = tuple[tuple[str, str], ...]
-"""Tests that failed without a finding: node id and the text that pytest shows for it."""
+"""Tests that failed without a finding: the node id of each, and the text that pytest shows for the failure."""
 
 NEW = "new"
 """The first word of the label of a finding that was not known before."""
@@ -33,11 +33,11 @@ class LaneView:
 
 
 Place = tuple[float, float, float]
-"""A gap that grows with the ego's speed: its minimum [m], its value at a standstill [m], and its growth [s]."""
+"""A gap that grows with the ego's speed: its minimum [m], its value at a standstill [m], its growth [m per m/s]."""
 
 
 def gap_to(road: RoadView, cell: Cell, speed: float) -> float:
-    """Return the gap between an ego of this speed and a cell ahead or behind [m]."""
+    """Return the gap between the ego at a speed [m/s] and a cell ahead of or behind it [m]."""
     if cell.column:
         return road.clearance
     least, start, seconds = road.ahead if cell.row > 0 else road.behind
@@ -46,13 +46,13 @@ def gap_to(road: RoadView, cell: Cell, speed: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadView:
-    """The parts of the world that a picture needs.
+    """The road and the grid, as far as a picture needs them.
 
     Attributes:
         lanes: position of each lane's centre across the road, from the left.
         clearance: gap between the ego and the cells ahead and behind.
-        ahead, behind: gaps to the cells in the ego's lane, in attentive traffic: the minimum, the gap at a standstill,
-            and the growth for each m/s of the ego's speed.
+        ahead, behind: gaps to the cells ahead of and behind the ego in attentive traffic: the minimum, the gap at a
+            standstill, and the growth for each m/s of the ego's speed.
         shapes: the lanes of a bent road. For such a road *along* is the world's x, *across* its y, headings are
             those of the world, and ``lanes`` is empty.
     """
@@ -67,21 +67,21 @@ class RoadView:
 
 
 Window = tuple[float, float | None]
-"""Start and end of a stay; the end is None if the run ended first."""
+"""The times at which a vehicle enters and leaves a zone [s]. The second is None if the run ended before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZoneView:
-    """The zone in which the way of an NPC that crosses meets the ego's.
+    """The zone, where the way of a crossing NPC meets the ego's way.
 
     Attributes:
         name: entry and exit of the NPC's way.
         whence: where the NPC comes from, in words.
-        stretch: start and end of the zone along that way.
-        way: points of that way; empty if they are unknown.
-        area: the points at which the NPC would be in the ego's way.
+        stretch: start and end of the zone along the NPC's way.
+        way: points of the NPC's way; empty if they are unknown.
+        area: the points of the NPC's way at which the NPC would be in the ego's way.
         width: width of that area.
-        of_ego, of_npc: when each was in the zone; None if it never was.
+        of_ego, of_npc: when the ego, and the NPC, was in the zone; None if it never was.
     """
 
     name: str
@@ -96,20 +96,20 @@ class ZoneView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleView:
-    """One vehicle, a value per frame.
+    """One vehicle of a run. Most attributes have one value per frame.
 
     Attributes:
         name: ``ego``, or ``NPC 0`` and so on.
-        along, across: position of its centre.
-        acceleration: acceleration along its way.
-        jerk: the largest change of its acceleration per second since the previous frame.
-        gap: distance between its box and the ego's; empty for the ego.
-        ttc: constant-velocity time to contact with the ego; empty for the ego.
-        cells: grid cell that contains its centre, 0 for the ego's own, None while it is not on the ego's way; empty for
-            the ego.
-        zone: the zone of an NPC that crosses.
-        on_way: position of such an NPC along its way; empty for others.
-        advantage: expected time between its passing its zone and the ego's; empty for others.
+        along, across: position of the vehicle's centre.
+        acceleration: acceleration along the vehicle's way.
+        jerk: the largest jerk, positive or negative, since the previous frame.
+        gap: distance between the vehicle's box and the ego's box; empty for the ego.
+        ttc: time to contact with the ego at constant velocities; empty for the ego.
+        cells: grid cell that contains the vehicle's centre: 0 for the ego's place, None while the vehicle is not on the
+            ego's way; empty for the ego.
+        zone: the zone of an NPC that crosses; None for other vehicles.
+        on_way: position of a crossing NPC along its way; empty for other vehicles.
+        advantage: expected time between the ego and a crossing NPC at the zone; empty for other vehicles.
     """
 
     name: str
@@ -131,17 +131,20 @@ class VehicleView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstructionView:
-    """One instruction to one NPC, the gene at one place of its chain, from its start to its end.
+    """One instruction to one NPC: for a cell, for a lane, or for crossing the ego's way.
 
     Attributes:
-        requested: requested cell; it differs from ``cell`` if the repair inside the run changed it.
-        cell: cell as driven; 0 in a Lane-Instruction, as is ``requested``.
-        started: whether the run got as far as this instruction.
-        arrived: time at which the NPC reached the cell, the lane or the zone.
-        lane: ``keep``, ``left`` or ``right`` in a Lane-Instruction; otherwise empty.
-        zone: entry and exit of the way in a Crossing-Instruction; otherwise empty.
-        slot: short text of a Crossing-Instruction's slot, such as ``+0.5 s`` or ``together``.
-        words: the request of a Crossing-Instruction in words.
+        npc, gene: number of the NPC, and of the instruction in the NPC's chain, both from 0.
+        start, end: time at which the instruction begins and ends.
+        requested: the cell in the scenario; 0 if the instruction is not for a cell.
+        cell: the cell that the NPC drove to; it differs from ``requested`` if the repair during the run changed it.
+        speed: target speed.
+        started: True if the run got as far as this instruction.
+        arrived: time at which the NPC reached the cell, the lane or the zone; None if it did not.
+        lane: ``keep``, ``left`` or ``right`` if the instruction is for a lane; otherwise empty.
+        zone: entry and exit of the NPC's way if it crosses the ego's way; otherwise empty.
+        slot: when a crossing NPC is to be in the zone, relative to the ego, such as ``+0.5 s`` or ``together``.
+        words: the instruction to a crossing NPC in words.
     """
 
     npc: int
@@ -161,10 +164,10 @@ class InstructionView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventView:
-    """The moment that a run, and its finding, is about, unless a check has a different one.
+    """The event of a run, such as a collision, which the page shows first. A failed check may have another moment.
 
-    ``kind`` is the outcome of the run, such as ``collision``. The other fields are the NPC involved, the side of the
-    ego that was hit, and the cell that the NPC was in.
+    ``kind`` is the outcome of the run, such as ``collision``. The other fields are the time of the event, the NPC
+    involved, the side of the ego that was hit, and the cell that the NPC was in.
     """
 
     kind: str
@@ -180,12 +183,12 @@ class CheckView:
 
     Attributes:
         value: the worst value; None if it was not a finite number.
-        at_most, at_least: the bounds; None for one that does not exist.
+        at_most, at_least: the bounds; None for a bound that the check does not have.
         time: time of the worst value; None if unknown.
-        values: one per frame, the worst since the previous frame, cut at ``low`` and ``high``; empty if the check
-            measured a single number.
+        values: one value per frame, the worst since the previous frame, cut at ``low`` and ``high``; empty if the
+            check measured a single number.
         low, high: the range that a picture shows, including the bounds.
-        is_cut: whether there are values below ``low``, and above ``high``.
+        is_cut: two booleans: True if there are values below ``low``, and if there are values above ``high``.
         broken: start and end of each time span in which a bound was broken, in order.
     """
 
@@ -217,7 +220,7 @@ class DriveView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChanceView:
-    """The last time at which a reference driver in the ego's place stays free of fault, and a sentence on it."""
+    """The last chance to avoid a failure: its time, and a sentence on it."""
 
     time: float
     sentence: str
@@ -225,7 +228,7 @@ class ChanceView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShrinkView:
-    """The result of shrinking: the chains before and after, a line per NPC, their sizes, and the number of runs.
+    """The result of shrinking: the chains before and after it, one line per NPC, their sizes, and the number of runs.
 
     ``notes`` are sentences such as "any speed from 3 to 11 m/s still collides".
     """
@@ -242,16 +245,16 @@ class ShrinkView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FindingView:
-    """One finding.
+    """One finding, as the report page shows it.
 
     Attributes:
-        id: unique within a report together with the node id.
-        node_id: node id of the item that replays it.
+        id: name of the finding; together with the node id it is unique within a report.
+        node_id: node id of the item that replays the finding.
         sentences: who did what, what was due or what avoids it, and who is responsible; empty without a collision.
         assertion: the line of the test that failed, or the exception that was raised.
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
         runs: number of runs of the search that failed in this way; 0 for a run without a verdict.
-        generation: generation of its first run, from 0; None if no search found it.
+        generation: generation in which the search first ran into the finding, from 0; None if no search found it.
         label: ``new``, ``still failing``, ``flaky`` and so on.
         severity: severity of the run on the page; None if it has no measure.
         vehicles: the ego, then the NPCs.
@@ -259,11 +262,11 @@ class FindingView:
         instructions: instructions to all NPCs, ordered by NPC and gene.
         yaml, path: text and path of its file; empty for a run without a file.
         check: the check that failed; None if something else failed.
-        prevention: which reference drivers would have prevented it, and which not; empty if none was tried.
-        perception: which imperfections of its sight the failure needs; empty for perfect sight.
+        prevention: which reference drivers would have prevented the failure and which not; empty if none was tried.
+        perception: which imperfections of the ADS's perception the failure needs; empty for perfect sight.
         traffic: how the NPCs drive; empty for the paper's traffic.
-        last_chance: the last chance to avoid it; None if there is none.
-        drive: the data from which the page writes its run as a table; None without a recorded run or without a file.
+        last_chance: the last chance to avoid the failure; None if there is none.
+        drive: all states of the run, which the page can save as a table; None without a recorded run or without a file.
         grid: poses of the eight cells at each frame of a bent road, None for a cell without a lane. Empty if all NPCs
             cross, because these use no cells.
     """
@@ -309,7 +312,7 @@ class FindingView:
 
     @property
     def moment(self) -> float:
-        """Time of the moment that the finding is about [s]: the check's if it is known, otherwise the event's."""
+        """The time that the page shows first [s]: of the failed check if it is known, otherwise of the event."""
         return self.event.time if self.check is None or self.check.time is None else self.check.time
 
 
@@ -318,11 +321,11 @@ class GenerationView:
     """One generation of the main search.
 
     Attributes:
-        best, mean: fitness over the population's eligible runs.
-        failing: number of the population's runs that the test rejected.
-        restarted: whether its population was randomly sampled after a restart.
-        local_best: fitness of the best scenario of a local search that followed it.
-        local_replaced: whether that scenario replaced the incumbent.
+        best, mean: highest and mean fitness of the population's runs, without those that are not eligible.
+        failing: number of the population's runs in which the test failed.
+        restarted: True if the population was sampled at random after a restart.
+        local_best: fitness of the best scenario of the local search after this generation; None without one.
+        local_replaced: True if that scenario replaced the incumbent.
     """
 
     generation: int
@@ -337,10 +340,13 @@ class GenerationView:
 
 @dataclass(frozen=True, slots=True)
 class CoverageRow:
-    """Counts of how often something occurred in the simulated scenarios of a search.
+    """The counts of one kind of instruction in the simulated scenarios of a search, such as those for one cell.
 
-    Requested counts the scenarios as the search made them. Driven counts what was driven after repair, as far as the
-    runs got. Reached counts those of the driven instructions whose cell was reached.
+    Attributes:
+        label: the kind of instruction in words.
+        requested: number of instructions in the scenarios as the search made them.
+        driven: number of instructions that were driven after the repair, as far as the runs got.
+        reached: number of driven instructions whose cell or zone the NPC reached.
     """
 
     label: str
@@ -351,15 +357,17 @@ class CoverageRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignView:
-    """The course and the figures of a search.
+    """The course and the figures of a search, as the report page shows them.
 
     Attributes:
-        generations, asked: the finished generations in order, and how many were requested, or None.
-        reason: why it ended, including ``error`` and ``interrupted``.
-        simulated, reused: number of scenarios that were run, and that were known from an earlier run.
-        outcomes, responsibilities: counts of simulated runs by name.
+        generations: the finished generations in order.
+        asked: number of requested generations; None if it was not limited.
+        reason: why the search ended, including ``error`` and ``interrupted``.
+        simulated: number of scenarios that were run.
+        reused: number of scenarios that were not run, since their result was known from an earlier run.
+        outcomes, responsibilities: number of simulated runs by outcome, and by who was responsible.
         cells: eight rows, cell 1 first.
-        steps: twenty-four rows: from each cell, holding it, then one step clockwise, then one anticlockwise.
+        steps: twenty-four rows, three for each cell: staying in it, one step clockwise, one step anticlockwise.
         speeds: a row per bin of target speeds, slowest first.
         warnings: warnings about the search's health.
         zones: five rows for each zone that NPCs were sent to, one per slot; empty if no NPC crosses.
@@ -387,7 +395,7 @@ class Report:
     """The content of a page.
 
     Attributes:
-        facts: name and value of facts on the session, such as versions and seeds.
+        facts: names and values to show of the session, such as versions and seeds.
         command: command that started the session.
         findings, campaigns: in the order in which they are listed.
         is_interrupted: whether the session was interrupted.

@@ -1,6 +1,6 @@
-"""The geometry of a finding's picture at a moment, without drawing it.
+"""The geometry of a finding's picture at a moment: where everything is, without drawing it.
 
-The page's script computes the same in the browser; a test compares the two.
+The page's script computes the same in the browser. A test compares the results of both.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ TRAIL_STEP = 0.125
 
 Phase = Literal["approach", "arrived", "ended"]
 Point = tuple[float, float]
-"""(along, across) [m]."""
+"""A point of the picture: (along the road, across it) [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class DrawnVehicle:
-    """A vehicle at a moment: centre [m], heading [rad], size [m], speed [m/s]."""
+    """A vehicle in the picture: its centre [m], heading [rad], size [m] and speed [m/s]."""
 
     along: float
     across: float
@@ -36,7 +36,7 @@ class DrawnVehicle:
 
 @dataclass(frozen=True, slots=True)
 class DrawnCell:
-    """A cell around the ego: its number, centre [m], whether it has a lane, and the heading of that lane [rad]."""
+    """A cell around the ego: its number, its centre [m], True if there is a lane, and that lane's heading [rad]."""
 
     cell: int
     along: float
@@ -47,15 +47,15 @@ class DrawnCell:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """A finding at a moment [s].
+    """A finding's picture at a time [s].
 
     Attributes:
         vehicles: the ego first; None for a vehicle whose position is unknown.
         cells: the eight cells around the ego.
         targets: the cell that each NPC is driving to, or None.
-        trails: recent positions of each vehicle. The ego's trail is its path on the road; an NPC's is its path relative
-            to the ego and moves along with it, or on a bent road also its path on the road.
-        impact: point of contact of the vehicles, from the contact on.
+        trails: recent positions of each vehicle. The ego's trail is its path on the road. An NPC's trail is its path
+            relative to the ego; on a bent road it is its path on the road, too.
+        impact: point of contact of the ego with an NPC, from the collision on; None before it.
     """
 
     time: float
@@ -68,7 +68,7 @@ class Picture:
 
 
 def picture_at(finding: FindingView, time: float) -> Picture:
-    """Return the picture at a time, with positions interpolated between frames.
+    """Return the picture of a finding at a time [s], with positions interpolated between frames.
 
     Raises:
         ValueError: for a finding without frames, or a moment at which the ego's position is unknown.
@@ -92,7 +92,7 @@ def picture_at(finding: FindingView, time: float) -> Picture:
 
 
 def vehicle_at(finding: FindingView, vehicle: int, time: float) -> DrawnVehicle | None:
-    """Return a vehicle at a time; None if its position is unknown."""
+    """Return a vehicle as it is at a time [s]; None if its position is unknown then."""
     view = finding.vehicles[vehicle]
     before, after, share = _frame_at(finding, time)
 
@@ -108,7 +108,10 @@ def vehicle_at(finding: FindingView, vehicle: int, time: float) -> DrawnVehicle 
 
 
 def instruction_at(finding: FindingView, npc: int, time: float) -> tuple[InstructionView, Phase] | None:
-    """Return an NPC's instruction at a time, and whether the NPC is driving to its goal, there, or past its chain."""
+    """Return an NPC's instruction at a time [s], and its phase; None if the NPC has no instructions.
+
+    The phase is ``approach`` on the way to the goal, ``arrived`` there, and ``ended`` after the last instruction.
+    """
     rows = [row for row in finding.instructions if row.npc == npc]
     row = next((each for each in rows if time < each.end - 1e-9), rows[-1] if rows else None)
     if row is None:
@@ -119,9 +122,10 @@ def instruction_at(finding: FindingView, npc: int, time: float) -> tuple[Instruc
 
 
 def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
-    """Return the place of a cell. On a bent road it is recorded for the nearest frame and moves along with the ego.
+    """Return the place of a cell at a time [s].
 
-    No cells are recorded if all NPCs cross.
+    On a bent road it is the cell's place at the nearest recorded frame, moved along with the ego. If all NPCs cross, no
+    cells are recorded.
     """
     road = finding.road
     if not road.shapes:
@@ -145,7 +149,7 @@ def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float)
 
 
 def _target(finding: FindingView, cells: Sequence[DrawnCell], npc: int, time: float) -> DrawnCell | None:
-    """Return the cell that an NPC is driving to; None if a bent road has no lane there."""
+    """Return the cell to which an NPC is driving at a time [s]; None if it has no cell, or if there is no lane."""
     told = instruction_at(finding, npc, time)
     if told is None or told[0].cell == 0 or told[1] != "approach":
         return None

@@ -1,7 +1,7 @@
-"""The result of a session for programs: the values of ``--pafot-json``, and their text.
+"""The result of a session for programs, as ``--pafot-json`` writes it.
 
-It contains no clock time and no duration, and keys and entries are sorted: the same seed gives the same text, for any
-number of workers.
+The record contains no clock time and no duration, and its keys and entries are sorted. So the same seed gives the same
+text, for any number of workers.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.text import quiet_json
 
 VERSION = 1
-"""The version of the layout. A new key does not change it; a key that is removed or changes its meaning raises it."""
+"""The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
 
 NEW, ERROR = "new", "error"
-"""Statuses of a finding besides the labels of replays: found in this session; could not be read or run."""
+"""Statuses of a finding that are no labels of replays: found in this session; or could not be read or run."""
 
 RESULTS = ("", "passed", "skipped", "xfailed", "failed", "error")
-"""The results of an item, the worst last; empty for an item that never ended."""
+"""The results that an item can have, the worst last. The empty result is for an item that never ended."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,8 +42,8 @@ class FindingRecord:
         replay: the command that replays it.
         headline: how the run ended, in a few words; empty if it passes.
         sentences: sentences on the collision: who did what, what was due or what avoids it, and who is responsible.
-        detail: what differs from the file, such as a situation that did not come up, or why there is no file.
-        signature: all that makes two failures the same, in one line; for a file the failure that it was saved for.
+        detail: what differs from the file, such as a situation that did not occur, or why there is no file.
+        signature: everything that makes two failures the same, in one line. It describes the failure in the file.
         kind: short name of the signature, from which ids are made.
         failure: name of the exception class.
         assertion: the failing assertion or the name of the check.
@@ -146,7 +146,7 @@ class FindingRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchRecord:
-    """A search that began, or whose item failed before it could begin.
+    """A search that began, or that could not begin because its item failed.
 
     Attributes:
         node_id: node id of its item.
@@ -155,7 +155,7 @@ class SearchRecord:
         reason: why the search ended; empty if it did not begin, or its process died.
         algorithm: name of the algorithm.
         profile: profile that the defaults came from.
-        base_seed: seed that repeats it, with `--pafot-seed`.
+        base_seed: seed that repeats the search, with `--pafot-seed`.
         seed: seed of this search, derived from the base seed.
         generations: number of finished generations.
         asked: number of requested generations; null if the number of runs is the limit.
@@ -163,12 +163,12 @@ class SearchRecord:
         runs: number of simulated scenarios.
         shrink_runs: number of runs that simplified the findings, in addition to `runs`.
         known_runs: scenarios that were not run, because an earlier run showed what they do.
-        failing: runs that the test rejected.
+        failing: runs in which the test failed.
         invalid: runs in which two NPCs touched.
         npc: runs that are not failures because the NPC is at fault.
         unpreventable: runs that are not failures because no reference driver avoids them.
         common: runs that are not failures because the reference fails as well.
-        rejected: runs that the test function declined.
+        rejected: runs that the test function declined with `pafot.reject()`.
         skipped: runs in which the test function skipped.
         no_interaction: runs in which no NPC came near the ego.
         reached: share of instructions whose cell was reached; null if no run shows it.
@@ -176,11 +176,12 @@ class SearchRecord:
         unsaved: number of runs by id of further findings, which were not saved because of the limit.
         known: number of failing runs by id of the saved scenario that shows the same failure.
         random_failing: number of the random scenarios at the beginning that failed by the ego's fault, which is a
-            collision that it answers for, alone or together with the NPC.
-        random_otherwise: number of them that failed in any other way, such as by a check or an error of the ADS.
-        random_runs: number of all random scenarios that say something about the ego.
-        drawn: what the scenarios were sampled from, in one line.
-        coverage: one line on the instructions that the runs got to.
+            collision for which the ego is responsible, alone or together with the NPC.
+        random_otherwise: number of the random scenarios that failed in any other way, such as by a check or an error of
+            the ADS.
+        random_runs: number of all random scenarios whose run says something about the ego.
+        drawn: the range of scenarios from which the search sampled, in one line.
+        coverage: one line on the share of instructions that the runs reached.
         against: the reference that failures were compared with; empty without a reference.
         warnings: warnings about its health.
         notes: any other remarks.
@@ -249,14 +250,14 @@ class SearchRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrphanRecord:
-    """A folder of saved scenarios that no test runs.
+    """A folder of saved scenarios that no test replays.
 
     Attributes:
         folder: path relative to the rootdir.
         files: number of saved scenarios in it.
-        expected: the test that it belongs to, and what is there instead.
+        expected: the test that the folder belongs to, and what was found instead of the test.
         way_out: where the files may belong now, and how to remove them.
-        is_gone: whether the module or the function no longer exists, which makes a session under CI fail.
+        is_gone: true if the module or the function no longer exists, which makes a session under CI fail.
     """
 
     folder: str
@@ -272,7 +273,7 @@ class SessionRecord:
 
     Attributes:
         exit: pytest's exit code; null while the session runs, and forever if its process was killed.
-        versions: versions of the packages that decide how a run goes.
+        versions: versions of the packages on which the result of a run depends.
         searches: in the order of node ids.
         findings: saved scenarios that were replayed, and new findings, in the order of node ids.
         rates: a sentence for each test that counted crashes in ordinary traffic.
@@ -304,10 +305,10 @@ def to_text(record: SessionRecord) -> str:
 
 
 def command_for(what: str, *options: str) -> str:
-    """Return the command that replays a file, or that repeats the search of a node id."""
+    """Return the pytest command that replays a file, or that repeats the search with a node id, with some options."""
     return shlex.join(["python", "-m", "pytest", what, *options])
 
 
 def worst(results: Iterable[str]) -> str:
-    """Return an item's result, which is the worst result of its phases."""
+    """Return the worst of the results of an item's phases, which is the item's result."""
     return max(results, key=RESULTS.index, default="")

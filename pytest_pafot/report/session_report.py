@@ -1,4 +1,4 @@
-"""The report of a session: it collects what the items report, sorts it, and writes it to files."""
+"""The report page of a session: the data from all items are collected, sorted and written to files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PAGE = "index.html"
 
 @dataclass(slots=True, kw_only=True)
 class Draft:
-    """The known part of the report that will be written to the option's target.
+    """The part of a session's report that is known so far; ``--pafot-report`` names the target.
 
     Findings, searches and details of drifted scenarios are stored by node id, the number of replays by label, and base
     seeds in the order in which they arrived.
@@ -41,7 +41,7 @@ class Draft:
     seeds: dict[int, None] = field(default_factory=dict)
 
     def take(self, data: Mapping[str, Any], finding: FindingView | None, campaign: CampaignView | None) -> None:
-        """Add what an item reports."""
+        """Add the data, the finding or the search that an item reports."""
         if finding is not None:
             self.findings[finding.node_id] = finding
         if campaign is not None:
@@ -54,9 +54,9 @@ class Draft:
     def report(
         self, *, project: str, command: str, findings: Iterable[FindingView], errors: Errors, is_interrupted: bool
     ) -> Report:
-        """Return the report, in an order that does not depend on which item was first.
+        """Return the finished report, in an order that does not depend on which item ran first.
 
-        The findings are those of the draft, updated with what is known at the end.
+        ``findings`` are the findings of this draft, with what became known at the end of the session.
         """
         ranked = sorted(findings, key=_rank)
         tests = list(dict.fromkeys(finding.test for finding in ranked))
@@ -86,10 +86,10 @@ class Draft:
 
 
 def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
-    """Write a report to a path, the target's absolute one; return a line on what was written, and one on problems.
+    """Write a report to a path; return a line on what was written, and a line on problems.
 
-    The second line is empty if there is no problem. After an interrupt there are no pictures, because each of them
-    takes seconds and a page does not.
+    The path is the absolute path of ``target``, the user's text. The second line is empty if there is no problem. After
+    an interrupt there are no pictures, because each picture takes seconds and a page does not.
     """
     is_file = is_page_file(target)
     files = iter([("", render_page(report).encode())]) if is_file else report_files(report)
@@ -101,7 +101,7 @@ def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
             pictures += name.endswith(".png")
     except OSError as error:
         reason = f"{error.strerror or error}: {error.filename or path}"
-        return "", f"--pafot-report={target}: not written: {reason}; choose a different path"
+        return "", f"--pafot-report={target}: not written: {reason}; choose another path"
     except AnimationError as error:
         missing = f": {error}"
     shown = target if is_file else os.path.join(target, PAGE)  # noqa: PTH118
@@ -111,10 +111,10 @@ def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
 
 
 def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
-    """Yield name and content of each file of a folder: the page, then a moving picture of each finding with a run.
+    """Yield the files of a report in a folder, by name and content: the page, then an animation of each recorded run.
 
     Raises:
-        AnimationError: if a picture is due and Pillow is missing; the page has been yielded before.
+        AnimationError: if there is a run to draw and Pillow is missing; the page has been yielded by then.
     """
     yield PAGE, render_page(report).encode()
     for key, finding in zip(finding_keys(report.findings), report.findings, strict=True):
@@ -123,12 +123,12 @@ def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
 
 
 def _rank(finding: FindingView) -> tuple[Any, ...]:
-    """Return the sort key: new before known, then by responsibility, then the worst first, then the most frequent."""
+    """Return the key that sorts findings: new before known, then by responsibility, severity and number of runs."""
     worst = worst_first(finding.responsibility, finding.severity)
     return not finding.label.startswith(NEW), *worst, -finding.runs, finding.node_id
 
 
 def _counts(findings: Sequence[object], errors: Sequence[object]) -> str:
-    """Count errors first; without errors, only findings."""
+    """Return the number of errors, if there are any, and of findings, in words."""
     found = plural(len(findings), "finding")
     return f"{plural(len(errors), 'error')}, {found}" if errors else found

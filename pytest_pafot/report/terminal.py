@@ -24,13 +24,13 @@ from pytest_pafot.support.text import ascii_text, fitted_lines, plural, wrapped_
 
 WIDTH = 80
 MAX_FINDS = 20
-"""New findings that are listed one by one."""
+"""The largest number of new findings that a search lists one by one."""
 
 MAX_NAMED = 3
-"""New findings that one line names."""
+"""The largest number of findings that are named in one line."""
 
 MAX_REPLAYS = 10
-"""Replays that are listed one by one, among those that do not fail as before."""
+"""The largest number of listed replays. Only replays that do not simply fail as before are listed."""
 
 _BESIDE: Mapping[ReferenceOutcome, str] = {
     "avoids": "",
@@ -38,7 +38,7 @@ _BESIDE: Mapping[ReferenceOutcome, str] = {
     "at-fault": " (at fault)",
     "fails": " (fails too)",
 }
-"""Remarks next to the names of reference drivers."""
+"""The remark behind the name of a reference driver, by how its run ended."""
 
 LEFT_ALONE = (
     "not removed: --pafot-prune removes only files whose line `test:` names a test of this rootdir and of that folder, "
@@ -48,15 +48,16 @@ LEFT_ALONE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplaySummary:
-    """The result of an item's replay: ``fixed``, ``still failing``, ``drifted`` or ``flaky``, and what differs.
+    """The result of a replay: a label, and what differs from the file.
 
-    If it was run against a reference, the label may also be ``introduced``, ``common`` or ``fixed before``.
+    The label is ``fixed``, ``still failing``, ``drifted`` or ``flaky``. In a comparison with a reference, it may also
+    be ``introduced``, ``common`` or ``fixed before``.
 
     Attributes:
-        id: id of the finding if it fails and is not accepted; otherwise empty.
+        id: id of the finding if the replay fails and the failure is not accepted; otherwise empty.
         severity: severity of that failure; None if it has no measure.
         responsible: who is responsible for the collision, as in the file.
-        worse: which finding is worse than in the reference, and by how much; empty if it is not worse.
+        worse: how much worse the failure is than with the reference, with the finding's id; empty if it is not worse.
     """
 
     node_id: str
@@ -76,8 +77,8 @@ class SessionSummary:
     Attributes:
         searches, replays: in the order in which they ended.
         orphans: folders of saved scenarios whose test is gone, with their number of files and the way out.
-        removed: folders from which such files were removed, with the number of files.
-        pruned: whether the user requested their removal.
+        removed: folders from which files of orphans were removed, with the number of files.
+        pruned: True if the user requested to remove them.
         strays: saved scenarios that are in no test's folder, each with the path where it should be.
         unmerged: folders of other corpora that were not merged, each with the reason.
         interrupted: node ids of searches that began and did not end.
@@ -99,7 +100,7 @@ class SessionSummary:
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
-    """Return one line of progress, with the node id shortened at its start, and the end cut if it is still too long."""
+    """Return one line of progress. To fit the width, the start of the node id is left out, then the end of the line."""
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
     counts = [f"{progress.generation}/{progress.generations} generations"] if progress.generations is not None else []
     counts += [plural(progress.runs, "run") if progress.budget is None else f"{progress.runs}/{progress.budget} runs"]
@@ -112,7 +113,7 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
 
 
 def found_lines(find: Find, width: int = WIDTH) -> list[str]:
-    """Return the lines for a new finding at the moment it is found; its file already exists."""
+    """Return the lines that report a new finding while the search continues. Its file already exists."""
     lines = [ascii_text(f"pafot: found {find.node_id}"), *_wrapped(find.summary, width)]
     return lines if find.path else [*lines, *_wrapped(f"not saved: {find.problem}", width)]
 
@@ -120,10 +121,15 @@ def found_lines(find: Find, width: int = WIDTH) -> list[str]:
 def find_section(
     find: Find, *, explanation: str, content: str, details: Sequence[str] = (), advice: str = "", width: int = WIDTH
 ) -> str:
-    """Return the section of a new finding's own report, with everything that its failure message does not contain.
+    """Return the section on a new finding in its failure report, without what the failure message says already.
 
-    The explanation of the run is empty if the message contains it. The content is that of a file that could not be
-    written. Each of the details begins with a title of at most ten letters; the advice follows the finding's remark.
+    Args:
+        find: the finding.
+        explanation: the explanation of the run; empty if the failure message contains it.
+        content: the content of the finding's file if it could not be written; otherwise empty.
+        details: further lines, each of which begins with a title of at most ten letters.
+        advice: a text that follows the finding's remark.
+        width: the width of the terminal in columns.
     """
     lines = [*explanation.splitlines(), *details]
     lines += [f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else []
@@ -135,7 +141,7 @@ def find_section(
 
 
 def simplified_lines(finding: Finding) -> list[str]:
-    """Describe how a new finding shrank, which reference drivers prevent it, until when, and what sight it needs."""
+    """Describe how a new finding shrank, how it can be prevented, and which imperfect perception it needs."""
     lines: list[str] = []
     if finding.shrunk is not None:
         longest = finding.longest_run
@@ -149,7 +155,7 @@ def simplified_lines(finding: Finding) -> list[str]:
 
 
 def prevention_text(expect: Expect) -> str:
-    """Say which reference drivers would have prevented a finding, and how the others ended; empty without any."""
+    """Say which reference drivers would have prevented a finding and which not; empty if no driver was tried."""
     clauses: list[str] = []
     for outcome, beside in _BESIDE.items():
         names = [name for name, became in expect.reference_drivers.items() if became == outcome]
@@ -160,7 +166,7 @@ def prevention_text(expect: Expect) -> str:
 
 
 def effort_lines(finding: Finding) -> list[str]:
-    """Return how many runs shrinking took, and the speeds that still fail."""
+    """Return lines on the number of runs that shrinking took, and on the NPC speeds that still fail."""
     if finding.shrunk is None:
         return []
     still = [f"still      {sentence}" for sentence in speed_sentences(finding)]
@@ -168,7 +174,7 @@ def effort_lines(finding: Finding) -> list[str]:
 
 
 def speed_sentences(finding: Finding) -> list[str]:
-    """Return sentences on the speeds at which the scenario still fails."""
+    """Return sentences on the NPC speeds at which a finding's scenario still fails."""
     sentences = []
     for interval in () if finding.shrunk is None else finding.shrunk.speeds:
         gene = finding.scenario.npcs[interval.npc][interval.gene]
@@ -183,18 +189,18 @@ def speed_sentences(finding: Finding) -> list[str]:
 
 
 def failure_line(search: SearchSummary) -> str:
-    """Return in one line why a searching item fails."""
+    """Return in one line why the item of a search fails."""
     ids = [*(find.id for find in _worst_first(search.finds)), *search.unsaved]
     return f"{plural(len(ids), 'new finding')}: {_listed(ids, MAX_NAMED)}"
 
 
 def _worst_first(finds: Iterable[Find]) -> list[Find]:
-    """Sort the new findings of one search in the order that all lists use."""
+    """Sort the new findings of one search, the worst first, as in all lists."""
     return sorted(finds, key=lambda each: (*worst_first(each.responsible, each.severity), -each.repeats, each.node_id))
 
 
 def failure_message(search: SearchSummary) -> str:
-    """Return why a searching item fails: its new findings, each of which is also reported as a separate item."""
+    """Return why the item of a search fails: its new findings. Each one is also reported as a separate item."""
     firm, flaky = [], []
     for find in _worst_first(search.finds):
         name = f"{find.id} ({plural(1 + find.repeats, 'run')}{'' if find.severity is None else f', {find.severity}'})"
@@ -247,7 +253,7 @@ def _figures(search: SearchSummary) -> str:
 
 
 def _find_lines(search: SearchSummary) -> list[str]:
-    """Say how many new findings there are and in which folder; their own reports name them."""
+    """Say how many new findings a search has and in which folder they are saved. Their own reports name them."""
     if not search.finds and not search.unsaved:
         return []
     folders = dict.fromkeys(os.path.dirname(find.path) for find in search.finds if find.path)  # noqa: PTH120
@@ -280,7 +286,7 @@ def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[s
 
 
 def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
-    """Say for each reference what the policy changes: new findings, and saved scenarios by label."""
+    """Say for each reference what changes with the policy: failures that it introduces, fixes or shares."""
     lines = []
     names = [*(each.against for each in session.searches), *(each.against for each in session.replays)]
     for name in filter(None, dict.fromkeys(names)):
@@ -297,9 +303,9 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
 
 
 def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
-    """Return all failures of a session if there are at least two, the worst first: new ones, then known ones.
+    """Return a list of all failures of a session, the worst first; empty if there are fewer than two.
 
-    In each of the two groups, failures that the ego answers for are first.
+    New failures are before known failures. Within both groups, failures for which the ego is responsible are first.
     """
     listed: list[tuple[tuple[Any, ...], str]] = []
     for find in (find for search in session.searches for find in search.finds):
@@ -316,7 +322,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
 
 
 def _measured(label: str, failure: Find | ReplaySummary) -> str:
-    """Return a failure's label and id, how bad it is, and whether the ego answers for it."""
+    """Return a line with a failure's label and id, how bad the failure is, and who is responsible for it."""
     if failure.severity is None:
         return f"{label}: {failure.id} has no measure"
     who = f", {failure.responsible} at fault" if failure.severity.is_fault(failure.responsible) else ""
@@ -324,7 +330,7 @@ def _measured(label: str, failure: Find | ReplaySummary) -> str:
 
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
-    """Return the whole summary; empty if there is nothing to report."""
+    """Return the lines of the whole summary of a session; no lines if there is nothing to report."""
     lines: list[str] = []
     for search in session.searches:
         lines += search_lines(search, verbose=verbose, width=width)

@@ -110,7 +110,7 @@ def test_a_moving_picture_is_that_of_a_report(tmp_path):
     [
         (lambda run: run.plot(times=[99.0]), r"times: expected seconds from 0 to [\d.]+, received 99.0"),
         (lambda run: run.plot(times=[float("nan")]), "received nan"),
-        (lambda run: run.plot(times=[]), "expected at least one moment"),
+        (lambda run: run.plot(times=[]), "expected at least one time"),
         (lambda run: run.plot(times=[0.0]).save("run.gif"), "expected a name that ends in .png, received 'run.gif'"),
     ],
 )

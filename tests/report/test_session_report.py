@@ -117,4 +117,4 @@ def test_unwritable_report_says_why_and_what_to_do(tmp_path):
     written, problem = write_report("x/", tmp_path / "x", Report(title="t"))
     assert written == ""
     assert problem.startswith("--pafot-report=x/: not written: ")
-    assert problem.endswith("; choose a different path")
+    assert problem.endswith("; choose another path")
