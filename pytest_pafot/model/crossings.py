@@ -1,8 +1,9 @@
 """The ways of other traffic and the zones in which they meet the ego's way.
 
-A world provides them, a search samples from them, and the rules of attribution read them. Places are those of a
-vehicle's centre, along its way [m]. A stretch ``(enters, leaves)`` is where the boxes of two vehicles on the two ways
-can touch, so a vehicle that waits before ``enters`` blocks no vehicle.
+A world provides these ways and zones, a search samples from them, and the rules of attribution read them. The place of
+a vehicle is the distance of its centre along its way [m]. A stretch ``(enters, leaves)`` of a way is the part on which
+the vehicle's box can touch the box of a vehicle on the other way, so a vehicle that waits before ``enters`` blocks no
+vehicle.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ FloatArray = npt.NDArray[np.float64]
 Stretch = tuple[float, float]
 
 Kind = Literal["crossing", "oncoming", "merging"]
-"""The ways in which two ways meet: one leads across the other; an oncoming vehicle turns across the ego's way, or the
-ego across that vehicle's; both continue in one lane."""
+"""How an NPC's way meets the ego's way. Crossing: it leads across the ego's. Oncoming: the NPC comes from ahead, and it
+or the ego turns across the other's way. Merging: both ways continue in the same lane."""
 Origin = Literal["left", "right", "ahead", "behind"]
-"""The direction that a vehicle comes from, as seen by the ego when it drives up to the zone."""
+"""The direction that a vehicle comes from, as seen by the ego when the ego drives up to the zone."""
 Holder = Literal["ego", "npc", "none"]
-"""The vehicle that has priority."""
+"""The vehicle that has priority in a zone: the ego, the NPC or neither."""
 
 STEP = 0.5
 """Distance between the points of a way [m]."""
@@ -37,21 +38,23 @@ APART = 0.7
 LENGTH = 5.0
 """Length of a vehicle [m]."""
 BEFORE_LINE, STOPPING = 2.0, 6.0
-"""The distance before its zone at which an NPC waits [m], and how hard it can brake for that [m/s^2]."""
+"""The distance between a waiting NPC and its zone [m], and the hardest braking with which it stops there [m/s^2]."""
 WAITING = ("hold", "late")
-"""The acts of NPCs that stop at the line."""
+"""The acts of NPCs that stop at the line before the zone."""
 EASY_BRAKING, CREEPING = 2.5, 2.0
-"""The braking of an NPC for the line [m/s^2], and the time that its last metres take beyond even braking [s]."""
+"""The planned braking of an NPC for its line [m/s^2], and the time that creeping up to the line adds to the braking
+time [s]."""
 EARLIER = 1.0
 """The time for which an NPC that starts late stands at the line before it sets off [s]."""
 SETTING_OFF = 2.0
 """The acceleration with which a waiting vehicle is expected to set off [m/s^2]."""
 SLOTS = {"well before": -1.0, "just before": 0.0, "together": 0.0, "just after": 1.0, "well after": math.inf}
-"""The five slots of a zone, each with its end [s]. They are to a zone what the nine cells are to the grid."""
+"""The five named intervals of slots, each with its end [s]. They divide the time at a zone as the nine cells divide the
+grid."""
 
 
 def slot_name(slot: float) -> str:
-    """Return the name of the slot that a time belongs to [s]."""
+    """Return the name of the interval that a slot [s] belongs to, such as ``just after``."""
     if slot == 0:
         return "together"
     if slot < 0:
@@ -67,8 +70,8 @@ class Zone:
         way: entry and exit of the NPC's way, such as ``"o1>o3"``.
         kind: how the two ways meet.
         origin: the direction that the NPC comes from.
-        ego, npc: the stretches of the ego's way and of the NPC's way [m]. In a merging zone they end where both
-            vehicles drive in one lane.
+        ego, npc: the stretches of the ego's way and of the NPC's way in the zone [m]. In a merging zone both stretches
+            end where the two vehicles drive in one lane.
         priority: the vehicle that has priority.
         line: points of the NPC's way from its entry to its exit, x and y [m]. Only pictures use them; empty if unknown.
     """
@@ -94,11 +97,11 @@ class CrossingVehicle(NamedTuple):
 
     Attributes:
         id: the NPC's index in ``run.npcs``, the same throughout the run.
-        zone: where the two ways first meet, and which vehicle has priority there.
-        distance: from the vehicle to the beginning of the zone [m].
-        ego_distance: from the ego to the beginning of the zone [m].
-        ahead, right: from the ego's centre to the vehicle's, in the ego's frame [m].
-        heading: relative to the ego's heading, positive to the right [rad].
+        zone: the place where the two ways first meet, and the vehicle that has priority there.
+        distance: distance from the vehicle to the beginning of the zone [m].
+        ego_distance: distance from the ego to the beginning of the zone [m].
+        ahead, right: position of the vehicle's centre relative to the ego's centre, in the ego's frame [m].
+        heading: heading of the vehicle relative to the ego's, positive to the right [rad].
         speed: speed of the vehicle [m/s].
         length, width: size of the vehicle [m].
     """
@@ -132,11 +135,11 @@ class CrossingVehicle(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Way:
-    """A way of other traffic.
+    """The path of an NPC through a junction or along a road, which meets the ego's way.
 
     Attributes:
-        zone: the zone where it first meets the ego's way.
-        speeds: the highest speed that limits and bends allow, at every half metre from the entry on [m/s].
+        zone: the zone where this way first meets the ego's way.
+        speeds: the highest speed that speed limits and bends allow, at every half metre from the entry on [m/s].
     """
 
     zone: Zone
@@ -149,7 +152,7 @@ class Way:
 
     @lru_cache(maxsize=2048)  # noqa: B019  (called hundreds of times a scenario; a world retains its ways anyway)
     def times(self, speed: float) -> FloatArray:
-        """Return when a vehicle that starts at the entry reaches each point [s] at a speed [m/s], slower in bends."""
+        """Return the time [s] from the entry to each point of the way at a speed [m/s], or slower in bends."""
         driven = np.minimum(self.speeds, speed)
         steps = 2 * STEP / np.maximum(driven[1:] + driven[:-1], 1e-3)
         times: FloatArray = np.concatenate(([0.0], np.cumsum(steps)))
@@ -157,17 +160,17 @@ class Way:
         return times
 
     def time_at(self, along: float, speed: float) -> float:
-        """Return when a vehicle that starts at the entry at a speed [m/s] reaches a place [s]."""
+        """Return the time [s] from the entry to the place ``along`` [m] at a speed [m/s], or slower in bends."""
         times, point = self.times(speed), min(max(along / STEP, 0.0), len(self.speeds) - 1.0)
         before = min(int(point), len(times) - 2)
         return float(times[before] + (times[before + 1] - times[before]) * (point - before))
 
     def speed_at(self, along: float) -> float:
-        """Return the highest speed at a place [m/s]."""
+        """Return the highest speed [m/s] that limits and bends allow at the place ``along`` [m]."""
         return float(np.interp(along, np.arange(len(self.speeds)) * STEP, self.speeds))
 
     def place_at(self, time: float, speed: float) -> float:
-        """Return where a vehicle is [m] at a time [s] after its start at the entry, at a speed [m/s]."""
+        """Return the place [m] that a vehicle with a speed [m/s] has reached at a time [s] after the entry."""
         times = self.times(speed)
         return time * speed if time < 0 else float(np.interp(time, times, np.arange(len(times)) * STEP))
 
@@ -178,8 +181,8 @@ class Crossings:
 
     Attributes:
         ways: the ways by name.
-        meetings: for each pair of names in alphabetical order, the stretches of both ways in which they meet each
-            other, in the order of the second way. Two ways meet once, or more often in a circle.
+        meetings: for each pair of way names in alphabetical order, the pairs of stretches, one of each way, on which
+            the two ways meet, sorted along the second way. Two ways meet once, or more often in a circle.
         ego_start: where the ego starts along its way [m].
         ego_speed: the ego's speed at the start [m/s].
     """
@@ -195,7 +198,7 @@ class Crossings:
         return tuple(sorted((way.zone for way in self.ways.values()), key=lambda zone: (zone.ego, zone.way)))
 
     def entry(self, instruction: CrossingInstruction, ego: Stretch) -> float:
-        """Return when an NPC should enter its zone, given when the ego enters and leaves it [s]."""
+        """Return the time [s] at which an NPC should enter its zone, given the ego's times (enters, leaves) [s]."""
         way = self.ways[instruction.zone]
         enters, leaves = way.zone.npc
         crossing = way.time_at(leaves, instruction.speed) - way.time_at(enters, instruction.speed)
@@ -204,17 +207,20 @@ class Crossings:
         return ego[0] + instruction.slot - crossing if instruction.slot < 0 else (sum(ego) - crossing) / 2
 
     def planned_entry(self, instruction: CrossingInstruction) -> float:
-        """Return when an NPC should enter its zone if the ego keeps its first speed [s]; if negative, it cannot."""
+        """Return the time [s] at which an NPC should enter its zone if the ego keeps its first speed.
+
+        A negative time is before the start of the run, so the NPC cannot keep its slot.
+        """
         first, last = self.ways[instruction.zone].zone.ego
         speed = max(self.ego_speed, 0.1)
         return self.entry(instruction, ((first - self.ego_start) / speed, (last - self.ego_start) / speed))
 
     def start(self, instruction: CrossingInstruction) -> float:
-        """Return where along its way an NPC has to start to keep its slot without a change of speed [m].
+        """Return the place along its way at which an NPC has to start to keep its slot at a constant speed [m].
 
         The way is too short if the result is negative. The slot is too early if the result is beyond the beginning of
-        the zone. An NPC that holds reaches the line when it would enter. One that starts late reaches it some time
-        before, if it can brake for the line.
+        the zone. An NPC with the act "hold" reaches its line at the time at which it would otherwise enter the zone. An
+        NPC with the act "late" reaches its line some time earlier, if it can brake for the line.
         """
         way = self.ways[instruction.zone]
         if instruction.act not in WAITING:
@@ -236,7 +242,7 @@ class Crossings:
     def fits(self, instruction: CrossingInstruction) -> bool:
         """Return whether an NPC can keep its slot: its way exists, and its start is on the way and before the zone.
 
-        An NPC that should wait also needs room to stop before the line.
+        An NPC that waits at the line also needs room to stop before it.
         """
         way = self.ways.get(instruction.zone)
         if way is None:
@@ -261,7 +267,7 @@ class Crossings:
         return first, math.inf  # it stands at the line, or in the zone, for an unknown time
 
     def clash(self, first: CrossingInstruction, second: CrossingInstruction) -> bool:
-        """Return whether two NPCs are planned to be in one place at almost the same time, or to overtake in a lane."""
+        """Return whether two NPCs would be in one place at almost the same time, or would overtake in a lane."""
         if first.zone == second.zone:
             zone = self.ways[first.zone].zone.npc
             meetings: tuple[tuple[Stretch, Stretch], ...] = ((zone, zone),)
@@ -282,20 +288,21 @@ class Crossings:
         return any(a[0] < b[1] + APART and b[0] < a[1] + APART for a, b in windows)
 
     def _common_lane(self, first: str, second: str, mine: Stretch, theirs: Stretch) -> tuple[Stretch, float] | None:
-        """Return the stretch of the first way from a meeting to its zone, and how much farther the second one is there.
+        """Return the stretch [m] of the first way on which both ways share a lane up to their zones, and an offset [m].
 
-        None if the two do not come to their zones in one lane, in which both are from the meeting on [m].
+        The offset is how much larger the same place is along the second way. ``mine`` and ``theirs`` are the stretches
+        on which the two ways meet. None if the ways do not share one lane from there to their zones.
         """
         zones, farther = (self.ways[first].zone.npc, self.ways[second].zone.npc), theirs[1] - mine[1]
         is_one = all(abs(other - one - farther) <= 2 * STEP for one, other in zip(*zones, strict=True))
         return ((mine[1], zones[0][0]), farther) if is_one and mine[1] <= zones[0][0] else None
 
     def _crowd(self, first: CrossingInstruction, second: CrossingInstruction, lane: Stretch, farther: float) -> bool:
-        """Return whether two NPCs that share a stretch start too close together in it or overtake each other.
+        """Return whether two NPCs that share a lane start too close together in it or overtake each other.
 
-        The stretch is on the first NPC's way; on its own way the second NPC is ``farther`` along by this distance [m].
-        Their order and their gap in time need a check only at the two ends: the slower one needs longer for any
-        stretch, so the gap is extreme there.
+        ``lane`` is a stretch of the first NPC's way. The same place is ``farther`` [m] along on the second NPC's way.
+        The order of the NPCs and their gap in time are checked only at the two ends of the stretch: the slower NPC
+        needs longer for any part of it, so the gap is extreme at an end.
         """
         starts = self.start(first), self.start(second) - farther
         if min(starts) >= lane[0] and abs(starts[0] - starts[1]) < LENGTH:

@@ -1,6 +1,6 @@
 """Driving styles: how the NPCs of a scenario drive among others while they follow their instructions.
 
-An instruction says where an NPC goes and how fast; its traffic says what it will not do on the way there.
+An instruction says where an NPC goes and how fast. The driving style limits what the NPC does on the way there.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ Style = Literal["paper", "hostile", "assertive", "everyday"]
 STYLES: tuple[Style, ...] = get_args(Style)
 
 OF_STYLE: Any = None
-"""The default of a part, which stands for the value of the style. It is no number, so no given number is mistaken for
-it."""
+"""The default of each numeric field of ``Traffic``: the field then has the value of its style. It is not a number, so
+no given number can be mistaken for it."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Traffic:
-    """The way in which a scenario's NPCs drive among others, whatever their instructions say.
+    """The driving style of a scenario's NPCs, and the limits that it sets whatever their instructions say.
 
     In every style except the paper's, NPCs are *attentive*: behind the ego in its lane, an NPC keeps the same distance
-    as behind other NPCs. It responds at once if it moved in itself or if there is a vehicle ahead of the ego. If the
-    ego moved in ahead of it, or brakes with nothing ahead, it responds a second later and with at most 6 m/s^2. It
-    enters the ego's lane only if the ego, or the NPC itself, has room to adapt its speed.
+    as behind other NPCs. The NPC responds at once if it moved in itself or if there is a vehicle ahead of the ego. If
+    the ego moved in ahead of the NPC, or brakes with nothing ahead, the NPC responds a second later and with at most
+    6 m/s^2. An NPC enters the ego's lane only if the ego, or the NPC itself, has room to adapt its speed.
 
     Attributes:
-        style: ``"paper"``: NPCs run into the rear of an ego that is slower than their instruction; ``"hostile"``: they
-            do everything that the ego can still respond to; or ``"assertive"`` or ``"everyday"``.
+        style: ``"paper"``: NPCs run into the rear of an ego that is slower than their instruction. ``"hostile"``: they
+            do everything that the ego can still respond to. ``"assertive"`` and ``"everyday"`` set milder limits.
         least_speed_share: lowest speed of an NPC with no slower vehicle ahead, as a share of the speed limit or of the
-            ego's speed, whichever is lower. Target speeds are at least this share of the limit.
-        least_gap: smallest gap to the ego, bumper to bumper, at which an NPC moves in ahead of it [m].
-        time_gap: the same gap as a time at the ego's speed [s].
+            ego's speed, whichever is lower. Target speeds are at least this share of the speed limit.
+        least_gap: smallest gap to the ego, bumper to bumper, at which an NPC moves in ahead of the ego [m].
+        time_gap: smallest gap at which an NPC moves in ahead of the ego, as a time at the ego's speed [s].
         braking: hardest braking of an NPC if no vehicle ahead requires more [m/s^2].
-        lateral_speed: highest speed across the road [m/s].
+        lateral_speed: highest speed of an NPC across the road [m/s].
 
-    A part that is not given has the value of the style.
+    A field that is not given has the value of the style.
 
     Raises:
-        FieldError: if the style is unknown, a part is out of its bounds, or the paper's traffic is given parts.
+        FieldError: if the style is unknown, a field is out of its bounds, or another field is given with ``"paper"``.
     """
 
     style: Style = "hostile"
@@ -76,22 +76,22 @@ class Traffic:
         return self.style != "paper"
 
     def least_speed(self, speed_limit: float) -> float:
-        """Return the lowest target speed on a road with a speed limit, rounded up to a valid step [m/s]."""
+        """Return the NPCs' lowest target speed for a speed limit [m/s], rounded up to a multiple of 0.1 m/s."""
         return math.ceil(10 * self.least_speed_share * speed_limit - 1e-6) / 10
 
     @property
     def own(self) -> dict[str, float]:
-        """The parts that differ from those of the style."""
+        """The fields whose values differ from those of the style, with their values."""
         parts = {name: getattr(self, name) for name in BOUNDS}
         return {name: part for name, part in parts.items() if part != PARTS[self.style][name]}
 
     def plain(self) -> str | dict[str, Any]:
-        """Return the name of the style, or a mapping if some parts differ from the style's."""
+        """Return the name of the style, or a mapping with the fields too if some differ from the style's."""
         return {"style": self.style, **self.own} if self.own else self.style
 
     @property
     def described(self) -> str:
-        """A description for a reader: ``everyday traffic (least_gap 4)``; empty for the paper's."""
+        """A description for a reader, such as ``everyday traffic (least_gap 4)``; empty for the style ``"paper"``."""
         own = ", ".join(f"{name} {part:g}" for name, part in self.own.items())
         return f"{self.style} traffic{f' ({own})' if own else ''}" if self.is_attentive else ""
 
@@ -100,7 +100,9 @@ class Traffic:
 
     @classmethod
     def of(cls, given: Any) -> Traffic:
-        """Return the traffic of a style's name or a mapping, the inverse of :meth:`plain`; a ``Traffic`` is unchanged.
+        """Return the ``Traffic`` for a style's name or a mapping of fields; a ``Traffic`` is returned unchanged.
+
+        It is the inverse of :meth:`plain`.
 
         Raises:
             FieldError: for anything else.
@@ -116,7 +118,7 @@ class Traffic:
 
 
 AMPLE = 1.0
-"""The extra gap, beyond that of its style, that an NPC leaves on its way to a place ahead of the ego [m]."""
+"""The gap that an NPC adds to the smallest gap of its style when it drives to a place ahead of the ego [m]."""
 
 BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
@@ -127,7 +129,8 @@ BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
         "lateral_speed": (0.2, 100.0),
     }
 )
-"""Smallest and largest value of each part; no NPC can exceed the largest braking and lateral speed."""
+"""Smallest and largest value of each field of ``Traffic``. No NPC can exceed the largest braking and lateral speed, so
+these values mean no limit."""
 
 UNBOUND = {"least_speed_share": 0.0, "least_gap": 0.0, "time_gap": 0.0, "braking": 100.0, "lateral_speed": 100.0}
 
@@ -151,7 +154,7 @@ PARTS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         },
     }
 )
-"""The parts of each style; docs/explanation/traffic.md has the sources of the values for everyday driving."""
+"""The field values of each style; docs/explanation/traffic.md has the sources of the values for everyday driving."""
 
 PAPERS = Traffic("paper")
-"""The traffic of a scenario that does not specify any."""
+"""The traffic of the paper's NPCs, which a scenario has unless it specifies a different one."""

@@ -1,7 +1,7 @@
 """The nine-cell grid around the ego vehicle and the ring of its eight target cells.
 
 Geometry is in road coordinates: *longitudinal* runs along the ego's lane (positive ahead), *columns* count
-lanes (negative to the left). The ego holds the middle cell, which is no target.
+lanes (negative to the left). The ego occupies the middle cell, which is not a target.
 
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Modelling Target Positions).
 """
@@ -28,22 +28,22 @@ class Cell(IntEnum):
 
     @property
     def row(self) -> int:
-        """The row: +1 ahead of the ego, 0 next to it, -1 behind it."""
+        """The cell's row: +1 ahead of the ego, 0 next to the ego, -1 behind the ego."""
         return _ROWS[self - 1]
 
     @property
     def column(self) -> int:
-        """The column, in lanes to the right of the ego's lane: -1, 0 or +1."""
+        """The cell's column, as a number of lanes to the right of the ego's lane: -1, 0 or +1."""
         return _COLUMNS[self - 1]
 
     @property
     def neighbours(self) -> tuple[Cell, Cell]:
-        """The cells one step anticlockwise and one step clockwise on the ring."""
+        """The two neighbouring cells on the ring, first the anticlockwise and then the clockwise one."""
         return _NEIGHBOURS[self - 1]
 
     @property
     def label(self) -> str:
-        """The name used in files and reports, such as ``front-left``."""
+        """The cell's name in files and reports, such as ``front-left``."""
         return self.name.lower().replace("_", "-")
 
 
@@ -61,11 +61,11 @@ def is_adjacent(a: Cell, b: Cell) -> bool:
 
 
 def longitudinal_target(cell: Cell, ego_length: float, clearance: float) -> float:
-    """Return where the centre of a cell is along the ego's lane, relative to the ego's centre [m].
+    """Return the distance from the ego's centre to the centre of a cell along the ego's lane [m], negative behind.
 
     The paper's cell is one ego length long (section 2.1). Taken literally, a vehicle in cell 2 or 6
-    is then bumper to bumper with the ego, so reaching it is a collision by construction. ``clearance`` [m] is the gap
-    added between the ego and the cells ahead and behind. ``clearance=0`` is the paper's literal grid.
+    is then bumper to bumper with the ego, so reaching the cell is always a collision. ``clearance`` [m] is a gap that
+    is added between the ego and the cells ahead and behind. ``clearance=0`` is the paper's literal grid.
     """
     return cell.row * (ego_length + clearance)
 
@@ -105,24 +105,24 @@ def repair_gene(
     *,
     skipping: bool = False,
 ) -> tuple[Cell, ...]:
-    """Return the cells that all NPCs execute in one gene, given the cells executed before and those requested.
+    """Return the cells that all NPCs execute in one gene, from their previous cells and their requested cells.
 
-    A request is executed unchanged if it is the previous cell or its ring neighbour, its lane exists and no NPC with a
-    smaller index holds it. Otherwise it becomes one of the two neighbours of the previous cell, with 50 % each by
-    ``coin(npc)``. If only one of them is available, it becomes that one; if none is, the NPC holds its cell (section
-    2.1). In the first gene, which has no previous cells, a request that cannot be met becomes the nearest cell on the
-    ring that can be.
+    A requested cell is executed if it is the previous cell or its ring neighbour, its lane exists and no NPC with a
+    smaller index occupies it. Otherwise the NPC gets one of the two neighbours of its previous cell, each with a
+    probability of 50 %, by ``coin(npc)``. If only one neighbour is free, the NPC gets that neighbour. If neither is
+    free, the NPC stays in its previous cell (section 2.1). The first gene has no previous cells: there the NPC gets the
+    free cell that is nearest to the requested one on the ring.
 
-    The cells of the result are distinct, and the result is a fixed point: requesting it again returns it again. Both
-    follow from using the first complete assignment in order of preference; that all NPCs hold is always one of them.
+    The cells of the result are distinct, and the result is a fixed point: if it is requested, it is returned. Both
+    follow from using the first complete assignment in order of preference. One always exists: all NPCs stay.
 
     Args:
-        previous: the executed cells of the gene before, distinct, one per NPC; None in the first gene.
+        previous: the executed cells of the previous gene, distinct, one per NPC; None in the first gene.
         requested: the requested cells, one per NPC.
         existing: the cells whose lane exists now.
         coin: function from the NPC's index to False (try the anticlockwise neighbour first) or True (clockwise first).
-        skipping: whether to skip cells that do not exist: a step to one goes on to the next on the ring that exists.
-            For roads on which few cells exist, such as a single lane with cells 2 and 6.
+        skipping: whether a step to a cell that does not exist goes on to the next cell on the ring that exists. For
+            roads on which few cells exist, such as a single lane with cells 2 and 6.
 
     Raises:
         ValueError: if there are more NPCs than existing cells in the first gene.
@@ -148,11 +148,11 @@ def repair_gene(
 
 
 def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Cell, ...], ...]:
-    """Make chains valid, gene by gene and on a road where every cell exists; one chain per NPC, of any length.
+    """Return the NPCs' chains of cells, made valid gene by gene for a road on which every cell exists.
 
-    In the returned chains, which have the same lengths, each cell equals the one before or is its ring neighbour, and
-    no two NPCs hold the same cell in the same gene. Valid chains are unchanged. Random choices depend only on (seed,
-    NPC, gene).
+    Each returned chain is as long as the given one. Each of its cells is the previous cell or a ring neighbour of it,
+    and no two NPCs occupy the same cell in the same gene. Valid chains are unchanged. Random choices depend only on
+    (seed, NPC, gene).
     """
     repaired: list[list[Cell]] = [[] for _ in chains]
     for gene in range(max(map(len, chains), default=0)):
@@ -175,7 +175,7 @@ def _first_cells(requested: Cell, existing: Collection[Cell], clockwise_first: b
 
 
 def _next_cells(previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool) -> list[Cell]:
-    """Return the cells that may follow one, the best first."""
+    """Return the cells that an NPC may execute after its previous cell, the best first."""
     anticlockwise, clockwise = previous.neighbours
     neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
     wanted = (requested,) if is_adjacent(previous, requested) else ()
@@ -186,7 +186,7 @@ def _next_cells(previous: Cell, requested: Cell, existing: Collection[Cell], clo
 def _next_existing_cells(
     previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
 ) -> list[Cell]:
-    """Return the cells that may follow one if some do not exist: a step goes on to the next that exists."""
+    """Return the cells that an NPC may execute next, the best first, if steps skip the cells that do not exist."""
     # Separate from _next_cells for speed: every search on a straight road calls that for each gene that it repairs.
     ways = {}
     for step in (-1, 1):
@@ -201,7 +201,7 @@ def _next_existing_cells(
 
 
 def _assignments(preferences: Sequence[Sequence[Cell]], taken: tuple[Cell, ...]) -> Iterator[tuple[Cell, ...]]:
-    """Yield all assignments of distinct cells, in lexicographic order of preference."""
+    """Yield all assignments of distinct cells to NPCs, in lexicographic order of the NPCs' preferences."""
     if len(taken) == len(preferences):
         yield taken
         return

@@ -36,12 +36,12 @@ EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
 the duration of an instruction, as in the paper [s]."""
 
 MAX_SPEED = 1000.0
-"""The largest speed of a vehicle [m/s]; worlds have their own limits, far below."""
+"""The largest speed that a scenario can give to a vehicle [m/s]; each world has a much lower limit."""
 
 MAX_SEED = 2**63 - 1
 
 REPAIR = "Scenario.repaired(...) makes such chains valid"
-"""The fix in the messages about chains that break the ring."""
+"""The way out that messages give for a chain with a cell that is no ring neighbour of the previous cell."""
 
 
 class ScenarioError(FieldError):
@@ -50,7 +50,7 @@ class ScenarioError(FieldError):
 
 @dataclass(frozen=True, slots=True)
 class PositionInstruction:
-    """A gene that makes an NPC drive into a cell of the grid, then at a speed.
+    """A gene that makes an NPC drive into a cell of the grid and then keep a speed.
 
     Attributes:
         cell: target cell, 1 to 8.
@@ -70,12 +70,12 @@ class PositionInstruction:
         object.__setattr__(self, "speed", _checked_speed(self.speed))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as a cached constructor call: runs travel between processes with dozens of equal genes."""
+        """Pickle as a cached constructor call, because runs travel between processes with dozens of equal genes."""
         return _known_position, (int(self.cell), self.speed)
 
     @property
     def target(self) -> int:
-        """The cell as it is written in files and canonical texts."""
+        """The cell's number, as files and canonical texts contain it."""
         return int(self.cell)
 
     @property
@@ -90,24 +90,24 @@ def _known_position(cell: int, speed: float) -> PositionInstruction:
 
 
 Shift = Literal["keep", "left", "right"]
-"""A lane to drive in, relative to the NPC's own lane when the gene begins."""
+"""The lane to drive in: the NPC's lane at the gene's beginning, or the lane to the left or right of it."""
 
 SHIFTS: tuple[Shift, ...] = get_args(Shift)
 
 LANE_STARTS = (1, 2, 3, 8, 4, 6, 7, 5)
-"""The cells in which NPCs with Lane-Instructions start, by the NPC's index; if its lane does not exist, the nearest
-cell whose lane does. The first two are the starts of AV-Fuzzer's NPCs in its release: ahead to the left of the ego, and
-ahead in its lane."""
+"""The cells in which NPCs with Lane-Instructions start, by the NPC's index. If the lane of a cell does not exist, the
+NPC starts in the nearest cell whose lane exists. The first two cells are the starts of the NPCs in the released
+AV-Fuzzer: ahead to the left of the ego, and ahead in the ego's lane."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaneInstruction:
-    """A gene without a cell: keep the lane or change it by one, at a speed, wherever the ego is.
+    """A gene that makes an NPC keep its lane or change it by one, at a speed, wherever the ego is.
 
     It is the manoeuvre of AV-Fuzzer (Li et al., ISSRE 2020). If the target lane does not exist, the NPC keeps its lane.
 
     Attributes:
-        lane: ``"keep"``, ``"left"`` or ``"right"``, as seen from the NPC's lane when the gene begins.
+        lane: ``"keep"``, ``"left"`` or ``"right"``, as seen from the NPC's lane at the gene's beginning.
         speed: target speed from the gene's first tick on [m/s], >= 0, in steps of 0.1.
     """
 
@@ -122,12 +122,12 @@ class LaneInstruction:
 
     @property
     def target(self) -> Shift:
-        """The lane as it is written in files and canonical texts."""
+        """The target lane, as files and canonical texts contain it."""
         return self.lane
 
     @property
     def column(self) -> int:
-        """The number of lanes to the right of the NPC's own: -1, 0 or +1."""
+        """The target lane as a number of lanes to the right of the NPC's own lane: -1, 0 or +1."""
         return (0, -1, 1)[SHIFTS.index(self.lane)]
 
     @property
@@ -137,13 +137,14 @@ class LaneInstruction:
 
 
 Act = Literal["pass", "hold", "stop", "late"]
-"""The acts of an NPC at a zone: drive through it; wait at the line before it until the ego has passed; stop in it; wait
-at the line and drive in as late as its slot says."""
+"""What an NPC does at its zone. ``"pass"``: drive through it. ``"hold"``: wait at the line before it until the ego has
+passed. ``"stop"``: stop in it. ``"late"``: wait at the line, and drive in at the time that the slot says."""
 
 ACTS: tuple[Act, ...] = get_args(Act)
 
 LARGEST_SLOT = 5.0
-"""The largest slot [s]: an NPC that leaves the ego more time than this does not affect it."""
+"""The largest slot [s]: an NPC that enters the zone this long after the ego, or leaves it this long before the ego, no
+longer affects the ego."""
 
 ZONE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,30}>[A-Za-z0-9_.-]{1,30}")
 """The pattern of a zone's name: the names of an entry node and an exit node of the road network."""
@@ -151,16 +152,18 @@ ZONE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,30}>[A-Za-z0-9_.-]{1,30}")
 
 @dataclass(frozen=True, slots=True)
 class CrossingInstruction:
-    """The only gene of an NPC whose way meets the ego's: where they meet, when relative to the ego, and how.
+    """The only gene of an NPC whose way meets the ego's way: the zone, the time relative to the ego, and the act there.
 
-    It transfers the grid to a zone, where *when* matters as well as *where*. The start of the NPC is chosen so that it
-    meets an ego with constant speed as the slot says. As long as there is time, it adapts to the ego's arrival.
+    It transfers the grid to a zone, where the time matters as well as the place. The NPC starts so that it meets an ego
+    with constant speed as the slot says. As long as there is time, the NPC adapts to the ego's arrival.
 
     Attributes:
-        zone: entry and exit of the NPC's way, such as ``"o1>o3"``; the zone is where it first meets the ego's way.
-        slot: time from when the ego leaves the zone until the NPC enters it; if negative, time from when the NPC leaves
-            it until the ego enters it; 0 for both in it at the same time [s]. In steps of 0.1, from -5 to 5.
-        speed: speed of the NPC up to and in the zone, as far as bends allow it [m/s], more than 0, in steps of 0.1.
+        zone: entry and exit of the NPC's way, such as ``"o1>o3"``; the zone is where that way first meets the ego's.
+        slot: time between the two vehicles at the zone [s], from -5 to 5 in steps of 0.1. If positive, it passes from
+            the ego's exit from the zone to the NPC's entry. If negative, it passes from the NPC's exit to the ego's
+            entry. If 0, both are in the zone at the same time.
+        speed: speed of the NPC up to the zone and in it, lower if a bend requires it [m/s], more than 0, in steps of
+            0.1.
         act: what the NPC does at the zone.
     """
 
@@ -185,12 +188,12 @@ class CrossingInstruction:
 
     @property
     def target(self) -> str:
-        """The zone as it is written in files and canonical texts."""
+        """The zone's name, as files and canonical texts contain it."""
         return self.zone
 
     @property
     def goal(self) -> str:
-        """The target and the time in words: ``o1>o3 0.5 s after the ego leaves``."""
+        """The zone, the slot and the act in words: ``o1>o3 0.5 s after the ego leaves, stops there``."""
         return ", ".join(filter(None, (f"{self.zone} {self.when}", self.deed)))
 
     @property
@@ -210,9 +213,9 @@ Gene = PositionInstruction | LaneInstruction | CrossingInstruction
 
 
 def gene_of(target: Any, speed: Any, *crossing: Any) -> Gene:
-    """Return the gene of a target as canonical texts write it: a word names a lane, anything else a cell.
+    """Return the gene with a target, a speed and, for a crossing NPC, a slot and an act.
 
-    If a slot and an act are given, too, the target is a zone.
+    With a slot and an act the target is a zone. Without them a word is a lane, and anything else is a cell.
 
     Raises:
         ScenarioError: if there is no such gene.
@@ -230,26 +233,26 @@ def _known_gene(target: Any, speed: Any, *crossing: Any) -> Gene:
 
 
 Chromosome = tuple[Gene, ...]
-"""One NPC's chain of instructions, executed one after the other."""
+"""The chain of one NPC: its instructions in the order in which it executes them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """An individual: one chromosome per NPC, the start, and the seed of the repair inside the run.
+    """The input of a simulated run: one chain of instructions per NPC, the start, and the seed of the repair.
 
     Attributes:
-        npcs: one non-empty chain per NPC, one to eight; lengths may differ. After its last gene an NPC keeps
-            its lane and speed (paper, section 2). All genes are Lane-Instructions, or each NPC has either
+        npcs: chains of one to eight NPCs, one non-empty chain per NPC; lengths may differ. After its last gene an NPC
+            keeps its lane and speed (paper, section 2). Either all genes are Lane-Instructions, or each NPC has
             Position-Instructions or one Crossing-Instruction.
         seed: seed of the random choices that repair chains inside the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: first speed of all vehicles [m/s].
         gene_seconds: duration of one gene [s].
-        traffic: how the NPCs drive among others; the paper's by default.
+        traffic: driving style of the NPCs; the paper's by default.
 
     Raises:
-        ScenarioError: if a rule is broken, such as a cell that is no ring neighbour of the one before, or two NPCs
-            that hold the same cell in the same gene. :meth:`repaired` makes such chains valid.
+        ScenarioError: if a rule is broken. For example, a cell is no ring neighbour of the previous cell, or two NPCs
+            occupy the same cell in the same gene. :meth:`repaired` makes such chains valid.
     """
 
     npcs: tuple[Chromosome, ...]
@@ -286,8 +289,9 @@ class Scenario:
         gene_seconds: float = GENE_SECONDS,
         traffic: Traffic = PAPERS,
     ) -> Scenario:
-        """Make a scenario from chains that may break the ring; the speeds stay, the cells are repaired.
+        """Make a scenario from chains whose cells may be invalid; cells are repaired, speeds stay.
 
+        A cell is invalid if it is no ring neighbour of the previous cell, or if two NPCs occupy it in the same gene.
         Lane-Instructions need no repair.
         """
         chains = _checked_chains(npcs)
@@ -342,12 +346,12 @@ class Scenario:
 
     @property
     def genes(self) -> int:
-        """The length of the longest chain."""
+        """The number of genes of the longest chain."""
         return max(map(len, self.npcs))
 
     @property
     def seconds(self) -> float:
-        """The duration of the longest chain [s]; infinite if an NPC crosses, because that gene has no duration."""
+        """The duration of the longest chain [s]; infinite if an NPC crosses, because its gene has no duration."""
         return math.inf if self.crossings else self.genes * self.gene_seconds
 
     @property
@@ -367,10 +371,10 @@ class Scenario:
 
     @classmethod
     def from_canonical(cls, fields: Any) -> Scenario:
-        """Make a scenario from the result of :meth:`plain`, or from what ``json.loads`` makes of :meth:`canonical`.
+        """Make a scenario from the result of :meth:`plain`, or of ``json.loads`` on the text of :meth:`canonical`.
 
         Raises:
-            ScenarioError, TypeError, ValueError: for anything else.
+            ScenarioError, TypeError, ValueError: if ``fields`` is anything else.
         """
         npcs, seed, ego_lane, ego_speed, gene_seconds, *traffic = fields
         chains = tuple(tuple(_known_gene(*gene) for gene in chain) for chain in npcs)
@@ -384,7 +388,7 @@ class Scenario:
         )
 
     def rechained(self, npcs: Sequence[Sequence[Gene]], gene_seconds: float | None = None) -> Scenario:
-        """Return the same scenario with other chains, repaired, and with a different duration of genes if given [s]."""
+        """Return this scenario with other chains, which are repaired, and if given a new duration of a gene [s]."""
         return Scenario.repaired(
             npcs,
             seed=self.seed,
@@ -395,7 +399,7 @@ class Scenario:
         )
 
     def truncated(self, genes: int) -> Scenario:
-        """Return the same scenario with at most this many genes per NPC."""
+        """Return this scenario with only the first ``genes`` genes of each NPC."""
         return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
 
     def __repr__(self) -> str:
@@ -455,7 +459,7 @@ def _checked_whole(name: str, value: object, top: int) -> int:
 
 
 def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
-    """Return the chains as tuples; refuse NPCs without genes, and genes that are not of one kind."""
+    """Return the chains as tuples; raise for an NPC without genes and for a mixture of kinds of genes."""
     try:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
@@ -494,13 +498,13 @@ def positions_of(npcs: Sequence[Sequence[Gene]]) -> tuple[tuple[PositionInstruct
 
 
 def on_grid(npcs: Sequence[Sequence[Gene]], rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
-    """Return the rows of the NPCs on the grid, with an empty row inserted for each other NPC."""
+    """Return one row of cells for each NPC: the given rows for NPCs on the grid, an empty row for each other NPC."""
     each = iter(rows)
     return [next(each) if isinstance(chain[0], PositionInstruction) else () for chain in npcs]
 
 
 def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> tuple[Chromosome, ...]:
-    """Return the chains with other cells in their first genes; without cells, the chains unchanged."""
+    """Return the chains with new cells in their first genes; a chain without new cells is unchanged."""
     return tuple(
         (*(PositionInstruction(c, g.speed) for c, g in zip(row, chain, strict=False)), *chain[len(row) :])
         for chain, row in zip_longest(npcs, cells, fillvalue=())
@@ -508,10 +512,10 @@ def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> t
 
 
 def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
-    """Return genes of a different duration that request the same at the same times, as nearly as possible [s, s].
+    """Return a chain of genes that last ``wanted`` instead of ``seconds`` [s], with nearly the same targets in time.
 
-    Each new gene is the old one that was active at its middle. Longer genes may skip a cell, so the chain then needs
-    repair. A Crossing-Instruction has no duration.
+    Each new gene equals the old gene that was active at the middle of the new one. Longer genes may skip a cell, in
+    which case the chain needs repair. A Crossing-Instruction has no duration, so its chain is unchanged.
     """
     if isinstance(chain[0], CrossingInstruction):
         return chain

@@ -1,4 +1,4 @@
-"""The sight of an ADS: how far, how late, how exactly and how often it sees the others, and what hides them."""
+"""The sight of an ADS: how far, how late, how exactly and how often it sees other vehicles, and what hides them."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ NOISES = {"position": "m", "speed": "m/s"}
 """The kinds of noise and their units."""
 
 POINTS = np.array([(0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)])
-"""The points of a box that the ego looks at: centre and corners, in lengths and widths."""
+"""The points of a vehicle's box that the ego looks at: centre and corners, as multiples of its length and width."""
 
 
 class Glimpse(NamedTuple):
-    """Another vehicle as the ego sees it.
+    """The errors with which the ego sees one other vehicle in a decision.
 
     Attributes:
-        other: index of the vehicle among all others, from 0.
-        x, y: error that is added to its position [m].
-        speed: error that is added to its speed [m/s].
+        other: index of the vehicle among all vehicles except the ego, from 0.
+        x, y: errors that are added to the vehicle's position [m].
+        speed: error that is added to the vehicle's speed [m/s].
     """
 
     other: int
@@ -39,15 +39,15 @@ class Glimpse(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sight:
-    """The sight of an ADS on other vehicles; perfect by default.
+    """The limits and errors with which an ADS sees other vehicles; by default there are none.
 
     Attributes:
-        range: largest distance at which others are seen, from centre to centre [m]; None for no limit.
-        latency: age of what is seen [s].
-        noise: standard deviations of the normally distributed errors of their ``position``, along x and along y [m],
-            and of their ``speed`` [m/s]. Errors are sampled again for each vehicle and decision.
+        range: largest distance at which other vehicles are seen, from centre to centre [m]; None for no limit.
+        latency: time between the measurement of the vehicles and the decision that uses it [s].
+        noise: standard deviations of the normally distributed errors of the vehicles' ``position``, along x and along
+            y [m], and of their ``speed`` [m/s]. Errors are sampled again for each vehicle and decision.
         dropout: probability that a vehicle is not seen in a decision.
-        occlusion: whether vehicles hide others behind them, see :func:`hidden`.
+        occlusion: whether a vehicle hides the vehicles behind it, see :func:`hidden`.
 
     Raises:
         FieldError: if a value is not valid.
@@ -74,7 +74,7 @@ class Sight:
 
     @property
     def imperfections(self) -> tuple[str, ...]:
-        """The names of what is not perfect, in the order of the attributes."""
+        """The names of the attributes that limit or disturb the sight, in the order of the attributes."""
         return tuple(each.name for each in fields(self) if getattr(self, each.name) != getattr(_PERFECT, each.name))
 
     @property
@@ -84,19 +84,19 @@ class Sight:
 
     @property
     def is_memoryless(self) -> bool:
-        """True if what is seen depends only on where all vehicles are now, neither on the past nor on chance."""
+        """True if the sight depends only on the vehicles' present positions, neither on the past nor on chance."""
         return not (self.latency or self.is_drawn)
 
     def only(self, names: Collection[str]) -> Self:
-        """Return a sight with only these imperfections."""
+        """Return this sight with only the named imperfections; everything else is perfect."""
         return replace(self, **{name: getattr(_PERFECT, name) for name in self.imperfections if name not in names})
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what is not perfect as plain data."""
+        """Return the imperfections and their values as plain data."""
         return {name: getattr(self, name) for name in self.imperfections}
 
     def described(self, names: Collection[str] | None = None) -> str:
-        """Describe all imperfections, or those with some names, such as ``0.3 s of latency and occlusion``."""
+        """Describe all imperfections, or only the named ones, such as ``0.3 s of latency and occlusion``."""
         texts = {
             "range": f"a range of {self.range or 0.0:g} m",
             "latency": f"{self.latency:g} s of latency",
@@ -108,11 +108,11 @@ class Sight:
         return " and ".join(filter(None, [", ".join(told[:-1]), told[-1]]))
 
     def delay(self, hz: int) -> int:
-        """Return the latency in ticks, rounded up, given the ticks a second."""
+        """Return the latency in ticks, rounded up, for ``hz`` ticks per second."""
         return math.ceil(self.latency * hz - 1e-9)
 
     def glimpses(self, states: FloatArray, seed: int, tick: int) -> Iterator[Glimpse]:
-        """Yield what the ego sees of the others in the decision at a tick.
+        """Yield one glimpse for each other vehicle that the ego sees in the decision at a tick.
 
         Args:
             states: states of all vehicles when they were measured, shape [vehicles, 7], the ego first; columns as in
@@ -137,10 +137,10 @@ class Sight:
 
 
 def hidden(states: FloatArray) -> BoolArray:
-    """Return which of the others the ego cannot see, shape [vehicles - 1].
+    """Return a mask of the other vehicles that the ego cannot see, shape [vehicles - 1].
 
-    A vehicle is hidden if each of the five straight lines from the ego's centre to its centre and its four corners runs
-    through the box of another vehicle, not necessarily the same one. All vehicles have the same height.
+    A vehicle is hidden if the five straight lines from the ego's centre to its centre and its four corners all run
+    through boxes of other vehicles, not necessarily of the same vehicle. All vehicles have the same height.
 
     Args:
         states: see :meth:`Sight.glimpses`.

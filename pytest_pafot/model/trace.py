@@ -32,9 +32,9 @@ class Outcome(StrEnum):
     """The ways in which a run can end."""
 
     SAFE = "safe"
-    """The run lasted for its full duration, and nothing of what follows occurred."""
+    """The run lasted for its full duration, and none of the other outcomes occurred."""
     OFF_ROAD = "off_road"
-    """The ego's centre was off the road at some tick; the run continued only if the road was straight."""
+    """The ego's centre was off the road at some tick; on a road that is not straight, the run ended there."""
     LEFT_ROUTE = "left_route"
     """The ego entered a lane that does not belong to its route, which the grid follows; the run ended there."""
     END_OF_ROAD = "end_of_road"
@@ -44,9 +44,9 @@ class Outcome(StrEnum):
     INVALID = "invalid"
     """Two NPCs touched; the run says nothing about the ego and ended there."""
     ADS_ERROR = "ads_error"
-    """The ADS raised an exception, or returned something that is no action; the run ended there."""
+    """The ADS raised an exception, or returned something that is not a valid action; the run ended there."""
     HANG = "hang"
-    """One decision of the ADS took longer than the hang limit. This depends on wall-clock time."""
+    """One decision of the ADS took longer than the hang limit, which is in wall-clock time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,10 +79,11 @@ class Collision:
         time: time of that tick [s].
         npc: index of the NPC in the scenario.
         side: side of the ego that was hit.
-        cell: cell of the NPC's centre at the impact; if that is the ego's own cell, the last other cell before. None if
-            an NPC that crosses was not on the ego's way.
+        cell: cell of the NPC's centre at the impact, or before it if the centre was already in the ego's own cell. None
+            if an NPC that crosses was not on the ego's way.
         ego_speed, npc_speed: speeds at the impact [m/s].
-        closing_speed: magnitude of the difference of the two velocities, including the slip of turned wheels [m/s].
+        closing_speed: magnitude of the difference of the two velocities [m/s]. The velocities include the slip of a
+            turning vehicle, which does not move exactly along its heading.
     """
 
     tick: int
@@ -125,7 +126,7 @@ class Trace(Drawn):
     Attributes:
         scenario: the scenario as requested.
         executed: the scenario with the chains as driven, after the repair inside the run. Genes that the run did not
-            reach are as requested. Running it again gives the same trace.
+            reach are as requested. A run of this scenario gives the same trace.
         outcome: how the run ended.
         collision: the collision; None unless the outcome is ``collision``.
         error: the error of the ADS; None unless the outcome is ``ads_error`` or ``hang``.
@@ -134,25 +135,25 @@ class Trace(Drawn):
             y grows to the right of the driving direction, as in highway-env. Row ``t`` holds the state at tick
             ``t`` and the acceleration and steering that led to it; those of row 0 are 0.
         sizes: float64, read-only, shape [vehicles, 2]: length and width [m].
-        lanes: lanes of the road, from the left; if the road is not straight, those along the ego's way, then the
-            others.
+        lanes: lanes of the road, from the left. If the road is not straight, first the lanes along the ego's way, then
+            all others.
         physics_hz: ticks per second.
         ads_hz: decisions of the ADS per second; divides ``physics_hz``.
-        actions: what the ADS returned, one per decision.
-        arrivals: for each NPC and each gene that was started, the tick at which the cell was reached, or None.
+        actions: the actions that the ADS returned, one per decision.
+        arrivals: for each NPC and each gene that was started, the tick at which the NPC reached the target, or None.
         off_road_tick: first tick with the ego's centre off the road, or None.
         max_decision_seconds: longest decision of the ADS in wall-clock time [s]; not reproducible.
         track: positions of the vehicles on a road that is not straight; float64, read-only, shape
             [ticks + 1, vehicles, 5] with columns: along the ego's way [m], across it to the right [m], angle to it
-            [rad], offset from the centre of the vehicle's lane [m], metres driven there per metre of the way (more on
-            the outside of a bend). NaN for an NPC that crosses, while it is not on the ego's way. None on straight
-            roads, where ``lanes`` is enough.
-        zones: for each NPC the zone in which its way meets the ego's, None for one on the grid; empty if no NPC
+            [rad], offset from the centre of the vehicle's lane [m], metres that the vehicle drives per metre of the
+            way (more on the outside of a bend). NaN for an NPC that crosses, while it is not on the ego's way. None on
+            straight roads, where ``lanes`` is enough.
+        zones: for each NPC the zone in which its way meets the ego's, None for an NPC on the grid; empty if no NPC
             crosses.
-        on_way: position along its own way of each NPC that crosses [m]; float64, read-only, shape [ticks + 1, NPCs],
-            NaN for those on the grid. None if no NPC crosses.
-        driven: for each NPC and started gene, the cell that it drove to. It differs from ``executed`` where cells that
-            the road does not have were skipped, which no chain can express. Empty if it equals ``executed``.
+        on_way: position of each NPC that crosses, along its own way [m]; float64, read-only, shape [ticks + 1, NPCs],
+            NaN for NPCs on the grid. None if no NPC crosses.
+        driven: for each NPC and started gene, the cell that the NPC drove to. It differs from ``executed`` if cells
+            that the road does not have were skipped, which no chain can express. Empty if it equals ``executed``.
     """
 
     scenario: Scenario
@@ -202,7 +203,10 @@ class Trace(Drawn):
                 array.flags.writeable = False
 
     def reading(self, name: Hashable, read: Callable[[Trace], ReadT]) -> ReadT:
-        """Return the result of a pure function of the trace; it is computed once and travels to other processes."""
+        """Return the result of a pure function of the trace, computed once and stored in the trace under ``name``.
+
+        A trace that is sent to another process carries the stored results.
+        """
         if name not in self._readings:
             self._readings[name] = read(self)
         value: ReadT = self._readings[name]
@@ -210,7 +214,7 @@ class Trace(Drawn):
 
     @property
     def ticks(self) -> int:
-        """The number of physics steps that were run."""
+        """The number of physics steps in the run."""
         return len(self.states) - 1
 
     @property
@@ -220,7 +224,7 @@ class Trace(Drawn):
 
     @property
     def duration(self) -> float:
-        """The simulated time [s]."""
+        """The simulated duration of the run [s]."""
         return self.ticks / self.physics_hz
 
     @property
@@ -249,7 +253,7 @@ class Trace(Drawn):
         return self.track[:, vehicle]
 
     def way_of(self, npc: int) -> FloatArray:
-        """Return the positions of an NPC that crosses along its own way [m], shape [ticks + 1].
+        """Return the positions of an NPC along its own way, if the NPC crosses the ego's way [m], shape [ticks + 1].
 
         Raises:
             ValueError: if no NPC crosses in the run.
@@ -260,7 +264,7 @@ class Trace(Drawn):
 
     @property
     def chains(self) -> tuple[Chromosome, ...]:
-        """The chains that the NPCs drove: those of ``executed``, with the cells driven to where cells were skipped."""
+        """The chains that the NPCs drove: the chains of ``executed``, with the cells of ``driven`` in their place."""
         return with_cells(self.executed.npcs, self.driven)
 
     @property
