@@ -1,11 +1,12 @@
 """Measures of how dangerous a run was for the ego. Every measure is a function of a Trace.
 
-Arrays have the shape [ticks + 1, NPCs], one value per physics tick and NPC; scalars are the worst of them. Minima are
-over every physics tick (15 a second by default), which is finer than the paper's six a second. The docstring of each
-measure states its unit and direction. NaN in a trace results in NaN; it never becomes a harmless number.
+Arrays have the shape [ticks + 1, NPCs], one value per physics tick and NPC. A scalar is the worst value of its array.
+Minima are over every physics tick (15 a second by default), which is finer than the paper's six a second. The docstring
+of each measure states its unit and whether lower or higher values are worse. NaN in a trace results in NaN, never in a
+harmless number.
 
-An NPC that crosses is not on the ego's way until it has merged. Until then, measures along and across that way are NaN,
-and extremes ignore them. Measures in the plane treat it like any other NPC.
+An NPC that crosses is not on the ego's way until it has merged. Until then, measures along and across the ego's way are
+NaN for it, and extremes ignore them. Measures in the plane treat it like any other NPC.
 
 For several measures of one run use :class:`Encounters`, which computes shared values only once.
 """

@@ -5,7 +5,7 @@ look along the four edge directions (separating axis theorem; Gottschalk, Lin, M
 1996). Along each axis, moving boxes overlap during one interval of time, so they touch during the intersection of the
 four intervals (the swept form of the theorem).
 
-All arrays broadcast against each other; results have their common shape. Boxes that merely touch overlap.
+All arrays broadcast against each other; results have their common shape. Boxes that only touch count as overlapping.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy.typing as npt
 from pytest_pafot.model.trace import FloatArray
 
 _TINY = 1e-290
-"""A replacement for a relative velocity of zero [m/s]: added to any other it vanishes, and dividing by it does not
-overflow."""
+"""A tiny velocity that is added to relative velocities, so that no division is by zero [m/s]. Any velocity other than
+zero stays the same, and a division by it does not overflow."""
 
 FourAxes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """One array per axis. A single stacked array would be so large that the allocator returns it to the system each time,
@@ -35,7 +35,7 @@ class Boxes:
         x, y: centres [m].
         cos, sin: cosines and sines of the headings; a heading points along the length.
         vx, vy: velocities [m/s].
-        half_length, half_width: half of the sizes [m].
+        half_length, half_width: half of the lengths and of the widths [m].
     """
 
     x: FloatArray
@@ -58,19 +58,21 @@ class Boxes:
         )
 
     def part(self, vehicles: slice, ticks: slice) -> Boxes:
-        """Return some vehicles at some ticks, from boxes with shape [vehicles, ticks] and sizes [vehicles, 1]."""
+        """Return the boxes of some vehicles at some ticks; these boxes have shape [vehicles, ticks]."""
         moving = {name: getattr(self, name)[vehicles, ticks] for name in ("x", "y", "cos", "sin", "vx", "vy")}
         return Boxes(**moving, half_length=self.half_length[vehicles], half_width=self.half_width[vehicles])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pairs:
-    """Pairs of boxes, seen along the four axes that can separate them: a's length and width, b's length and width.
+    """Pairs of boxes a and b, projected onto the four axes that can separate them.
+
+    The axes are a's length, a's width, b's length and b's width.
 
     Attributes:
-        a, b: the boxes.
+        a, b: the boxes of each pair.
         offsets: offset of b's centre from a's, along each axis [m].
-        reaches: sum of the two half extents along each axis [m].
+        reaches: half extent of a plus half extent of b along each axis [m]; the boxes overlap there below this offset.
         cos, sin: cosine and sine of b's heading relative to a's.
     """
 
@@ -83,7 +85,7 @@ class Pairs:
 
 
 def relate(a: Boxes, b: Boxes) -> Pairs:
-    """Compute what all measures of this module share for the pairs (a, b)."""
+    """Project the pairs (a, b) onto their four axes, which all measures of this module need."""
     cos = a.cos * b.cos + a.sin * b.sin
     sin = a.cos * b.sin - a.sin * b.cos
     c, s = np.abs(cos), np.abs(sin)
@@ -121,8 +123,9 @@ def box_gap(pairs: Pairs) -> FloatArray:
 def contact_time(pairs: Pairs) -> FloatArray:
     """Return the time until the boxes first touch if both keep their velocity and heading [s]; lower is worse.
 
-    0 at overlap, infinite if they never touch. Along each axis the projections overlap from one
-    time to another. Contact begins when the last of these overlaps begins, if none has ended by then.
+    The time is 0 at overlap, and infinite if the boxes never touch. Along each of the four axes, the projections of the
+    boxes overlap during one interval of time. Contact begins when the last of these four intervals begins, unless one
+    of them has ended by then.
     """
     velocities = _along_axes(pairs.a, pairs.b, pairs.b.vx - pairs.a.vx, pairs.b.vy - pairs.a.vy)
     begins: FloatArray = np.full(pairs.cos.shape, -np.inf)
@@ -138,7 +141,7 @@ def contact_time(pairs: Pairs) -> FloatArray:
 
 
 def _along_axes(a: Boxes, b: Boxes, x: FloatArray, y: FloatArray) -> FourAxes:
-    """Return the components of a vector along the four axes."""
+    """Return the components of the vector (x, y) along the four axes of the boxes a and b."""
     return x * a.cos + y * a.sin, y * a.cos - x * a.sin, x * b.cos + y * b.sin, y * b.cos - x * b.sin
 
 
@@ -147,7 +150,8 @@ def _corners_to_box(
 ) -> FloatArray:
     """Return the squared distance from the nearest corner of ``other`` to ``box`` [m^2].
 
-    ``(u, v)`` is the centre of ``other`` in the frame of ``box``; ``cos`` and ``sin`` belong to its heading there.
+    ``(u, v)`` is the centre of ``other`` in the frame of ``box``. ``cos`` and ``sin`` are the cosine and sine of the
+    heading of ``other`` in that frame.
     """
     length_u, length_v = other.half_length * cos, other.half_length * sin
     width_u, width_v = -other.half_width * sin, other.half_width * cos

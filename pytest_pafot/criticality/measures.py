@@ -21,11 +21,12 @@ MANOEUVRE_SECONDS = 3.0
 """The time to manoeuvre t of equation 5 [s] (section 3.3: between 2 and 6 s by the literature, 3 s adopted)."""
 
 _SWEEPS = sweep.is_in_use()
-"""True if one compiled pass computes the extremes. The arrays give the same values, faster than an interpreted pass."""
+"""True if one compiled pass over a run computes the extremes. Without it, numpy's arrays compute the same values,
+because the interpreted pass would be slower."""
 
 _PARALLEL = 1e-9
-"""Two headings are parallel if the sine of their difference is smaller [1]: their lines cross beyond any road, or only
-due to rounding."""
+"""The sine of the difference of two headings below which they count as parallel [1]: such lines cross beyond any road,
+or only because of rounding."""
 
 
 def ettc(trace: Trace) -> FloatArray:
@@ -33,10 +34,11 @@ def ettc(trace: Trace) -> FloatArray:
 
     It is the ego's distance to the point where the two lines of travel cross, divided by its speed. With p the
     positions, d the unit vectors of travel and x the cross product, that distance is (p2 - p1) x d2 / d1 x d2. This
-    equals the paper's expression if its tangents and cotangents exist, and is also defined for headings along the axes.
+    equals the paper's expression whenever the tangents and cotangents in that exist, and it is also defined for
+    headings along the axes.
 
-    It is infinite if there is no single crossing point ahead of both: for parallel lines (including the same line: use
-    :func:`ttc` for following), for a point behind either vehicle, and for an ego that stands. A vehicle that drives
+    The time is infinite if no single crossing point is ahead of both vehicles: if the lines are parallel or the same
+    (use :func:`ttc` for following), if the point is behind either vehicle, and if the ego stands. A vehicle that drives
     backwards travels against its heading. As in the paper, it does not matter when the NPC reaches the point.
     """
     return Encounters(trace).ettc.T
@@ -82,11 +84,11 @@ def min_gap(trace: Trace) -> float:
 
 
 def ego_follows(trace: Trace) -> npt.NDArray[np.bool_]:
-    """Return whether the ego follows the NPC: the NPC's centre is level with its own or ahead, along the road.
+    """Return whether the ego follows the NPC: along the road, the NPC's centre is ahead of the ego's or level with it.
 
     The road's direction is the direction of the ego's lane (of the last lane if the ego is off the road). On roads that
-    are not straight, *ahead* means later on the ego's way (:attr:`pytest_pafot.Trace.track`). False for an NPC that is
-    not on the ego's way, because then neither follows the other.
+    are not straight, *ahead* means later on the ego's way (:attr:`pytest_pafot.Trace.track`). False if the NPC is not
+    on the ego's way, because neither vehicle then follows the other.
     """
     return Encounters(trace).ego_follows.T
 
@@ -94,9 +96,9 @@ def ego_follows(trace: Trace) -> npt.NDArray[np.bool_]:
 def safety_distance(trace: Trace) -> FloatArray:
     """Return the paper's SD (equation 5 with t = 3 s), the distance that the follower gains on the leader within t [m].
 
-    (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:func:`ego_follows`) and 2 the leader. The follower has
-    to keep this distance, so a higher value requires more. It is negative if the leader pulls away, and NaN if the NPC
-    is not on the ego's way.
+    (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:func:`ego_follows`) and 2 the leader. The follower
+    must leave at least this distance. It is negative if the leader pulls away, and NaN if the NPC is not on the ego's
+    way.
     """
     return Encounters(trace).safety_distance.T
 
@@ -104,17 +106,17 @@ def safety_distance(trace: Trace) -> FloatArray:
 def min_safety_distance(trace: Trace) -> float:
     """Return the smallest :func:`safety_distance` of the run [m], which the paper's fitness minimises.
 
-    This rewards leaders that pull away; :func:`safety_shortfall` does not. Only NPCs on the ego's way count; infinite
-    if there never is one.
+    A minimum of this distance rewards leaders that pull away; :func:`safety_shortfall` does not. Only NPCs on the ego's
+    way are included; the result is infinite if there never is one.
     """
     return Encounters(trace).min_safety_distance
 
 
 def safety_shortfall(trace: Trace) -> FloatArray:
-    """Return the missing share of the safety distance, clip((SD - gap) / SD, 0, 1); higher is worse.
+    """Return the missing share of the safety distance SD, clip((SD - gap) / SD, 0, 1); higher is worse.
 
-    0 if ego and NPC are not in the same lane (by their centres), for example an NPC that crosses, or if SD <= 0; 1 at
-    contact.
+    It is 1 at contact. It is 0 if SD <= 0, or if the centres of ego and NPC are not in the same lane, for example while
+    an NPC crosses.
     """
     return Encounters(trace).safety_shortfall.T
 
@@ -125,11 +127,11 @@ def max_safety_shortfall(trace: Trace) -> float:
 
 
 def required_deceleration(trace: Trace) -> FloatArray:
-    """Return the constant deceleration that just avoids a leader with constant speed [m/s^2]; higher is worse.
+    """Return the follower's constant deceleration that just avoids a leader with constant speed [m/s^2].
 
-    (v1 - v2)^2 / (2 gap) while the follower closes in on the leader in the same lane, infinite at contact; else 0, also
-    for an NPC that crosses. Source: deceleration rate to avoid a crash, DRAC (Cooper and Ferguson 1976; in
-    the review of Westhofen et al. 2022).
+    Higher is worse. The deceleration is (v1 - v2)^2 / (2 gap) while the follower closes in on the leader in the same lane, and
+    infinite at contact. Otherwise it is 0, also for an NPC that crosses. Source: deceleration rate to avoid a crash,
+    DRAC (Cooper and Ferguson 1976; in the review of Westhofen et al. 2022).
     """
     return Encounters(trace).required_deceleration.T
 
@@ -140,26 +142,32 @@ def hardest_brake(trace: Trace) -> float:
 
 
 def execution_time(trace: Trace) -> float:
-    """Return the paper's ET, t_f - t_0, the simulated time of the run [s]; lower is worse if it ended badly."""
+    """Return the paper's ET, t_f - t_0, the simulated time of the run [s].
+
+    Lower is worse if the run ended in a failure.
+    """
     return trace.duration
 
 
 def planned_duration(trace: Trace) -> float:
-    """Return the duration of the scenario's genes [s]. A run ends earlier only for a reason or at the world's limit.
+    """Return the duration of the scenario's genes [s], which is the longest possible duration of its run.
 
-    If an NPC crosses, the genes have no duration, so this is the duration of the run.
+    If an NPC crosses, its gene has no duration, so the result is the duration of the run.
     """
     return trace.duration if trace.scenario.crossings else trace.scenario.seconds
 
 
 class Encounters(RelativePositions):
-    """The measures of one run, which compute their shared geometry only once.
+    """The measures of one run, with their shared geometry computed only once.
 
-    Arrays are those of the functions of the same names, but transposed: [NPCs, ticks + 1].
+    An array equals the result of the function of the same name, but transposed: [NPCs, ticks + 1].
     """
 
     def __init__(self, trace: Trace, *, sweeps: bool = _SWEEPS) -> None:
-        """Read a trace. ``sweeps=False``, or a road that bends, computes the same extremes from the arrays."""
+        """Read a trace; ``sweeps`` is whether to compute extremes in one compiled pass instead of from whole arrays.
+
+        Both give the same values. Roads that bend always use the arrays.
+        """
         super().__init__(trace.states, trace.sizes, trace.lanes, trace.track)
         self._sweeps = sweeps and trace.track is None
 
@@ -224,16 +232,13 @@ class Encounters(RelativePositions):
 
     @cached_property
     def safety_distance(self) -> FloatArray:
-        """The distance that the follower gains on the leader within 3 s, as in the paper [m]; higher requires more.
-
-        NaN off the ego's way.
-        """
+        """The paper's SD, the distance that the follower gains on the leader within 3 s [m]; NaN off the ego's way."""
         t = MANOEUVRE_SECONDS
         return self.gain * t + self._follower_minus_leader(self.column(ACCELERATION)) * (t * t / 2)
 
     @cached_property
     def safety_shortfall(self) -> FloatArray:
-        """The missing share of the safety distance in one lane, 0 to 1; higher is worse."""
+        """The missing share of the safety distance if both are in one lane, 0 to 1; higher is worse."""
         keep = self.safety_distance
         demanded = self.same_lane & ~(keep <= 0)
         with np.errstate(over="ignore"):  # at the smallest distances nothing is missing
@@ -242,7 +247,7 @@ class Encounters(RelativePositions):
 
     @cached_property
     def required_deceleration(self) -> FloatArray:
-        """The deceleration with which the follower just avoids the leader in one lane [m/s^2]; higher is worse."""
+        """The follower's deceleration that just avoids a leader in the same lane [m/s^2]; higher is worse."""
         closing = np.maximum(self.gain, 0.0)
         threatened = self.same_lane & ~(closing <= 0)
         with np.errstate(divide="ignore"):
@@ -271,7 +276,7 @@ class Encounters(RelativePositions):
 
     @property
     def min_safety_distance(self) -> float:
-        """The smallest :attr:`safety_distance` of an NPC on the ego's way [m]; inf if there never is one."""
+        """The smallest :attr:`safety_distance` of all NPCs on the ego's way [m]; inf if no NPC ever is on it."""
         return _lowest(np.where(self.is_on_way, self.safety_distance, np.inf))
 
     @property
@@ -308,16 +313,16 @@ def _lowest(values: FloatArray) -> float:
 
 
 def post_encroachment_time(trace: Trace, *, horizon: float = 10.0) -> FloatArray:
-    """Return the shortest time from when one of ego and NPC leaves a place until the other arrives [s], shape [NPCs].
+    """Return the shortest time between ego or NPC leaving a place and the other vehicle arriving there [s].
 
-    Lower is worse; 0 at overlap, infinite if no vehicle arrives within ``horizon`` seconds. Every place counts: the
-    result is the smallest lag at which the box of one now overlaps the box of the other as it was then. At a crossing
-    this is the usual measure at the conflict area; for following it is the net time gap. Lags are whole physics ticks,
-    so the result exceeds the exact time by up to one tick.
+    The shape is [NPCs]. Lower is worse; 0 at overlap, infinite if no vehicle arrives within ``horizon`` seconds. All
+    places are included: the result is the smallest lag with which one vehicle's box overlaps the earlier box of the
+    other. At a crossing this is the usual measure at the conflict area; for following it is the net time gap. Lags are
+    whole physics ticks, so the result exceeds the exact time by up to one tick.
 
     Args:
         trace: the run.
-        horizon: longest lag to try [s]; the work grows with it.
+        horizon: longest lag to try [s]; a longer horizon takes longer to compute.
     """
     boxes = Encounters(trace).boxes
     lags = range(min(int(horizon * trace.physics_hz), trace.ticks) + 1)
@@ -329,7 +334,7 @@ def post_encroachment_time(trace: Trace, *, horizon: float = 10.0) -> FloatArray
 
 
 def _meets(boxes: Boxes, first: int, second: int, lag: int) -> bool:
-    """Return whether ``second`` is ever, ``lag`` ticks later, where ``first`` was."""
+    """Return whether the box of ``second`` is ever where the box of ``first`` was ``lag`` ticks earlier."""
     ticks = boxes.x.shape[1]
     before = boxes.part(slice(first, first + 1), slice(0, ticks - lag))
     after = boxes.part(slice(second, second + 1), slice(lag, ticks))

@@ -1,13 +1,13 @@
 """Positions of the NPCs relative to the ego: how far ahead, how far to the right, and in which cell of the grid.
 
-This is the only definition, for straight roads and for those that bend. The measures, the safe distances of RSS, the
-record of a collision, the explanation of a run and the report page share it. *Ahead* is the distance driven along the
-road, *right* is the distance across it, both from the ego's centre to the NPC's [m]. Neither depends on the ego's
-heading. The cell follows from the two, see :func:`pytest_pafot.model.grid.cell_at`: rows are as long as the ego,
-columns as wide as its lane.
+No other module defines these positions, neither for straight roads nor for roads that bend. The measures, the safe
+distances of RSS, the record of a collision, the explanation of a run and the report page share them. *Ahead* is the
+distance driven along the road, *right* is the distance across it, both from the ego's centre to the NPC's [m]. Neither
+depends on the ego's heading. Both together determine the cell, see :func:`pytest_pafot.model.grid.cell_at`: rows are as
+long as the ego, columns as wide as its lane.
 
-An NPC that crosses is on the ego's way only for a while, or never. While it is not, its distances are NaN, and it is in
-no cell and in no vehicle's lane.
+An NPC that crosses is on the ego's way only for a while, or never. While it is not on that way, its distances are NaN,
+it is in no cell, and it shares a lane with no vehicle.
 
 Source of the grid: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Modelling Target Positions).
 """
@@ -30,7 +30,7 @@ Number = TypeVar("Number", float, FloatArray)
 
 
 class RelativePositions:
-    """The positions of the NPCs of a run relative to the ego, at every tick. Each array is computed at its first use.
+    """The positions of the NPCs of a run relative to the ego at every tick; each array is computed at its first use.
 
     Arrays have the shape [NPCs, ticks + 1]: with the long dimension innermost, numpy is about three times as fast.
 
@@ -52,19 +52,20 @@ class RelativePositions:
 
     @cached_property
     def x(self) -> FloatArray:
-        """The x of all vehicles in the world [m], shape [vehicles, ticks + 1]."""
+        """The x coordinates of all vehicles [m], shape [vehicles, ticks + 1]."""
         return self.column(X)
 
     @cached_property
     def y(self) -> FloatArray:
-        """The y of all vehicles in the world [m], shape [vehicles, ticks + 1]."""
+        """The y coordinates of all vehicles [m], shape [vehicles, ticks + 1]."""
         return self.column(Y)
 
     @cached_property
     def road(self) -> tuple[FloatArray, FloatArray]:
-        """Cosine and sine of the direction of the ego's lane, shape [1, ticks + 1], or [1, 1] if all lanes agree.
+        """Cosine and sine of the heading of the ego's lane, each of shape [1, ticks + 1].
 
-        If the ego is off the road, the last lane's direction counts. On a straight road all lanes agree.
+        If all lanes have the same heading, as on a straight road, the shape is [1, 1]. While the ego is off the road,
+        the heading of the last lane in the list is used.
         """
         headings = [lane.heading for lane in self._lanes]
         if headings.count(headings[0]) == len(headings):
@@ -75,7 +76,7 @@ class RelativePositions:
 
     @cached_property
     def is_on_way(self) -> npt.NDArray[np.bool_]:
-        """True for each NPC on the ego's way. An NPC that crosses is on it only after it has merged."""
+        """True while an NPC is on the ego's way. An NPC that crosses is on that way only after it has merged."""
         is_there = np.ones((self._states.shape[1] - 1, len(self._states)), dtype=np.bool_)
         # A user's world may record NaN for a vehicle, too. Its distances must then stay NaN, so it counts as on the
         # way.
@@ -85,9 +86,9 @@ class RelativePositions:
     def ahead(self) -> FloatArray:
         """The distance of each NPC's centre ahead of the ego's [m], negative behind it; NaN off the ego's way.
 
-        It is measured along a straight road. On one that bends, it is the difference of the places on the ego's way
-        times the mean of the metres that the two drive per metre of it. In a circle that is the arc halfway between
-        theirs.
+        On a straight road it is the distance along the road. On a road that bends, it is the difference of the two
+        places on the ego's way, times the mean of the metres that ego and NPC drive per metre of that way. In a circle
+        this is the length of the arc halfway between the arcs of the two vehicles.
         """
         return self._offset[0]
 
@@ -95,8 +96,8 @@ class RelativePositions:
     def right(self) -> FloatArray:
         """The distance of each NPC's centre to the right of the ego's, across the road [m], negative to the left.
 
-        NaN off the ego's way. On a road that bends, it is the difference of the distances to the ego's way, each
-        measured at the vehicle itself.
+        NaN off the ego's way. On a road that bends, it is the difference of the two vehicles' distances to the ego's
+        way, each measured at the place of the vehicle.
         """
         return self._offset[1]
 
@@ -108,9 +109,9 @@ class RelativePositions:
         return same if self._track is None else same & self.is_on_way
 
     def cell(self, npc: int, tick: int) -> Cell | None:
-        """Return the cell that an NPC's centre is in, None for the ego's own cell and off the ego's way.
+        """Return the cell that an NPC's centre is in at a tick; None in the ego's own cell and off the ego's way.
 
-        A column is as wide as the ego's lane at that tick, or as the first lane if the ego is on none.
+        A column is as wide as the ego's lane at that tick, or as the first lane if the ego is off the road.
         """
         ego, npc_now = self._states[tick, 0].tolist(), self._states[tick, npc + 1].tolist()
         lane = int(ego[LANE])
@@ -122,9 +123,10 @@ class RelativePositions:
         return cell_at(ahead, right, float(self._sizes[0, 0]), self._lanes[max(lane, 0)].width)
 
     def last_cell(self, npc: int, tick: int) -> Cell | None:
-        """Return the last cell up to a tick, other than the ego's own, that an NPC's centre was in; None if none.
+        """Return the last cell, except the ego's own, that an NPC's centre was in up to a tick; None if there is none.
 
-        Also None off the ego's way, and if the NPC entered that way in the ego's own cell.
+        None, too, if the NPC is off the ego's way at that tick, or has been in the ego's own cell since it entered that
+        way.
         """
         ticks = takewhile(lambda each: self.is_on_way[npc, each], range(tick, -1, -1))
         cells = (self.cell(npc, each) for each in ticks)
@@ -140,17 +142,20 @@ class RelativePositions:
 
 
 def _on_road(ego: Any, npc: Any, cos: Number, sin: Number) -> tuple[Number, Number]:
-    """Return ahead and right [m] from states, floats or arrays, on a straight road."""
+    """Return the NPC's distances ahead and to the right of the ego [m] from states on a straight road."""
     x, y = npc[X] - ego[X], npc[Y] - ego[Y]
     return x * cos + y * sin, y * cos - x * sin
 
 
 def _on_way(ego: Any, npc: Any) -> tuple[Any, Any]:
-    """Return ahead and right [m] from rows of a track, floats or arrays."""
+    """Return the NPC's distances ahead and to the right of the ego [m] from rows of :attr:`Trace.track`."""
     ahead = driven_between(ego[ALONG], npc[ALONG], ego[STRETCH], npc[STRETCH])
     return ahead, npc[ACROSS] - ego[ACROSS]
 
 
 def driven_between(first: Number, second: Number, first_stretch: Number, second_stretch: Number) -> Number:
-    """Return the metres driven between two places on the ego's way, given the metres driven per metre of it at each."""
+    """Return the metres driven between two places on the ego's way.
+
+    Each stretch factor is the number of metres that a vehicle drives per metre of the way at that place.
+    """
     return (second - first) * (first_stretch + second_stretch) / 2

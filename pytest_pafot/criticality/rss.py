@@ -2,9 +2,9 @@
 
 Source: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
 arXiv:1708.06374, 2017: safe longitudinal distance for the same direction, safe lateral distance. A pair is in
-danger if both gaps are below their safe distances. Everything is measured along and across the direction of the ego's
-lane; on roads that are not straight, along and across the ego's way, in metres that the vehicles drive there. While an
-NPC that crosses is not on that way, its gaps and safe distances are NaN.
+danger if both gaps are below their safe distances. On a straight road, gaps and speeds are measured along and across
+the direction of the ego's lane. On other roads, they are measured along and across the ego's way, in metres that the
+vehicles drive there. While an NPC that crosses is not on the ego's way, its gaps and safe distances are NaN.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ class RssRules:
     "Parameter Discussion"), with a response time of 1 s for the automated vehicle and 2 s for all others.
 
     Attributes:
-        ego_response, npc_response: rho, the time during which a vehicle may still do its worst [s].
+        ego_response, npc_response: rho, the response time, in which a vehicle may still accelerate as hard as possible
+            [s].
         acceleration: a_max,accel, the hardest acceleration during the response time [m/s^2].
-        least_braking: a_min,brake, the least braking of a follower afterwards [m/s^2].
+        least_braking: a_min,brake, the least braking of a follower after its response time [m/s^2].
         hardest_braking: a_max,brake, the hardest braking of a leader [m/s^2].
-        lateral_acceleration: a_lat,max,accel, the hardest acceleration towards the other during the response time
-            [m/s^2].
-        lateral_braking: a_lat,min,brake, the least lateral braking afterwards [m/s^2].
+        lateral_acceleration: a_lat,max,accel, the hardest sideways acceleration towards the other vehicle during the
+            response time [m/s^2].
+        lateral_braking: a_lat,min,brake, the least sideways braking after the response time [m/s^2].
         fluctuation: mu, the lateral margin [m].
     """
 
@@ -54,7 +55,10 @@ class RssRules:
                 raise ValueError(f"{field.name}: expected a finite number, {bound}, received {value!r}")
 
     def safe_along(self, follower: FloatArray, leader: FloatArray, response: float | FloatArray) -> FloatArray:
-        """Return the gap that a follower with a response time [s] has to keep [m]; see :func:`rss_longitudinal`."""
+        """Return the gap [m] that a follower must leave, for the two speeds [m/s] and the follower's response time [s].
+
+        See :func:`rss_longitudinal`.
+        """
         fastest = follower + response * self.acceleration
         travelled = (follower + fastest) / 2 * response + _stopping(fastest, self.least_braking)
         return np.asarray(np.maximum(travelled - _stopping(leader, self.hardest_braking), 0.0))
@@ -63,13 +67,13 @@ class RssRules:
 def rss_longitudinal(trace: Trace, rules: RssRules | None = None) -> FloatArray:
     """Return the longitudinal distance that RSS requires of the follower [m], shape [ticks + 1, NPCs]; at least 0.
 
-    A smaller :func:`longitudinal_gap` is worse. The leader may brake as hard as possible at once. The follower may
-    speed up for its response time rho and then brakes with at least a_min,brake:
+    A :func:`longitudinal_gap` below this distance is not safe. The leader may brake as hard as possible at once. The
+    follower may speed up for its response time rho and then brakes with at least a_min,brake:
 
         v rho + a rho^2 / 2 + (v + rho a)^2 / (2 a_min,brake) - v_leader^2 / (2 a_max,brake)
 
-    Speeds are along the road. A leader that drives against its direction comes closer while it brakes, so its square
-    takes the sign of the speed. The paper's second formula, for oncoming traffic, is not part of this.
+    Speeds are along the road. A leader that drives against the direction of the road comes closer while it brakes, so
+    the square of its speed has the sign of the speed. The paper's second formula, for oncoming traffic, is not used.
     """
     return RoadFrame(trace).safe_along(rules or RssRules())
 
@@ -77,35 +81,42 @@ def rss_longitudinal(trace: Trace, rules: RssRules | None = None) -> FloatArray:
 def rss_lateral(trace: Trace, rules: RssRules | None = None) -> FloatArray:
     """Return the lateral distance that RSS requires of ego and NPC [m], shape [ticks + 1, NPCs]; at least mu.
 
-    A smaller :func:`lateral_gap` is worse. Both vehicles may accelerate towards each other for their response times and
-    then brake with at least a_lat,min,brake until they no longer move sideways. The distance is mu plus what they come
-    closer meanwhile, if anything. If a vehicle still moves away after its response time, its stopping distance counts
-    as moving away. The published formula squares that speed without its sign, because it assumes vehicles that come
-    closer.
+    A :func:`lateral_gap` below this distance is not safe. Both vehicles may accelerate towards each other for their
+    response times and then brake with at least a_lat,min,brake until they no longer move sideways. The distance is mu
+    plus the metres by which they come closer in that time, if any. If a vehicle still moves away after its response
+    time, its stopping distance is subtracted. The published formula squares the speed without its sign, because it
+    assumes vehicles that come closer.
     """
     return RoadFrame(trace).safe_across(rules or RssRules())
 
 
 def longitudinal_gap(trace: Trace) -> FloatArray:
-    """Return the gap between the boxes along the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 side by side."""
+    """Return the gap between the boxes of ego and NPC along the road [m], shape [ticks + 1, NPCs].
+
+    Lower is worse; 0 if the boxes are side by side.
+    """
     return RoadFrame(trace).gap_along
 
 
 def lateral_gap(trace: Trace) -> FloatArray:
-    """Return the gap between the boxes across the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 in one track."""
+    """Return the gap between the boxes of ego and NPC across the road [m], shape [ticks + 1, NPCs].
+
+    Lower is worse; 0 in one track, which means that the box behind would touch the box ahead if it drove straight on.
+    """
     return RoadFrame(trace).gap_across
 
 
 class RoadFrame:
-    """Positions and velocities along and across the road, shape [vehicles or NPCs, ticks + 1].
+    """Positions and velocities of a run's vehicles along and across the road, shape [vehicles or NPCs, ticks + 1].
 
     Attributes:
         is_on_way: whether each NPC is on the ego's way, see :class:`~pytest_pafot.criticality.RelativePositions`.
         ahead, right: offset of the NPC's centre from the ego's [m].
         cos, sin: cosine and sine of each vehicle's angle to the road at its place.
         speed: speed of each vehicle along the road [m/s].
-        drift: speed of each vehicle to the right across the road, as it has moved since the tick before, slip included.
-            At the first tick, or its first on the ego's way, it follows from its heading [m/s].
+        drift: speed of each vehicle to the right across the road [m/s], from its movement since the previous tick, so
+            slip is included. At the first tick of the run, or of the vehicle on the ego's way, it is computed from the
+            vehicle's heading.
         half_along, half_across: half extents of each box [m].
 
     Gaps and safe distances have the shape [ticks + 1, NPCs]. All values of an NPC are NaN while it is not on the ego's
@@ -142,16 +153,16 @@ class RoadFrame:
 
     @property
     def gap_along(self) -> FloatArray:
-        """The gap between the boxes along the road [m]; lower is worse, 0 side by side."""
+        """The gap between the boxes of ego and NPC along the road [m]; lower is worse, 0 if they are side by side."""
         return np.maximum(np.abs(self.ahead) - self.half_along[:1] - self.half_along[1:], 0.0).T
 
     @property
     def gap_across(self) -> FloatArray:
-        """The gap between the boxes across the road [m]; lower is worse, 0 in one track."""
+        """The gap between the boxes of ego and NPC across the road [m]; lower is worse, 0 in one track."""
         return np.maximum(np.abs(self.right) - self.half_across[:1] - self.half_across[1:], 0.0).T
 
     def safe_along(self, rules: RssRules) -> FloatArray:
-        """Return the longitudinal distance that the follower has to keep [m]; equation in :func:`rss_longitudinal`."""
+        """Return the longitudinal distance that the follower must leave [m]; equation in :func:`rss_longitudinal`."""
         ego_follows = self.ahead >= 0
         follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
         leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
@@ -167,11 +178,14 @@ class RoadFrame:
 
 
 def _stopping(speed: FloatArray, deceleration: float) -> FloatArray:
-    """Return the distance to a standstill, in the direction of travel [m]."""
+    """Return the distance that a vehicle drives until it stands [m], with the sign of its speed."""
     return speed * np.abs(speed) / (2 * deceleration)
 
 
 def _sideways(drift: FloatArray, response: float, rules: RssRules) -> FloatArray:
-    """Return how far a vehicle comes towards the other, at worst, until its sideways motion ends [m]."""
+    """Return the largest distance that a vehicle may move towards the other until its sideways motion ends [m].
+
+    ``drift`` is its sideways speed towards the other vehicle [m/s], and ``response`` its response time [s].
+    """
     fastest = drift + response * rules.lateral_acceleration
     return (drift + fastest) / 2 * response + _stopping(fastest, rules.lateral_braking)

@@ -1,4 +1,4 @@
-"""Signals of a run, with one value a tick, a name and a unit, and the table of all measures."""
+"""Signals of a run, which have one value per tick, a name and a unit, and the table of all measures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _Array: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 Worse = Literal["low", "high", "both", "neither"]
-"""The values that are worse for the ego: the lowest, the highest, those farthest from 0, or none."""
+"""Which values of a measure are worse for the ego: low values, high values, values far from 0, or neither."""
 
 
 _REORDER = frozenset({np.flip, np.sort, np.roll, np.partition})
@@ -33,16 +33,16 @@ _KEEP_UNIT = frozenset({np.absolute, np.fabs, np.negative, np.positive})
 
 
 class Signal(_Array):
-    """A numpy array with one value at each tick, which knows its ticks.
+    """A numpy array with one value per tick of a run, and with the tick that each value belongs to.
 
-    The result of a numpy operation value by value, such as ``abs(signal)``, ``signal / 2`` or
-    ``np.where(..., signal, 0)``, is a signal over the same ticks. It has no name, and a unit only after ``abs`` or a
-    change of sign. Of two signals, the first determines the ticks. A slice such as ``signal[30:150]`` knows that it
-    begins 30 ticks later, and so does ``np.diff``. The ticks of any other selection are unknown. Comparisons and sums
-    are plain arrays and numbers.
+    A numpy operation that works value by value, such as ``abs(signal)``, ``signal / 2`` or
+    ``np.where(..., signal, 0)``, returns a signal over the same ticks. The new signal has no name, and it has a unit
+    only after ``abs`` or a change of sign. In an operation on two signals, the first one determines the ticks. A slice
+    such as ``signal[30:150]`` begins 30 ticks later. The ticks of any other selection are unknown. Comparisons and sums
+    return plain arrays and numbers.
 
     Args:
-        values: values of shape [ticks]; the signal holds a read-only copy.
+        values: one value per tick; the signal stores a read-only copy.
         hz: ticks per second; None if unknown.
         start: tick of the first value.
         name: name, such as ``ego.speed``.
@@ -69,12 +69,12 @@ class Signal(_Array):
         return signal
 
     def __array_finalize__(self, source: object) -> None:
-        """Copy the ticks of a signal of the same shape; the ticks of other results are unknown."""
+        """Copy ticks, name and unit from a source signal of the same shape; otherwise they are unknown."""
         if isinstance(source, Signal) and source.shape == self.shape:
             self.__dict__.update(source.__dict__)
 
     def __array_wrap__(self, array: _Array, context: Any = None, return_scalar: bool = False) -> Any:
-        """Make a signal of what numpy computed from signals, of which this is the first."""
+        """Make a signal of an array that numpy computed from signals; this signal is the first of them."""
         if array.shape != self.shape or array.dtype != np.float64:
             return array[()] if return_scalar else array
         signal = array.view(type(self))
@@ -83,14 +83,14 @@ class Signal(_Array):
         return signal
 
     def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
-        """Call a function of numpy that is not arithmetic; some return plain arrays, which become signals."""
+        """Call a numpy function that is not arithmetic, and make a signal of the array that it returns."""
         result = super().__array_function__(func, types, args, kwargs)
         if func in _REORDER:
             return np.asarray(result)
         return self.__array_wrap__(result) if isinstance(result, np.ndarray) else result
 
     def __getitem__(self, key: Any) -> Any:
-        """Return one value or a selection."""
+        """Return one value, or a selection of values as a signal."""
         part = super().__getitem__(key)
         if isinstance(part, Signal):
             cut = key[0] if isinstance(key, tuple) and len(key) == 1 else key
@@ -112,13 +112,13 @@ class Signal(_Array):
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A measure at each tick of a run, of the ego or of each NPC. Called with a trace, it is a fitness.
+    """A measure of the ego or of each NPC at each tick of a run; a call with a trace returns a fitness.
 
     Attributes:
-        name: name, such as ``headway``, ``ego.jerk``, or ``npcs.ttc`` for one of each NPC.
+        name: name, such as ``headway`` or ``ego.jerk``; for a measure of each NPC a name such as ``npcs.ttc``.
         unit: unit, such as ``m/s^3``; empty for a number.
         worse: values that are worse for the ego: ``low``, ``high``, ``both`` (far from 0) or ``neither``.
-        source: definition, and the publication that it is from.
+        source: definition of the measure, and the publication that it is from.
         function: function of a trace that returns an array of shape [ticks + 1], or [NPCs, ticks + 1] for a value of
             each NPC.
     """
@@ -150,10 +150,12 @@ class Measure:
         return values
 
     def __call__(self, trace: Trace) -> float:
-        """Return the measure as a fitness: v / (1 + |v|) of the worst value v, higher = worse; 1 or -1 for infinity.
+        """Return the measure as a fitness between -1 and 1, which is higher if the run is worse for the ego.
+
+        It is v / (1 + |v|), where v is the worst value, with its sign changed if low values are worse.
 
         Raises:
-            ValueError: if no value of the measure is worse.
+            ValueError: if ``worse`` is ``neither``.
         """
         if self.worse == "neither":
             raise ValueError(f"measure {self.name!r}: expected worse='low', 'high' or 'both', received 'neither'")
@@ -163,9 +165,10 @@ class Measure:
 
 
 def leader(trace: Trace) -> npt.NDArray[np.intp]:
-    """Return the index of the nearest NPC ahead of the ego in its lane, by their centres; -1 if there is none.
+    """Return the index of the leader at each tick, the nearest NPC ahead in the ego's lane; -1 if there is none.
 
-    Shape [ticks + 1]. An NPC that crosses counts only after it has merged into the ego's way.
+    The centres of the vehicles determine the lane and the distance. The shape is [ticks + 1]. An NPC that crosses can
+    be the leader only after it has merged into the ego's way.
     """
     encounters = Encounters(trace)
     is_ahead = encounters.same_lane & ~(encounters.ahead < 0)
@@ -189,20 +192,21 @@ def headway(trace: Trace) -> FloatArray:
 
 
 def jerk(trace: Trace) -> FloatArray:
-    """Return the change of a vehicle's acceleration since the tick before, per second [m/s^3].
+    """Return each vehicle's change of acceleration since the previous tick, per second [m/s^3].
 
-    Shape [vehicles, ticks + 1]; 0 at the first tick. The first tick has the acceleration 0, so the second tick has the
-    jerk of a vehicle that neither sped up nor braked before the run.
+    The shape is [vehicles, ticks + 1]. The jerk is 0 at the first tick. The acceleration is 0 at the first tick, too,
+    so a vehicle that brakes from the start has a jerk at the second tick.
     """
     acceleration = trace.states[:, :, ACCELERATION].T
     return np.diff(acceleration, prepend=acceleration[:, :1]) * trace.physics_hz
 
 
 def lateral_acceleration(trace: Trace) -> FloatArray:
-    """Return speed times the turning rate of the heading since the tick before [m/s^2], shape [vehicles, ticks + 1].
+    """Return each vehicle's speed times the turning rate of its heading [m/s^2], shape [vehicles, ticks + 1].
 
-    Positive to the right; 0 at the first tick. This is what pulls a passenger sideways in a steady turn. It ignores the
-    slip of the vehicle, which jumps with the steering angle in a kinematic model.
+    The turning rate is the change since the previous tick, positive to the right, 0 at the first tick. This is the
+    acceleration that pulls a passenger sideways in a steady turn. It ignores the slip of the vehicle, which jumps with
+    the steering angle in a kinematic model.
     """
     heading = np.unwrap(trace.states[:, :, HEADING].T)
     turning: FloatArray = np.diff(heading, prepend=heading[:, :1]) * trace.physics_hz
@@ -211,15 +215,16 @@ def lateral_acceleration(trace: Trace) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EgoLaneChange:
-    """A lane change of the ego: its centre entered a different lane.
+    """A lane change of the ego, which is when its centre enters a different lane.
 
     Attributes:
         tick: first tick in the new lane.
         time: time of that tick [s].
-        from_lane, to_lane: indices of the lanes, 0 at the left.
-        gap_ahead: gap along the road to the nearest NPC ahead whose centre is in the new lane, too [m]; 0 side by side,
-            inf if there is none.
-        gap_behind: gap to the nearest such NPC behind [m].
+        from_lane, to_lane: indices of the old and the new lane, 0 at the left.
+        gap_ahead: gap along the road to the nearest NPC ahead whose centre is in the new lane [m]; 0 side by side, inf
+            if there is none.
+        gap_behind: gap along the road to the nearest NPC behind whose centre is in the new lane [m]; inf if there is
+            none.
     """
 
     tick: int
@@ -231,7 +236,7 @@ class EgoLaneChange:
 
 
 def ego_lane_changes(trace: Trace) -> tuple[EgoLaneChange, ...]:
-    """Return the ego's lane changes in order; ticks off the road in between do not matter."""
+    """Return the ego's lane changes in the order of their times; ticks at which the ego is off the road are ignored."""
     lane = trace.ego[:, LANE]
     on_road = np.flatnonzero(lane >= 0)
     changed = np.flatnonzero(np.diff(lane[on_road])) + 1
@@ -302,26 +307,27 @@ MEASURES = (
             "ways meet until the other arrives, if both keep their speed; 0 if both will be there at once, inf if one "
             "never arrives, and without a zone (Laureshyn and others 2010)", _time_advantage),
 )  # fmt: skip
-"""The measures of every run, named like its attributes: ``run.headway``, ``run.ego.jerk``, ``run.npcs[0].ttc``.
+"""The measures of every run, named like the attributes ``run.headway``, ``run.ego.jerk`` and ``run.npcs[0].ttc``.
 
-This is the only table for the attributes of a run, the fitness of a name, the columns of a frame, and the reference.
+This table defines the attributes of a run, the measures that a search accepts as a fitness by name, the columns of
+``run.to_pandas()``, and the page of the reference.
 """
 
 BY_NAME = {measure.name: measure for measure in MEASURES}
 
 
 class Signals:
-    """The signals of one run; each measure is computed once."""
+    """The signals of one run; each measure is computed only once."""
 
     def __init__(self, trace: Trace) -> None:
         self.trace = trace
         self._values: dict[Measure, FloatArray] = {}
 
     def of(self, measure: Measure, npc: int | None = None) -> Signal:
-        """Return a measure as a signal; a measure of each NPC needs the index of one.
+        """Return a measure as a signal; ``npc`` is the index of the NPC if the measure has one value for each NPC.
 
         Raises:
-            ValueError: if the index of an NPC is missing, or given for a measure that needs none.
+            ValueError: if ``npc`` is missing, or is given for a measure that is not one of each NPC.
         """
         values = self._values.get(measure)
         if values is None:
@@ -334,7 +340,10 @@ class Signals:
         return Signal(row, hz=self.trace.physics_hz, name=name, unit=measure.unit)
 
     def all(self) -> Iterator[Signal]:
-        """Yield each measure of :data:`MEASURES` for each NPC; those at a zone only for NPCs that have one."""
+        """Yield the signals of all measures: one per measure of the ego, and one per NPC for a measure of each NPC.
+
+        The time advantage is defined only for NPCs that cross, so the others have no such signal.
+        """
         npcs = range(self.trace.states.shape[1] - 1)
         crossing = [npc for npc, zone in enumerate(self.trace.zones) if zone is not None]
         for measure in MEASURES:
@@ -401,11 +410,11 @@ class NpcSignals(_Vehicle):
 
     @property
     def zone(self) -> Zone | None:
-        """The zone where its way meets the ego's; None for an NPC on the grid."""
+        """The zone where the NPC's way meets the ego's; None for an NPC on the grid."""
         zones = self._signals.trace.zones
         return zones[self._npc or 0] if zones else None
 
     @property
     def passage(self) -> Passage | None:
-        """The times at which it and the ego were in that zone; None for an NPC on the grid."""
+        """The times at which the NPC and the ego were in the zone of their ways; None for an NPC on the grid."""
         return passages(self._signals.trace)[self._npc or 0]

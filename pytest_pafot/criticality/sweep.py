@@ -2,9 +2,10 @@
 # The checks are off because no index exceeds the shapes that the constructor checks and no divisor is zero.
 """One pass over the ticks of a run for the three extremes that a search reads of every run, in typed, plain Python.
 
-The values equal those of :class:`~pytest_pafot.criticality.measures.Encounters` to the last bit: the same operations in
-the same order, at every tick that the bounds do not rule out. Compiled, this takes a tenth of the time of numpy's whole
-arrays. Interpreted, it would take longer, so the arrays are used then.
+The values equal those of :class:`~pytest_pafot.criticality.measures.Encounters` to the last bit, because the pass does
+the same operations in the same order. It skips ticks if bounds show that they cannot be extreme. The compiled pass
+takes a tenth of the time of numpy's whole arrays. The interpreted pass would be slower than numpy's arrays, so an
+installation without compiled code uses the arrays.
 
 The bounds need no trigonometry: a sine is at most its angle h and differs from it by at most h^3 / 6, and a cosine is
 between 1 - h^2 / 2 and 1. ``SLACK`` is far more than all rounding, up to the sizes and times that are accepted.
@@ -21,13 +22,14 @@ import numpy as np
 from pytest_pafot.model.trace import FloatArray
 
 SLACK = 1e-6
-"""The margin by which bounds must rule out a tick [m]."""
+"""The margin that is added to the bounds, so that rounding never makes them skip a tick that is extreme [m]."""
 LARGE = 1e6
-"""The limit for the sum of the absolute values of a vehicle's state. From here on, and for NaN, the arrays are used."""
+"""The limit for the sum of the absolute values of a vehicle's state. For a larger sum or NaN, numpy's arrays replace
+this pass."""
 LONGEST = 1e5
-"""The limit for the least time to contact [s]. From here on, or if there is none, the arrays are used."""
+"""The limit for the least time to contact [s]. If it is longer or infinite, numpy's arrays replace this pass."""
 TINY = 1e-290
-"""A replacement for a relative velocity of zero [m/s], as in :mod:`~pytest_pafot.criticality.boxes`."""
+"""A tiny velocity that avoids a division by zero [m/s], as in :mod:`~pytest_pafot.criticality.boxes`."""
 
 
 def is_compiled() -> bool:
@@ -36,7 +38,7 @@ def is_compiled() -> bool:
 
 
 def is_in_use() -> bool:
-    """Return whether compiled passes replace numpy's arrays, which they do only if the results are the same."""
+    """Return whether the compiled pass replaces numpy's arrays, which it does only if both give the same results."""
     if not is_compiled() or os.environ.get("PAFOT_KERNEL") == "interpreted":
         return False
     angles = np.linspace(-2.0, 2.0, 256)  # numpy's sine and cosine must be the C library's
@@ -47,13 +49,13 @@ def is_in_use() -> bool:
 
 
 class Sweep:
-    """A pass over a run.
+    """A pass over the ticks of a run, which computes the extremes of three measures.
 
     Args:
         states: states of a trace, shape [ticks + 1, vehicles, 7].
         sizes: sizes of a trace, shape [vehicles, 2].
         road: cosine and sine of the road's heading.
-        manoeuvre_seconds: t of the safety distance [s].
+        manoeuvre_seconds: time to manoeuvre, t in the equation of the safety distance [s].
 
     Attributes:
         min_ttc, min_gap, max_safety_shortfall: see the functions of these names; valid if :meth:`run` returned True.
@@ -80,7 +82,7 @@ class Sweep:
         self._al, self._aw = sizes[0, 0] / 2, sizes[0, 1] / 2
 
     def run(self) -> bool:
-        """Read all ticks and return whether the results are valid; if not, use the arrays."""
+        """Read all ticks and return whether the results are valid; if not, the caller has to use numpy's arrays."""
         for tick in range(self._ticks):
             if not self._is_sane(tick):
                 return False
@@ -100,13 +102,13 @@ class Sweep:
         return True
 
     def _see_ego(self, tick: int) -> None:
-        """Read the ego at a tick, as a in the formulas."""
+        """Read the ego's state at a tick, as vehicle a of the formulas."""
         self._ax, self._ay = self._states[tick, 0, 0], self._states[tick, 0, 1]
         self._heading_a, self._speed_a = self._states[tick, 0, 2], self._states[tick, 0, 3]
         self._acceleration_a, self._lane_a = self._states[tick, 0, 4], self._states[tick, 0, 6]
 
     def _see(self, tick: int, vehicle: int) -> None:
-        """Read an NPC at a tick, as b in the formulas."""
+        """Read an NPC's state at a tick, as vehicle b of the formulas; its position is relative to the ego's."""
         self._x = self._states[tick, vehicle, 0] - self._ax
         self._y = self._states[tick, vehicle, 1] - self._ay
         self._heading_b, self._speed_b = self._states[tick, vehicle, 2], self._states[tick, vehicle, 3]
@@ -114,7 +116,7 @@ class Sweep:
         self._bl, self._bw = self._sizes[vehicle, 0] / 2, self._sizes[vehicle, 1] / 2
 
     def _measure(self) -> None:
-        """Measure exactly if there may be a new extreme."""
+        """Update the extremes from the present pair; compute exactly only if the bounds allow a new extreme."""
         turn_a, turn_b = abs(self._heading_a), abs(self._heading_b)
         # Lower bounds of the distance between the boxes along x and along y.
         room_x = abs(self._x) - (self._al + self._aw * turn_a + self._bl + self._bw * turn_b) - SLACK
@@ -139,7 +141,7 @@ class Sweep:
                 self.max_safety_shortfall = 1.0 - gap / keep
 
     def _may_come(self, room_x: float, room_y: float, turn_a: float, turn_b: float) -> bool:
-        """Return whether the boxes may touch sooner than the least time to contact so far, by bounds along x and y."""
+        """Return whether bounds along x and y allow a shorter time to contact than the shortest one so far."""
         fast_a, fast_b = abs(self._speed_a) * turn_a * turn_a / 2.0, abs(self._speed_b) * turn_b * turn_b / 2.0
         if room_x > 0.0:
             closing = self._speed_a - self._speed_b
@@ -154,7 +156,7 @@ class Sweep:
         return True
 
     def _safety_distance(self) -> float:
-        """Return the safety distance of equation 5 if ego and NPC are in one lane, else 0."""
+        """Return the safety distance of the paper's equation 5 [m] if ego and NPC are in one lane, else 0."""
         if self._lane_a != self._lane_b or self._lane_a < 0.0:
             return 0.0
         gain = self._speed_a - self._speed_b
@@ -165,7 +167,7 @@ class Sweep:
         return distance
 
     def _relate(self) -> None:
-        """Project the pair onto its four axes, as :func:`pytest_pafot.criticality.boxes.relate` does."""
+        """Project the boxes onto their four axes, as :func:`pytest_pafot.criticality.boxes.relate` does."""
         self._ac, self._as = math.cos(self._heading_a), math.sin(self._heading_a)
         self._bc, self._bs = math.cos(self._heading_b), math.sin(self._heading_b)
         ac, sa, bc, sb = self._ac, self._as, self._bc, self._bs
@@ -228,7 +230,11 @@ def _corners_to_box(
     half_length: float,
     half_width: float,
 ) -> float:
-    """Return the squared distance from the nearest corner of a box at (u, v) to a box in its own frame [m^2]."""
+    """Return the squared distance from the nearest corner of one box to another box [m^2].
+
+    ``(u, v)`` is the centre of the first box in the frame of the second box, which is centred at the origin and has the
+    half sizes ``half_length`` and ``half_width``. The other arguments are the half sides of the first box as vectors.
+    """
     nearest = _square(u + length_u + width_u, v + length_v + width_v, half_length, half_width)
     square = _square(u + length_u - width_u, v + length_v - width_v, half_length, half_width)
     nearest = square if square < nearest else nearest
@@ -239,7 +245,7 @@ def _corners_to_box(
 
 
 def _square(u: float, v: float, half_length: float, half_width: float) -> float:
-    """Return the squared distance of a point from a box in its own frame [m^2]."""
+    """Return the squared distance from the point (u, v) to a box that is centred at the origin [m^2]."""
     outside_u, outside_v = abs(u) - half_length, abs(v) - half_width
     outside_u = outside_u if outside_u > 0.0 else 0.0
     outside_v = outside_v if outside_v > 0.0 else 0.0

@@ -1,9 +1,9 @@
 """Temporal logic over signals, which measures at every tick by how much a formula holds.
 
-Signal temporal logic with its quantitative semantics (Donze and Maler, "Robust Satisfaction of Temporal Logic over
-Real-Valued Signals", FORMATS 2010), over the ticks of a run that ends. The part of a window after the last tick
-does not count: if all of the window is there, ``always`` holds by infinity, and ``eventually`` and ``until`` fail by
-infinity. A formula is NaN if any value in its window is NaN.
+This is signal temporal logic with its quantitative semantics (Donze and Maler, "Robust Satisfaction of Temporal Logic
+over Real-Valued Signals", FORMATS 2010), over the ticks of a run that ends. The part of a window after the last tick
+is ignored. If a whole window is after the last tick, ``always`` holds with the margin infinity, and ``eventually`` and
+``until`` fail with the margin minus infinity. A formula is NaN if any value in its window is NaN.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from pytest_pafot.model.trace import FloatArray
 IntArray = npt.NDArray[np.intp]
 
 Within = tuple[float, float]
-"""A window, from so many seconds later to so many seconds later, both included."""
+"""A window (first, last) in seconds after each tick; both ends are included."""
 
 _ROUNDING = 1e-9
 """The tolerance for the rounding of seconds times ticks per second, so that a window contains its last tick [1]."""
 
 
 class Margin(Signal):
-    """A signal of by how much something holds at each tick: positive if it holds, negative if it does not.
+    """The amount by which a property holds at each tick, as a signal: positive if it holds, negative if it does not.
 
-    It has the unit of the underlying signal. ``&``, ``|`` and ``~`` mean and, or and not. A margin times a positive
-    number is a margin, too, so margins in different units can be made comparable.
+    A margin has the unit of the underlying signal. ``&``, ``|`` and ``~`` mean and, or and not. A margin times a
+    positive number is a margin, too, so margins in different units can be made comparable.
 
     Attributes:
-        is_formula: whether it looks ahead in time, so that its first value is the verdict on the whole run. Otherwise
-            each value is about its own tick.
+        is_formula: whether the margin looks ahead in time, so that its first value is the verdict on the whole run.
+            Otherwise each value is about its own tick.
     """
 
     __slots__ = ("_deciders",)  # not in __dict__, so that copies by numpy have none until they are set
@@ -42,18 +42,18 @@ class Margin(Signal):
 
     @property
     def deciders(self) -> FloatArray:
-        """The tick that decides each value, counted from the first value; inf if no tick decides it or any may.
+        """The tick from which each value of the margin is taken, counted from the first value, shape [ticks].
 
-        Shape [ticks]. If there are several, or NaN, it is the first. Functions of numpy with one margin and numbers
-        preserve it, and so does a slice of known ticks. Functions of several arrays do not, unless no margin is a
-        formula.
+        If several ticks have the same value, or NaN, it is the first of them. It is infinite if the value is from no
+        tick or if the tick is unknown. A numpy function of one formula and numbers preserves these ticks, and so does a
+        slice of known ticks. A numpy function of several arrays makes them unknown if one of the arrays is a formula.
         """
         if not self.is_formula:
             return np.arange(len(self), dtype=np.float64)
         return getattr(self, "_deciders", np.full(len(self), np.inf))
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
-        """Make a margin of what numpy computed from margins; it is a formula if one of them is."""
+        """Make a margin of an array that numpy computed from margins; it is a formula if one of those is a formula."""
         result = super().__array_wrap__(array, context, return_scalar)
         if isinstance(result, Margin) and context is not None:
             arrays = [each for each in context[1] if np.ndim(each)]
@@ -63,49 +63,53 @@ class Margin(Signal):
         return result
 
     def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
-        """Call a function of numpy that is not arithmetic, such as ``np.where``."""
+        """Call a numpy function that is not arithmetic, such as ``np.where``, and make a margin of its array."""
         result = super().__array_function__(func, types, args, kwargs)
         if isinstance(result, Margin):
             result.is_formula = _looks_ahead((*args, *kwargs.values()))
         return result
 
     def __getitem__(self, key: Any) -> Any:
-        """Return one value or a selection."""
+        """Return one value, or a selection of values as a margin."""
         part = super().__getitem__(key)
         if isinstance(part, Margin) and part.is_formula and part.hz is not None:
             part._decide(self.deciders[key] - (part.start - self.start))
         return part
 
     def __and__(self, other: Any) -> Margin:
-        """Return the smaller margin: both hold."""
+        """Return the smaller of the two margins at each tick, which is positive if both properties hold."""
         return _joined(np.minimum, self, other)
 
     def __or__(self, other: Any) -> Margin:
-        """Return the larger margin: at least one holds."""
+        """Return the larger of the two margins at each tick, which is positive if at least one property holds."""
         return _joined(np.maximum, self, other)
 
     def __invert__(self) -> Margin:
-        """Return the negative margin: it does not hold."""
+        """Return the margin with the opposite sign, which is positive if the property does not hold."""
         return _like(self, -np.asarray(self), self.deciders if self.is_formula else None)
 
     def _decide(self, deciders: FloatArray) -> None:
-        """Become a formula that these ticks decide, with values that cannot change."""
+        """Make this margin a read-only formula whose values are taken from the ticks ``deciders``."""
         self._deciders, self.is_formula, self.flags.writeable = deciders, True, False
 
 
 def above(signal: npt.ArrayLike, bound: npt.ArrayLike) -> Margin:
-    """Return by how much a signal is above a bound at each tick; the bound is a number or one for each tick."""
+    """Return the margin by which a signal is above a bound at each tick; the bound is one number or one per tick."""
     signal = signal if isinstance(signal, Signal) else Signal(signal)
     return _like(signal, np.subtract(signal, bound))
 
 
 def below(signal: npt.ArrayLike, bound: npt.ArrayLike) -> Margin:
-    """Return by how much a signal is below a bound at each tick; the bound is a number or one for each tick."""
+    """Return the margin by which a signal is below a bound at each tick; the bound is one number or one per tick."""
     return ~above(signal, bound)
 
 
 def always(margin: Margin, within: Within | None = None) -> Margin:
-    """Return the smallest margin from each tick on, or of the ticks ``within`` so many seconds after it.
+    """Return, for each tick, the smallest margin from that tick on: positive if the property always holds.
+
+    Args:
+        margin: margin of the property.
+        within: window (first, last) in seconds after each tick; by default it lasts until the end of the run.
 
     Raises:
         TypeError: if the argument is no margin.
@@ -115,7 +119,11 @@ def always(margin: Margin, within: Within | None = None) -> Margin:
 
 
 def eventually(margin: Margin, within: Within | None = None) -> Margin:
-    """Return the largest margin from each tick on, or of the ticks ``within`` so many seconds after it.
+    """Return, for each tick, the largest margin from that tick on: positive if the property holds at some time.
+
+    Args:
+        margin: margin of the property.
+        within: window (first, last) in seconds after each tick; by default it lasts until the end of the run.
 
     Raises:
         TypeError: if the argument is no margin.
@@ -126,9 +134,14 @@ def eventually(margin: Margin, within: Within | None = None) -> Margin:
 
 
 def until(left: Margin, right: Margin, within: Within | None = None) -> Margin:
-    """Return by how much the left margin holds until the right one does, ``within`` so many seconds after each tick.
+    """Return the margin by which, from each tick on, the left property holds until the right property holds.
 
-    At the tick at which the right one holds, the left one need not hold.
+    At the tick at which the right property holds, the left property need not hold.
+
+    Args:
+        left, right: margins of the two properties.
+        within: window (first, last) in seconds after each tick in which the right property has to hold; by default it
+            lasts until the end of the run.
 
     Raises:
         TypeError: if an argument is no margin.
@@ -142,7 +155,10 @@ def until(left: Margin, right: Margin, within: Within | None = None) -> Margin:
 
 
 def _greatest(values: FloatArray, first: int, last: int) -> IntArray:
-    """Return the index of the first largest value, or NaN, in each tick's window; the length for an empty one."""
+    """Return, for the window of each tick, the index of its first NaN or else of its first largest value.
+
+    The window is from ``first`` to ``last`` ticks after the tick. An empty window has the index ``len(values)``.
+    """
     later = np.append(values, np.full(last, -np.inf))[first:]
     ahead = np.lib.stride_tricks.sliding_window_view(later, last - first + 1).argmax(axis=1)
     at: IntArray = np.minimum(ahead + np.arange(first, first + len(values)), len(values))
@@ -172,7 +188,7 @@ def _holding_until(left: FloatArray, right: FloatArray, first: int, last: int) -
 
 
 def _until_ever(left: list[float], right: list[float]) -> list[int]:
-    """Return the same without a window and without NaN."""
+    """Return what :func:`_holding_until` returns if the window lasts until the end of the run and no value is NaN."""
     best, at, places = -math.inf, 2 * len(left), []
     for tick in range(len(left) - 1, -1, -1):
         if left[tick] <= best:
@@ -184,13 +200,13 @@ def _until_ever(left: list[float], right: list[float]) -> list[int]:
 
 
 def _next(mask: npt.NDArray[np.bool_], ticks: IntArray) -> IntArray:
-    """Return the next tick with a true value from each of these ticks on; if there is none, a tick beyond them all."""
+    """Return, for each of some ticks, the first tick from it on at which a mask is true; a very large one if none."""
     places = np.append(np.flatnonzero(mask), 2 * len(mask) + 1)
     return places[np.searchsorted(places, ticks)]
 
 
 def _like(signal: Signal, values: npt.ArrayLike, deciders: FloatArray | None = None) -> Margin:
-    """Make a margin over the ticks and in the unit of a signal; it is a formula if it receives what decides it."""
+    """Make a margin with the ticks and the unit of a signal; it is a formula if ``deciders`` is given."""
     margin = Margin(values, hz=signal.hz, start=signal.start, unit=signal.unit)
     if deciders is not None:
         margin._decide(deciders)
@@ -198,7 +214,7 @@ def _like(signal: Signal, values: npt.ArrayLike, deciders: FloatArray | None = N
 
 
 def _looks_ahead(given: Any) -> bool:
-    """Return whether a formula is among the arguments of a function of numpy."""
+    """Return whether a formula is among the arguments of a numpy function."""
     return any(
         _looks_ahead(each) if isinstance(each, (list, tuple)) else getattr(each, "is_formula", False) for each in given
     )
@@ -233,7 +249,10 @@ def _checked(margin: Any) -> Margin:
 
 
 def _window(margin: Margin, within: Within | None) -> tuple[int, int]:
-    """Return the first and the last tick of a window, counted from each tick; the last is within the run's length."""
+    """Return the first and the last tick of a window, counted from the tick that it belongs to.
+
+    The last tick is at most the length of the run.
+    """
     if within is None:
         return 0, len(margin) - 1
     if margin.hz is None:

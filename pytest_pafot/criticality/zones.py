@@ -1,7 +1,7 @@
-"""Passages of the zones where the ways of NPCs meet the ego's: which vehicle is there when, and how narrowly they pass.
+"""Passages of the zones where NPCs' ways meet the ego's: when each vehicle is in the zone, and how narrowly they pass.
 
-Places are those of :class:`~pytest_pafot.Zone`. So a vehicle is in a zone as long as its box could touch the box of a
-vehicle on the other way.
+The beginning and end of a zone are those of :class:`~pytest_pafot.Zone`. A vehicle is in a zone as long as its box
+could touch the box of a vehicle on the other way.
 
 Sources: Allen, Shin, Cooper, "Analysis of traffic conflicts and collisions", Transportation Research Record 667, 1978,
 for post-encroachment time; Laureshyn, Svensson, Hyden, "Evaluation of traffic safety, based on micro-level behavioural
@@ -29,10 +29,10 @@ class Passage:
     """The times at which the ego and an NPC were in the zone where their ways meet.
 
     Attributes:
-        npc: index in the scenario.
+        npc: index of the NPC in the scenario.
         zone: zone where the two ways meet.
-        ego_enters, ego_leaves, npc_enters, npc_leaves: time of the first tick at which the centre was there [s]; inf if
-            the run ended before.
+        ego_enters, npc_enters: time of the first tick at which the vehicle was in the zone [s]; inf if it never was.
+        ego_leaves, npc_leaves: time of the first tick at which the vehicle had left the zone [s]; inf if it did not.
     """
 
     npc: int
@@ -44,9 +44,9 @@ class Passage:
 
     @property
     def post_encroachment_time(self) -> float:
-        """The time from when one of them left the zone until the other entered it [s]; lower is worse.
+        """The time between the first vehicle's exit from the zone and the second one's entry [s]; lower is worse.
 
-        0 if both were in it at the same time, inf if one of them never arrived.
+        0 if both were in the zone at the same time, inf if one of them never arrived.
         """
         if math.inf in (self.ego_enters, self.npc_enters):
             return math.inf
@@ -54,19 +54,19 @@ class Passage:
 
 
 def passages(trace: Trace) -> tuple[Passage | None, ...]:
-    """Return for each NPC how it and the ego passed their zone; None for an NPC on the grid.
+    """Return, for each NPC, the passage of the zone where its way meets the ego's; None for an NPC on the grid.
 
-    Also None if a user's world records zones but not the positions on the ways.
+    None, too, if a user's world records zones but not the vehicles' positions on their ways.
     """
     zones = trace.zones if trace.on_way is not None and trace.track is not None else ()
     return tuple(_passage(trace, npc, zone) for npc, zone in enumerate(zones or (None,) * len(trace.npcs[0])))
 
 
 def time_advantage(trace: Trace) -> FloatArray:
-    """Return the post-encroachment time that results if ego and NPC keep their speeds [s]; lower is worse.
+    """Return the post-encroachment time that would result if ego and NPC kept their speeds [s]; lower is worse.
 
-    Shape [ticks + 1, NPCs]. 0 if they would be in their zone at the same time, inf if one of them would never reach it,
-    and for an NPC on the grid. Once a vehicle has entered the zone or left it, the actual time counts.
+    Shape [ticks + 1, NPCs]. 0 if both would be in the zone at the same time. Infinite if one of them would never reach
+    the zone, and for an NPC on the grid. After a vehicle has entered or left the zone, the actual time is used.
     """
     advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
     for npc, zone in enumerate(trace.zones):
@@ -87,7 +87,10 @@ def time_advantage(trace: Trace) -> FloatArray:
 
 
 def still_to_pass(trace: Trace) -> npt.NDArray[np.bool_]:
-    """Return whether neither ego nor NPC has left their zone yet, shape [ticks + 1, NPCs]; False without a zone."""
+    """Return whether neither ego nor NPC has left the zone of their ways yet, shape [ticks + 1, NPCs].
+
+    False for an NPC on the grid.
+    """
     ticks = np.arange(trace.ticks + 1)[:, None]
     left = [0.0 if each is None else min(each.ego_leaves, each.npc_leaves) for each in passages(trace)]
     return np.asarray(ticks < np.multiply(left, trace.physics_hz) - ROUNDING)
@@ -107,13 +110,13 @@ def _passage(trace: Trace, npc: int, zone: Zone | None) -> Passage | None:
 
 
 def _ways(trace: Trace, npc: int, zone: Zone) -> tuple[tuple[int, FloatArray, Stretch], ...]:
-    """Return index, positions along its own way [m] and the zone's stretch, for the ego and for an NPC."""
+    """Return for the ego and for an NPC: vehicle index, positions along its way [m], and its stretch of the zone."""
     on_way: Any = trace.on_way
     return (0, trace.track_of(0)[:, ALONG], zone.ego), (npc + 1, on_way[:, npc], zone.npc)
 
 
 def _first_at(place: float, along: FloatArray) -> float:
-    """Return the first tick at which a vehicle had reached a place; inf if never, NaN if a position is unknown."""
+    """Return the first tick at which a vehicle had reached a place [m]; inf if never, NaN if a position is unknown."""
     if np.isnan(along).any():
         return math.nan
     ticks = np.flatnonzero(along >= place)
@@ -121,7 +124,10 @@ def _first_at(place: float, along: FloatArray) -> float:
 
 
 def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: int) -> FloatArray:
-    """Return the seconds until a vehicle reaches a place at its speed, at each tick; negative after it was there."""
+    """Return, for each tick, the seconds until a vehicle reaches a place at its present speed.
+
+    From the tick at which the vehicle reaches the place on, they are 0 or negative and count the time since then.
+    """
     ticks = np.arange(len(along))
     is_moving = speed > 0
     ahead: FloatArray = np.where(is_moving, (place - along) / np.where(is_moving, speed, 1.0), np.inf)
