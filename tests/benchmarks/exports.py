@@ -124,7 +124,7 @@ def version(distribution: str | None) -> str:
 def main() -> int:
     """Find, export, read, and print the table; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--finds", type=Path, metavar="DIR", help="where the finds go, or are (default: nowhere)")
+    parser.add_argument("--finds", type=Path, metavar="DIR", help="where to store or reuse the findings")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         readings = Readings(finds(given.finds or Path(scratch)))
