@@ -28,7 +28,7 @@ PROJECT, PYTEST = CONFIG["project"], CONFIG["tool"]["pytest"]["ini_options"]
 
 
 def commands():
-    """Return every command of every block, as words, without environment variables."""
+    """Yield every command of every block, as words, without environment variables."""
     blocks = "".join(re.findall(r"^```sh\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL))
     for line in re.split(r"\n| && ", blocks.strip()):
         words = shlex.split(line)

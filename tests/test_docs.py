@@ -100,7 +100,7 @@ def blocks_of(text):
 
 
 def stories():
-    """Return the parts of all documents that run in their own folders."""
+    """Yield the parts of all documents that run in their own folders."""
     for document in DOCUMENTS:
         for number, part in enumerate(GENERATED.sub("", text_of(document)).split(NEW_FOLDER)):
             if any(block.language in RUN for block in blocks_of(part)):
@@ -468,7 +468,7 @@ def anchors(document):
 
 
 def links():
-    """Return every link and picture inside the repository, with its document."""
+    """Yield every link and picture inside the repository, with its document."""
     for document in DOCUMENTS:
         for target in re.findall(r"(?:\]\(|src=\"|srcset=\")([^)\"\s]+)", FENCE.sub("", text_of(document))):
             if "://" not in target:

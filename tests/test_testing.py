@@ -19,7 +19,7 @@ ROAD = Highway(duration=4.0, hang_limit=0.3)
 
 @pytest.fixture(autouse=True)
 def clock(monkeypatch):
-    """Return a clock that advances only, and at once, while the check has an ADS wait for its end."""
+    """Replace the clock: it advances only when the check has an ADS wait for its end, and then at once."""
     clock = StoppedClock(monkeypatch)
     monkeypatch.setattr("pytest_pafot.testing.time", SimpleNamespace(sleep=clock.sleep))
 

@@ -214,7 +214,7 @@ class TestASecondChance:
 
     @staticmethod
     def behind_the_ego(*brakes):
-        """Return an NPC, 8 m/s faster; the ego crosses the line 10 m ahead of it at tick 36."""
+        """Return the verdict if an NPC comes 8 m/s faster; the ego crosses the line 10 m ahead of it at tick 36."""
         ego, npc = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-34.2, speed=28.0, brakes=brakes)
         return rss_rule(crash(ego, npc, side="rear", cell=Cell.REAR))
 

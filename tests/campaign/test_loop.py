@@ -44,7 +44,7 @@ def quiet_run(scenario):
 
 
 def lost(scenario, *, is_hang=False):
-    """Return a run whose process does not come back."""
+    """Raise like a run whose process does not come back."""
     raise ProcessLostError(scenario, pid=7, how="ended with exit code 9", is_hang=is_hang)
 
 

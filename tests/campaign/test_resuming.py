@@ -253,7 +253,7 @@ def test_a_state_of_the_same_settings_goes_on(search, begun):
 
 
 def changed(change):
-    """Return a damage to the data of a state."""
+    """Return a function that damages the data of a state."""
 
     def fault(text):
         data = json.loads(text)

@@ -10,7 +10,7 @@ from pytest_pafot.world import Highway
 
 @pytest.fixture(scope="session")
 def quick():
-    """Return a function that changes fields of a plan."""
+    """Return a function that makes a short plan with changed fields."""
 
     def plan(**changes):
         fields = {

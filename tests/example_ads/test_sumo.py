@@ -20,7 +20,7 @@ def vehicle(*, x=100.0, lane=1, speed=15.0):
 
 @pytest.fixture
 def decide():
-    """Return the decision of a driver that sees others for the first time."""
+    """Return a function that gives the decision of a driver that sees others for the first time."""
     made = []
 
     def ask(*others, models=("IDM", "LC2013")):

@@ -129,7 +129,7 @@ class Unreadable:
 
 
 class Unportable(Exception):  # noqa: N818
-    """An exception that unpickles from one argument by default, but needs none."""
+    """An exception that cannot be unpickled: by default it gets one argument instead of two, and a part fails."""
 
     def __init__(self, number, noun):
         super().__init__(f"{number} {noun}")

@@ -31,12 +31,12 @@ def written(exported, name, folder):
 
 
 def centres(trace):
-    """Return x and y to the left of every vehicle [m], shape [ticks + 1, vehicles, 2]."""
+    """Return every vehicle's x and y [m], y to the left, shape [ticks + 1, vehicles, 2]."""
     return trace.states[..., [X, Y]] * (1, -1)
 
 
 def lines(trace):
-    """Return the centre line of every lane, y to the left [m]."""
+    """Yield the centre line of every lane [m], y to the left."""
     for lane in trace.lanes:
         end = lane.x + lane.length * math.cos(lane.heading), lane.y + lane.length * math.sin(lane.heading)
         yield np.array(lane.points or ((lane.x, lane.y), end)) * (1, -1)

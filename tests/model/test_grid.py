@@ -140,7 +140,7 @@ def test_repaired_gene_does_not_depend_on_later_genes(chains, seed):
 
 
 def preference(previous, requested, existing, clockwise):
-    """Return the docstring's order: the request, then a neighbour by coin, then the other, then the present cell."""
+    """Return the order of `repair_gene`: the request, a neighbour by coin, the other one, the present cell."""
     order = [requested] if previous == requested or requested in previous.neighbours else []
     order += reversed(previous.neighbours) if clockwise else previous.neighbours
     order = [cell for cell in order if cell in existing]

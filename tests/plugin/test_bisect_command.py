@@ -75,7 +75,7 @@ def commit(tmp_path, monkeypatch):
 
 @pytest.fixture
 def tried(monkeypatch):
-    """Replace the trials by the policy's own statement of its result."""
+    """Replace trials by the result that the policy's text states; return the texts that were tried."""
     texts = []
 
     def session(self):
@@ -236,7 +236,7 @@ def test_runs_that_cannot_be_compared_are_told(commit):
 
 @pytest.fixture
 def told(monkeypatch, tmp_path):
-    """Return a session's message to the command."""
+    """Return a function that reads a session's message to the command."""
     monkeypatch.setenv(TOLD, json.dumps({"file": str(tmp_path / "told.json"), "policy": [str(tmp_path / "elsewhere")]}))
     return lambda: json.loads((tmp_path / "told.json").read_text())
 
@@ -249,7 +249,7 @@ def replay(project, told):
 
 @pytest.fixture
 def safety(project):
-    """Return the finding in a project whose planner has the headway that a test writes."""
+    """Return a project with the finding, whose planner has the headway that a test writes."""
     (project.path / FILE).parent.mkdir(parents=True)
     (project.path / FILE).write_text(FINDING)
     project.write(TEST, "test_safety")
@@ -311,7 +311,7 @@ def test_policy_imported_from_elsewhere_gives_no_verdict(safety, told, monkeypat
 
 @pytest.fixture
 def real(commit, monkeypatch):
-    """Return the repository with the test, without the settings of the outer session."""
+    """Return `commit` for a repository with the test, without the settings of the outer session."""
     Path("test_safety.py").write_text("import pytest_pafot as pafot\n" + TEST)
     for name in ("PYTEST_ADDOPTS", "PYTHONPATH"):
         monkeypatch.delenv(name, raising=False)

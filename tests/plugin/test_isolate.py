@@ -61,7 +61,7 @@ QUICK = ("--pafot-shrink-rollouts=0",)
 
 @pytest.fixture
 def isolated(project, monkeypatch):
-    """Return a project whose ADS has the given source text."""
+    """Return a function that writes a project whose ADS has some source text."""
     monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "60")  # none of these tests needs the default of 300
 
     def write(drive="keep", more="", test=MANY):

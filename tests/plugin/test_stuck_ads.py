@@ -68,7 +68,7 @@ def test_ordinary():
 
 @pytest.fixture
 def hanging(project):
-    """Return a project whose ADS hangs after some findings, by a function of the conftest."""
+    """Return a function that writes a project whose ADS hangs after some findings, by a function of the conftest."""
 
     def write(hang):
         project.pytester.makeconftest(STUCK.replace("HANG", hang))

@@ -53,7 +53,7 @@ def test_many(run):
 
 @pytest.fixture
 def dear(project):
-    """Return a project with an ADS slow enough for workers, made from some source text."""
+    """Return a function that writes a project with some source text, whose ADS is slow enough for workers."""
 
     def write(drive="keep", more="", test=MANY):
         project.pytester.makeconftest(DEAR.replace("DRIVE", drive) + more)

@@ -44,7 +44,7 @@ def one(text, **fields):
 
 @pytest.fixture
 def landscape(make_evaluation):
-    """Return a function that evaluates scenarios by a function."""
+    """Return a function that turns a fitness function into an evaluation of scenarios."""
 
     def evaluate(fitness):
         return lambda each: make_evaluation(each, fitness=fitness(each))

@@ -41,7 +41,7 @@ def hungry(env_action=1):
 
 
 def cases():
-    """Return (world, ADS factory) of every kind."""
+    """Yield (world, ADS factory) of every kind."""
     yield from ((Highway(duration=8.0), ego) for ego in EGOS)
     yield from ((World("highway-v0", duration=8.0), ads) for ads in (policy, shooter, IDMVehicle))
     yield World("highway-v0", config=SHUFFLED, duration=8.0), functools.partial(hungry)

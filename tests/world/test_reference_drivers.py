@@ -44,7 +44,7 @@ def drive(driver, other, *, seconds=10.0, speed=20.0, hz=HZ):
 
 
 def leader(gap, speed, brakes_at=math.inf, braking=0.0):
-    """Return a vehicle in the ego's lane that may brake."""
+    """Return the state, by time, of a vehicle in the ego's lane that may brake."""
 
     def state(time):
         braked = min(max(time - brakes_at, 0.0), speed / braking if braking else 0.0)
@@ -64,7 +64,7 @@ def leader(gap, speed, brakes_at=math.inf, braking=0.0):
 
 
 def cut_in(gap, speed, begins, seconds=2.0):
-    """Return a vehicle in the left lane that moves 4 m into the ego's in some seconds, from 20 m/s at a gap."""
+    """Return the state, by time, of a vehicle that moves from the left lane into the ego's, at a gap."""
     ahead = 5.0 + gap + (20.0 - speed) * begins
 
     def state(time):

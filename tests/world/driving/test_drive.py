@@ -31,7 +31,7 @@ def always(action):
 
 
 def changing(seed):
-    """Return lanes, speeds, accelerations and pairs in turn."""
+    """Return a factory of planners that answer lanes, speeds, accelerations and pairs in turn."""
 
     def factory():
         rng = random.Random(seed)

@@ -88,7 +88,7 @@ def run(rollout, kind, **imperfections):
 
 
 def delayed(rows, ticks):
-    """Return rows as a delay line releases them: the first one until it is full."""
+    """Yield rows as a delay line releases them: the first one until it is full."""
     line = deque([rows[0]] * (ticks + 1), maxlen=ticks + 1)
     for row in rows:
         line.append(row)

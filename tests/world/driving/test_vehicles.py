@@ -90,7 +90,7 @@ def tangled():
 
 
 def places(network, rng, count):
-    """Return places near lanes, beyond their ends, and anywhere else."""
+    """Yield places near lanes, beyond their ends, and anywhere else."""
     for number in range(count):
         heading = None if number % 2 else rng.uniform(-10, 10)
         lane = network.lanes_list()[rng.integers(len(network.lanes_list()))]

@@ -33,7 +33,7 @@ class CustomFault(Exception):  # noqa: N818
 
 
 def failing_after(decisions, fail, idle):
-    """Return an ADS that drives for a number of decisions, then calls ``fail``."""
+    """Return a factory of ADSs that drive for a number of decisions, then call ``fail``."""
 
     def factory():
         count = iter(range(1000))
@@ -202,7 +202,7 @@ def spinning():
 
 
 def spinning_deaf():
-    """Swallow the first interruption."""
+    """Spin without end, and swallow the first interruption."""
     try:
         spinning()
     except BaseException:  # noqa: BLE001
@@ -278,7 +278,7 @@ def test_late_interruption_never_breaks_the_following_code(inside_thread):
     escaped = []
 
     def decide(until):
-        """Use a separate frame, as an ADS does: CPython 3.13 puts a ``while``'s jump outside the ``try`` around it."""
+        """Run in a separate frame, like an ADS: CPython 3.13 puts a ``while``'s jump outside the ``try`` around it."""
         while time.perf_counter() < until:
             pass
 
