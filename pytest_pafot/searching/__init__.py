@@ -1,6 +1,6 @@
 """The search: an algorithm proposes scenarios, and a campaign evaluates them and passes the results to the algorithm.
 
-Nothing here simulates. :func:`run_campaign` receives a function that turns a scenario into an evaluation.
+This package does not simulate: :func:`run_campaign` receives a function that turns a scenario into an evaluation.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The interface of search algorithms: a campaign asks them for scenarios and tells them what the runs showed.
+"""The interface of search algorithms: a campaign gets scenarios from ``ask`` and passes their evaluations to ``tell``.
 
-A search needs no more than :class:`Algorithm`. :class:`GenerationalSearch` is a base for algorithms without local
-searches, ours and others: a subclass defines what it proposes and what it learns.
+A search needs only the methods of :class:`Algorithm`. :class:`GenerationalSearch` is a base class for algorithms
+without local searches, also for users' own: a subclass defines what it proposes and what it learns.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from pytest_pafot.searching.space import SearchSpace
 
 
 class SearchState(Protocol):
-    """The parts of an algorithm's state that a campaign reads; a state is a value."""
+    """The parts of an algorithm's state that a campaign reads; a state is an immutable value."""
 
     @property
     def generation(self) -> int:
-        """The generation of the main search that is in progress or comes next, from 0."""
+        """The current or next generation of the main search, counted from 0."""
 
     @property
     def local_generation(self) -> int:
-        """The generation of a local search, from 1; 0 in the main search."""
+        """The current or next generation of a local search, counted from 1; 0 in the main search."""
 
 
 StateT = TypeVar("StateT", bound=SearchState)
@@ -46,25 +46,25 @@ class Algorithm(Protocol[StateT]):
 
     @property
     def name(self) -> str:
-        """The name in files and reports."""
+        """The name of the algorithm in files and reports."""
 
     def start(self, rng: Rng) -> StateT:
         """Return the state before the first generation."""
 
     def ask(self, state: StateT, rng: Rng) -> tuple[StateT, tuple[Scenario, ...]]:
-        """Return the scenarios to evaluate next; empty if a generation brings nothing new.
+        """Return the new state, and the scenarios to evaluate next; none if the generation has no new scenario.
 
         Raises:
-            RuntimeError: if the scenarios of the last ask have not been told.
+            RuntimeError: if ``tell`` was not called after the last ``ask``.
         """
 
     def tell(
         self, state: StateT, evaluations: Sequence[Evaluation], rng: Rng
     ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
-        """Finish the requested generation, with its evaluations in the same order.
+        """Finish the generation of the last ``ask``, with the evaluations of its scenarios in the same order.
 
         Raises:
-            RuntimeError: without a previous ask.
+            RuntimeError: if ``ask`` was not called before.
             ValueError: if the evaluations are not those of the requested scenarios.
         """
 
@@ -72,8 +72,8 @@ class Algorithm(Protocol[StateT]):
 class Drawing(Generic[StateT]):
     """The scenarios of a generation, which can be run while later ones are still being sampled.
 
-    Iterating over it asks an algorithm and yields its scenarios. A :class:`GenerationalSearch` samples each scenario
-    only when it is read, unless the class has a different ``ask``.
+    Iterating over this object yields the scenarios that the algorithm proposes. A :class:`GenerationalSearch` samples
+    each scenario only when it is read, unless its class overrides ``ask``.
     """
 
     def __init__(self, algorithm: Algorithm[StateT], state: StateT, rng: Rng) -> None:
@@ -88,7 +88,7 @@ class Drawing(Generic[StateT]):
             yield scenario
 
     def finished(self) -> StateT:
-        """Sample all scenarios that were not read, and return the state."""
+        """Sample all scenarios that were not read yet, and return the algorithm's state after them."""
         deque(self, maxlen=0)
         return self._state
 
@@ -102,7 +102,7 @@ class Drawing(Generic[StateT]):
 
 @runtime_checkable
 class ResumableSearch(Protocol):
-    """The additional methods of an algorithm whose search ``--pafot-resume`` can continue in a different session."""
+    """The additional methods of an algorithm whose search ``--pafot-resume`` can continue in a later session."""
 
     def stored(self, state: Any) -> Any:
         """Return a state between two generations as plain data; see :func:`~pytest_pafot.searching.plain.plain`."""
@@ -117,7 +117,7 @@ class ResumableSearch(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationState:
-    """The state of a search without local searches, between two calls."""
+    """The state of a search without local searches, between two calls of ``ask`` or ``tell``."""
 
     generation: int = 0  # counted from 0
     local_generation: int = 0  # always 0, because there is no local search
@@ -131,10 +131,10 @@ GenerationStateT = TypeVar("GenerationStateT", bound=GenerationState)
 
 @dataclass(frozen=True, slots=True)
 class GenerationalSearch(ABC, Generic[GenerationStateT]):
-    """An algorithm without local searches.
+    """A base class for algorithms without local searches.
 
     Attributes:
-        space: space of the scenarios.
+        space: space from which scenarios are sampled.
         population: number of scenarios in a generation.
     """
 
@@ -152,10 +152,10 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 
     @abstractmethod
     def propose(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, Iterable[Scenario]]:
-        """Return the next state, and the scenarios of the next generation, which may be sampled as they are read."""
+        """Return the next state and the scenarios of the next generation; an iterator may sample them when read."""
 
     def learn(self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng) -> GenerationStateT:
-        """Return the state with what a generation's runs show; its best and its generation are updated elsewhere."""
+        """Return the state after learning from a generation's runs; ``tell`` updates ``best`` and ``generation``."""
         return state
 
     def ask(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
@@ -193,14 +193,14 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         return learnt, (finished, NewBest(generation=state.generation, local_generation=0, evaluation=new))
 
     def kept(self, state: GenerationStateT) -> Sequence[Evaluation]:
-        """Return the evaluations that pass unchanged into the requested generation."""
+        """Return the evaluations from earlier generations that also belong to the requested one; none by default."""
         return ()
 
 
 def end_of_local_search(
     state: SearchState, incumbent: Evaluation, better: Evaluation | None
 ) -> tuple[AlgorithmEvent, ...]:
-    """Return an algorithm's events at the end of a local search, which may have found a better scenario."""
+    """Return the events at the end of a local search; ``better`` is its best scenario if that beats the incumbent."""
     finished = LocalSearchFinished(
         generation=state.generation, incumbent=incumbent, best=better or incumbent, replaced=better is not None
     )
@@ -210,37 +210,39 @@ def end_of_local_search(
 
 
 def check_ask(asked: Sequence[object] | None) -> None:
-    """Refuse an ask while scenarios are under evaluation; ``asked`` is None if there are none.
+    """Refuse a call of ``ask`` while scenarios are under evaluation; ``asked`` is None if there are none.
 
     Raises:
-        RuntimeError: if the scenarios of the state's last ask have not been told.
+        RuntimeError: if ``tell`` was not called after the last ``ask``.
     """
     if asked is not None:
         raise RuntimeError(
-            f"ask: expected tell after the last ask, which gave {len(asked)} scenarios; received another ask; "
-            "evaluate them and pass the state that ask returned to tell"
+            f"ask: expected tell after the last ask, which gave {len(asked)} scenarios, received a second ask; "
+            "evaluate the scenarios, and pass tell their evaluations and the state that ask returned"
         )
 
 
 def check_evaluations(asked: Sequence[Scenario] | None, evaluations: Sequence[Evaluation]) -> None:
-    """Refuse evaluations that do not belong one by one to the requested scenarios.
+    """Refuse evaluations that do not match the requested scenarios one by one.
 
     Raises:
         RuntimeError: if no scenarios were requested.
-        ValueError: if the number or a scenario differs.
+        ValueError: if there are more or fewer evaluations, or one is of a different scenario.
     """
     if asked is None:
         raise RuntimeError(
-            "tell: expected an ask before; received a state without one; pass the state that ask returned"
+            "tell: expected a state that ask returned, received a state in which no scenarios were requested; "
+            "call ask first"
         )
     check_order("tell", asked, evaluations)
 
 
 def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence[Evaluation]) -> None:
-    """Refuse evaluations that do not belong one by one to the scenarios.
+    """Refuse evaluations that do not match the scenarios one by one.
 
     Raises:
-        ValueError: if the number or a scenario differs; it names the place.
+        ValueError: if there are more or fewer evaluations, or one is of a different scenario; the message begins with
+            ``place``.
     """
     if len(evaluations) != len(scenarios):
         raise ValueError(
@@ -250,16 +252,16 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
     for index, (scenario, evaluation) in enumerate(zip(scenarios, evaluations, strict=True)):
         if evaluation.scenario is not scenario and evaluation.scenario != scenario:
             raise ValueError(
-                f"{place}: expected the evaluation of {scenario!r} at {index}, received one of "
+                f"{place}: expected the evaluation of {scenario!r} at {index}, received the evaluation of "
                 f"{evaluation.scenario!r}; keep the order of the scenarios"
             )
 
 
 def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int) -> None:
-    """Refuse parameters of a search that are out of range: rates, factors, and counts below their lower limit.
+    """Refuse parameters of a search that are out of range: rates outside 0 to 1, negative factors, and low counts.
 
     Raises:
-        ValueError: for the first wrong parameter, by name.
+        ValueError: for the first wrong parameter; the message names it.
     """
     limits: dict[str, tuple[float, float, str]] = dict.fromkeys(rates, (0, 1, "a number from 0 to 1"))
     limits |= {name: (0, math.nextafter(math.inf, 0), "a finite number, at least 0") for name in factors}

@@ -28,18 +28,18 @@ from pytest_pafot.searching.events import (
 from pytest_pafot.searching.operators import improves
 
 Evaluate = Callable[[Scenario], Evaluation]
-"""Simulates a scenario and evaluates it."""
+"""A function that simulates a scenario and evaluates the run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Checkpoint(Generic[StateT]):
-    """The progress of a campaign: everything besides its arguments that decides how it continues.
+    """The progress of a campaign: with the arguments of :func:`run_campaign` it determines how the campaign continues.
 
     Attributes:
         state: state of the algorithm at the last boundary between two generations.
         sums: totals over all evaluations so far.
-        remembered: runs that were known at that boundary, which are not simulated again.
-        begun: evaluations of the generation that has begun since, each with whether an earlier run was reused.
+        remembered: runs that were known at that boundary and need not be simulated again.
+        begun: evaluations so far in the generation after that boundary, each with True if an earlier run was reused.
     """
 
     state: StateT
@@ -68,14 +68,14 @@ def run_campaign(  # noqa: PLR0913  (each parameter is an independent choice)
     resumed: Checkpoint[StateT] | None = None,
     border: Callable[[Callable[[], Checkpoint[StateT]]], None] = lambda checkpoint: None,
 ) -> Generator[Event, None, None]:
-    """Search, and yield what happens as it happens.
+    """Run a search, and yield its events as they happen.
 
-    A scenario is simulated only if no earlier run of the campaign showed what it does; otherwise the earlier evaluation
-    is reused and marked. The events depend only on the algorithm, the seed and the evaluations: every generation has
-    its own random generator, derived from (seed, generation, local generation). Only the moment at which a limit cuts
-    the campaign, and ``CampaignFinished.seconds``, depend on time.
+    A scenario is simulated only if no earlier run of the campaign shows its result; otherwise the earlier evaluation is
+    reused, and its event is marked. The events depend only on the algorithm, the seed and the evaluations: every
+    generation has its own random generator, derived from (seed, generation, local generation). Only the moment at which
+    a limit ends the campaign, and ``CampaignFinished.seconds``, depend on time.
 
-    Closing the generator ends the campaign at the last event, without another evaluation.
+    If the generator is closed, the campaign ends at the last event, without a further evaluation.
 
     Args:
         algorithm: the algorithm to run.
@@ -83,23 +83,24 @@ def run_campaign(  # noqa: PLR0913  (each parameter is an independent choice)
         generations: generations of the main search, at least 1; those of local searches are additional. None if the
             number of ``runs`` is the limit; there are never more generations than runs.
         seed: seed of all random numbers, at least 0.
-        runs: number of simulated scenarios after which the campaign ends, at least 1; None for no limit. If it ends
-            inside a generation, that counts as finished, but the algorithm is not told.
-        max_seconds: time limit, checked between two calls of ``evaluate``, so that at least one scenario is
-            simulated; a function is called each time, for a limit that depends on the evaluations so far.
+        runs: number of simulated scenarios after which the campaign ends, at least 1; None for no limit. If the limit
+            is reached inside a generation, it is reported as finished, but the algorithm does not receive its results.
+        max_seconds: time limit [s], checked between two calls of ``evaluate``, so at least one scenario is simulated.
+            If it is a function, each check calls it, so the limit may depend on the evaluations so far.
         clock: seconds since any fixed moment; required by ``max_seconds``. Without a clock no time is measured.
         stop: called between two calls of ``evaluate``; returns whether to end the campaign.
-        seeds_matter: whether a run depends on its scenario's seed beyond the chains that were driven.
-        foresee: receives at the beginning of a generation its unknown scenarios, in order; each of them may be sampled
-            only when it is read. Most of them are passed to ``evaluate`` afterwards; simulating them ahead changes no
-            event.
-        adapted: returns the algorithm to continue with; called before each generation with the current one and its
-            state.
-        resumed: checkpoint of an earlier campaign with the same arguments. Generations and runs count from
-            there. The events of both, one after the other, are those of one uninterrupted campaign, except for its
-            beginning and end; if the limit on runs cut a generation, both report it as finished.
-        border: called at the beginning, after the events of each generation, and at the end, with a function that
-            makes the checkpoint; that function can be called until the next event is requested.
+        seeds_matter: True if the seed of a scenario can change its run even if the NPCs drive the same chains.
+        foresee: called at the beginning of each generation with its scenarios that no earlier run shows, in order, as
+            an iterable that may sample each scenario only when it is read. Most of them are passed to ``evaluate``
+            later; simulating them in advance changes no event.
+        adapted: called before each generation with the current algorithm and its state; returns the algorithm to
+            continue with.
+        resumed: checkpoint of an earlier campaign with the same arguments, from which ``generations`` and ``runs``
+            are counted. The events of both campaigns, one after the other, are those of one uninterrupted campaign,
+            except for :class:`CampaignStarted` and :class:`CampaignFinished`. If the limit on runs cut a generation,
+            both campaigns report it as finished.
+        border: called at the beginning of the campaign, after the events of each generation, and at the end. It
+            receives a function that makes the checkpoint and can be called until the next event is requested.
 
     Raises:
         ValueError: for an argument out of range, before anything runs.
@@ -113,7 +114,9 @@ def run_campaign(  # noqa: PLR0913  (each parameter is an independent choice)
     if isinstance(max_seconds, (int, float)) and not max_seconds >= 0:
         raise ValueError(f"max_seconds: expected seconds, at least 0, or None for no limit, received {max_seconds!r}")
     if max_seconds is not None and clock is None:
-        raise ValueError("clock: expected a function that gives seconds, such as time.monotonic, with max_seconds")
+        raise ValueError(
+            "clock: expected a function that returns seconds with max_seconds, received None; give time.monotonic"
+        )
     now = clock or (lambda: 0.0)
 
     def exceeded(left: int, seconds: float) -> EndReason | None:
@@ -145,7 +148,7 @@ def run_campaign(  # noqa: PLR0913  (each parameter is an independent choice)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
-    """Return the random generator of one generation, which depends only on the seed and the generation's numbers."""
+    """Return the random generator of a generation; it depends only on the seed and the numbers of the generation."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
 
 
@@ -236,7 +239,7 @@ class _Campaign(Generic[StateT]):
             return algorithm.tell(state, evaluations, rng)
         if reason != "runs" or not evaluations:
             return state, ()
-        # The algorithm is not told, because no other generation follows.
+        # The algorithm does not receive these evaluations, because no other generation follows.
         finished = GenerationFinished(
             generation=state.generation, local_generation=state.local_generation, population=evaluations, elites=0
         )
@@ -244,7 +247,7 @@ class _Campaign(Generic[StateT]):
 
 
 class _Evaluator:
-    """The one gate before each simulation."""
+    """The only place that has scenarios simulated: it reuses the evaluations of runs that are known already."""
 
     def __init__(
         self, evaluate: Evaluate, foresee: Callable[[Iterable[Scenario]], None] | None, cache: EvaluationCache
@@ -268,7 +271,7 @@ class _Evaluator:
                 self._cache.add(evaluation)
 
     def remembering(self, checkpoint: Checkpoint[StateT]) -> Checkpoint[StateT]:
-        """Return a checkpoint with the known runs, except those that it already lists for the current generation."""
+        """Return a checkpoint with the known runs added, except those that its ``begun`` already lists."""
         new = sum(not reused for _, reused in checkpoint.begun)
         return replace(checkpoint, remembered=self._cache.remembered(but=new))
 

@@ -1,6 +1,6 @@
-"""NPCs that meet the ego where ways cross: sampling and varying their instructions without conflicts among them.
+"""NPCs on ways that cross the ego's: their instructions are sampled and varied so that these NPCs do not conflict.
 
-NPCs on the grid are not considered here, because the ego determines where they drive.
+NPCs on the grid are not checked for conflicts, because the ego determines where they drive.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ from pytest_pafot.model.scenario import (
 )
 
 ACTS: tuple[Act, ...] = ("pass", "hold", "stop")
-"""Acts that are sampled by default. An NPC that starts late often leads to a dispute about who had to wait."""
+"""Acts that are sampled by default. ``late`` is left out, because after it one can often dispute who had to wait."""
 PASSES = 0.7
-"""Share of the NPCs that drive through their zone without stopping, if other acts are possible."""
+"""Share of the crossing NPCs that drive through their zone without stopping, if other acts are possible."""
 SLOT_SHARES = {"well before": 0.1, "just before": 0.2, "together": 0.2, "just after": 0.3, "well after": 0.2}
-"""Probability of each of the five slots: most NPCs just after the ego meet one that hesitates."""
+"""Probability of each of the five kinds of slots. "Just after" is most likely: it meets an ego that hesitates."""
 SLOWEST = 3.0
-"""Lowest target speed of an NPC that crosses [m/s]; slower ones hardly arrive."""
+"""Lowest target speed of an NPC that crosses [m/s]; slower NPCs rarely arrive at their zone."""
 SLOT_CHANGE, SPEED_CHANGE, ACT_CHANGE = 0.5, 0.25, 0.1
-"""Shares of the variations of an instruction that move its slot, change its speed or change its act; the others
-sample a new instruction."""
+"""Probabilities that a variation of an instruction moves its slot, changes its speed, or changes its act; otherwise a
+new instruction is sampled."""
 SHIFT = 0.8
-"""Standard deviation of the change of a slot [s]."""
+"""Standard deviation of the time by which a variation moves a slot [s]."""
 ATTEMPTS = 30
-"""Number of attempts to sample an instruction that fits next to others."""
+"""Number of attempts to sample an instruction that does not conflict with other NPCs."""
 MOST_ATTEMPTS = 1000
-"""Number of attempts to sample an instruction at all, before giving up on ways on which hardly anything fits."""
+"""Number of attempts to sample an instruction with which an NPC can start on its way, before an error is raised."""
 
 
 @dataclass(frozen=True, slots=True)
 class CrossingTraffic:
-    """The distribution of instructions at zones.
+    """The distribution from which the instructions of crossing NPCs are sampled.
 
     Attributes:
         crossings: the ways of the world.
         acts: acts that are sampled.
         low, high: lowest and highest target speed [m/s]; bends of a way may limit it further.
-        most_on_grid: number of NPCs in addition to these for which there is a cell to start in.
+        most_on_grid: largest number of NPCs on the grid in the same scenario; each needs a cell to start in.
     """
 
     crossings: Crossings
@@ -75,7 +75,7 @@ class CrossingTraffic:
         )
 
     def varied(self, instruction: CrossingInstruction, rng: Generator) -> CrossingInstruction:
-        """Change the slot, speed or act of an instruction, or sample a new one; the result may not fit."""
+        """Change the slot, speed or act of an instruction, or sample a new one; the result may not fit its way."""
         share = rng.random()
         if share < SLOT_CHANGE:
             step = max(1, round(abs(rng.normal(0, SHIFT)) * SLOT_STEPS_PER_SECOND)) * (1 if rng.integers(2) else -1)
@@ -91,20 +91,20 @@ class CrossingTraffic:
     def beside(
         self, others: Sequence[CrossingInstruction], propose: Callable[[], CrossingInstruction]
     ) -> CrossingInstruction | None:
-        """Return the first proposal that fits its way and conflicts with no NPC; None after a number of attempts."""
+        """Return the first proposal that fits its way and does not conflict with ``others``; None after 30 attempts."""
         proposals = (propose() for _ in range(ATTEMPTS))
         return next((each for each in proposals if self.has_room(each, others)), None)
 
     def has_room(self, instruction: CrossingInstruction, others: Sequence[CrossingInstruction]) -> bool:
-        """Return whether an instruction fits its way and conflicts with no other one."""
+        """Return whether an instruction fits its way and does not conflict with any of ``others``."""
         return self.crossings.fits(instruction) and not any(self.crossings.clash(instruction, each) for each in others)
 
     def cleared(self, npcs: Sequence[Chromosome], rng: Generator) -> tuple[Chromosome, ...]:
-        """Remove conflicts: no chain conflicts with an earlier one, and not too many NPCs are on the grid.
+        """Return the chains without conflicts between crossing NPCs, and with at most ``most_on_grid`` on the grid.
 
-        A conflicting instruction is sampled again, at first with its way and its act. If that does not help, the NPC
-        arrives as long after the ego as possible, and if that conflicts as well, the NPC is left out. An NPC without
-        room on the grid crosses instead. No random number is used if everything fits.
+        An instruction that conflicts with an earlier chain is sampled again, at first with the same way, speed and act.
+        If that does not help, the NPC arrives as long after the ego as possible. If that conflicts as well, the NPC is
+        left out. An NPC without room on the grid crosses instead. No random number is used if everything fits.
         """
         kept: list[Chromosome] = []
         told: list[CrossingInstruction] = []
@@ -157,7 +157,7 @@ class CrossingTraffic:
 
 
 def drawn_slot(rng: Generator) -> float:
-    """Sample a slot [s]: one of the five, then a time in it; in the open-ended ones short times are more likely."""
+    """Sample a slot [s]: one of the five kinds, then a time in it. Times from 1 s on are rarer the longer they are."""
     name = rng.choice(list(SLOT_SHARES), p=list(SLOT_SHARES.values()))
     far = 1 + (LARGEST_SLOT - 1) * rng.random() ** 2
     near = int(rng.integers(1, SLOT_STEPS_PER_SECOND)) / SLOT_STEPS_PER_SECOND
@@ -166,7 +166,7 @@ def drawn_slot(rng: Generator) -> float:
 
 
 def mixed(a: CrossingInstruction, b: CrossingInstruction, rng: Generator) -> tuple[CrossingInstruction, ...]:
-    """Return two children of instructions at one zone; they swap slot, speed and act independently at random."""
+    """Return two children of two instructions for one zone; slot, speed and act are each swapped or not at random."""
     slot, speed, act = (bool(each) for each in rng.integers(2, size=3))
     return tuple(
         replace(

@@ -1,4 +1,4 @@
-"""The search's view of one simulated scenario, and the order in which it prefers scenarios."""
+"""The results of a simulated scenario that a search uses, and the order in which a search prefers scenarios."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, FloatArray
 from pytest_pafot.searching.interaction import InteractionSweep
 
 Rank = tuple[bool, bool, float]
-"""Eligible, failing, fitness: compared from the left, greater is worse for the ego."""
+"""A sort key for runs: eligible, failing, fitness. The first difference decides; greater is worse for the ego."""
 
 # An NPC in the ego's lane interacts with it within this time of the follower's travel [s]. It is less than the 2 s at
 # which NPCs start, so that a start by itself is no interaction ...
@@ -25,16 +25,16 @@ INTERACTION_GAP = 2.0  # ... or within this gap at any speed [m]
 FAR_BEHIND = 100.0  # [m]; an NPC farther behind cannot catch up within a gene of 10 s
 
 Demand = tuple[int, int, bool]
-"""The step of the ego's hardest braking, its number of lane changes (at most two), and whether it stood still."""
+"""The ego's reactions in a run: its hardest braking in steps, its lane changes (at most two), and if it stood still."""
 BRAKING_STEP = 2.0
-"""Width of the steps of the hardest braking in a demand [m/s^2]."""
+"""Width of the steps in which :data:`Demand` counts the hardest braking [m/s^2]."""
 BRAKING_SECONDS = 0.5
-"""Duration over which braking is measured [s]."""
+"""Time over which the ego's loss of speed is measured as braking [s]."""
 STANDING = 0.5
 """Speed below which the ego counts as standing [m/s]."""
 
 BARELY_MOVING = 2.0
-"""Mean speed below which a run tests nothing [m/s]; an ego that brakes to a stop from 22 m/s is below it after 30 s."""
+"""Mean speed of the ego below which a run tests nothing [m/s]; stopping from 22 m/s gives a lower mean after 30 s."""
 
 _SWEEPS = sweep.is_in_use()
 _IMPOSSIBLE: Rank = (False, False, -math.inf)
@@ -48,26 +48,27 @@ class Evaluation:
         scenario: the scenario as requested.
         executed: the scenario as driven, including the repair inside the run.
         fitness: higher is worse for the ego; NaN if the measure failed.
-        failing: whether the user's function rejected the run.
+        failing: whether the user's test function rejected the run.
         outcome: how the run ended.
         duration: simulated time [s].
-        genes_started: number of genes that the run got to, over all NPCs.
-        genes_reached: number of those whose cell, or lane, was reached.
+        genes_started: number of genes that began before the run ended, summed over all NPCs.
+        genes_reached: number of started genes whose cell or lane the NPC reached.
         interaction: whether an NPC ever gave the ego a reason to react, see :func:`interacted`.
-        discarded: whether the user's function declined to evaluate the run.
+        discarded: whether the user's test function declined to give a verdict on the run.
         outran: whether the ego left all NPCs behind, see :func:`outran`.
         barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
-        kind: kind of the failure; failures of equal kind are the same. None if nothing failed or it is unknown.
+        kind: kind of the failure, equal for failures that count as the same. None if nothing failed or it is unknown.
         mistake: the ego's mistake in the failure, or the name of the failed check; None if there is none or it is
             unknown.
-        margins: name and worst margin of each check by the user's function
-            (:attr:`pytest_pafot.oracle.checks.Check.margin`), in the order of names; empty if they do not steer.
-        arrived: per NPC and started gene, whether its cell, or lane, was reached.
-        driven: per NPC and started gene, the cell that it drove to, if ``executed`` cannot express that.
+        margins: name and worst margin of each check in the user's test function
+            (:attr:`pytest_pafot.oracle.checks.Check.margin`), sorted by name; empty if margins do not steer the search.
+        arrived: for each NPC and each of its started genes, whether the NPC reached the gene's cell or lane.
+        driven: for each NPC and each of its started genes, the cell that the NPC drove to; only if ``executed`` cannot
+            express these cells.
         collision: collision of the run; None without one.
         demand: what the run required the ego to do, see :func:`demand_of`.
         crossing: index of the crossing NPC that was nearest to the ego, see :func:`nearest_crossing`.
-        note: any data that the evaluator wants to get back with the evaluation, also if it is reused.
+        note: any data that ``evaluate`` adds, to get it back with the evaluation, also if the evaluation is reused.
     """
 
     scenario: Scenario
@@ -110,7 +111,7 @@ class Evaluation:
         mistake: str | None = None,
         margins: tuple[tuple[str, float], ...] = (),
     ) -> Self:
-        """Make the evaluation of a run from the given verdict and from its trace."""
+        """Make the evaluation of a run from its trace and from the given fitness and verdict."""
         interaction, left_behind = trace.reading("interaction", interaction_of)
         arrived = tuple([tuple([tick is not None for tick in arrivals]) for arrivals in trace.arrivals])
         return cls(
@@ -138,12 +139,12 @@ class Evaluation:
 
     @property
     def eligible(self) -> bool:
-        """True if it may be a best: a valid run with a verdict and a fitness."""
+        """True if the run may become the best of a search: it is valid and has a verdict and a fitness."""
         return not (self.outcome is Outcome.INVALID or self.discarded or math.isnan(self.fitness))
 
     @property
     def rank(self) -> Rank:
-        """The order of the search: failing runs outrank all others; then the fitness decides.
+        """The key by which a search orders runs: failing runs outrank all others; then the fitness decides.
 
         Invalid and discarded runs and those without a fitness come last, all equal, even if they fail: an invalid run
         says nothing about the ego, and NaN cannot be compared.
@@ -157,10 +158,10 @@ class Evaluation:
 
     @property
     def depth(self) -> int:
-        """The number of genes per NPC that the run depended on: those that it got to, or all if it got to none.
+        """The number of genes per NPC on which the run depended: those that began, or all if none began.
 
-        All NPCs share one gene clock, so the count over all NPCs determines it. An evaluation in which no gene was
-        started says nothing about any other scenario.
+        The genes of all NPCs begin at the same times, so ``genes_started`` determines this number. An evaluation in
+        which no gene was started says nothing about any other scenario.
         """
         lengths = [len(chain) for chain in self.executed.npcs]
         longest = max(lengths)
@@ -173,7 +174,7 @@ class Evaluation:
 
 
 def interaction_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]:
-    """Return :func:`interacted` and :func:`outran`, in one compiled pass on straight roads if that is available."""
+    """Return :func:`interacted` and :func:`outran` of a run, on straight roads by one compiled pass if possible."""
     if not sweeps or trace.track is not None:
         return interacted(trace), outran(trace)
     near = InteractionSweep(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
@@ -183,7 +184,7 @@ def interaction_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]
 def interacted(trace: Trace) -> bool:
     """Return whether the ego collided, or an NPC was in its lane at a headway below 1.5 s or a gap below 2 m.
 
-    Also true if it and an NPC that crosses were expected in their zone within 1.5 s of each other.
+    Also true if the ego and an NPC that crosses were expected in their zone within 1.5 s of each other.
     """
     if trace.outcome is Outcome.COLLISION or np.any(time_advantage(trace) < INTERACTION_HEADWAY):
         return True
@@ -196,10 +197,10 @@ def interacted(trace: Trace) -> bool:
 
 
 def nearest_crossing(trace: Trace) -> int | None:
-    """Return which crossing NPC came nearest to being in its zone with the ego; None without crossing NPCs.
+    """Return the index of the crossing NPC that came closest to meeting the ego in a zone; None without crossing NPCs.
 
-    It is the NPC that the ego hit, otherwise the one with the smallest post-encroachment time. If one of the two never
-    arrived, the smallest expected time difference decides.
+    It is the NPC that the ego hit, otherwise the NPC with the smallest post-encroachment time. If the ego or the NPC
+    never arrived at the zone, the smallest expected difference between their times of arrival decides.
     """
     times = {each.npc: each.post_encroachment_time for each in passages(trace) if each is not None}
     if trace.collision is not None and trace.collision.npc in times:
@@ -211,7 +212,7 @@ def nearest_crossing(trace: Trace) -> int | None:
 
 
 def outran(trace: Trace) -> bool:
-    """Return whether all NPCs were over 100 m behind the ego for half of the run; an NPC that crosses never is."""
+    """Return whether all NPCs were over 100 m behind the ego for half of the run; NPCs that cross are never behind."""
     alone = np.all(_longitudinal(trace) < -FAR_BEHIND, axis=1)
     return bool(np.mean(alone) >= 0.5)
 
@@ -222,7 +223,7 @@ def barely_moved(trace: Trace) -> bool:
 
 
 def demand_of(trace: Trace) -> Demand:
-    """Return what a run required the ego to do, which distinguishes runs without an impact."""
+    """Return how the ego reacted in a run: braking, lane changes, standing. It tells runs without an impact apart."""
     speed, ticks = trace.ego[:, SPEED], max(round(BRAKING_SECONDS * trace.physics_hz), 1)
     # fmax ignores NaN, which a user's world may record.
     lost = float(np.fmax.reduce(speed[:-ticks] - speed[ticks:], initial=0.0)) * trace.physics_hz / ticks

@@ -23,23 +23,23 @@ _Key = tuple[object, ...]
 _Place = tuple[_Key, int | None]  # a key, and the seed if it matters
 
 Remembered = tuple[Evaluation | None, tuple[int, ...]]
-"""A run, and the numbers of its keys that lead to it, from 0; None if an earlier run has all of them."""
+"""A run, and the numbers, from 0, of the keys that lead to it; None for the run if no key does."""
 
 EVALUATIONS = 10_000
-"""The largest number of remembered runs, in about 25 MB; a forgotten one is simulated again."""
+"""The largest number of remembered runs, in about 25 MB; a forgotten run is simulated again."""
 
 
 class EvaluationCache:
-    """Evaluations, stored by everything that their runs depended on.
+    """A cache of evaluations; the key of an evaluation is everything that its run depended on.
 
     A run that ended in gene ``d`` depended only on the start and on the first ``d`` genes of each NPC. A different
-    scenario gives the same run in two cases: if it agrees in these with the chains as driven, which repair does not
-    change whatever the seed; or if it agrees with the chains as requested and with the seed.
+    scenario gives the same run in two cases. Either its start and these genes equal the start and genes that were
+    driven, which repair does not change for any seed. Or they equal those that were requested, and the seed is equal.
 
     Args:
         evaluations: evaluations that are known from the beginning.
-        seeds_matter: whether the seed affects more than the repair, such as what the ADS sees. A different scenario
-            must then also have the same seed in both cases.
+        seeds_matter: True if the seed affects more than the repair, such as what the ADS sees. The seeds must then be
+            equal in both cases.
     """
 
     def __init__(self, evaluations: Iterable[Evaluation] = (), *, seeds_matter: bool = False) -> None:
@@ -62,10 +62,10 @@ class EvaluationCache:
         self._put((evaluation if own else None, numbers), places)
 
     def restore(self, remembered: Iterable[Remembered]) -> None:
-        """Remember the runs of a different cache, from its :meth:`remembered`.
+        """Add the runs that :meth:`remembered` of a different cache returned.
 
         Raises:
-            ValueError: for a run that has no key with that number.
+            ValueError: for a number of a key that its run does not have.
         """
         for evaluation, numbers in remembered:
             places = [] if evaluation is None else self._places(evaluation)
@@ -74,7 +74,7 @@ class EvaluationCache:
             self._put((evaluation, numbers), [places[number] for number in numbers])
 
     def remembered(self, but: int = 0) -> tuple[Remembered, ...]:
-        """Return the remembered runs, the oldest first, without the last ones."""
+        """Return the remembered runs, the oldest first, without the last ``but`` runs."""
         return tuple(run for run, _ in islice(self._runs, len(self._runs) - but))
 
     def _put(self, run: Remembered, places: list[_Place]) -> None:
@@ -87,7 +87,7 @@ class EvaluationCache:
         self._runs.append((run, places))
 
     def _places(self, evaluation: Evaluation) -> list[_Place]:
-        """Return where a run can be found: by the chains as driven, and as requested if these differ."""
+        """Return the keys under which a run is found: its chains as driven, and as requested if they differ."""
         depth = evaluation.depth
         asked = driven = plain_chains(evaluation.scenario)
         if evaluation.executed is not evaluation.scenario:
@@ -99,7 +99,7 @@ class EvaluationCache:
         return [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
 
     def forget(self, room: int = EVALUATIONS) -> None:
-        """Forget the oldest runs until at most this many are left."""
+        """Forget the oldest runs until at most ``room`` runs are left."""
         while len(self._runs) > room:
             for key, needed in self._runs.popleft()[1]:
                 del self._evaluations[key][needed]
@@ -109,7 +109,7 @@ class EvaluationCache:
     def recall(self, scenario: Scenario) -> Evaluation | None:
         """Return the evaluation that a run of the scenario would have, or None if no earlier run shows it.
 
-        Its genes that no run got to are the scenario's own, so that the search can still use them.
+        Genes that begin after the end of the earlier run are the scenario's own, so that the search can vary them.
         """
         chains = plain_chains(scenario)
         for depth in self._depths:
@@ -128,7 +128,7 @@ class EvaluationCache:
 
 
 def plain_chains(scenario: Scenario) -> Chains:
-    """Return one number per gene, which is faster to hash and compare than the gene; speeds are at most 1000 m/s."""
+    """Return the chains with a number for each gene, which is fast to hash and compare; speeds are at most 1000 m/s."""
     return tuple([tuple([_code(gene) for gene in chain]) for chain in scenario.npcs])
 
 

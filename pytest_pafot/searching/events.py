@@ -13,7 +13,7 @@ from typing import Literal
 from pytest_pafot.searching.evaluation import Evaluation
 
 EndReason = Literal["generations", "runs", "time", "stopped"]
-"""Reasons in order: all generations are done, all runs are done, time ran out, the consumer stopped it."""
+"""The reason why a campaign ended: all generations or all runs are done, its time is up, or its caller stopped it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,12 +33,12 @@ class Evaluated:
     local_generation: int
     index: int  # position in the generation's requested scenarios, from 0
     evaluation: Evaluation
-    reused: bool  # whether it was not simulated, because an earlier run showed what it does
+    reused: bool  # True if the evaluation is from an earlier run, because that run shows what the scenario does
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationFinished:
-    """All scenarios of a generation were evaluated, or the limit on runs was reached inside it."""
+    """All scenarios of a generation were evaluated, or the limit on runs was reached inside the generation."""
 
     generation: int
     local_generation: int
@@ -75,15 +75,15 @@ class LocalSearchFinished:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Restarted:
-    """The population was abandoned."""
+    """The search abandoned its population and continues with a random one."""
 
-    generation: int  # the one with a random population
-    stagnant: int  # generations without improvement before it
+    generation: int  # the generation with the random population
+    stagnant: int  # number of generations without improvement before the restart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignFinished:
-    """The last event of a campaign, unless its generator was closed before."""
+    """The last event of a campaign; it is missing if the generator of the events was closed early."""
 
     reason: EndReason
     generations: int  # finished generations of the main search

@@ -5,8 +5,8 @@ combines them linearly, all minimised, without giving weights: that is ``"paper"
 things with bounded values, so that no measure dominates the others. ``"av-fuzzer"`` is the fitness of Li et al.,
 "AV-FUZZER: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020, with the numbers of the released code.
 
-Every fitness that :func:`resolve` returns keeps two promises: an invalid run (two NPCs touched) is minus infinity, and
-so is NaN, which therefore never becomes a best.
+Every function that :func:`resolve` returns gives minus infinity for an invalid run (two NPCs touched), and in place of
+NaN, so such a run never becomes the best of a search.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from pytest_pafot.support.errors import plain_number
 
 
 def referred_to(reference: str) -> Any:
-    """Import what a text such as ``module:name`` refers to.
+    """Import the object that a text such as ``module:name`` refers to.
 
     Raises:
         ValueError: if there is no such module, or no such name in it; the caller adds the place to the message.
@@ -72,11 +72,12 @@ class Weights:
     """The weights of the four risks of the default fitness. Only their ratios matter.
 
     Attributes:
-        ttc: weight of the risk 1 / (1 + TTC / tau), with the smallest time to contact of the boxes.
-        gap: weight of the risk 1 / (1 + gap / 1 m), with the smallest distance between the boxes.
-        shortfall: weight of the largest shortfall of the safety distance, 0 to 1; or, if larger, of the risk
-            1 / (1 + PET / 1 s) of an NPC that crosses, with the post-encroachment time at its zone.
-        time: weight of the risk 1 - ET / planned duration; 0 without a collision.
+        ttc: weight of the risk 1 / (1 + TTC / tau); TTC is the smallest time until the boxes of two vehicles touch.
+        gap: weight of the risk 1 / (1 + gap / 1 m); the gap is the smallest distance between the boxes.
+        shortfall: weight of the larger of two risks: the largest shortfall of the safety distance, 0 to 1; and
+            1 / (1 + PET / 1 s), in which PET is the post-encroachment time of a crossing NPC at its zone.
+        time: weight of the risk 1 - ET / planned duration, in which ET is the time to the collision; without a
+            collision the risk is 0.
         tau: the TTC at which its risk is one half [s]; 1.5 s is the usual threshold between normal and critical
             (van der Horst 1990).
     """
@@ -105,11 +106,11 @@ def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
     """Return the default fitness: the weighted mean of four risks, each from 0 to 1, plus 1 for a collision.
 
     It is in [0, 1] without a collision and in [1, 2] with one: any collision outranks any near-miss. The measures are
-    those of the paper, in forms that a search can climb. The time to contact of the boxes replaces METTC, which ignores
-    when the NPC gets to the crossing point and is infinite at nearly every tick of a straight road. The gap between the
-    boxes replaces MD between the centres, which is smallest when vehicles drive harmlessly alongside. The shortfall of
-    the safety distance replaces SD, which is smallest if a leader pulls away. An NPC that crosses is no leader; it is
-    measured by how soon one of the two arrived at the zone after the other.
+    those of the paper, in forms that rise steadily towards a collision. The time until the boxes touch replaces METTC,
+    which ignores when the NPC gets to the crossing point and is infinite at nearly every tick of a straight road. The
+    gap between the boxes replaces MD, the distance between the centres, which is smallest when vehicles drive
+    harmlessly alongside. The shortfall of the safety distance replaces SD, which is smallest if a leader pulls away. An
+    NPC that crosses is no leader; for it the time between the two arrivals at the zone replaces the safety distance.
     """
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK
@@ -163,7 +164,7 @@ TURNING = math.radians(1.0)  # heading relative to the road above which the ego 
 
 
 def braking_distance(speed: FloatArray) -> FloatArray:
-    """Return the distance to a standstill [m], a polynomial that the authors fitted; any shape, speed in m/s."""
+    """Return braking distances [m] for speeds [m/s] of any shape, by the polynomial that AV-Fuzzer's authors fitted."""
     return np.maximum(0.0467 * speed**2 + 0.4116 * speed - 1.9913 + 0.5, 0.0)
 
 
@@ -172,11 +173,11 @@ def av_fuzzer(trace: Trace) -> float:
 
     It is (130 - min d / 2 - min delta / 2) / (NPCs - 1).
 
-    d is the distance of the centres [m], and delta is d - 4.6 m minus a braking distance: the ego's if the NPC is 4.6
-    to 20 m ahead, or the NPC's if it is as far behind while the ego's heading is more than one degree off the road,
-    both at less than 2 m across; otherwise delta is 130 m. The minima are over all NPCs and four samples a second. The
-    released code continues to sample after an impact, so the tick of the collision counts as well. It divides by the
-    number of NPCs minus one; with a single NPC, for which that code fails, nothing is divided.
+    d is the distance of the centres [m], and delta is d - 4.6 m minus a braking distance. This is the ego's if the NPC
+    is 4.6 to 20 m ahead. It is the NPC's if the NPC is 4.6 to 20 m behind while the ego's heading is more than one
+    degree off the road. If neither holds, or the NPC is 2 m or more to the side, delta is 130 m. The minima are over
+    all NPCs and four samples per second. The released code continues to sample after an impact, so the tick of the
+    collision is sampled as well. With a single NPC the released code fails; then the divisor is 1.
     """
     count = int(trace.duration * SAMPLES_PER_SECOND + 1e-9) + 1
     samples = [round(sample * trace.physics_hz / SAMPLES_PER_SECOND) for sample in range(count)]
@@ -207,18 +208,18 @@ FITNESSES: Mapping[str, Fitness] = MappingProxyType(
         **{measure.name: measure for measure in MEASURES if measure.worse != "neither"},
     }
 )
-"""The names that ``fitness=`` accepts; the name of a measure stands for its worst value in the run."""
+"""The functions by the names that ``fitness=`` accepts; the name of a measure stands for its worst value in the run."""
 
 
 def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Responsible | None = None) -> Fitness:
-    """Return the function that a search maximises; it raises a :class:`FitnessError` if a user's function fails.
+    """Return the function that a search maximises. If a user's function fails, it raises a :class:`FitnessError`.
 
     Args:
         fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, a measure or its name, :class:`Weights` for the default
             with other weights, a function from a Trace to a number (higher is worse for the ego), or
             ``module:function``.
-        responsible: returns whether the ego is responsible for a run's collision, unless ``blame="any"``; the fitness
-            is then :class:`Steered` by it.
+        responsible: returns whether the ego is responsible for a run's collision; the fitness is then
+            :class:`Steered`. None for ``blame="any"``.
 
     Raises:
         FitnessError: for anything else.
@@ -228,7 +229,7 @@ def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Respon
 
 
 def is_built_in(fitness: str | Weights | Fitness) -> bool:
-    """Return whether it is the default, with any weights, or has a name, rather than being a user's function."""
+    """Return whether a fitness comes with the plugin: it is a name, or :class:`Weights`; not a user's function."""
     return isinstance(fitness, Weights) or (isinstance(fitness, str) and fitness in FITNESSES)
 
 
@@ -239,10 +240,10 @@ class Steered:
     Two rules hold for every fitness:
 
     1. A collision for which the ego is responsible is in [2, 4], every other run in [-1, 1]; minus infinity does not
-       change. Within either range, the order is that of the given fitness f, through the increasing f / (1 + |f|).
-    2. A collision for which the ego is not responsible counts only for what happened before: as a run without a
-       collision that ended 3 s before the impact (the paper's time to manoeuvre). An NPC that rams the ego gains
-       nothing by it; an earlier near-miss of the ego still counts.
+       change. Within each range, the given fitness f decides the order, because f / (1 + |f|) increases with f.
+    2. A collision for which the ego is not responsible is measured as if the run had ended, without a collision, 3 s
+       before the impact (the paper's time to manoeuvre). So an NPC gains nothing by ramming the ego, but an earlier
+       near-miss of the ego is still measured.
     """
 
     fitness: Fitness
@@ -260,7 +261,7 @@ class Steered:
 def before_impact(trace: Trace) -> Trace:
     """Return the part of a colliding run up to 3 s (a manoeuvre) before the impact, as a run without a collision.
 
-    At least the start remains. A run without a collision is returned unchanged.
+    At least the first tick remains. A run without a collision is returned unchanged.
     """
     if trace.collision is None:
         return trace
@@ -289,7 +290,7 @@ def before_impact(trace: Trace) -> Trace:
 
 @dataclass(frozen=True, slots=True)
 class _Checked:
-    """A fitness that keeps the module's promises; it is a value, not a closure, so that it can be sent to workers."""
+    """A fitness that is checked in each run and is never NaN; a value, not a closure, so it can be sent to workers."""
 
     function: Fitness
 
@@ -347,7 +348,7 @@ def _name(function: object) -> str:
 
 
 def _time_to_collision(trace: Trace) -> float:
-    """Return ET [s]: the time to the collision, or the planned duration if there is none or that is shorter."""
+    """Return ET [s]: the time to the collision, at most the planned duration; without a collision that duration."""
     planned = planned_duration(trace)
     return min(execution_time(trace), planned) if trace.outcome == Outcome.COLLISION else planned
 
@@ -357,7 +358,7 @@ def _never_nan(value: float) -> float:
 
 
 def _bounded(value: float) -> float:
-    """Return the increasing f / (1 + |f|), from -1 to 1; minus infinity does not change, and NaN becomes it."""
+    """Return f / (1 + |f|), which increases with f, from -1 to 1; NaN and minus infinity give minus infinity."""
     if math.isnan(value) or value == WORST_RANK:
         return WORST_RANK
     return 1.0 if value == math.inf else value / (1 + abs(value))

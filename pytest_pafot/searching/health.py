@@ -21,30 +21,30 @@ from pytest_pafot.searching.events import Evaluated, Event
 SPEED_BIN = 5.0  # width of a bin of target speeds [m/s]
 
 Key = tuple[str, int] | tuple[str, int, int] | tuple[str, str, str]
-"""``("cell", 2)``, ``("step", 1, 2)`` from cell to cell, ``("bin", 4)`` of target speeds, from 0, or
-``("zone", "o1>o3", "just after")`` for an NPC that crosses."""
+"""A thing that is counted: ``("cell", 2)``; ``("step", 1, 2)`` from cell 1 to cell 2; ``("bin", 4)``, the bin of target
+speeds from 20 m/s; or ``("zone", "o1>o3", "just after")`` for an NPC that crosses."""
 
 CELLS: tuple[Key, ...] = tuple(("cell", int(cell)) for cell in Cell)  # the eight, cell 1 first
 
 STEPS: tuple[Key, ...] = tuple(
     ("step", int(cell), int(target)) for cell in Cell for target in (cell, *reversed(cell.neighbours))
 )
-"""The twenty-four steps of valid chains; from each cell: holding it, one step clockwise, one anticlockwise."""
+"""The twenty-four steps that a chain can have: from each cell, staying, one step clockwise and one anticlockwise."""
 
 
 def speed_bins(speed_limit: float) -> tuple[Key, ...]:
-    """Return the bins up to a speed limit [m/s], the slowest first."""
+    """Return the keys of the bins of target speeds up to a speed limit [m/s], the slowest first."""
     return tuple(("bin", number) for number in range(int(speed_limit // SPEED_BIN) + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """Counts of what simulated runs did. Only Position-Instructions have cells and steps; all have speeds."""
+    """Counts of instructions in simulated runs. All have speeds; only Position-Instructions have cells and steps."""
 
     requested: Counter[Key] = field(default_factory=Counter)  # in the requested scenarios
     # in the genes that the runs got to, after the repair inside the run
     driven: Counter[Key] = field(default_factory=Counter)
-    reached: Counter[Key] = field(default_factory=Counter)  # the driven ones whose cell, lane or zone was reached
+    reached: Counter[Key] = field(default_factory=Counter)  # in driven genes whose cell, lane or zone was reached
 
     def counted(self, evaluation: Evaluation) -> Coverage:
         """Return the coverage with one more run."""
@@ -60,9 +60,9 @@ class Coverage:
         )
 
     def describe(self, speed_limit: float, zones: Iterable[str] = ()) -> str:
-        """Return one line for a summary: what was reached, and what was requested.
+        """Return a line for a summary: how many of all cells, steps, speed bins and slots were reached and requested.
 
-        The limit [m/s] determines which bins exist; zones are those of the world, by the names of their ways.
+        ``speed_limit`` [m/s] determines which bins exist; ``zones`` are the names of the ways in the world that cross.
         """
         meetings: tuple[Key, ...] = tuple(("zone", zone, slot) for zone in zones for slot in SLOTS)
         groups = [("cells", CELLS), ("ring steps", STEPS), ("speed bins", speed_bins(speed_limit))]
@@ -189,10 +189,10 @@ class Health:
         return _share(self.genes_reached, self.genes_started)
 
     def warnings(self, known: int = 0) -> list[str]:
-        """Return what makes the search doubtful, in sentences with advice; empty if all is well.
+        """Return a warning, with advice, for each sign that the search tested too little; empty if there is none.
 
-        ``known`` of its runs failed in a known way. They are not counted as runs with a standing or an immediately
-        colliding ego.
+        ``known`` is the number of runs with a known failure. They are not counted as runs in which the ego stands or
+        collides immediately.
         """
         if self.simulated == 0:
             return ["no scenario was simulated, so nothing was tested; give the search generations and time"]

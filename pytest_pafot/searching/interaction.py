@@ -1,9 +1,9 @@
 # cython: boundscheck=False, initializedcheck=False, wraparound=False, cdivision=True, auto_pickle=False
 # No index is beyond the shapes that the constructor checks, and nothing is divided by zero.
-"""Encounters of NPCs with the ego in a run, in one pass over its ticks: typed, plain Python, compiled like the sweep.
+"""One pass over the ticks of a run that finds out whether NPCs came near the ego: plain Python that can be compiled.
 
-The results are equal to those of numpy's whole arrays in :mod:`pytest_pafot.searching.evaluation`: the same operations
-in the same order.
+The results equal those of the numpy code in :mod:`pytest_pafot.searching.evaluation`, because both do the same
+operations in the same order.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from pytest_pafot.model.trace import FloatArray
 
 
 class InteractionSweep:
-    """One pass over a run: the states of its trace, shape [ticks + 1, vehicles, 7], and its sizes, [vehicles, 2].
+    """One pass over the states of a trace, shape [ticks + 1, vehicles, 7], with its sizes, shape [vehicles, 2].
 
-    NPCs interact within a headway [s] or a gap [m]; NPCs farther behind than ``far`` [m] count as left behind.
+    An NPC in the ego's lane interacts if it is within ``headway`` [s] or ``gap`` [m]. NPCs more than ``far`` [m] behind
+    the ego count as left behind.
     """
 
     interacted: bool  # whether a follower in the same lane was ever nearer than the headway or the gap

@@ -1,7 +1,7 @@
 """The operators of the genetic algorithm: crossover, mutation, tournament and elitism.
 
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 3.4 and 3.5. No operator changes its arguments.
-Operators always act; the algorithm decides how often to apply them.
+An operator takes effect in every call; the algorithm decides how often to call it.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction, repaired, sample
 
 STARTS, PATTERNS = 0.1, 0.35
-"""Shares of the mutations that sample a new start, and that insert a pattern, if the space has several of these."""
+"""Share of mutations that sample a new start, if the space has several, and that insert a pattern, if it has any."""
 SPEEDS = 0.7
-"""Share of the new starts with a different speed; the others have a different lane."""
+"""Share of the new starts that differ in the first speed; the others differ in the ego's first lane."""
 SIZES = 0.1
 """Share of the mutations that add or remove an NPC, or change the duration of genes, if the space samples these."""
 
@@ -30,15 +30,15 @@ SIZES = 0.1
 def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
     """Swap two whole NPCs, one chosen at random from each scenario, then repair (section 3.4.1).
 
-    Two NPCs that cross in the same zone swap their slots, speeds and acts independently at random. NPCs may then
-    conflict there; resolving that needs the ways, so mutations and :func:`varied` do it.
+    If both NPCs cross in the same zone, slot, speed and act are each swapped or not at random instead. Afterwards NPCs
+    may conflict in a zone; :func:`mutate` and :func:`varied` resolve such conflicts, because they know the ways.
     """
     (in_a, for_a), (in_b, for_b) = _swapped(a, b, rng)
     return _child(a, with_chain(a.npcs, in_a, for_a), rng), _child(b, with_chain(b.npcs, in_b, for_b), rng)
 
 
 def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
-    """Return only the first child of :func:`crossover`, with equal random numbers, because repairing two is slow."""
+    """Return the first child of :func:`crossover`, for the same random numbers, without repairing the second child."""
     (in_a, for_a), _ = _swapped(a, b, rng)
     child = _child(a, with_chain(a.npcs, in_a, for_a), rng)
     fresh_seed(rng)
@@ -46,7 +46,7 @@ def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
 
 
 def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[tuple[int, Chromosome], tuple[int, Chromosome]]:
-    """Return an NPC of each scenario, with the chain that a crossover gives it."""
+    """Return the index of a random NPC of each scenario, with the chain that a crossover gives to this NPC."""
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
     one, other = a.npcs[in_a][0], b.npcs[in_b][0]
     if isinstance(one, CrossingInstruction) and isinstance(other, CrossingInstruction) and one.zone == other.zone:
@@ -56,7 +56,7 @@ def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[tuple[int, Chrom
 
 
 def _taken(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
-    """Return an NPC's chain in genes as long as a different scenario's, and cut to that scenario's number of genes."""
+    """Return an NPC's chain, converted to the duration and the number of the genes of the scenario ``other``."""
     chain = scenario.npcs[npc]
     if scenario.gene_seconds == other.gene_seconds:
         return chain
@@ -69,9 +69,9 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     The repair changes only the new instruction, not its neighbours in the chain. Repairing what follows it instead
     would rewrite the rest of the chain and lose what the parent was selected for.
 
-    If the space has several starts, a tenth of the mutations sample a new one; if it has patterns, a third insert one
-    into a chain. NPCs that cross are mutated as often as any other: half of the time the slot is moved, otherwise the
-    speed, the act or the whole instruction changes. An NPC that conflicts with another one is sampled again.
+    If the space has several starts, a tenth of the mutations sample a new start. If it has patterns, a third insert a
+    pattern into a chain. NPCs that cross are mutated as often as NPCs on the grid: half of the time the slot is moved,
+    otherwise the speed, the act or the whole instruction changes. If two NPCs conflict, one is sampled again.
     """
     child, crossing = _mutated(scenario, space, rng), space.crossing_traffic
     return child if crossing is None else _cleared(child, crossing, rng)
@@ -111,7 +111,7 @@ def _with_chain_on_grid(scenario: Scenario, npc: int, chain: Chromosome, rng: Ge
 
 
 def _crossing_otherwise(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
-    """Return the scenario with a different instruction for one NPC that crosses, which fits next to the others."""
+    """Return the scenario with a different instruction for one NPC that crosses, without a conflict with other NPCs."""
     told = [(npc, each) for npc, each in enumerate(scenario.crossings) if each is not None]
     npc, instruction = told[int(rng.integers(len(told)))]
     others = [each for number, each in told if number != npc]
@@ -153,7 +153,7 @@ def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
 
 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Return the scenario with a pattern, and the steps to it, in a random chain from a random gene on."""
+    """Return the scenario with a pattern in a random chain, after steps to its first cell from a random gene on."""
     chains = scenario.positions
     npc = int(rng.integers(len(chains)))
     chain = chains[npc]
@@ -169,10 +169,11 @@ def _fitted(
     new: PositionInstruction,
     clockwise_first: bool,
 ) -> PositionInstruction:
-    """Return a new instruction with a cell that is adjacent to those before and after it and that no other NPC holds.
+    """Return ``new`` with a cell that is adjacent to the cells before and after it, and that no other NPC holds.
 
-    It is the instruction's own cell if that fits; otherwise one of the two neighbours of the cell before (or after, for
-    the first gene), 50 % each if both fit; otherwise the cell of the replaced gene, which always fits.
+    The cell of ``new`` stays if it fits. Otherwise it is one of the two neighbours of the previous cell (of the next
+    cell, for the first gene), with equal probability if both fit. Otherwise it is the cell of the replaced gene, which
+    always fits.
     """
     chain = chains[npc]
     around = [chain[k].cell for k in (gene - 1, gene + 1) if 0 <= k < len(chain)]
@@ -185,7 +186,7 @@ def _fitted(
 
 
 def tournament(population: Sequence[Evaluation], rng: Generator) -> Evaluation:
-    """Return the better of two random members, sampled with replacement; the first of two equal ones.
+    """Return the better of two random members, sampled with replacement; if they are equal, the first.
 
     The paper does not name its selection of parents; binary tournament is the usual choice.
     """
@@ -194,7 +195,7 @@ def tournament(population: Sequence[Evaluation], rng: Generator) -> Evaluation:
 
 
 def parents(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, Evaluation]:
-    """Return two different members, each by binary tournament; in a population of one, both are that one."""
+    """Return two different members, each by binary tournament; a population of one gives its member twice."""
     first = tournament(population, rng)
     others = [member for member in population if member is not first]
     return first, tournament(others or population, rng)
@@ -203,7 +204,7 @@ def parents(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluatio
 def elites(population: Sequence[Evaluation], share: float) -> tuple[Evaluation, ...]:
     """Return the best share of a population, rounded up, best first (section 3.5).
 
-    There are fewer if fewer members are eligible: an invalid run is never passed on.
+    Members that are not eligible are left out: an invalid run is never passed on.
     """
     # A share of 0.1 of 30 is 3 and must not become 4 through a floating-point error.
     count = math.ceil(round(share * len(population), 9))
@@ -218,14 +219,17 @@ def best_of(evaluations: Sequence[Evaluation]) -> Evaluation | None:
 
 
 def improves(candidate: Evaluation | None, best: Evaluation | None) -> bool:
-    """Return whether a candidate is a new best."""
+    """Return whether a candidate is eligible and outranks the best run so far; None stands for no run."""
     return candidate is not None and candidate.eligible and (best is None or candidate.rank > best.rank)
 
 
 def varied(
     pair: Iterable[Scenario], space: SearchSpace, crossover_rate: float, mutation_rate: float, rng: Generator
 ) -> tuple[Scenario, Scenario]:
-    """Return two children: their parents swap NPCs at one rate, and each child mutates at the other."""
+    """Return two children of a pair: it swaps NPCs with ``crossover_rate``, and each child mutates with its rate.
+
+    Both rates are probabilities: ``crossover_rate`` of the pair, and ``mutation_rate`` of each child.
+    """
     a, b = pair
     if rng.random() < crossover_rate:
         a, b = crossover(a, b, rng)
@@ -236,7 +240,7 @@ def varied(
 
 
 def with_chain(chains: Sequence[Chromosome], npc: int, chain: Chromosome) -> tuple[Chromosome, ...]:
-    """Return the chains with a different one for an NPC."""
+    """Return the chains of all NPCs, with ``chain`` as the chain of the NPC ``npc``."""
     return (*chains[:npc], chain, *chains[npc + 1 :])
 
 

@@ -1,7 +1,7 @@
 """Dangerous patterns: phrases of one to three Position-Instructions, and chains made of them.
 
-A pattern says what an NPC does around the ego. It begins where all NPCs begin, so a dangerous state is always driven
-to, never given. It is defined for the ego's left side, front or rear, and mirrored half of the time.
+A pattern says what an NPC does around the ego. A scenario never starts in a dangerous state: NPCs start as in any
+scenario, and drive into it. A pattern is defined for the ego's left side, front or rear, and mirrored half of the time.
 
 Sources: Najm, Smith, Yanagisawa, "Pre-Crash Scenario Typology for Crash Avoidance Research", NHTSA, DOT HS 810 767,
 2007; UN Regulation No. 157, annex 4, appendix 3 (critical disturbances: cut-in, cut-out, deceleration) and annex 5.
@@ -19,14 +19,14 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import SPEED_STEPS_PER_MPS, PositionInstruction
 
 Bound = tuple[float, float]
-"""A bound of a speed: a share of the ego's first speed, and an offset [m/s]; clipped to 0 and the speed limit."""
+"""A limit of a target speed: a share of the ego's first speed, plus an offset [m/s]; from 0 to the speed limit."""
 
 LIMIT = (0.0, math.inf)
-"""The speed limit as a bound."""
+"""The bound that is always clipped to the speed limit."""
 
 
 class Step(NamedTuple):
-    """One gene of a pattern: a cell, and the lowest and highest speed in it."""
+    """One gene of a pattern: a target cell, and the lowest and highest target speed."""
 
     cell: Cell
     low: Bound
@@ -83,18 +83,18 @@ PATTERNS = (
         "NHTSA: lead vehicle decelerating (the ego leads)",
     ),
 )
-"""All patterns; each is equally likely."""
+"""All patterns; each is sampled with equal probability."""
 
 WALKING = ((1.0, -2.0), (1.0, 3.0))
-"""Bounds of speeds on the steps from one pattern to the next."""
+"""The lowest and highest target speed on the way from one pattern to the next."""
 
 
 def chain_of_patterns(
     genes: int, ego_speed: float, bounds: tuple[int, int], rng: Generator
 ) -> list[PositionInstruction]:
-    """Return a chain of a number of genes: one pattern after the other, with the steps between them on the ring.
+    """Return a chain with ``genes`` genes: random patterns, one after the other, joined by steps on the ring.
 
-    Speeds depend on the ego's first speed [m/s], and are within ``bounds``, in steps of 0.1 m/s.
+    Speeds depend on the ego's first speed [m/s], and are within ``bounds``, given in steps of 0.1 m/s.
     """
     chain: list[PositionInstruction] = []
     while len(chain) < genes:
@@ -105,7 +105,7 @@ def chain_of_patterns(
 def followed_by_pattern(
     chain: Sequence[PositionInstruction], ego_speed: float, bounds: tuple[int, int], rng: Generator
 ) -> list[PositionInstruction]:
-    """Extend a chain, which may be empty, by the steps on the ring to the first cell of a pattern, and the pattern."""
+    """Append a random pattern to a chain, with the steps on the ring to its first cell; the chain may be empty."""
     steps = PATTERNS[int(rng.integers(len(PATTERNS)))].steps
     if rng.integers(2):
         steps = tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in steps)
@@ -122,7 +122,7 @@ def _drawn(step: Step, ego_speed: float, bounds: tuple[int, int], rng: Generator
 
 
 def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:
-    """Return the cells strictly between two on the shorter side of the ring; on a random one if they are opposite."""
+    """Return the cells between two cells on the shorter side of the ring, or on a random side if they are opposite."""
     clockwise = (last - first) % 8
     is_clockwise = clockwise < 4 or (clockwise == 4 and bool(rng.integers(2)))
     steps = range(1, clockwise) if is_clockwise else range(-1, clockwise - 8, -1)

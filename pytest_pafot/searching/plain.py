@@ -1,8 +1,8 @@
-"""Conversion of values to plain data that JSON can store, and back: a search stores itself between two sessions.
+"""Conversion of values to plain data that JSON can store, and back, to store a search between two sessions.
 
-Writing follows the value: a frozen dataclass becomes the list of its fields, in their order; a mapping the list of its
-pairs; a set a sorted list; a number that JSON cannot express a text. Reading follows a type, and refuses everything
-that does not fit it, because anyone may have written the file.
+The value decides how it is written: a frozen dataclass becomes the list of its fields, in their order; a mapping
+becomes the list of its pairs; a set a sorted list; and a number that JSON cannot express a text. To read data, the
+caller names its type. Everything that does not fit the type is refused, because anyone may have written the file.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pytest_pafot.support.errors import FieldError
 T = TypeVar("T")
 
 Read = Callable[[Any], Any]
-"""Reads plain data into a value; raises a FieldError for data that does not fit."""
+"""A function that converts plain data to a value; it raises a FieldError for data that does not fit."""
 
 _AS_THEY_ARE = frozenset({type(None), bool, int, str})
 _NO_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
@@ -36,8 +36,8 @@ _NO_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 def plain(value: Any) -> Any:
     """Convert a value to lists, texts, numbers, booleans and None.
 
-    It may consist of dataclasses, tuples, lists, mappings, sets, enumerations, scenarios and these. Fields of the type
-    Any are left out.
+    The value may also contain dataclasses, tuples, mappings, sets, enumerations and scenarios. Fields of a dataclass
+    with the type Any are left out.
 
     Raises:
         ValueError: for anything else.
@@ -72,10 +72,10 @@ def _composed(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], data: Any) -> T:
-    """Return the value of a type from the data that :func:`plain` made of it.
+    """Convert data that :func:`plain` made back to a value of the type ``kind``.
 
     Raises:
-        FieldError: for data that is not of that type, with the place of the mismatch, such as ``[2][0]``.
+        FieldError: for data that does not fit the type, with the place of the mismatch, such as ``[2][0]``.
         TypeError: for a type that cannot be read.
     """
     return cast("T", _reader(cast("Hashable", kind))(data))
@@ -185,7 +185,7 @@ def _read_each(kind: Callable[[list[Any]], Any], reader: Read) -> Read:
 def _read_parts(kind: Callable[[list[Any]], Any], readers: list[Read]) -> Read:
     def read(data: Any) -> Any:
         if type(data) is not list or len(data) != len(readers):
-            raise _refuse(f"a list of {len(readers)}", data)
+            raise _refuse(f"a list of {len(readers)} values", data)
         parts = _read_all(readers, data)
         try:
             return kind(parts)
@@ -224,4 +224,4 @@ _READERS: Mapping[Any, Callable[[tuple[Any, ...]], Read]] = {
     Mapping: partial(_reader_of_pairs, dict),
     Counter: partial(_reader_of_pairs, lambda pairs: Counter(dict(pairs))),
 }
-"""Makers of readers by the origin of a type; they receive its arguments."""
+"""Functions that make a reader for a generic type, by the type's origin; they receive the type's arguments."""

@@ -37,11 +37,11 @@ from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
 from pytest_pafot.support.text import plural
 
 LEAST_GENES = 3
-"""Shortest chain on a bent road, however short its runs are: to approach, to cut in, to brake."""
+"""Smallest number of genes of an NPC on a bent road, even in short runs: to approach, to cut in, and to brake."""
 CROSSING = 0.75
-"""Share of the NPCs that cross the ego's way, turn across it or join it, if other ways do."""
+"""Share of the NPCs that cross the ego's way, turn across it or join it, if the world has ways that do so."""
 MOST_ON_GRID = 2
-"""NPCs on the grid in addition to them: one ahead of the ego and one behind it, on a road with one lane."""
+"""Largest number of NPCs on the grid next to NPCs that cross: one ahead of the ego and one behind it in one lane."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,26 +49,28 @@ class SearchSpace:
     """The common properties of all scenarios of a search. The defaults are the paper's setup (section 4.1).
 
     Attributes:
-        npcs: NPCs in a scenario, 1 to 8; the default number if it is sampled.
+        npcs: number of NPCs in a scenario, 1 to 8, unless ``most_npcs`` varies it.
         genes: number of Position-Instructions of each NPC.
-        gene_seconds: duration of one gene [s]. If durations are sampled, the genes together still last as long.
+        gene_seconds: duration of one gene [s]. If ``gene_durations`` varies it, the number of genes varies as well, so
+            that all genes together last as long.
         speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: first speed of all vehicles [m/s].
-        ego_lanes: lanes from which the first one is sampled; empty for always ``ego_lane``, else that is the plain one.
-        ego_speeds: lowest and highest first speed [m/s], between which it is sampled in steps of 0.1; None for always
-            ``ego_speed``, else that is the plain one.
+        ego_lanes: lanes from which the ego's first lane is sampled; if empty, it is always ``ego_lane``. Otherwise
+            ``ego_lane`` is the lane that the shrinker prefers.
+        ego_speeds: lowest and highest first speed [m/s], between which it is sampled in steps of 0.1 m/s; if None, it
+            is always ``ego_speed``. Otherwise ``ego_speed`` is the speed that the shrinker prefers.
         patterns: whether half of the sampled scenarios, and a third of the mutations, are made of
             :data:`~pytest_pafot.searching.patterns.PATTERNS`.
         traffic: how the NPCs drive in all scenarios.
-        most_npcs: for each of the ``ego_lanes``, the largest number of NPCs, which is sampled from 1 on; empty for
-            always ``npcs``.
-        gene_durations: durations of genes [s] from which one is sampled per scenario; empty for always
-            ``gene_seconds``.
-        crossings: the ways on which other traffic meets the ego's, from ``world.crossings``: three quarters of all
-            NPCs then drive there. None if all NPCs are on the grid.
-        acts: what NPCs that meet the ego there do: any of ``pass``, ``hold``, ``stop`` and ``late``.
-        most_on_grid: largest number of NPCs on the grid if others cross; each needs a cell to start in.
+        most_npcs: largest number of NPCs for each of the ``ego_lanes``; the number is sampled from 1 up to it. If
+            empty, the number is always ``npcs``.
+        gene_durations: durations of a gene [s], of which one is sampled for each scenario; if empty, the duration is
+            always ``gene_seconds``.
+        crossings: the ways that meet the ego's way, from ``world.crossings``; three quarters of all NPCs then drive on
+            them. None if all NPCs are on the grid.
+        acts: acts of the NPCs on these ways: any of ``pass``, ``hold``, ``stop`` and ``late``.
+        most_on_grid: largest number of NPCs on the grid if other NPCs cross; each needs a cell to start in.
     """
 
     npcs: int = 2
@@ -101,15 +103,17 @@ class SearchSpace:
             raise ValueError(f"acts: expected one or more of {', '.join(ACTS)}, received {self.acts!r}")
         object.__setattr__(self, "acts", acts)
         if self.ego_speeds is not None and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf:
-            raise ValueError(f"ego_speeds: expected the lowest and the highest in m/s, received {self.ego_speeds!r}")
+            raise ValueError(
+                f"ego_speeds: expected the lowest and the highest speed in m/s, received {self.ego_speeds!r}"
+            )
 
     def sliced(self, slices: int) -> SearchSpace:
-        """Return the same space with a different number of genes, which together last as long."""
+        """Return the space with ``slices`` genes per NPC, which together last as long as the genes of this space."""
         return replace(self, genes=slices, gene_seconds=self.genes * self.gene_seconds / slices)
 
     @property
     def plain(self) -> dict[str, Any]:
-        """All fields as plain data, except the world's ways; fields for these only if they differ from the default."""
+        """The fields as plain data: without ``crossings``; ``acts`` and ``most_on_grid`` only if they are not usual."""
         data = asdict(replace(self, crossings=None))
         usual = {"crossings": None, "acts": crossing_traffic.ACTS, "most_on_grid": MOST_ON_GRID}
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
@@ -121,12 +125,12 @@ class SearchSpace:
 
     @property
     def low_step(self) -> int:
-        """The lowest target speed in steps of 0.1 m/s, at most the highest."""
+        """The lowest target speed in steps of 0.1 m/s, at most :attr:`top_step`."""
         return min(round(self.traffic.least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS), self.top_step)
 
     @property
     def described(self) -> str:
-        """Text for users: ``4 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3``."""
+        """A text such as ``4 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3``."""
         speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
         speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
         lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
@@ -138,7 +142,7 @@ class SearchSpace:
 
     @property
     def crossing_traffic(self) -> CrossingTraffic | None:
-        """The distribution of instructions at zones; None if all NPCs are on the grid."""
+        """The distribution of the instructions of crossing NPCs; None if all NPCs are on the grid."""
         if self.crossings is None:
             return None
         low, high = self.low_step / SPEED_STEPS_PER_MPS, self.top_step / SPEED_STEPS_PER_MPS
@@ -146,11 +150,11 @@ class SearchSpace:
 
     @property
     def draws_start(self) -> bool:
-        """True if scenarios differ in their start, their number of NPCs or the duration of genes."""
+        """True if the space varies the start, the number of NPCs or the duration of genes."""
         return bool(self.ego_lanes or self.most_npcs or self.gene_durations) or self.ego_speeds is not None
 
     def drawn(self, rng: Generator) -> SearchSpace:
-        """Sample everything that differs between scenarios, and return the space of one scenario."""
+        """Sample the start, number of NPCs and duration of genes, and return the space in which these are fixed."""
         if not self.draws_start:
             return self
         lane, speed = self.drawn_lane(rng), self.drawn_speed(rng)
@@ -160,7 +164,7 @@ class SearchSpace:
         return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)
 
     def fixed(self, lane: int, speed: float, npcs: int, genes: int, seconds: float) -> SearchSpace:
-        """Return the space of scenarios with one start [m/s], one number of NPCs, and genes of one duration [s]."""
+        """Return the space with a fixed start [m/s], a fixed number of NPCs, and genes of a fixed duration [s]."""
         plain: dict[str, Any] = {"ego_lanes": (), "ego_speeds": None, "most_npcs": (), "gene_durations": ()}
         return replace(self, ego_lane=lane, ego_speed=speed, npcs=npcs, genes=genes, gene_seconds=seconds, **plain)
 
@@ -170,7 +174,7 @@ class SearchSpace:
         return self.most_npcs[lanes.index(lane)] if self.most_npcs and lane in lanes else self.npcs
 
     def genes_of(self, seconds: float) -> int:
-        """Return how many genes of a duration [s] last as long as the genes of the space."""
+        """Return the number of genes of a duration [s] that together last as long as all genes of the space."""
         if seconds == self.gene_seconds:
             return self.genes
         return max(1, math.ceil(self.genes * self.gene_seconds / seconds - 1e-9))
@@ -193,14 +197,14 @@ class SearchSpace:
 
 
 def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int] | None = None) -> SearchSpace:
-    """Return the space of scenarios in a world, with as many genes as a run lasts unless their number is given.
+    """Return the space of scenarios in a world, with enough genes for the longest run unless their number is given.
 
     On a bent road the environment gives the ``start``: the ego's lane and speed [m/s], and the world's ticks per
-    second. All genes together then last as long as a run: as many genes of about ten seconds as fit, but at least
-    three.
+    second. All genes together then last as long as the longest run. There are at least three genes, of about ten
+    seconds or less.
 
     Raises:
-        TypeError, ValueError: if a field is unknown or out of range, or the world cannot be built.
+        TypeError, ValueError: if a field in ``given`` is unknown or out of range, or the world cannot be built.
     """
     speed_limit, longest_run = float(world.speed_limit), float(world.longest_run)
     wanted = dict(given)
@@ -223,13 +227,13 @@ def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int]
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a valid scenario.
 
-    Its start, its number of NPCs and the duration of genes are sampled first, if the space varies them. The first cells
-    are any distinct ones; then each NPC walks on the ring: it holds its cell or steps to either side with equal
-    probability. A step into a cell that another NPC holds is repaired. Speeds are uniform over the steps of 0.1 m/s up
-    to the limit. If the space has patterns, half of the scenarios are made of these instead, and repaired in the same
-    way.
+    The start, the number of NPCs and the duration of genes are sampled first, if the space varies them. The NPCs begin
+    in random distinct cells. Then each NPC walks on the ring: it stays in its cell or steps to either side with equal
+    probability. A step into a cell that a different NPC holds is repaired. Speeds are uniform over the steps of 0.1 m/s
+    up to the limit. If the space has patterns, half of the scenarios are made of patterns instead, and repaired in the
+    same way.
 
-    If ways cross, most NPCs have an instruction at a zone instead; one that conflicts with another is sampled again.
+    If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
     """
     space = space.drawn(rng)
     crossing = space.crossing_traffic
@@ -264,9 +268,9 @@ def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
-    """Sample a scenario of Lane-Instructions: uniform speeds up to the limit, and keep, left or right.
+    """Sample a scenario of Lane-Instructions: uniform speeds up to the limit, with keep, left or right.
 
-    It needs no repair, so its seed is 0.
+    The scenario needs no repair, so its seed is 0.
     """
     shifts = rng.integers(len(SHIFTS), size=(space.npcs, space.genes)).tolist()
     speeds = rng.integers(space.low_step, space.top_step + 1, size=(space.npcs, space.genes)).tolist()
@@ -278,11 +282,11 @@ def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
 
 
 def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | SearchSpace) -> Scenario:
-    """Make a valid scenario, the step after every sampling and every variation (section 2.1 of the paper).
+    """Make a valid scenario from chains that were sampled or varied (section 2.1 of the paper).
 
-    The result equals :meth:`Scenario.repaired`, but this is much faster, because a search makes one for every child:
-    valid chains, which a repair does not change, skip it. ``start`` gives the ego's lane, the first speed of all
-    vehicles and the duration of a gene.
+    The result equals that of :meth:`Scenario.repaired`. This function is much faster, as a search calls it for every
+    child: it skips the repair of chains that are valid already. ``start`` gives the ego's lane, the first speed of all
+    vehicles, the duration of a gene and the traffic.
     """
     positions = positions_of(chains)
     cells = [[gene.cell for gene in chain] for chain in positions]

@@ -276,7 +276,7 @@ class TestTurns:
 
     def test_telling_without_an_ask_is_refused(self):
         search = AvFuzzerSearch()
-        with pytest.raises(RuntimeError, match="tell: expected an ask before"):
+        with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
             search.tell(search.start(rng()), [], rng())
 
     def test_telling_something_else_is_refused(self, make_evaluation):

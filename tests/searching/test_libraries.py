@@ -103,7 +103,7 @@ def test_new_bests_rise(name, cheap_world):
 def test_out_of_turn_is_refused(name):
     search, rng = resolve_algorithm(name).make(SearchSpace()), np.random.default_rng(0)
     state = search.start(rng)
-    with pytest.raises(RuntimeError, match="tell: expected an ask before"):
+    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
         search.tell(state, [], rng)
     with pytest.raises(RuntimeError, match="ask: expected tell after"):
         search.ask(search.ask(state, rng)[0], rng)

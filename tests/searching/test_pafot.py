@@ -300,13 +300,13 @@ def test_asking_does_not_change_the_given_state():
 def test_tell_without_ask_is_refused(make_evaluation):
     search = PafotSearch()
     rng = np.random.default_rng(0)
-    with pytest.raises(RuntimeError, match="tell: expected an ask before"):
+    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
         search.tell(search.start(rng), [make_evaluation()], rng)
 
 
 def test_a_second_tell_is_refused(driver, make_evaluation):
     driver.round(1.0)
-    with pytest.raises(RuntimeError, match="tell: expected an ask before"):
+    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
         driver.search.tell(driver.state, [make_evaluation(scenario) for scenario in driver.asked], driver.rng)
 
 
@@ -325,7 +325,7 @@ def test_evaluations_that_do_not_match_are_refused(make_evaluation):
     evaluations = [make_evaluation(scenario) for scenario in asked]
     with pytest.raises(ValueError, match="expected 4 evaluations, one per scenario, received 3"):
         search.tell(state, evaluations[:3], rng)
-    with pytest.raises(ValueError, match=r"at 0, received one of .*; keep the order"):
+    with pytest.raises(ValueError, match=r"at 0, received the evaluation of .*; keep the order"):
         search.tell(state, evaluations[::-1], rng)
 
 
@@ -335,7 +335,7 @@ def test_evaluations_that_do_not_match_are_refused(make_evaluation):
         ({"population": 1}, "population: expected at least 2"),
         ({"crossover_rate": 1.1}, "crossover_rate: expected a number from 0 to 1"),
         ({"mutation_rate": float("nan")}, "mutation_rate: expected a number from 0 to 1"),
-        ({"elite_share": 0.8}, "elite_share: expected room for a child"),
+        ({"elite_share": 0.8}, "elite_share: expected a share that leaves room for a child"),
         ({"local_generations": -1}, "local_generations: expected a count of at least 0"),
         ({"restart_after": 0}, "restart_after: expected a count of at least 1"),
         ({"local_mutation_factor": -1.0}, "local_mutation_factor: expected a finite number"),

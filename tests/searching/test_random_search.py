@@ -43,7 +43,7 @@ def test_a_new_best_is_reported_once(make_evaluation):
 
 def test_turns_are_kept(make_evaluation):
     search, rng = RandomSearch(), np.random.default_rng(0)
-    with pytest.raises(RuntimeError, match="tell: expected an ask before"):
+    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
         search.tell(search.start(rng), [make_evaluation()], rng)
     state, _ = search.ask(search.start(rng), rng)
     with pytest.raises(RuntimeError, match="ask: expected tell"):

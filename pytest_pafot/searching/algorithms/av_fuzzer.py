@@ -29,7 +29,7 @@ LEAST_WEIGHT = 0.001  # replaces a fitness of 0, which the roulette would never 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AvFuzzerState:
-    """The state of a search between two calls."""
+    """The state of the search between two calls of ``ask`` or ``tell``."""
 
     generation: int = 0  # generation of the main search, from 0, which is the random population
     local_generation: int = 0  # 0 in the main search; in a local search it counts from 1, the mutants
@@ -51,16 +51,18 @@ class AvFuzzerState:
 
 @dataclass(frozen=True, slots=True)
 class AvFuzzerSearch:
-    """AV-Fuzzer. Its released numbers are the defaults, except for the length of a slice.
+    """AV-Fuzzer's search. The defaults are the numbers of its released code, except for the length of a slice.
 
     Attributes:
-        space: space of the scenarios; its NPCs, speed limit and start are used. Its genes together last as long as all
-            slices: five slices of 12 s replace the released 15 s in five, to compare over equal times.
+        space: space whose NPCs, speed limit and start are used. All slices together last as long as its genes, so that
+            algorithms are compared over equal times: by default five slices of 12 s, in the released code of 3 s.
         population: number of scenarios in a generation.
-        slices: number of manoeuvres of each NPC.
-        crossover_rate: probability that a trial swaps two NPCs; there are half as many trials as scenarios.
+        slices: number of manoeuvres of each NPC, one per time slice.
+        crossover_rate: probability that a crossover takes place; each generation has half as many chances for one as
+            scenarios.
         mutation_rate: probability that one manoeuvre of a scenario is changed.
-        local_generations: generations of a local search after its mutants; 0 turns local searches off.
+        local_generations: number of generations of a local search after its first, the mutants; 0 turns local searches
+            off.
         local_mutation_factor: factor of the mutation rate in local searches, up to a rate of 1.
         local_after: number of generations after a random population in which no local search starts.
         restart_after: number of generations without progress after which the population is abandoned.
@@ -90,7 +92,7 @@ class AvFuzzerSearch:
 
     @property
     def sliced(self) -> SearchSpace:
-        """The space with slices for genes."""
+        """The space with one gene for each slice."""
         return self.space.sliced(self.slices)
 
     def start(self, rng: Generator) -> AvFuzzerState:
@@ -202,7 +204,7 @@ class AvFuzzerSearch:
 
 
 def swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
-    """Swap the NPC of one random index, the same in both scenarios."""
+    """Swap the NPCs of two scenarios that have the same random index."""
     npc = int(rng.integers(len(a.npcs)))
     first, second = with_chain(a.npcs, npc, b.npcs[npc]), with_chain(b.npcs, npc, a.npcs[npc])
     return replace(a, npcs=first), replace(b, npcs=second)
@@ -211,7 +213,7 @@ def swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenari
 def mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """Give a random manoeuvre of a random NPC a new speed, a new action or no change, with equal probability.
 
-    Speeds are sampled as for the first scenarios of the space.
+    Speeds are sampled as in :func:`~pytest_pafot.searching.space.sample_manoeuvres`.
     """
     npc = int(rng.integers(len(scenario.npcs)))
     chain = scenario.npcs[npc]
@@ -227,9 +229,10 @@ def mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
 
 
 def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, ...]:
-    """Sample as many members with replacement, in proportion to their fitness, shifted if one is negative.
+    """Sample a population of the same size with replacement, in proportion to fitness.
 
-    Runs that are not eligible, such as crashes between NPCs, have no weight, unless there are no others.
+    If a fitness is negative, all are raised so that the lowest is 0. Runs that are not eligible, such as crashes
+    between NPCs, are never selected, unless there are no others.
     """
     fitness = np.array([_weight(member) or LEAST_WEIGHT for member in population])
     finite = np.isfinite(fitness)
@@ -241,9 +244,9 @@ def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluati
 
 
 def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int) -> tuple[Scenario, ...]:
-    """Return the candidates with the greatest mean distance to earlier scenarios, the first of equals.
+    """Return the ``count`` candidates with the greatest mean distance to earlier scenarios, the first of equals.
 
-    The earlier scenarios, ``checkpoints``, are given as :func:`features`, of shape [scenarios, NPCs, slices, 2].
+    The earlier scenarios, ``checkpoints``, are given by their :func:`features`, shape [scenarios, NPCs, slices, 2].
     """
     by_distance = sorted(candidates, key=lambda each: -float(np.mean(distance(features(each), checkpoints))))
     return tuple(by_distance[:count])
@@ -263,7 +266,10 @@ def features(scenario: Scenario) -> FloatArray:
 
 
 def distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the distance of scenarios: Euclidean per slice, summed over slices, mean over NPCs; shapes broadcast."""
+    """Return the distance between scenarios: Euclidean per slice, summed over slices, then the mean over NPCs.
+
+    ``a`` and ``b`` are :func:`features`, whose shapes broadcast.
+    """
     per_slice = np.sqrt(np.sum((a - b) ** 2, axis=-1))
     mean: FloatArray = per_slice.sum(axis=-1).mean(axis=-1)
     return mean

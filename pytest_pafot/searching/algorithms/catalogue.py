@@ -25,16 +25,16 @@ CATALOGUE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({each.name: eac
     DistinctSearch, PafotSearch, AvFuzzerSearch, RandomSearch, RandomManoeuvreSearch, Nsga2Search, MapElitesSearch,
     CmaEsSearch,
 )})  # fmt: skip
-"""The algorithms of this package by name; a new one is imported and listed here."""
+"""The algorithms of this package by name; a new algorithm must be imported and listed here."""
 
 ALGORITHMS = tuple(CATALOGUE)  # names that :func:`resolve_algorithm` accepts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlgorithmClass:
-    """The class of a search algorithm, and what its class attributes declare.
+    """The class of a search algorithm, and the values of its class attributes.
 
-    All attributes but the name may be missing in a class; they then have these defaults.
+    A class must have the attribute ``name``. Other attributes that it lacks have the defaults below.
     """
 
     made_by: Callable[..., Algorithm[Any]]  # the class
@@ -56,8 +56,8 @@ class AlgorithmClass:
         if self.library is not None and find_spec(self.library) is None:
             extra = "`pip install 'pytest-pafot[search]'` or " if self.name in CATALOGUE else ""
             raise ValueError(
-                f"algorithm: expected {self.name!r} with the library {self.library}, received an environment without "
-                f"it; run {extra}`pip install {self.library}`"
+                f"algorithm: expected the library {self.library} for {self.name!r}, received a Python without it; run "
+                f"{extra}`pip install {self.library}`"
             )
         known = [parameter for parameter in inspect.signature(self.made_by).parameters if parameter != "space"]
         for parameter in parameters:
@@ -84,10 +84,10 @@ class AlgorithmClass:
 
 
 def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:
-    """Return the algorithm of a name, ``module:Class`` or class, see :class:`~pytest_pafot.searching.Algorithm`.
+    """Return the algorithm for a name, a text ``module:Class`` or a class like ``pytest_pafot.searching.Algorithm``.
 
     Raises:
-        ValueError: for anything else, in a message that lists the names and what the class must have.
+        ValueError: for anything else; the message lists the names, or what the class must have.
     """
     made_by = _named(given) if isinstance(given, str) else given
     _check_class(made_by)
@@ -127,5 +127,5 @@ def _check_class(given: Any) -> None:
     if CATALOGUE.get(str(name), given) is not given:
         raise ValueError(
             f"algorithm: expected a unique name for {given.__name__}, received {name!r}, which is the name of a "
-            "different algorithm in files and reports; set its class attribute name"
+            f"different algorithm in files and reports; set the class attribute `name` of {given.__name__}"
         )

@@ -1,6 +1,6 @@
 """CMA-ES for mixed variables: the paper's genes, searched by a distribution instead of a population.
 
-CatCMA with margin is from the library cmaes. Plain CMA-ES does not fit, because cells are categories.
+The optimiser, CatCMA with margin, is from the library cmaes. Plain CMA-ES does not fit, because cells are categories.
 
 Source: Hamano et al., "CatCMA with Margin for Single- and Multi-Objective Mixed-Variable Black-Box Optimization",
 arXiv:2504.07884, 2025.
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CmaEsState(GenerationState):
-    """The state of a search between two calls."""
+    """The state of the search between two calls of ``ask`` or ``tell``."""
 
     optimiser: CatCMAwM  # from cmaes, with its distribution and random state; copied before every change
     solutions: tuple[Any, ...] = ()  # the optimiser's solutions, one for each scenario under evaluation
@@ -36,10 +36,10 @@ class CmaEsState(GenerationState):
 
 @dataclass(frozen=True, slots=True)
 class CmaEsSearch(GenerationalSearch[CmaEsState]):
-    """CatCMA with margin over chains of Position-Instructions.
+    """A search by CatCMA with margin over chains of Position-Instructions.
 
-    A chain is its first cell, a category of eight; the steps to the next cells, categories of three; and its speeds,
-    integers in 0.1 m/s. If two NPCs would hold the same cell, that is repaired.
+    The optimiser's variables for a chain are its first cell, one of eight categories; each step to the next cell, one
+    of three; and its speeds, integers in steps of 0.1 m/s. If two NPCs would hold the same cell, the chain is repaired.
     """
 
     name: ClassVar[str] = "cma-es"
@@ -49,7 +49,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
     def __post_init__(self) -> None:
         if self.population < 4:
             raise ValueError(
-                f"population: expected at least 4 for cma-es, which learns from the better half of them, received "
+                f"population: expected at least 4 for cma-es, which learns from the better half of it, received "
                 f"{self.population!r}"
             )
 
@@ -87,7 +87,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
 
 
 def losses(evaluations: Sequence[Evaluation]) -> list[float]:
-    """Return the finite losses to minimise: minus fitness; for ineligible runs, more than for all others."""
+    """Return a finite loss for each run, to be minimised: minus the fitness; ineligible runs have the highest loss."""
     known = [-each.fitness for each in evaluations if each.eligible and math.isfinite(each.fitness)]
     worst = max(known, default=0.0) + 1.0
     return [-each.fitness if each.eligible and math.isfinite(each.fitness) else worst for each in evaluations]

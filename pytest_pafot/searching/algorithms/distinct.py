@@ -1,8 +1,8 @@
 """The default search: distinct failures, one kind after the other.
 
-The paper's search counts collisions. A user wants each distinct failure once, and for this goal that search is in its
-own way: failing runs outrank all others, so the first defect takes over its population of four, and every further
-generation breeds it again. This search has the paper's genes and operators, but a different choice of parents.
+The paper's search counts collisions. A user wants each distinct failure once. The paper's search hinders this: failing
+runs outrank all others, so the first defect takes over its population of four, and every further generation breeds the
+same defect again. The default search has the paper's genes and operators, but a different choice of parents.
 docs/explanation/default-search.md has the comparison.
 
 Source of the niches: Mouret, Clune, "Illuminating search spaces by mapping elites", arXiv:1504.04909, 2015.
@@ -31,7 +31,7 @@ from pytest_pafot.searching.space import sample
 
 @dataclass(frozen=True, slots=True)
 class NicheSearch(GenerationalSearch[GenerationStateT]):
-    """A search whose first scenarios are random, and whose later ones are children of the stored ones.
+    """A base class of searches that begin with random scenarios and then breed children of the best runs so far.
 
     Attributes:
         random_runs: number of scenarios before the first children.
@@ -50,7 +50,7 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
         return max(self.population, self.random_runs)
 
     def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Iterable[Scenario]]:
-        """Propose random scenarios at first and while there is no parent; then children."""
+        """Propose ``random_runs`` random scenarios at first, and more while there is no parent; then children."""
         parents = self.parents(state)
         to_come = self.random_runs - state.proposed if parents else self.population
         return state, (
@@ -77,7 +77,7 @@ Elites = tuple[tuple[Niche, Evaluation], ...]  # the best of each niche, in thei
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistinctState(GenerationState):
-    """The state of a search between two calls."""
+    """The state of the search between two calls of ``ask`` or ``tell``."""
 
     kinds: frozenset[Hashable] = frozenset()  # kinds of the failures so far
     mistakes: frozenset[str] = frozenset()  # the ego's mistakes in these failures, and the failed checks
@@ -89,24 +89,23 @@ class DistinctState(GenerationState):
 
 @dataclass(frozen=True, slots=True)
 class DistinctSearch(NicheSearch[DistinctState]):
-    """A search that varies the worst runs of all niches, and drops runs that show a known failure.
+    """A search that varies the worst run of each niche, which is a kind of run, and drops runs with a known failure.
 
-    1. The first scenarios are random, like the paper's first generation. 2. After them a third of the scenarios are
-    random, and the others are children of the worst run of every niche. With an
-       impact, niches are its cell and closing speed; without one, what the ego was required to do
-       (:func:`~pytest_pafot.searching.evaluation.demand_of`). So no kind of run displaces the others. For an NPC that
-       crosses, its zone and slot replace the cell, or without an impact the demand on the ego. There is another group
-       of niches for each check that has not failed yet (:attr:`~pytest_pafot.searching.Evaluation.margins`), with its
-       worst margin instead of the fitness: every check is an objective, without a weight. The groups are equally
-       likely, and parents are selected in a group by binary tournament on the fitness. A child has one to three
-       mutations.
-    3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is not a parent from
-       then on, because the shrinker simplifies such failures.
+    1. The first scenarios are random, like the paper's first generation.
+    2. After them a third of the scenarios are random, and the others are children of the worst run of every niche. The
+       niche of a run with an impact is the cell and closing speed of the impact. Without an impact, it is how the ego
+       reacted (:func:`~pytest_pafot.searching.evaluation.demand_of`). So no kind of run displaces the others. For an
+       NPC that crosses, its zone and slot replace the cell or, without an impact, the reaction. Each check that has not
+       failed yet (:attr:`~pytest_pafot.searching.Evaluation.margins`) has a separate group of niches, in which its
+       worst margin replaces the fitness: every check is an objective, without a weight. The groups are equally likely,
+       and parents are selected in a group by binary tournament on the fitness. A child has one to three mutations.
+    3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no longer a
+       parent, because the shrinker simplifies such failures.
 
     Attributes:
         population: number of scenarios in a generation.
         most_mutations: largest number of mutations of a child; the number is uniform from 1.
-        fresh: share of random scenarios after the first ones.
+        fresh: share of random scenarios after the first ``random_runs``.
     """
 
     name: ClassVar[str] = "distinct"
@@ -125,7 +124,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
         return DistinctState()
 
     def stored(self, state: DistinctState) -> Any:
-        """Return the state as plain data; random numbers follow from the seed and the number of the generation."""
+        """Return the state as plain data, without random numbers: these follow from the seed and the generation."""
         return plain(state)
 
     def restored(self, data: Any) -> DistinctState:
@@ -133,12 +132,12 @@ class DistinctSearch(NicheSearch[DistinctState]):
         return from_plain(DistinctState, data)
 
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
-        """Return equally likely groups of parents: the elites of the niches, and those for each check."""
+        """Return the equally likely groups of parents: elites by fitness, and elites by the margin of each check."""
         groups = (state.elites, *state.strained.values())
         return [[each for _, each in elites] for elites in groups if elites]
 
     def child(self, parents: Sequence[Sequence[Evaluation]], rng: Generator) -> Scenario:
-        """Return one to three mutations of a parent, or of two with swapped NPCs; or a random scenario."""
+        """Return a random scenario, or a parent, perhaps crossed with a second parent, after one to three mutations."""
         if rng.random() < self.fresh:
             return sample(self.space, rng)
         child = _parent(parents, rng).executed
@@ -163,7 +162,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
 
 def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> Niche:
-    """Return the niche of an evaluation, in a world with these ways that meet the ego's."""
+    """Return the niche of an evaluation; ``crossings`` are the world's ways that meet the ego's way."""
     hit, place = evaluation.collision, meeting_place(evaluation, crossings)
     speed = 0 if hit is None else min(int(hit.closing_speed / SPEED_NICHE), FASTEST_NICHE)
     if hit is not None and hit.cell is not None and hit.npc != evaluation.crossing:
@@ -207,7 +206,7 @@ def _strained(
 
 
 def _elites(evaluations: Sequence[Evaluation], kinds: frozenset[Hashable], crossings: Crossings | None) -> Elites:
-    """Return the best ranked evaluation of each niche, the first of equals."""
+    """Return the best ranked evaluation of each niche, the first of equals, without failures of known kinds."""
     best: dict[Niche, Evaluation] = {}
     for each in evaluations:
         is_known = each.failing and each.kind in kinds

@@ -1,6 +1,6 @@
 """MAP-Elites with the paper's genes and operators: the fittest scenario of every kind of impact.
 
-The archive is from the library pyribs.
+The archive, which stores these scenarios, is from the library pyribs.
 
 Source: Mouret, Clune, "Illuminating search spaces by mapping elites", arXiv:1504.04909, 2015.
 """
@@ -33,7 +33,7 @@ CLOSING_SPEED_NICHES = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapElitesState(GenerationState):
-    """The state of a search between two calls."""
+    """The state of the search between two calls of ``ask`` or ``tell``."""
 
     archive: GridArchive  # from pyribs; its solutions are indices of evaluations; copied before every change
     evaluations: tuple[Evaluation, ...] = ()  # all eligible evaluations so far
@@ -41,7 +41,7 @@ class MapElitesState(GenerationState):
 
 @dataclass(frozen=True, slots=True)
 class MapElitesSearch(NicheSearch[MapElitesState]):
-    """MAP-Elites over scenarios; niches are the impact cell, or the zone and slot, and the closing speed."""
+    """MAP-Elites over scenarios; a niche is the closing speed, with the cell of the impact, or the zone and slot."""
 
     name: ClassVar[str] = "map-elites"
     library: ClassVar[str] = "ribs"
@@ -55,14 +55,14 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
         return MapElitesState(archive=GridArchive(solution_dim=1, dims=(places, CLOSING_SPEED_NICHES), ranges=ranges))
 
     def parents(self, state: MapElitesState) -> list[Evaluation]:
-        """Return the elites in the order of the niches, so that equal random numbers select equal ones."""
+        """Return the elites in the order of their niches, so that a random number always selects the same elite."""
         if not len(state.archive):
             return []
         elites = state.archive.data(["solution", "index"], return_type="dict")
         return [state.evaluations[int(number)] for number in elites["solution"][np.argsort(elites["index"]), 0]]
 
     def child(self, parents: Sequence[Evaluation], rng: Generator) -> Scenario:
-        """Return a mutation of an elite, or of two with swapped NPCs."""
+        """Return a mutation of an elite, which is perhaps crossed with a second elite before."""
         a, b = (parents[int(index)].executed for index in rng.integers(len(parents), size=2))
         child = first_crossed(a, b, rng) if rng.random() < self.crossover_rate else a
         return mutate(child, self.space, rng)
@@ -82,9 +82,9 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
 
 
 def niche(evaluation: Evaluation, crossings: Crossings | None = None) -> tuple[float, float]:
-    """Return the cell of the impact, 0 without one, and the closing speed [m/s].
+    """Return the place of a run in the archive: the cell of the impact, 0 without one, and the closing speed [m/s].
 
-    Numbers beyond the cells stand for the zones and slots of NPCs that cross.
+    Instead of a cell, numbers from 9 stand for the zones and slots of NPCs that cross.
     """
     hit = evaluation.collision
     if hit is None:

@@ -27,7 +27,7 @@ WORST = 1e9  # the objectives of an ineligible run; finite, because crowding is 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nsga2State(GenerationState):
-    """The state of a search between two calls."""
+    """The state of the search between two calls of ``ask`` or ``tell``."""
 
     population: tuple[Evaluation, ...] = ()  # survivors, the best rank first, and within a rank the least crowded
 
@@ -58,7 +58,7 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
         return Nsga2State()
 
     def propose(self, state: Nsga2State, rng: Generator) -> tuple[Nsga2State, Sequence[Scenario]]:
-        """Return children of the survivors, or random scenarios before there are any."""
+        """Return children of the survivors, or random scenarios in the first generation."""
         proposed: list[Scenario] = []
         while not state.population and len(proposed) < self.population:
             proposed.append(sample(self.space, rng))
@@ -79,7 +79,7 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
 
 
 def surviving(evaluations: Sequence[Evaluation], count: int, rng: Generator) -> tuple[Evaluation, ...]:
-    """Return at most this many survivors, by rank of dominance, then the least crowded first."""
+    """Return at most ``count`` survivors, first by non-dominated rank and then by the largest crowding distance."""
     from pymoo.core.population import Population  # noqa: PLC0415  (slow to import)
     from pymoo.core.problem import Problem  # noqa: PLC0415
     from pymoo.operators.survival.rank_and_crowding import RankAndCrowding  # noqa: PLC0415
@@ -95,10 +95,10 @@ def surviving(evaluations: Sequence[Evaluation], count: int, rng: Generator) -> 
 def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
     """Return the objectives to minimise, shape [evaluations, 3 + checks].
 
-    They are minus fitness, minus the closing speed at the impact [m/s] and minus novelty, then the margin of each check
-    that any of the runs got to, in the order of their names. Novelty is the smallest share of genes in which a
-    scenario, as driven, differs from another one: in the cell, in the zone or slot, or by an NPC that the other one
-    lacks.
+    They are minus the fitness, minus the closing speed at the impact [m/s] and minus the novelty, then the margin of
+    each check that any of the runs evaluated, sorted by name. Novelty is the share of genes in which a scenario, as
+    driven, differs from the most similar other scenario: in the cell, in the zone or slot, or by an NPC that only one
+    of the two has.
     """
     cells = cells_of(evaluations)
     one, other = cells[:, None, :], cells[None, :, :]
@@ -118,7 +118,7 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
 def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
     """Return the driven cells, shape [evaluations, npcs * genes], in steps of the shortest gene; 0 for no cell.
 
-    An NPC that crosses has one number beyond the cells, for its zone and slot.
+    An NPC that crosses has a single number, from 9 on, for its zone and slot.
     """
     shortest = min(each.executed.gene_seconds for each in evaluations)
     chains = [[retimed(chain, each.executed.gene_seconds, shortest) for chain in each.chains] for each in evaluations]

@@ -1,8 +1,8 @@
-"""PAFOT: the genetic algorithm with its local fuzzer and restarts, as values with ask and tell.
+"""PAFOT: the paper's genetic algorithm with its local fuzzer and restarts, as an immutable value with ask and tell.
 
-Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3. If the paper leaves something open, the choice
-is named here and at the parameter. Individuals evolve as they were driven: what the repair inside a run changed is part
-of them from then on (section 2.1).
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3. If the paper leaves something open, the
+parameter's description names the choice. Children are bred from their parents as driven, which includes the changes of
+the repair inside a run (section 2.1).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pytest_pafot.searching.space import SearchSpace, sample
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PafotState:
-    """The state of a search between two calls."""
+    """The state of the search between two calls of ``ask`` or ``tell``."""
 
     generation: int = 0  # of the main search, from 0; advances after a generation and its local search
     local_generation: int = 0  # 0 in the main search; in a local search it counts from 1, the mutants
@@ -47,16 +47,18 @@ class PafotSearch:
         population: number of individuals in a generation. The paper gives no number; its totals imply 4.
         crossover_rate: probability that a pair of parents swaps two NPCs, p_c.
         mutation_rate: probability that a child has one Position-Instruction replaced, p_m.
-        elite_share: share of the best that pass on unchanged, rounded up, and are not evaluated again.
+        elite_share: share of the population, rounded up, that passes on unchanged because it is the best. It is not
+            evaluated again.
         local_generations: generations that a local search breeds from its mutants; 0 turns local searches off.
             With 1 and a population of 4, one local search requests 3 mutants and 3 children; the paper's totals imply
             about 5 additional scenarios each.
         local_mutation_factor: factor of the mutation rate in a local search, up to a rate of 1.
         local_after: number of generations after a random population in which no local search starts.
         restart_after: number of generations without a new best after which the population is abandoned.
-        breeding_attempts: number of times a child is bred again if its run is known from a member of the population:
-            an unchanged copy, or a change in genes that the run never got to. Running it again can show something
-            new in the paper's simulator, but not in a deterministic one. 0 accepts such children, as the paper does.
+        breeding_attempts: number of times a child is bred again if its run is known: the child equals a member of the
+            population, or differs only in genes that begin after the run has ended. Running it again can show
+            something new in the paper's simulator, but not in a deterministic one. 0 accepts such children, as the
+            paper does.
     """
 
     name: ClassVar[str] = "pafot"
@@ -75,14 +77,14 @@ class PafotSearch:
 
     def __post_init__(self) -> None:
         if self.population < 2:
-            raise ValueError(f"population: expected at least 2, an elite and a child, received {self.population!r}")
+            raise ValueError(f"population: expected at least 2, for an elite and a child, received {self.population!r}")
         rates, factors = ("crossover_rate", "mutation_rate", "elite_share"), ("local_mutation_factor",)
         counts = {"local_generations": 0, "local_after": 0, "restart_after": 1, "breeding_attempts": 0}
         check_parameters(self, rates=rates, factors=factors, **counts)
         if self.elite_share * self.population > self.population - 1:
             raise ValueError(
-                f"elite_share: expected room for a child in a population of {self.population}, received "
-                f"{self.elite_share!r}; use at most {1 - 1 / self.population:.2g}"
+                f"elite_share: expected a share that leaves room for a child in a population of {self.population}, "
+                f"received {self.elite_share!r}; use at most {1 - 1 / self.population:.2g}"
             )
 
     def start(self, rng: Generator) -> PafotState:
@@ -90,7 +92,7 @@ class PafotSearch:
         return PafotState(fresh=self._random_population(rng))
 
     def ask(self, state: PafotState, rng: Generator) -> tuple[PafotState, tuple[Scenario, ...]]:
-        """Return the scenarios to evaluate next: those of a generation that are not known already."""
+        """Return the scenarios to evaluate next: those of the generation that were not evaluated before."""
         check_ask(state.asked)
         if not state.fresh:
             state = self._bred(state, rng)
@@ -138,7 +140,7 @@ class PafotSearch:
         return replace(state, kept=kept, fresh=tuple(children[: self.population - len(kept)]))
 
     def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: Generator) -> Scenario:
-        """Return an incumbent with one mutation in a gene that its run gets to, if a few attempts find one."""
+        """Return a mutant of the incumbent whose run is not known yet, if ``breeding_attempts`` attempts find one."""
         for _ in range(self.breeding_attempts):
             mutant = mutate(incumbent.executed, self.space, rng)
             if known.recall(mutant) is None:

@@ -1,7 +1,7 @@
 """Random search, the baseline: every scenario is sampled independently and nothing is learnt.
 
 The paper's Random manipulates "the driving behaviours of NPCs at specified intervals" (section 4.2), which can mean
-random Position-Instructions or random manoeuvres. Both are here.
+random Position-Instructions or random manoeuvres. This module has a search for each.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pytest_pafot.searching.space import sample, sample_manoeuvres
 
 @dataclass(frozen=True, slots=True)
 class RandomSearch(GenerationalSearch[GenerationState]):
-    """Random valid scenarios, as many in a generation as the genetic algorithm has individuals (section 4.2)."""
+    """A search that samples valid scenarios at random, in generations as large as the paper's search (section 4.2)."""
 
     name: ClassVar[str] = "random"
     random_at_first: ClassVar[float] = math.inf  # number of random scenarios at the beginning of a search
@@ -31,7 +31,7 @@ class RandomSearch(GenerationalSearch[GenerationState]):
         return GenerationState()
 
     def stored(self, state: GenerationState) -> Any:
-        """Return the state as plain data; random numbers follow from the seed and the number of the generation."""
+        """Return the state as plain data, without random numbers: these follow from the seed and the generation."""
         return plain(state)
 
     def restored(self, data: Any) -> GenerationState:
@@ -49,12 +49,12 @@ class RandomSearch(GenerationalSearch[GenerationState]):
 
 @dataclass(frozen=True, slots=True)
 class RandomManoeuvreSearch(RandomSearch):
-    """Random manoeuvres in the slices of AV-Fuzzer.
+    """A search that samples random manoeuvres, one for each time slice, as AV-Fuzzer has them.
 
     See :class:`~pytest_pafot.searching.algorithms.av_fuzzer.AvFuzzerSearch`.
 
     Attributes:
-        slices: manoeuvres of each NPC, which together last as long as the genes of the space.
+        slices: number of manoeuvres of each NPC; together they last as long as the genes of the space.
     """
 
     name: ClassVar[str] = "random-manoeuvre"
