@@ -72,7 +72,7 @@ def test_excessive_rate_is_reported_in_fitting_lines_only(project, monkeypatch):
 WRONG = [
     (f"episodes=2, {WORLD}", "@pafot.rate(at_most=...): expected it to be given, as in at_most=0.02"),
     ("at_most=0.1", "@pafot.rate(world=...): expected it to be given"),
-    ("at_most=0.1, world=pafot.Highway()", "@pafot.rate(world=...): expected an environment with traffic of its"),
+    ("at_most=0.1, world=pafot.Highway()", "@pafot.rate(world=...): expected an environment with its own traffic"),
     ('at_most=0.1, world="highway-v9"', "*did you mean 'highway-v0'*"),
     (f"at_most=2, {WORLD}", "@pafot.rate(at_most=...): expected a share of the episodes, from 0 to less than 1"),
     (f"at_most=0.1, episode=2, {WORLD}", "@pafot.rate(episode=...): did you mean 'episodes'?"),
