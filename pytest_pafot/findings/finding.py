@@ -55,10 +55,10 @@ _RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]
 
 
 def portable(text: str, root: str = "") -> str:
-    """Remove from a text what differs from process to process, and from checkout to checkout.
+    """Replace everything in a text that differs between processes or between checkouts of the project.
 
-    ``ADDRESS`` stands for memory addresses, ``N`` for ids of processes and threads, ``TMP`` for temporary folders.
-    Paths are relative to the project's folder, or to the folder in which packages are installed.
+    Memory addresses become ``ADDRESS``, ids of processes and threads ``N``, and temporary folders ``TMP``. Paths become
+    relative to the project's folder ``root``, or to the folder in which packages are installed.
     """
     if root:
         text = text.replace(root.rstrip("\\/") + os.sep, "")
@@ -81,7 +81,7 @@ _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 class Bounded:
     """The value that a failed check measured, and its bounds [unit]; None for a bound that does not exist."""
 
-    value: float | None  # None if it was not a finite number, or beyond a billion
+    value: float | None  # None if it was not a finite number, or if its magnitude was above a billion
     at_most: float | None = None
     at_least: float | None = None
     unit: str = ""
@@ -94,28 +94,29 @@ class Expect:
     Attributes:
         failure: name of the exception class.
         assertion: the assertion, normalised as in :class:`~pytest_pafot.findings.signature.Signature`.
-        check: measured value of the failed check; None if none failed. Its name is the assertion.
+        check: measured value of the failed check, whose name is in ``assertion``; None if no check failed.
         message: first line of the exception's message, without addresses, process ids and temporary folders; empty if
-            the assertion already says it.
+            ``assertion`` already says it.
         outcome: how the run ended.
-        time: time of the event [s]: the failed check's if it has one, otherwise
+        time: time of the event [s]: the time of the failed check if it has a time, otherwise
             :attr:`~pytest_pafot.oracle.run.Run.event_time`.
-        npc, cell: NPC and cell at the collision, or else at the least time to contact; None if there is no such
-            moment. For a failed check without a collision the NPC that the check names, and no cell.
-        zone: zone in which that NPC crossed the ego's way, such as ``crossing from the left``; None if it did not
+        npc, cell: NPC and its cell at the collision or, without a collision, at the smallest time to contact; None if
+            there is no such moment. For a failed check without a collision, the NPC that the check names, and no cell.
+        zone: zone in which the NPC crossed the ego's way, such as ``crossing from the left``; None if it did not
             cross.
         side: side of the ego that was hit; None without a collision.
-        situation: situation from which the failure arose; a replay that passes is a fix only if it comes up. None if
-            no NPC was involved, and in files from older versions.
+        situation: situation from which the failure arose; a replay that passes shows a fix only if this situation comes
+            up. None if no NPC was involved, and in files from older versions.
         responsibility: who caused the collision.
         fault: rule by which the ego is responsible; None if it is not.
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision; None without a collision.
-        reference_drivers: outcome of each reference driver in the ego's place; empty if that would mean nothing.
-        last_chance: last time at which one of them would have stayed free of fault; None if there is none.
+        reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
+        last_chance: the last time from which a reference driver would have stayed free of fault; None if there is none.
         avoided_by: the last decision from which braking avoids the collision in simulation; None if there is none.
-        against: the reference that passed where this failed, as ``module:factory`` or the name of a fixture; empty
-            without a reference, or if its factory has no such name.
-        traceback: traceback of an ADS that raised, cleaned in the same way; otherwise empty.
+        against: the reference that passed the scenario, as ``module:factory`` or the name of a fixture; empty without a
+            reference, or if its factory has no such name.
+        traceback: traceback of an ADS that raised, without addresses, process ids and temporary folders; otherwise
+            empty.
     """
 
     failure: str
@@ -146,18 +147,18 @@ class Expect:
 
     @property
     def signature(self) -> Signature:
-        """The identity of the failure, as far as a file determines it; :func:`of_failure` determines it for a run."""
+        """The identity of the failure, as far as these fields determine it; for a run see :func:`of_failure`."""
         return Signature(
             **{part.name: getattr(self, part.name) for part in fields(Signature) if part.name != "mistake"}
         )
 
     @property
     def preventable_by(self) -> tuple[str, ...]:
-        """Names of the reference drivers that would have prevented it (:func:`~pytest_pafot.oracle.run.preventing`)."""
+        """The names of the reference drivers that would have prevented the failure (see ``preventing``)."""
         return tuple(preventing(self.reference_drivers.items(), self.responsibility))
 
     def sentences_on(self, run: Run) -> tuple[str, ...]:
-        """Return the sentences on a run; if the run shows this collision, the middle one says what avoids it."""
+        """Return the sentences that explain a run; if it has this collision, the middle one says how to avoid it."""
         told, hit = run.sentences, run.collision
         is_this = hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
         return (told[0], self.avoided_by.sentence, told[-1]) if self.avoided_by is not None and is_this else told
@@ -174,9 +175,9 @@ class Expect:
         against: str = "",
         root: str = "",
     ) -> Expect:
-        """Record what a failing run showed, in a form that is equal in every process: rounded times, portable texts.
+        """Record the result of a failing run in a form that is equal in every process: rounded times, portable texts.
 
-        Times are in milliseconds. Paths in texts are relative to the root, which is the folder of the project.
+        Times are rounded to milliseconds. Paths in texts are relative to ``root``, the folder of the project.
         """
         hit, trace, event = run.collision, run.trace, event_of(run, failure)
         is_told = bool(failure.assertion.strip()) and run.ads_error is None
@@ -217,11 +218,11 @@ class Found:
 
     Attributes:
         seed: seed of the search.
-        generation: generation in which it was found, from 0.
+        generation: generation of the search that found it, counted from 0.
         algorithm: name of the search.
         versions: versions of the packages that the run depends on.
-        weights: ``sha256:`` and a hash of the policy, if its factory provides one (``pafot.policies``). A replay
-            reports if the hash is different now.
+        weights: ``sha256:`` and a hash of the policy, if its factory provides a hash (``pafot.policies``). A replay
+            reports if the hash of the present policy is different.
     """
 
     seed: int
@@ -237,8 +238,8 @@ class Perceived:
 
     Attributes:
         sight: sight of the ADS in the run that showed the failure.
-        needed: names of the imperfections without which the test does not fail in this scenario; empty if it also
-            fails with perfect sight, None if that was not tried.
+        needed: names of the imperfections without which the test passes in this scenario; empty if it also fails with
+            perfect sight, None if that was not tried.
     """
 
     sight: Sight
@@ -246,7 +247,7 @@ class Perceived:
 
     @property
     def sentence(self) -> str:
-        """The sight that the failure needs in words, such as ``only with 0.3 s of latency``."""
+        """The imperfections of the sight that the failure needs, in words, such as ``only with 0.3 s of latency``."""
         if self.needed is None:
             return f"found with {self.sight.described()}"
         return f"only with {self.sight.described(self.needed)}" if self.needed else "fails also with perfect sight"
@@ -257,21 +258,21 @@ class Finding(Shown):
     """A finding, the content of one file of the corpus.
 
     Attributes:
-        id: name of the file without its suffix. It never changes: the signature's slug and six digits of the scenario
-            as first found. Letters, digits, ``.``, ``_`` and ``-``.
-        test: node id of the test, parameters included.
+        id: name of the file without its suffix, of letters, digits, ``.``, ``_`` and ``-``. It is the slug of the
+            signature and the id of the scenario as first found, and never changes.
+        test: node id of the test, including its parameters.
         scenario: the scenario that fails.
-        world: the world that it fails in, as plain data.
-        expect: the expected result of running it.
-        found: its origin.
-        perception: sight of an ADS that sees imperfectly; None for any other.
-        original: the scenario as first found, if shrinking has replaced it by a simpler one.
-        shrunk: the result of shrinking; None if it was not shrunk.
+        world: the world in which the scenario fails, as plain data.
+        expect: the expected result of running the scenario.
+        found: the origin of the finding.
+        perception: sight of an ADS that sees imperfectly; None for perfect sight.
+        original: the scenario as first found, if shrinking has replaced it by a simpler scenario; otherwise None.
+        shrunk: the result of shrinking; None if the scenario was not shrunk.
         flaky: what differed when the scenario was run again, or None; a flaky finding is never reported as fixed.
         xfail: the user's reason to accept the failure, or None.
-        xfail_until: the last day on which it is accepted; None for no end.
-        trace: trace of the run that shows it, if a search of this process made it; it is part of neither the identity
-            nor the file of a finding.
+        xfail_until: the last day on which the failure is accepted; None for no end.
+        trace: trace of the run that shows the failure, if a search in this process made it. It is part of neither the
+            identity nor the file of a finding.
 
     Raises:
         ValueError: for an invalid id, a world that is not plain data, an empty reason, or a day without a reason.
@@ -298,17 +299,19 @@ class Finding(Shown):
             if text is not None and not text.strip():
                 raise ValueError(f"{name}: expected a reason or None, received an empty text")
         if self.xfail is None and self.xfail_until is not None:
-            raise ValueError(f"xfail_until: expected None without a reason, received {self.xfail_until!r}")
+            raise ValueError(
+                f"xfail_until: expected None without xfail, received {self.xfail_until!r}; give a reason in xfail"
+            )
         check_plain("world", self.world)
 
     def __repr__(self) -> str:
-        """Format the fields on one line, whatever a file has written into them."""
+        """Format the fields on one line that is safe to print, whatever text a file has put into them."""
         shown = (f"{each.name}={getattr(self, each.name)!r}" for each in fields(self) if each.repr)
         return visible(f"Finding({', '.join(shown)})")
 
     @property
     def longest_run(self) -> float:
-        """The longest duration of a run in its world [s]; infinite if the file does not say."""
+        """The longest duration of a run in the finding's world [s]; infinite if the file has no duration."""
         seconds = plain_number(self.world.get("duration"))
         return math.inf if seconds is None else seconds
 
@@ -319,12 +322,12 @@ class Finding(Shown):
 
     @property
     def accepted(self) -> str:
-        """The reason why the failure is accepted, and until when, in words; empty if it is not accepted."""
+        """The reason why the failure is accepted, with its last day if there is one; empty if it is not accepted."""
         until = "" if self.xfail_until is None else f", until {self.xfail_until}"
         return "" if self.xfail is None else f"{self.xfail}{until}"
 
     def is_accepted(self, today: date) -> bool:
-        """Return whether the failure is accepted on a day: there is a reason, and its last day is not over."""
+        """Return whether the failure is accepted on the day ``today``: there is a reason, and it has not expired."""
         return self.xfail is not None and (self.xfail_until is None or today <= self.xfail_until)
 
     @classmethod
@@ -350,7 +353,7 @@ class Finding(Shown):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureEvent:
-    """The moment that a failure is about [s], and the NPC with its cell or the zone that it crossed, if any."""
+    """The time of a failure [s], and the NPC that it concerns with its cell or zone, if there is one."""
 
     time: float
     npc: int | None = None
@@ -359,7 +362,7 @@ class FailureEvent:
 
 
 def event_of(run: Run, failure: Failure | None) -> FailureEvent:
-    """Return when a run failed and with which NPC: according to its failed check, otherwise according to the run."""
+    """Return the time of a failure and its NPC: from the failed check if there is one, otherwise from the run."""
     check = None if failure is None else failure.check
     if check is not None and run.collision is None:
         return FailureEvent(time=run.event_time if check.time is None else check.time, npc=check.npc)
@@ -372,7 +375,7 @@ def event_of(run: Run, failure: Failure | None) -> FailureEvent:
 
 
 def _told(value: float | None, digits: int) -> float | None:
-    """Round a number for a file: to this many decimals, or below 1 to this many significant digits."""
+    """Round a number for a file: to ``digits`` decimals, or below 1 to ``digits`` significant digits."""
     if value is None or not abs(value) <= MAX_NUMBER:
         return None
     return round(value, digits) if abs(value) >= 1 else float(f"{value:.{digits}g}")
@@ -389,9 +392,9 @@ def is_id(text: str) -> bool:
 
 
 def ads_failure(run: Run) -> Failure | None:
-    """Return the failure of the ADS itself, whatever the user's function asserts; None if there is none.
+    """Return the failure of the ADS itself, whatever the test function asserts; None if the ADS did not fail.
 
-    The ADS raised, returned no valid action, hangs, or decided more slowly than the run's limit allows.
+    An ADS fails if it raises, returns no valid action, hangs, or decides more slowly than the run's limit allows.
     """
     if (error := run.ads_error) is not None:
         return Failure(kind=error.kind, message=error.message, traceback=error.traceback)
@@ -406,18 +409,18 @@ Cause = tuple[str, str]
 
 
 def first_decision_cause(error: AdsError | None) -> Cause | None:
-    """Return why an ADS failed at its first decision; None if it decided then, or hung."""
+    """Return why an ADS raised at its first decision; None if the first decision succeeded, or the ADS hung."""
     if error is None or error.tick > 0 or error.interrupted:
         return None
     return error.kind, next((line for line in reversed(error.traceback.splitlines()) if "File " in line), "")
 
 
 def raised_failure(exception: BaseException, test_file: str) -> Failure:
-    """Return the failure in an exception of a user's function, with the source text of the statement that raised it.
+    """Return the failure for an exception of a test function, with the source text of the statement that raised it.
 
-    The statement is an ``assert`` anywhere, also in a helper's module; otherwise the statement of the test file in
-    which the exception arose, so that changes in third-party libraries do not change a signature. The path of the file
-    is the one in its code objects.
+    If an ``assert`` failed, it is the statement, even in a helper module. Otherwise it is the last statement of the
+    test file in the traceback, so that changes in third-party libraries do not change a signature. ``test_file`` is the
+    path of the test file as in its code objects.
     """
     if isinstance(exception, CheckFailed):
         check = exception.check
@@ -439,8 +442,8 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
     """Refuse data that a file cannot store.
 
     Raises:
-        ValueError: if a value is not made of None, bool, int, float (no NaN), str, lists and mappings with short text
-            keys; the message names the place.
+        ValueError: if a value contains anything but None, bool, int, float (not NaN), str, lists, and mappings with
+            short text keys; the message names the place.
     """
     if value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value)):
         return
@@ -462,14 +465,14 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
 
 
 def _portable_line(failure: Failure, root: str) -> str:
-    """Return the first line of a message, without measured times."""
+    """Return the first line of a failure's message, in portable form and without measured times."""
     first = next((line.strip() for line in failure.message.splitlines() if line.strip()), "")
     line = portable(first[: 4 * MAX_MESSAGE], root)[:MAX_MESSAGE]
     return _TOOK.sub("took N s", line) if failure.kind == SLOW_DECISION else line
 
 
 def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
-    """Yield the source text at each entry of a traceback, over all its lines, and its file; the text may be empty."""
+    """Yield for each entry of a traceback the whole source text of its statement, which may be empty, and its file."""
     while tb is not None:
         frame, code = tb.tb_frame, tb.tb_frame.f_code
         positions = list(code.co_positions())

@@ -16,17 +16,17 @@ from pytest_pafot.oracle.run import Run
 Label = Literal["fixed", "still failing", "drifted"]
 
 SAME_PLACE = 0.5
-"""Largest distance [m] between two runs' positions of any vehicle at which runs without contact count as the same."""
+"""Largest distance [m] between the positions of a vehicle in two runs without contact that count as the same run."""
 
 SAME_TIME = 0.2
-"""Largest difference [s] at which two events count as the same."""
+"""Largest difference between the times of two events that count as the same event [s]."""
 
 HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
-"""Outcomes that occur at the time of a run's event. For any other outcome the event is the most critical moment."""
+"""Outcomes that have a time, which is the run's event. For any other outcome the event is the most critical moment."""
 
 
 def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: Mapping[str, str]) -> Label:
-    """Return the label of a replay, in addition to whether it passes or fails.
+    """Return the label of a replay, which says more than that the replay passes or fails.
 
     ``still failing``: the run fails with the saved event.
 
@@ -34,17 +34,18 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     without the situation from which the failure arose. The file may then no longer test what it was saved for.
 
     ``fixed``: the run passes under the same versions, and the situation came up. If a collision that is no failure ends
-    the run, its delay after the situation must be longer than the failure's was, and longer than 2 s, and for a file
-    about a collision it must be with a different NPC. For a file without a situation, no other event may end the run.
+    the run, it must occur more than 2 s after the situation, and later after it than the saved failure did. For a file
+    about a collision, it must also be with a different NPC. For a file without a situation, no other event may end the
+    run.
 
-    A check is identified by its name and, if it has one, its time, whatever else happened; it is fixed if the run went
-    on beyond that time.
+    A failed check is identified by its name and by its time if it has a time, whatever else happened. It is fixed if
+    the run continued beyond that time.
 
     Args:
         finding: the saved finding.
-        run: the run now.
-        failure: the failure of that run, if any.
-        versions: versions of today's packages, which are compared with those that the file names.
+        run: the run of the replay.
+        failure: the failure of this run; None if it passes.
+        versions: versions of the installed packages, which are compared with the versions in the file.
     """
     expect, is_same = finding.expect, is_same_event(finding.expect, run, failure)
     if failure is not None:
@@ -63,9 +64,9 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
 
 
 def unhandled(finding: Finding, run: Run) -> str:
-    """Return why a passing run did not handle the situation of a file; empty if it did, or if that is unknown.
+    """Return why a passing run did not handle the situation of a file; empty if it handled it, or if that is unknown.
 
-    Either the situation did not come up, or the ego still collides with the file's NPC, which the test accepts.
+    Either the situation did not come up, or the ego still collides with the file's NPC and the test accepts that.
     """
     expect, hit = finding.expect, run.collision
     why = missed(expect.situation, run)
@@ -87,18 +88,19 @@ def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> b
 
 
 def ending(run: Run) -> str:
-    """Describe how a run ended: with an event at a time, or after a duration without one."""
+    """Describe how a run ended: with an event at a time, or without an event after a duration."""
     if run.outcome in HAS_EVENT:
         return f"{run.outcome} at {run.event_time:.1f} s"
     return f"{run.outcome} {'for' if run.outcome is Outcome.SAFE else 'after'} {run.duration:.1f} s"
 
 
 def disagreement(first: Run, again: Run) -> str:
-    """Describe how two runs of one scenario by different means differ; empty if they agree.
+    """Describe how two runs of one scenario differ, such as from two simulators; empty if they agree.
 
-    They agree if they end in the same way: a collision with the same NPC in the same cell against the same side, or
-    none; and at the same time within 0.2 s, because numpy and the C library round some functions differently on some
-    processors. Without contact, every vehicle must always be within half a metre of its position in the other run.
+    Two runs agree if both end with a collision with the same NPC in the same cell against the same side, or both
+    without a collision. The times of their ends may differ by 0.2 s, because numpy and the C library round some
+    functions differently on some processors. Without contact, no vehicle's positions in the two runs may ever be more
+    than half a metre apart along x or y.
     """
     if first.outcome != again.outcome:
         return f"{ending(first)}, then {ending(again)}"

@@ -1,4 +1,4 @@
-"""The severity of a failure: the speed of an impact, or by how much a check is broken. It ranks the findings."""
+"""The severity of a failure, which ranks findings: the speed of an impact, or the violation of a check's bound."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
 
 WORSE_BY = {"collision": 0.1, "check": 0.01}
-"""Differences from which a failure counts as worse: in closing speed [m/s], and in margin."""
+"""The smallest difference at which a failure counts as worse: in closing speed [m/s], or in a check's margin."""
 
 
 @total_ordering
@@ -21,14 +21,15 @@ WORSE_BY = {"collision": 0.1, "check": 0.01}
 class Severity:
     """The severity of a failure: larger is worse. Any collision is worse than any failed check.
 
-    Collisions compare by their closing speeds, failed checks by their margins, which have no unit.
+    Collisions are compared by their closing speeds, and failed checks by their margins, which have no unit.
 
     Attributes:
         kind: ``collision`` or ``check``.
         value: the closing speed at the impact [m/s], which is the magnitude of the difference of the two velocities;
-            for a check, by how much its bound is broken [unit]. None if a check measured no finite number: the worst.
-        unit: unit of the value.
-        margin: margin of a check in units of its scale, negative; None if the value is None, and for a collision.
+            for a check, the amount by which its bound is broken [unit]. None, the worst, if a check measured no finite
+            number.
+        unit: unit of ``value``.
+        margin: negative margin of a check in units of its scale; None for a collision, or if ``value`` is None.
         name: name of the check; empty for a collision.
     """
 
@@ -40,7 +41,7 @@ class Severity:
 
     @property
     def delta_v(self) -> float | None:
-        """Change of each vehicle's velocity in a collision, if both have the same mass and stay together [m/s]."""
+        """The change of each vehicle's velocity if both have equal mass and stay together [m/s]; None for a check."""
         return None if self.kind == "check" or self.value is None else round(self.value / 2, 6)
 
     @property
@@ -64,7 +65,7 @@ class Severity:
         return "no finite number" if self.margin is None else f"{by}, margin {self.margin:.3g}"
 
     def is_fault(self, responsible: str) -> bool:
-        """Return whether it is a collision that the ego answers for, alone or with the NPC."""
+        """Return whether the failure is a collision that the ego is responsible for, alone or with the NPC."""
         return self.kind == "collision" and responsible in ("ego", "both")
 
     def data(self) -> dict[str, Any]:
@@ -73,12 +74,12 @@ class Severity:
 
     @classmethod
     def of_data(cls, data: Mapping[str, Any]) -> Self:
-        """Return the severity that :meth:`data` converted to data."""
+        """Return the severity from the result of :meth:`data`."""
         return cls(**{name: value for name, value in data.items() if name != "delta_v"})
 
     @property
     def figures(self) -> tuple[int, float, float]:
-        """The numbers that decide comparisons first; larger is worse."""
+        """The numbers by which two severities are compared first; larger is worse."""
         value = math.inf if self.value is None else self.value
         if self.kind == "collision":
             return 2, value, 0.0
@@ -91,8 +92,8 @@ class Severity:
 def severity_of(run: Run, failure: Failure) -> Severity | None:
     """Return how bad a failure of a run is; None for a failure without a measure, such as an ADS that raises or hangs.
 
-    A failed check is measured by its bound, whatever else happened in the run. An assertion on anything but the
-    collision has no measure, because its numbers are not known.
+    A failed check is measured against its bound, whatever else happened in the run. An assertion that is not about the
+    collision has no measure, because the numbers that it compares are not known.
     """
     if failure.check is not None:
         return _of_check(failure.check)
@@ -114,10 +115,10 @@ def _of_check(check: Check) -> Severity:
 
 
 def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:
-    """Return a sort key for findings: collisions that the ego answers for, then others.
+    """Return a sort key for findings: collisions that the ego is responsible for first, then other failures.
 
-    In each group the worst comes first, and failures without a measure last. Callers put more important criteria before
-    this key, and tie-breakers after it.
+    Each group is sorted from the worst, and failures without a measure are last. Callers put more important criteria
+    before this key, and tie-breakers after it. ``responsible`` is ``ego``, ``npc``, ``both`` or ``none``.
     """
     if severity is None:
         return 1, 0, 0.0, 0.0
@@ -125,7 +126,7 @@ def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...
 
 
 def worsening(now: Severity | None, before: Severity | None) -> str:
-    """Say by how much a failure became worse, as in ``hits at 12.1 m/s, 8.0 before``; empty if it did not.
+    """Say how much worse a failure became, as in ``hits at 12.1 m/s, 8.0 before``; empty if it did not become worse.
 
     Two collisions are compared by closing speed and two failures of one check by margin; a collision is worse than any
     other failure. Other pairs cannot be compared.

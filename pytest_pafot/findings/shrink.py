@@ -1,11 +1,11 @@
-"""Shrinking: the simplest scenario in which the same property fails with the same signature.
+"""Shrinking: the search for the simplest scenario in which the same property fails with the same signature.
 
 After Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input" (IEEE TSE 28(2), 2002), and
 MacIver and Donaldson, "Test-case reduction via test-case generation" (ECOOP 2020): an order that defines "simpler",
 one gate before each run, and passes that are repeated until none of them helps. Small scenarios are also tried
 directly, because single steps often do not lead to them.
 
-Nothing is simulated here: a function says whether a scenario still fails.
+This module does not simulate: its caller passes a function that runs a scenario and says whether it still fails.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from pytest_pafot.model.scenario import (
 from pytest_pafot.support.text import plural
 
 Attempt = Callable[[Scenario], Scenario | None]
-"""Runs a scenario; returns it as driven if the same property fails with the same signature, else None."""
+"""A function that runs a scenario; it returns the scenario as driven if it fails in the same way, otherwise None."""
 
 Start = tuple[int, float]
 """The ego's lane and speed [m/s] when a gene begins."""
 
 Starts = Callable[[Scenario], Sequence[Start]]
-"""Returns the start of each gene of a failing scenario as driven; empty if unknown."""
+"""A function that returns the start of each gene of a failing scenario as driven; empty if unknown."""
 
 Candidates = Iterator[Scenario | None]
 """The scenarios that a pass tries; None stands for a change that gives no valid scenario."""
@@ -55,7 +55,7 @@ Candidates = Iterator[Scenario | None]
 Pass = Callable[[Scenario], Candidates]
 
 Sized = tuple[tuple[int, int], tuple[Chromosome, ...]]
-"""Chains with their numbers of NPCs and of instructions."""
+"""The number of NPCs and the number of instructions of a scenario, and its chains."""
 
 FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
 """Steps of speed from coarse to fine, in tenths of m/s like all speeds inside this module."""
@@ -65,33 +65,33 @@ SECOND, HALF = SLOT_STEPS_PER_SECOND, SLOT_STEPS_PER_SECOND // 2
 
 
 SMALL_SPEEDS = (0.0, 10.0, 20.0, 25.0)
-"""Speeds of the instructions in small scenarios [m/s]; the passes try other speeds on what is found."""
+"""Speeds of the instructions in small scenarios [m/s]; if one of them fails, the passes try other speeds in it."""
 
 SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)
 """Slots of NPCs that cross in small scenarios [s]."""
 
 FIRST_PART = 10
-"""One in this many runs is for small scenarios before anything else, so that small budgets go to the passes."""
+"""A tenth of the runs is for small scenarios before anything else, so that most of a small budget is for the passes."""
 
 FOR_SPEEDS = 60
-"""Runs reserved for how far the result's speeds can be changed, but at most a fifth of the budget."""
+"""Number of runs, at most a fifth of the budget, reserved to measure how far the speeds of the result can change."""
 
 MOST_FIRST_STEPS = 40
-"""The largest number of simplifications that are tried together with a second one."""
+"""The largest number of simplifications that are tried together with a second simplification."""
 
 GOLDEN = 0x9E3779B97F4A7C15
-"""2**64 over the golden ratio: its multiples modulo 2**64 are evenly spread, however many there are."""
+"""2**64 divided by the golden ratio: any number of its multiples is spread evenly modulo 2**64."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedInterval:
     """The target speeds of one instruction at which the scenario still fails, with everything else equal.
 
-    The steps to the ends double while the scenario fails and are halved when it does not. All speeds that were tried
-    inside the interval fail, but not all were tried.
+    The ends are searched with steps that double while the scenario fails and are halved when it does not. All speeds
+    that were tried inside the interval fail, but not all speeds were tried.
 
     Attributes:
-        npc, gene: first place of the instruction in the scenario.
+        npc, gene: index of the NPC, and index of the first gene with the instruction.
         low, high: ends of the interval [m/s].
     """
 
@@ -107,12 +107,12 @@ class Shrunk:
 
     Attributes:
         rollouts: number of runs used.
-        is_minimal: whether every simpler candidate was tried within the budget, and passes: each single step of the
-            passes, each small scenario (one NPC with one or two instructions, two with one each, of few speeds; or one
-            that crosses, in a zone of the scenario, with few slots), and pairs of a limited number of steps. It says
-            nothing about scenarios that are not in these lists.
-        speeds: for each instruction of the simpler scenario, by NPC and gene, the speeds at which it still fails, as
-            far as the budget allowed.
+        is_minimal: True if all simpler candidates were tried within the budget and none of them fails. The candidates
+            are: each single step of the passes; each small scenario (one NPC with one or two instructions, or two NPCs
+            with one instruction each, with few speeds; or one NPC that crosses in a zone of the scenario, with few
+            slots); and pairs of a limited number of steps. It says nothing about other scenarios.
+        speeds: for each instruction of the result, the speeds at which the scenario still fails, in the order of NPCs
+            and genes, as far as the budget allowed.
     """
 
     rollouts: int
@@ -121,25 +121,25 @@ class Shrunk:
 
 
 class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is not an error)
-    """No runs are left, or no time for them."""
+    """No runs are left, or no time for further runs."""
 
 
 def sort_key(scenario: Scenario) -> tuple[int, ...]:
     """Return the key that defines "simpler": the scenario with the smaller key is simpler, compared from the left.
 
-    1. NPCs, because each of them is a participant to understand.
-    2. Instructions to read: equal ones in a row count once.
-    3. Moves from one cell or lane to another, because staying is simpler. For an NPC that crosses, 1 if it holds or
-       stops, because passing is simpler.
-    4. Genes of the longest chain, which is the length of the run; then genes in total.
-    5. The ego's start: lane 1 and 22 m/s are simplest, and after these round speeds; genes of 10 s are simpler than
-       those of any other duration.
-    6. Roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and these than tenths. For slots,
-       whole seconds are simpler than halves, and these than tenths.
+    1. The number of NPCs, because a reader has to understand each of them.
+    2. The number of instructions to read: equal instructions in a row are read as one.
+    3. The number of moves to a different cell or lane, because staying is simpler. For an NPC that crosses, 1 if it
+       holds or stops, because passing is simpler.
+    4. The number of genes of the longest chain, which decides the length of the run; then the number of all genes.
+    5. The ego's start: lane 1 and 22 m/s are simplest, then round speeds. Genes of 10 s are simpler than genes of any
+       other duration.
+    6. The roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and whole numbers are simpler
+       than tenths. For slots, whole seconds are simpler than halves, and halves are simpler than tenths.
     7. The sum of the instructions' speeds, because slower is simpler. For an NPC that crosses, the distance of its slot
        from 0 instead of its speed.
     8. The traffic: the paper's is simplest, because it adds no rules.
-    9. The seed of the repair, of which 0 is the plainest.
+    9. The seed of the repair: 0 is simplest.
 
     Every part is a non-negative integer, so every chain of simplifications ends.
     """
@@ -168,7 +168,7 @@ def _roughness(tenths: int) -> int:
 
 
 def instructions(scenario: Scenario) -> int:
-    """Return the number of instructions to read; equal ones in a row count once."""
+    """Return the number of instructions to read; equal instructions in a row are read as one."""
     return sort_key(scenario)[1]
 
 
@@ -188,17 +188,17 @@ def shrink(
     plain: Start | None = None,
     plain_seconds: float | None = None,
 ) -> tuple[Scenario, Shrunk]:
-    """Return the simplest scenario found that fails in the same way as a failing one, as driven, and how it was found.
+    """Return the simplest scenario found that fails in the same way as ``scenario``, as driven, with the statistics.
 
     Args:
         scenario: failing scenario, as driven.
-        attempt: runs a scenario. It is never called twice with the same scenario, and equal answers lead to the same
-            order of calls. To end the search early, it must raise :class:`OutOfBudget` from then on.
-        rollouts: largest number of calls.
-        top_speed: speed that no instruction may exceed [m/s].
-        starts: gives the ego's state at each gene, from which a scenario can begin later.
-        plain: preferred start of the ego.
-        plain_seconds: preferred duration of a gene [s].
+        attempt: runs a scenario. It is never called twice with the same scenario, and equal results lead to the same
+            order of calls. To end the search early, it must raise :class:`OutOfBudget` in this call and all later ones.
+        rollouts: largest number of calls of ``attempt``.
+        top_speed: highest speed of any instruction [m/s].
+        starts: returns the ego's lane and speed at the start of each gene, so that the scenario can begin later.
+        plain: preferred start of the ego; None for no preference.
+        plain_seconds: preferred duration of a gene [s]; None for no preference.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     tried: dict[Scenario, Scenario | None] = {scenario: scenario}
@@ -229,9 +229,9 @@ def shrink(
 
 @dataclass(slots=True, kw_only=True)
 class _Gate:
-    """The one gate before each run: a candidate must be valid, simpler than the best, and not tried before.
+    """The only place that runs candidates: a candidate must be valid, simpler than the best, and not tried before.
 
-    Scenarios are equal if their canonical texts are: speeds in tenths, cells from 1 to 8.
+    Two scenarios are equal if their canonical texts are equal: speeds in tenths, cells from 1 to 8.
     """
 
     best: Scenario
@@ -253,17 +253,17 @@ class _Gate:
         return True
 
     def exhausts(self, candidates: Pass) -> bool:
-        """Apply a pass until it finds nothing more; return whether it found anything."""
+        """Repeat a pass until it finds no simpler scenario; return whether it found any."""
         found = False
         while any(self.simplifies(candidate) for candidate in candidates(self.best)):
             found = True
         return found
 
     def driven(self, candidate: Scenario) -> Scenario | None:
-        """Return the candidate as driven if it fails in the same way.
+        """Return the candidate as driven if it fails in the same way, otherwise None.
 
         Raises:
-            OutOfBudget: if the answer is unknown and no runs or no time are left.
+            OutOfBudget: if the result is not known yet and no runs or no time are left.
         """
         if any(not self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain):
             return None
@@ -278,7 +278,7 @@ class _Gate:
 
 
 def _fewer_npcs(scenario: Scenario) -> Candidates:
-    """Try each NPC as the only one, then remove runs of NPCs, long runs first."""
+    """Try each NPC without the others, then remove several NPCs with consecutive indices, the most first."""
     npcs = scenario.npcs
     for npc in npcs if len(npcs) > 1 else ():
         yield replace(scenario, npcs=(npc,))
@@ -287,7 +287,7 @@ def _fewer_npcs(scenario: Scenario) -> Candidates:
 
 
 def _shorter(scenario: Scenario) -> Candidates:
-    """Remove the tail, then any other stretch of time, long ones first."""
+    """Remove the end of the scenario, then any other stretch of time, long stretches first."""
     most = scenario.genes - 1
     for genes in sorted({1 << power for power in range(most.bit_length())} | {most} - {0}):  # 1, 2, 4 ... most
         yield scenario.truncated(genes)
@@ -297,14 +297,14 @@ def _shorter(scenario: Scenario) -> Candidates:
 
 
 def _later(scenario: Scenario, starts: Starts) -> Candidates:
-    """Start at a later gene, with the ego's lane and speed at that moment; the latest gene first."""
+    """Start at a later gene, with the ego's lane and speed at the start of that gene; the latest gene first."""
     for gene, (lane, speed) in reversed(list(enumerate(starts(scenario)))[1:]):
         npcs = tuple(chain[gene:] for chain in scenario.npcs if len(chain) > gene)
         yield _valid(replace(scenario, ego_lane=lane, ego_speed=speed), npcs)
 
 
 def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
-    """Give the ego the plain start, then only its lane or its speed, then a round speed if its speed is not plain."""
+    """Give the ego the preferred start, then only its lane, then only its speed or a rounder speed."""
     if plain is None:
         return
     yield replace(scenario, ego_lane=plain[0], ego_speed=plain[1])
@@ -330,7 +330,7 @@ def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
 
 
 def _shorter_chains(scenario: Scenario) -> Candidates:
-    """Remove a stretch of one NPC's chain, long ones first; after its last gene it keeps its lane and speed."""
+    """Remove a stretch of one NPC's chain, long ones first; after its last gene an NPC keeps its lane and speed."""
     for npc, chain in enumerate(scenario.npcs):
         for start, end in _slices(len(chain), len(chain) - 1):
             yield _with_chain(scenario, npc, chain[:start] + chain[end:])
@@ -363,7 +363,7 @@ def _staying(scenario: Scenario) -> Candidates:
 
 
 def _passing(scenario: Scenario) -> Candidates:
-    """Let an NPC that holds at its line or stops in its zone drive through it."""
+    """Let an NPC that holds at its line or stops in its zone drive through the zone."""
     for npc, each in enumerate(scenario.crossings):
         if each is not None and each.act != "pass":
             yield _with_chain(scenario, npc, (replace(each, act="pass"),))
@@ -382,7 +382,7 @@ def _plainer_slots(scenario: Scenario) -> Candidates:
 
 
 def _rounder(scenario: Scenario) -> Candidates:
-    """Try the multiples of 5 m/s, then of 1 m/s, next to a speed."""
+    """Try for each speed the next multiples of 5 m/s, then of 1 m/s, below and above."""
     for npc, start, end, speed in _all_blocks(scenario):
         for unit in (FIVE, ONE):
             below = speed // unit * unit
@@ -391,7 +391,7 @@ def _rounder(scenario: Scenario) -> Candidates:
 
 
 def _slower(scenario: Scenario) -> Candidates:
-    """Slow down to a standstill, or by 5, 1 or 0.1 m/s; the pass is repeated as long as that helps."""
+    """Reduce each speed to 0, or by 5, 1 or 0.1 m/s; the pass is repeated as long as it simplifies."""
     for npc, start, end, speed in _all_blocks(scenario):
         for lower in (speed, FIVE, ONE, TENTH) if not _crosses(scenario.npcs[npc]) else ():
             yield _with_speed(scenario, npc, start, end, speed - lower)
@@ -410,13 +410,13 @@ def _papers_traffic(scenario: Scenario) -> Candidates:
 
 STRUCTURE: tuple[Pass, ...] = (_fewer_npcs, _shorter, _merged, _staying, _shorter_chains, _passing)
 PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_slots, _rounder, _slower, _plain_seed)
-"""All passes, those that save the most time of a run first; all are repeated until none finds anything."""
+"""All passes; the first ones shorten runs most. The passes are repeated until none finds a simpler scenario."""
 
 
 def _small(scenario: Scenario, found: Scenario, plain: Start) -> Candidates:
-    """Try one NPC with one or two instructions, or two with one each, at the ego's plain start and its present one.
+    """Try one NPC with one or two instructions, or two NPCs with one each, at the ego's preferred and present starts.
 
-    If the scenario has NPCs that cross, try one NPC that crosses in one of its zones.
+    If the scenario has NPCs that cross, try one NPC that crosses in a zone of the scenario.
     """
     size = len(scenario.npcs), instructions(scenario)
     length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
@@ -440,8 +440,8 @@ def _small_crossings(found: Scenario) -> Sequence[Sized]:
 def _small_ones(targets: Sequence[Any], length: int) -> Sequence[Sized]:
     """Return the numbers of NPCs and instructions, and the chains, of every small scenario.
 
-    The order is mixed so that any beginning of the list has some of each kind: listing the most promising first finds
-    less.
+    The order is mixed, so that any beginning of the list has scenarios of each kind. If the most promising ones are
+    listed first, a limited number of runs finds less.
     """
     genes = [gene_of(target, speed) for target in targets for speed in SMALL_SPEEDS]
     ones = [(gene,) * times for gene in genes for times in dict.fromkeys((1, length))]
@@ -452,7 +452,7 @@ def _small_ones(targets: Sequence[Any], length: int) -> Sequence[Sized]:
 
 
 def _two_steps(scenario: Scenario) -> Candidates:
-    """Apply two simplifications at once if neither works by itself; the first ones are those that leave most."""
+    """Apply two simplifications at once, as neither may fail alone; begin with those that simplify least."""
     firsts = dict.fromkeys(each for simplified in STRUCTURE for each in simplified(scenario) if each is not None)
     for first in sorted(firsts, key=sort_key, reverse=True)[:MOST_FIRST_STEPS]:
         for simplified in STRUCTURE:
@@ -460,7 +460,7 @@ def _two_steps(scenario: Scenario) -> Candidates:
 
 
 def _intervals(gate: _Gate) -> Iterator[SpeedInterval]:
-    """Yield for every instruction how far its speed can go down and up while the scenario fails."""
+    """Yield for every instruction the lowest and highest speed found at which the scenario still fails."""
     scenario = gate.best
     for npc, start, end, speed in _all_blocks(scenario):
 
@@ -474,9 +474,10 @@ def _intervals(gate: _Gate) -> Iterator[SpeedInterval]:
 
 
 def _furthest(holds: Callable[[int], bool], direction: int, most: int) -> int:
-    """Return the largest number of steps found, at most ``most``, for which a condition holds; it holds for 0.
+    """Return the largest number of steps found, at most ``most``, for which ``holds`` is true; it is true for 0.
 
-    The steps double while it holds and are then halved, so the number of calls grows with the logarithm.
+    The number doubles while ``holds`` is true, and is bisected after that, so the number of calls grows with the
+    logarithm of ``most``.
     """
     good, bad = 0, min(ONE, most)
     while bad > good and holds(direction * bad):
@@ -488,14 +489,14 @@ def _furthest(holds: Callable[[int], bool], direction: int, most: int) -> int:
 
 
 def _slices(length: int, most: int) -> Iterator[tuple[int, int]]:
-    """Yield [start, end) of all slices of length ``most``, then half of that, and so on down to 1."""
+    """Yield [start, end) of all slices of length ``most``, then of half of this length, and so on down to 1."""
     while most > 0:
         yield from ((start, start + most) for start in range(length - most + 1))
         most //= 2
 
 
 def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
-    """Yield NPC, [start, end) and speed of each block."""
+    """Yield the NPC, [start, end) and the speed in tenths of m/s of each block of equal instructions."""
     for npc, chain in enumerate(scenario.npcs):
         for start, end in blocks(chain):
             yield npc, start, end, _tenths(chain[start])

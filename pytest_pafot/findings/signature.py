@@ -1,4 +1,7 @@
-"""The identity of failures, a comparison of fields: hundreds of collisions come down to a handful of findings."""
+"""The identity of failures: two failures are the same if all fields of their signatures are equal.
+
+So hundreds of collisions come down to a handful of findings.
+"""
 
 from __future__ import annotations
 
@@ -25,29 +28,29 @@ _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|(
 _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(?::\d+)?")
 
 PROCESS_CRASH = "ProcessCrash"
-"""The failure of a run in which the process died, so that no exception was seen."""
+"""The name of the failure of a run whose process died, so that no exception names it."""
 
 CHECK_FAILED = CheckFailed.__name__
-"""The failure of a check, whose name is its assertion."""
+"""The name of the failure of a check; its assertion is the name of the check."""
 
 SLOW_DECISION = "SlowDecision"
-"""The failure of a run in which a decision took longer than the limit that the test sets."""
+"""The name of the failure of a run in which a decision took longer than the limit that the test sets."""
 
 _OF_COLLISIONS = frozenset(
     {"collision", "responsibility", "attribution", "outcome", "second_opinion", "preventable_by", "reference_drivers",
      "last_chance", "sentences", "explain"}
 )  # fmt: skip
-"""Attributes of a run by which an assertion is about the collision."""
+"""Attributes of a run that concern the collision: an assertion that uses one is about the collision."""
 
 AT_ZONES = frozenset({"did-not-give-way", "entered-taken-zone"})
-"""Faults that are about a zone, wherever in it the two vehicles touched."""
+"""Faults that are about a zone; the place of the contact inside the zone does not matter."""
 
 ZONES = tuple(
     f"{kind} from {'the ' if origin in ('left', 'right') else ''}{origin}"
     for kind in get_args(Kind)
     for origin in get_args(Origin)
 )
-"""Groups of zones, as in ``crossing from the left``; one junction has many zones that are much the same."""
+"""The groups of zones, such as ``crossing from the left``; the many zones of a junction fall into few groups."""
 
 _NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})
 
@@ -61,7 +64,7 @@ class Failure:
         message: message of the exception.
         assertion: source text of the failing assertion; empty if it is unknown.
         traceback: traceback worth saving in the file, such as that of an ADS that raised; otherwise empty.
-        check: the check that failed, whose name is then the assertion; None if something else failed.
+        check: the check that failed, whose name is also in ``assertion``; None if something else failed.
     """
 
     kind: str
@@ -75,24 +78,25 @@ class Failure:
 class Signature:
     """The identity of a failure; two failures are the same if all fields are equal.
 
-    A failed check is identified by its name, and an assertion that is not about the collision by its text: how the run
-    ended and where the NPCs drove depends on the traffic, and would split one property into many failures. For the same
-    reason, a collision that the ego answers for is identified only by the ego's mistake, and at a zone also by the
-    zone's kind and the NPC's origin. Any other collision is identified by where and how it happened.
+    A failed check is identified by its name, and an assertion that is not about the collision by its text. The end of
+    the run and the places of the NPCs depend on the traffic; they would split one property into many failures. For the
+    same reason, a collision that the ego is responsible for is identified only by the ego's mistake, and at a zone also
+    by the zone's kind and the NPC's origin. Any other collision is identified by its place and its manoeuvres.
 
     Attributes:
         failure: name of the exception class.
         assertion: the failing assertion (:func:`normalised`), without file, line, numbers and addresses.
         outcome: how the run ended; ``safe`` for a property (:attr:`is_property`).
-        responsibility: ``ego`` if it answers for the collision, alone or with the NPC; ``npc``; ``none``.
-        mistake: what the ego did wrong; None if it does not answer for a collision, and for a file that says the ego
-            entered a lane, but not where the other vehicle was.
-        fault: the rule by which it answers, for the name only; it is not compared.
-        side: side of the ego that was hit; None without a collision, and with a fault.
-        cell: cell of the NPC at the collision; None without a collision, and with a fault.
-        zone: zone in which the NPC crossed the ego's way (:func:`zone_in_words`); None if it did not, and with a
-            fault that is not about a zone.
-        npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision; None without one, and with a fault.
+        responsibility: ``ego`` if it is responsible for the collision, alone or with the NPC; ``npc``; ``none``.
+        mistake: what the ego did wrong; None if it is not responsible for a collision, or if the failure is from a file
+            that says that the ego entered a lane, but not where the other vehicle was.
+        fault: the rule by which the ego is responsible; it is not compared, and only used for the :attr:`slug`.
+        side: side of the ego that was hit; None without a collision, or if there is a fault.
+        cell: cell of the NPC at the collision; None without a collision, or if there is a fault.
+        zone: zone in which the NPC crossed the ego's way (:func:`zone_in_words`); None if it did not cross, or if there
+            is a fault that is not about a zone.
+        npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision; None without a collision, or if there is
+            a fault.
     """
 
     failure: str
@@ -130,7 +134,8 @@ class Signature:
     def is_property(self) -> bool:
         """True if the failure is not about how the run ended: a failed check, or an assertion on a measure.
 
-        An assertion counts as about the end if only its message is known, or if it names nothing of a run.
+        An assertion of which only the message is known, or that uses no attribute of a run, is taken as one on the end
+        of the run.
         """
         if self.failure == CHECK_FAILED:
             return True
@@ -141,7 +146,7 @@ class Signature:
 
     @property
     def text(self) -> str:
-        """All compared fields in one line: equal for two signatures exactly if these are equal."""
+        """All compared fields in one line; two signatures are equal if and only if their texts are equal."""
         compared = ((each.name, getattr(self, each.name)) for each in fields(self) if each.compare)
         return " ".join(f"{name}={str(value)!r}" for name, value in compared if value is not None)
 
@@ -149,7 +154,7 @@ class Signature:
     def slug(self) -> str:
         """A short name for files, in lower-case letters, digits and hyphens: ``entered-lane``, ``rear-6``.
 
-        Different signatures may share it, and equal ones may differ in it.
+        Two different signatures may have the same slug, and two equal signatures different slugs.
         """
         if self.fault is not None:
             is_behind = self.fault == "entered-lane" and self.mistake == "kept-no-distance"
@@ -175,16 +180,17 @@ class Signature:
 
 
 def zone_in_words(zone: Zone) -> str:
-    """Return in which of the groups in :data:`ZONES` a zone is."""
+    """Return the group of a zone, one of :data:`ZONES`."""
     return f"{zone.kind} {zone.whence}"
 
 
 def normalised(assertion: str, message: str = "") -> str:
-    """Reduce a failing assertion to what does not vary from run to run or with unrelated edits.
+    """Reduce a failing assertion to a text that does not vary from run to run or with unrelated edits.
 
     Source text is reduced to the tested expression, without message, comments, line breaks and needless brackets, and
-    with ``N`` for each number. A message is reduced to its first line with ``N`` for numbers, ``ADDRESS`` for addresses
-    and ``PATH`` for files. The result has at most 200 characters.
+    with ``N`` for each number. If ``assertion`` is no source text, its first line is used, or the first line of
+    ``message``, with ``N`` for numbers, ``ADDRESS`` for addresses and ``PATH`` for files. The result has at most 200
+    characters.
     """
     return (_from_source(assertion) or _from_message(assertion) or _from_message(message))[:MAX_ASSERTION].rstrip()
 
@@ -202,10 +208,10 @@ class _Numberless(ast.NodeTransformer):
 
 @lru_cache(maxsize=64)
 def _named(assertion: str) -> tuple[set[str], set[str]]:
-    """Return all attributes in an expression, and those of a plain name (usually a run) except helper calls.
+    """Return all attributes in an expression, and the attributes of plain names (usually a run) except helper calls.
 
-    In ``run.ego.jerk.max()`` all three are attributes, and ``ego`` is one of the run; ``helpers.is_fine(run)`` names
-    none.
+    In ``run.ego.jerk.max()`` all three are attributes, and ``ego`` is an attribute of the plain name ``run``. The
+    helper call ``helpers.is_fine(run)`` adds nothing to the second set.
     """
     try:
         nodes = list(ast.walk(ast.parse(assertion, mode="eval")))

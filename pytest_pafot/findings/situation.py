@@ -1,10 +1,11 @@
-"""The situation from which a failure arose, and whether it comes up in another run.
+"""The situation from which a failure arose, and the check whether this situation comes up in a different run.
 
-There are two reasons why a saved failure passes: the policy now handles the situation, or the situation no longer comes
-up. NPCs drive to places relative to the ego, so a situation is an NPC's place relative to the ego shortly before the
-ego's mistake. What the ego does about it, such as braking earlier, must not change whether the situation came up.
+There are two reasons why a saved scenario passes: the policy now handles the situation, or the situation no longer
+comes up. NPCs drive to places relative to the ego, so a situation is an NPC's place relative to the ego shortly before
+the ego's mistake. A reaction of the ego, such as braking earlier, must not change whether the situation came up.
 
-With an NPC that crosses, a situation is when each of the two would arrive at the zone in which their ways meet.
+With an NPC that crosses, a situation is the times at which the NPC and the ego would arrive at the zone in which their
+ways meet.
 """
 
 from __future__ import annotations
@@ -29,36 +30,39 @@ from pytest_pafot.oracle.run import Run
 # with policies that avoid the situation; docs/explanation/findings.md explains what they mean.
 
 BEFORE = 2.0
-"""Time [s] before a failure without a collision at which its situation is taken."""
+"""The situation of a failure without a collision is taken this time before the failure [s]."""
 START = 4.0
-"""All runs start alike whatever the ego does, so the first seconds [s] count only for a situation in them."""
+"""All runs start alike, so a situation comes up in these first seconds [s] only if the saved situation was in them."""
 HALF_LANE = 0.5
-"""An NPC is in a lane if its centre is no further away than this, in widths of the ego's lane."""
+"""An NPC is in a lane if its centre is at most this far from the lane's centre, in widths of the ego's lane."""
 PLACE = 5.0
 PLACE_SHARE = 0.25
-"""Places along the road are near each other within the first value [m], or this share of the distance to the ego."""
+"""Two places of an NPC are near each other if they differ by up to 5 m, or by 25 % of the distance to the ego."""
 SPEED = 3.0
-"""Speeds of an NPC are near each other within this [m/s], relative to the ego's, or by themselves ..."""
+"""Two speeds of an NPC are near each other if the NPC's speed relative to the ego differs by up to this [m/s]."""
 EGO_SPEED = 9.0
-"""... if the ego's speeds differ by at most this [m/s]."""
+"""If the ego's speed differs by up to this [m/s], it is enough that the NPC's absolute speed differs by up to 3 m/s."""
 REACH = 20.0
 REACH_FACTOR = 2.0
-"""A leader may be this far ahead [m], or this many times as far as before: an ego that responds earlier stays away."""
+"""A leader may be up to 20 m ahead, or twice the saved distance, because an ego that brakes earlier stays farther away.
+
+``REACH`` is in metres, ``REACH_FACTOR`` has no unit.
+"""
 SLOWER_SHARE = 0.6
-"""A leader must be slower than the ego by this share of the saved difference, or by 3 m/s less than it, ..."""
+"""A leader must be slower than the ego by this share of the saved difference, or by that difference minus 3 m/s."""
 ANSWER = 10.0
-"""... compared with the ego's highest speed in the last seconds [s], because an ego that responds also slows down."""
+"""A leader is compared with the ego's highest speed in these last seconds [s]: an ego that responds also slows down."""
 ARRIVAL = 1.0
 ARRIVAL_SHARE = 0.5
-"""Times to a zone are near each other within the first value [s], or this share of the saved time."""
+"""Two times to a zone are near each other if they differ by up to 1 s, or by half of the saved time."""
 APPROACH = 3.0
-"""Times to a zone use the highest speed of the last seconds [s], because an ego that gives way slows down for it."""
+"""A time to a zone uses the highest speed of these last seconds [s], because an ego that gives way slows down."""
 LEAST_SPEED = 0.1
-"""A vehicle that was never faster than this will not arrive at a zone [m/s]."""
+"""The lowest speed that is assumed for a vehicle's time to a zone [m/s]; a standing vehicle would never arrive."""
 
 
 class Arising(Protocol):
-    """A situation of any kind."""
+    """The interface of both kinds of situations, :class:`Situation` and :class:`ZoneSituation`."""
 
     @property
     def npc(self) -> int:
@@ -69,14 +73,14 @@ class Arising(Protocol):
         """The time of the situation [s]."""
 
     def distances(self, trace: Trace) -> FloatArray:
-        """Return how far a run is from the situation at each tick, in multiples of the tolerance."""
+        """Return how far a run is from the situation at each tick, in multiples of the tolerances."""
 
     def nearest_in(self, trace: Trace) -> Self:
         """Return the moment at which a run was nearest to the situation."""
 
 
 def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSituation | None:
-    """Return the situation from which a failure at a time [s] arose; None if the failure is about no NPC."""
+    """Return the situation from which a failure at a time [s] arose; None if the failure does not concern an NPC."""
     npc = run.event_npc
     if failure.check is not None:
         npc = failure.check.npc
@@ -90,7 +94,7 @@ def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSit
 
 
 def tick_of_mistake(run: Run, failure: Failure) -> int | None:
-    """Return the tick at which the reason of the verdict begins; None without a collision, or if it is unknown."""
+    """Return the tick at which the cause of the collision begins; None without a collision, or if it is unknown."""
     return None if run.collision is None or failure.check is not None else run.attribution.tick
 
 
@@ -102,9 +106,10 @@ class Situation:
         npc: the NPC's index in the scenario.
         time: time of the moment [s].
         ahead: distance from the ego's centre to the NPC's, along the road [m]; negative behind.
-        lane: lane of the NPC, counted from the ego's to the right; negative to the left.
+        lane: number of lanes from the ego's lane to the NPC's; positive to the right, negative to the left.
         ego_speed: speed of the ego along the road [m/s].
-        npc_speed: the same for the NPC. For a leader, ahead in the ego's lane, the lowest speed up to the failure.
+        npc_speed: speed of the NPC along the road [m/s]. For a leader, which is ahead in the ego's lane, it is the
+            lowest speed from the moment to the failure.
     """
 
     npc: int
@@ -116,11 +121,11 @@ class Situation:
 
     @classmethod
     def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
-        """Return the situation from which a failure arose that is about an NPC and a time [s].
+        """Return the situation from which a failure at a time [s] arose that concerns an NPC on the grid.
 
-        The moment is when the ego made its mistake: the beginning of the reason of the verdict, or else 2 s before the
-        time. If the ego was changing lanes at that moment, or braking for nothing, the moment before that counts.
-        Otherwise, if the NPC had yet to enter the ego's lane, the moment when it had done so counts.
+        The moment is when the ego made its mistake (:func:`tick_of_mistake`); if that is unknown, 2 s before ``time``.
+        If the ego was changing lanes then, or braking for nothing, it is the last moment before it began to. Otherwise,
+        if the NPC entered the ego's lane only later, it is the moment at which the NPC was in the lane.
         """
         trace, mistake = run.trace, tick_of_mistake(run, failure)
         frame, hz, end = frame_of(trace), trace.physics_hz, min(round(time * trace.physics_hz), trace.ticks)
@@ -154,7 +159,7 @@ class Situation:
     def distances(self, trace: Trace) -> FloatArray:
         """Return how far a run is from the situation at each tick: along the road, in lanes, and in speeds.
 
-        Shape [3, ticks + 1], in multiples of the tolerance: the situation came up if none of the three is above 1.
+        The shape is [3, ticks + 1], the unit is the tolerance: if all three are at most 1, the situation came up.
         """
         frame, npc, start = frame_of(trace), self.npc, round(min(self.time, START) * trace.physics_hz)
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
@@ -188,16 +193,16 @@ class Situation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZoneSituation:
-    """The times at which a crossing NPC and the ego were about to arrive at their zone, and the speeds of both.
+    """The times until a crossing NPC and the ego arrive at their zone, at one moment, and the speeds of both.
 
-    The times assume the highest speed of the last 3 s, because an ego that responds slows down. They are negative in
-    the zone and behind it.
+    The times assume the highest speed of the last 3 s, because an ego that responds slows down. They are negative for a
+    vehicle in the zone or behind it.
 
     Attributes:
         npc: the NPC's index in the scenario.
         time: time of the moment [s].
-        npc_enters, ego_enters: time from then until the centre of each arrives at the beginning of the zone [s].
-        ego_speed, npc_speed: speeds along their ways [m/s].
+        npc_enters, ego_enters: time from the moment until the vehicle's centre is at the beginning of the zone [s].
+        ego_speed, npc_speed: speed of the vehicle along its way [m/s].
     """
 
     npc: int
@@ -209,10 +214,10 @@ class ZoneSituation:
 
     @classmethod
     def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
-        """Return the situation from which a failure arose that is about an NPC that crosses and a time [s].
+        """Return the situation from which a failure at a time [s] arose that concerns a crossing NPC.
 
-        The moment is the beginning of the reason of the verdict, or else 2 s before the time. A verdict on a zone
-        begins when the ego enters it, which is the mistake itself, so 2 s before that count.
+        The moment is when the ego made its mistake (:func:`tick_of_mistake`); if that is unknown, 2 s before ``time``.
+        If the mistake is about the zone, it is 2 s before the mistake, because the mistake is to enter the zone.
         """
         trace, mistake = run.trace, tick_of_mistake(run, failure)
         if mistake is None or run.attribution.fault is None or run.attribution.fault in AT_ZONES:
@@ -234,9 +239,9 @@ class ZoneSituation:
         )
 
     def distances(self, trace: Trace) -> FloatArray:
-        """Return how far a run is from the situation at each tick: in the times of both, and in the NPC's speed.
+        """Return how far a run is from the situation at each tick: in the two times, and in the NPC's speed.
 
-        Shape [3, ticks + 1], in multiples of the tolerance: the situation came up if none of the three is above 1.
+        The shape is [3, ticks + 1], the unit is the tolerance: if all three are at most 1, the situation came up.
         """
         ego_enters, npc_enters = _times_to_zone(trace, self.npc)
         ego_enters = np.where(np.arange(trace.ticks + 1) < min(self.time, START) * trace.physics_hz, np.inf, ego_enters)
@@ -267,13 +272,13 @@ def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _highest(speeds: FloatArray, trace: Trace, seconds: float) -> FloatArray:
-    """Return at each tick the highest speed of the last seconds [m/s]."""
+    """Return for each tick the highest speed within the last ``seconds`` [m/s]."""
     ticks = round(seconds * trace.physics_hz)
     return np.asarray(sliding_window_view(np.pad(speeds, (ticks, 0)), ticks + 1).max(axis=1))
 
 
 def seconds_after(situation: Arising | None, run: Run) -> float | None:
-    """Return how long a run continued after a situation first came up [s]; None if it did not, or if unknown."""
+    """Return how long a run continued after a situation first came up [s]; None if it never did, or that is unknown."""
     if situation is None or not _can_be_compared(situation, run.trace):
         return None
     came_up = np.flatnonzero(situation.distances(run.trace).max(axis=0) <= 1)
@@ -283,7 +288,7 @@ def seconds_after(situation: Arising | None, run: Run) -> float | None:
 def missed(situation: Arising | None, run: Run) -> str:
     """Return a sentence that a situation did not come up in a run, and how near the run was; empty if it came up.
 
-    It is also empty if the situation is unknown.
+    The text is also empty if the situation is unknown.
     """
     if situation is None or not _can_be_compared(situation, run.trace) or seconds_after(situation, run) is not None:
         return ""
@@ -295,7 +300,7 @@ def missed(situation: Arising | None, run: Run) -> str:
 
 
 def _can_be_compared(situation: Arising, trace: Trace) -> bool:
-    """Return whether a run has finite positions, and the NPC of a situation at a zone crosses in it, too."""
+    """Return whether a run has finite positions, and its NPC crosses if and only if the situation is at a zone."""
     crosses = bool(trace.zones) and trace.zones[situation.npc] is not None
     return bool(np.isfinite(trace.states).all()) and isinstance(situation, ZoneSituation) == crosses
 

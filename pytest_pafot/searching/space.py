@@ -49,10 +49,10 @@ class SearchSpace:
     """The common properties of all scenarios of a search. The defaults are the paper's setup (section 4.1).
 
     Attributes:
-        npcs: number of NPCs in a scenario, 1 to 8, unless ``most_npcs`` varies it.
+        npcs: number of NPCs in a scenario, 1 to 8, unless it is sampled.
         genes: number of Position-Instructions of each NPC.
-        gene_seconds: duration of one gene [s]. If ``gene_durations`` varies it, the number of genes varies as well, so
-            that all genes together last as long.
+        gene_seconds: duration of one gene [s]. If it is sampled, the number of genes varies as well, so that all genes
+            together last equally long.
         speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: first speed of all vehicles [m/s].
@@ -69,7 +69,7 @@ class SearchSpace:
             always ``gene_seconds``.
         crossings: the ways that meet the ego's way, from ``world.crossings``; three quarters of all NPCs then drive on
             them. None if all NPCs are on the grid.
-        acts: acts of the NPCs on these ways: any of ``pass``, ``hold``, ``stop`` and ``late``.
+        acts: acts of the NPCs on ways that meet the ego's way: any of ``pass``, ``hold``, ``stop`` and ``late``.
         most_on_grid: largest number of NPCs on the grid if other NPCs cross; each needs a cell to start in.
     """
 

@@ -147,7 +147,7 @@ def test_failure_is_accepted_until_its_last_day():
     assert (finding.is_accepted(day), finding.is_accepted(next_day)) == (True, False)
     assert plain_finding(xfail="issue 12").is_accepted(next_day)
     assert not plain_finding().is_accepted(day)
-    with pytest.raises(ValueError, match="xfail_until: expected None without a reason"):
+    with pytest.raises(ValueError, match="xfail_until: expected None without xfail"):
         plain_finding(xfail_until=day)
 
 
