@@ -1,4 +1,4 @@
-"""Events of a search, in addition to those of its algorithm (:mod:`pytest_pafot.searching.events`)."""
+"""The events of a search that its algorithm does not emit; its own are in :mod:`pytest_pafot.searching.events`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pytest_pafot.support.text import ascii_text
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """The progress of a search."""
+    """The progress of a search, for a line on the terminal."""
 
     node_id: str
     generation: int  # the generation in progress, from 1
@@ -35,7 +35,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Find:
-    """A distinct new finding."""
+    """A distinct new finding, as the terminal and the summary report it."""
 
     id: str
     node_id: str  # the node id under which it is reported
@@ -51,25 +51,25 @@ class Find:
 
     @property
     def is_flaky(self) -> bool:
-        """True if running it again gave a different run."""
+        """True if running the scenario again gave a different run."""
         return bool(self.difference)
 
     @property
     def remark(self) -> str:
-        """Anything else that a reader must know, or an empty text."""
+        """Remarks on the finding, such as that it is flaky or not saved; empty if there are none."""
         flaky = f"flaky: {self.difference}" if self.is_flaky else ""
         timed = "depends on wall-clock time" if self.is_timed else ""
         return "; ".join(filter(None, [flaky, timed, self.unshrunk]))
 
     @property
     def summary(self) -> str:
-        """The headline in one line, with anything else that a reader must know."""
+        """The headline of the finding in one line, with its remarks."""
         return ascii_text(f"{self.headline} ({self.remark})" if self.remark else self.headline)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSummary:
-    """The summary of a search."""
+    """The figures, findings and warnings of a search at its end."""
 
     node_id: str
     algorithm: str = "pafot"
@@ -118,7 +118,7 @@ class SearchStarted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judged:
-    """A run of the search, with the verdict of the test function."""
+    """The event of a run of the search, with the verdict of the test function on the run."""
 
     run: Run
     verdict: Verdict
@@ -126,7 +126,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FindTold:
-    """A new finding, or an update of one that was reported before; the last report of a finding counts."""
+    """The event of a new finding. It may be sent again with more details; only the last event of a finding is valid."""
 
     finding: Finding
     find: Find
@@ -140,11 +140,11 @@ class FindTold:
 
     @property
     def is_firm(self) -> bool:
-        """True if its runs are expected to repeat, so it can be shrunk."""
+        """True if the finding can be shrunk, because its scenario is expected to give the same run each time."""
         return not (self.find.is_flaky or self.find.is_timed or self.finding.expect.is_crash)
 
 
 SearchEvent = SearchStarted | Judged | FindTold | Progress | SearchSummary | Event
 
 Listener = Callable[[SearchEvent], None]
-"""A function that receives the events of a search in their order."""
+"""A function that receives the events of a search, one by one in their order."""

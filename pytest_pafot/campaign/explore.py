@@ -1,4 +1,4 @@
-"""A search without pytest, for notebooks and scripts: the machinery of ``@pafot.search`` as one function."""
+"""A search without pytest, for notebooks and scripts: ``@pafot.search`` as one function."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from pytest_pafot.world.driving.ads import AdsFactory
 
 PLACE = "pafot.explore"
 OF_TESTS = ("arg", "profile", "report", "save", "strict_drift", "strict_health")
-"""Arguments of the mark that have no meaning without a test."""
+"""Arguments of ``@pafot.search`` that :func:`explore` refuses, because they have no meaning without pytest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exploration(Shown):
-    """The result of a search.
+    """The result of :func:`explore`.
 
     Attributes:
         findings: all distinct new failures, shrunk, each with the trace of a run that shows it.
         summary: the summary of the search: runs, coverage, warnings, notes.
-        events: the events of the algorithm and of the search in their order, without the single runs.
+        events: the events of the algorithm and of the search in their order, without the event of each single run.
         runs: a row for each scenario that was tried, with the columns of ``--pafot-table``, ready for
             ``pandas.DataFrame(...)``.
     """
@@ -51,7 +51,7 @@ class Exploration(Shown):
 
     @property
     def told(self) -> tuple[FindTold, ...]:
-        """The last report of each finding, in their order, with its run, its exception and its headline."""
+        """The last event of each finding, in the order of discovery, with the finding's run, exception and headline."""
         last = {event.finding.id: event for event in self.events if isinstance(event, FindTold)}
         return tuple(last[finding.id] for finding in self.findings)
 
@@ -69,9 +69,10 @@ def explore(  # noqa: PLR0913  (the arguments in which most searches differ)
     executor: Executor | None = None,
     **settings: Any,
 ) -> Exploration:
-    """Search for scenarios that make a property fail, without pytest.
+    """Search for scenarios in which a property fails, without pytest.
 
-    With the node id, the base seed and the arguments of a test, it finds the same as the test, with identical files.
+    With the node id, the base seed and the arguments of a test, the search has the findings of the test, and its files
+    are identical.
 
     Args:
         ads: the factory, called once for each run, or a highway-env vehicle class.
@@ -81,15 +82,15 @@ def explore(  # noqa: PLR0913  (the arguments in which most searches differ)
         runs: the number of runs after which the search ends; 40 if ``generations`` is not given.
         generations: the number of generations after which the search ends.
         seed: the base seed; the seed of the search is derived from it and the node id.
-        node_id: the node id of the corresponding test, without ``[search]``; by default a name with that of ``holds``.
+        node_id: the node id of the corresponding test, without ``[search]``; by default a name made from ``holds``.
         on_event: receives the events of the search as they happen; see :mod:`pytest_pafot.campaign.events`.
         executor: runs the scenarios of the generations, as the fixture ``pafot_executor`` does.
-        settings: other arguments of ``@pafot.search``. With ``corpus``, findings are saved below that folder, and
-            failures saved there are known. Without it, nothing is written.
+        settings: other arguments of ``@pafot.search``. With ``corpus=``, findings are saved below that folder, and
+            failures that are saved there already are known. Without ``corpus=``, nothing is written.
 
     Raises:
-        RequestError: if an argument is wrong; the message is written for the user.
-        Exception: if every run of the first generation ends in the same error; it is that error, with a note.
+        RequestError: if an argument is wrong.
+        Exception: if every run of the first generation ends in the same error; this error is raised, with a note.
     """
     budget = PROFILES[LOCAL] if runs is None and generations is None else {"runs": runs, "generations": generations}
     request = request_of({"ads": ads, "world": world, "seed": seed, **budget, **settings})
@@ -118,7 +119,7 @@ def explore(  # noqa: PLR0913  (the arguments in which most searches differ)
 
 
 def request_of(given: dict[str, Any]) -> Request:
-    """Return the request for arguments of :func:`explore`, including ``ads``.
+    """Return the checked request for a search with the arguments of :func:`explore`, including ``ads``.
 
     Raises:
         RequestError: on the first wrong argument.
@@ -126,7 +127,7 @@ def request_of(given: dict[str, Any]) -> Request:
     for name in OF_TESTS:
         if name in given:
             raise RequestError(
-                f"{PLACE}({name}=...): expected an argument of a search, received one that only tests use; remove it"
+                f"{PLACE}({name}=...): expected no argument that only has a meaning under pytest; remove it"
             )
     check_names(given, place=PLACE)
     values: dict[str, Any] = {each.name: each.default for each in OPTIONS if each.name in Settings.__annotations__}
@@ -142,7 +143,7 @@ def request_of(given: dict[str, Any]) -> Request:
 def replays_of(
     request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path, executor: Executor | None = None
 ) -> Replays:
-    """Return the replays of saved scenarios without pytest, with the harness of the requested search.
+    """Return what :func:`explore` needs to run scenarios: a harness, and the replays of saved scenarios.
 
     Raises:
         RequestError: if the search cannot be run with these arguments.
@@ -152,7 +153,7 @@ def replays_of(
     settings, (module, _, test) = request.settings, node_id.partition("::")
 
     def fixture(name: str) -> NoReturn:
-        raise request.error("against", f"expected a factory or its module:factory, received {name!r}")
+        raise request.error("against", f"expected a factory, or its name as module:factory, received {name!r}")
 
     corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
     folder = folder_of_test(Path(module), test, str(corpus), Path())

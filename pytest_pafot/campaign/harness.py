@@ -1,4 +1,4 @@
-"""The harness of a search: its world, ADS, test function and folders; and the runs that it makes."""
+"""The harness of a search: the world, the ADS, the test function and the folders; and the runs made with them."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from pytest_pafot.world.guard.failure import exits, let_through
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reference:
-    """A policy that must pass a scenario, so that a failure of the tested policy counts."""
+    """The reference of a search: a failure of the tested policy counts only if this policy passes the same scenario."""
 
     ads: Callable[..., Any]  # the factory
     name: str  # the name in saved files; empty for a factory that no text can refer to
 
     @property
     def shown(self) -> str:
-        """The name in the summary."""
+        """The name of the reference in the summary."""
         return self.name or "the reference"
 
 
@@ -47,7 +47,7 @@ def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) ->
     """Return the reference of the option ``against``: a factory, its ``module:factory``, or the name of a fixture.
 
     Raises:
-        RequestError: for anything else, or if the module or the name does not exist.
+        RequestError: if ``given`` is anything else, or if the module or the name does not exist.
     """
     if given is None:
         return None
@@ -59,8 +59,8 @@ def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) ->
         raise RequestError(f"against: {error}") from error
     if not callable(ads):
         raise RequestError(
-            "against: expected a factory such as `lambda: OldPlanner()`, its module:factory, or the name of a fixture "
-            f"that returns it, received {ads!r:.100}. {hint_at_object(ads)}".removesuffix(". ")
+            "against: expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a "
+            f"fixture that returns a factory, received {ads!r:.100}. {hint_at_object(ads)}".removesuffix(". ")
         )
     return Reference(ads=ads, name=given if isinstance(given, str) else _name_of(ads))
 
@@ -93,7 +93,9 @@ class Harness:
     states: Path | None = None  # the folder of states for searches that are resumed in other sessions, if any
 
     def job(self, world: Any = None, owner: str = "") -> Job:
-        """Return everything that a process needs to run scenarios, by default of this test in the world of new ones.
+        """Return everything that a process needs to run scenarios with the ADS.
+
+        ``world`` is by default the world of new scenarios, and ``owner`` of crash records is by default this test.
 
         Raises:
             RequestError: if the world cannot be used, or the ADS cannot be loaded.
@@ -115,33 +117,33 @@ class Harness:
         )
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
-        """Return the run of a trace, by default in the world of new scenarios."""
+        """Return a trace as the test function sees it; ``world`` is by default the world of new scenarios."""
         world = self.world if world is None else world
         known, take_over = protocol.reference_world(world), protocol.taking_over(world)
         return Run(trace, decision_limit=self.request.decision_limit, world=known, take_over=take_over)
 
     def judge(self, run: Run) -> Verdict:
-        """Return the verdict on a run: of the user's function, or on a failure of the ADS itself."""
+        """Return the verdict on a run. The test function decides, unless the ADS itself failed."""
         __tracebackhide__ = True
         return judge(run, self.test, blame=self.request.blame, test_file=self.test_file)
 
     def reference_outcomes(self, run: Run, verdict: Verdict) -> dict[str, ReferenceOutcome]:
-        """Return the outcomes of the reference drivers for a failed run; empty if the ADS itself failed."""
+        """Return how each reference driver fares in the ego's place in a failed run; empty if the ADS itself failed."""
         if verdict.is_ads or run.world is None:
             return {}
         return dict(reference_outcomes(run, self.test, blame=self.request.blame, test_file=self.test_file))
 
     @property
     def against_name(self) -> str:
-        """The name of the reference in the summary; empty without a reference."""
+        """The name of the reference in the summary; empty if the search has no reference."""
         return "" if self.against is None else self.against.shown
 
     def last_chance(self, run: Run, verdict: Verdict) -> LastChance | None:
         """Find by simulation the last decision at which a reference driver could still have prevented the failure.
 
-        For a collision it is the last chance of the run. For a failed check it is the last decision before the worst
-        moment from which the driver fulfils the check to the end of the run. It is None for other failures, and for a
-        check that does not state its worst moment.
+        For a collision, the result is the last chance of the run. For a failed check, it is the last decision before
+        the check's worst moment at which a reference driver could take over and still satisfy the check to the end of
+        the run. For other failures, and for a check that does not state its worst moment, the result is None.
         """
         take_over = run.take_over
         if take_over is None or verdict.failure is None or verdict.severity is None:
@@ -164,28 +166,31 @@ class Harness:
         return last_decision(run.trace, until, take_over, keeps)
 
     def avoidance(self, run: Run, verdict: Verdict) -> Avoidance | None:
-        """Find by simulation the last moment at which braking avoids the collision; None if something else failed."""
+        """Find by simulation the last moment at which braking avoids the collision; None for any other failure."""
         failure = verdict.failure
         if run.take_over is None or failure is None or failure.check is not None or verdict.severity is None:
             return None
         return avoidance(run.trace, run.attribution.fault, run.take_over)
 
     def judge_trace(self, world: Any, trace: Trace) -> Verdict:
-        """Return the function's verdict on a trace from a world."""
+        """Return the verdict on a trace that was made in ``world``."""
         return self.judge(self.seen(trace, world))
 
     def reference_runner(self, job: Job, record: CrashRecord, *, isolate: bool) -> Runner | None:
-        """Return the runner of the reference, in a separate process if the ADS has one; None without a reference."""
+        """Return the runner that drives the reference; None if the search has no reference.
+
+        With ``isolate`` the reference runs in a separate process, like the ADS.
+        """
         if self.against is None:
             return None
         with refusals():
             return runner_for(replace(job, ads=self.against.ads, reference=self.against.shown), record, isolate=isolate)
 
     def judge_reference(self, runner: Runner, scenario: Scenario, world: Any = None) -> Verdict:
-        """Return the function's verdict on the reference in a scenario; a reference that raises, hangs or dies fails.
+        """Return the verdict on the reference in a scenario. A reference that raises, hangs or dies has failed.
 
         Raises:
-            RequestError: if the factory cannot be used, or the scenario does not fit the world.
+            RequestError: if the reference's factory cannot be used, or the scenario does not fit the world.
         """
         __tracebackhide__ = True
         try:
@@ -199,7 +204,7 @@ class Harness:
         return self.judge_trace(self.world if world is None else world, trace)
 
     def fails_with(self, ads: Callable[..., Any], scenario: Scenario, record: CrashRecord) -> bool:
-        """Return whether the test fails in a scenario with a different ADS."""
+        """Return whether the test fails in a scenario with another ADS, such as the same ADS with perfect sight."""
         __tracebackhide__ = True
         job = replace(self.job(), ads=ads)
         with refusals(), runner_for(job, record, isolate=self.request.settings.isolate) as runner:
@@ -213,7 +218,7 @@ class Harness:
 
     @contextmanager
     def recording(self, job: Job) -> Iterator[CrashRecord]:
-        """Provide the record of the scenario that runs now; it is removed at the end, unless the process dies."""
+        """Provide the crash record with the scenario that runs now. It stays on disk only if the process dies."""
         try:
             with job.crash_record() as record:
                 yield record
@@ -223,13 +228,13 @@ class Harness:
                     self.records.rmdir()
 
     def left_behind(self, owner: str = "") -> list[Leftover]:
-        """Return the records of processes that died in runs of this test, or of a different owner of records."""
+        """Return the crash records of processes that died in runs of this test, or of another ``owner``."""
         return left_by(owner or self.node_id, self.records)
 
 
 @contextmanager
 def refusals(whose: str = "the ADS") -> Iterator[None]:
-    """Turn errors of a world, a factory, a scenario or a process that the user can correct into request errors."""
+    """Turn errors that the user can correct into request errors; ``whose`` names the factory that is called."""
     __tracebackhide__ = True
     try:
         yield
@@ -241,13 +246,13 @@ def refusals(whose: str = "the ADS") -> Iterator[None]:
         let_through(error)
         raise RequestError(
             f"expected the factory of {whose} to leave the session alone, received pytest.exit({str(error)!r}); raise "
-            "a different exception"
+            "another exception"
         ) from None
 
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """The runs of one search; each scenario is on disk, in the record of this process, until its run is judged."""
+    """The runs of one search. Until a run is judged, its scenario is on disk in the crash record of this process."""
 
     harness: Harness
     runner: Runner
@@ -255,12 +260,12 @@ class Simulation:
     reference: Runner | None = None  # the runner of the reference
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
-        """Run a scenario; :meth:`judge` must follow.
+        """Run a scenario. The caller must call :meth:`judge` next, which also clears the crash record.
 
         For ``afresh`` see :meth:`pytest_pafot.execution.runner.Runner.run`.
 
         Raises:
-            ProcessLostError: if the run was in a different process, which died or hung.
+            ProcessLostError: if the run was in another process, and that process died or hung.
             RequestError: for a world, factory or scenario that does not fit.
         """
         __tracebackhide__ = True
@@ -269,7 +274,7 @@ class Simulation:
         return self.harness.seen(trace)
 
     def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
-        """Judge the last run; if it fails, run the reference in the same scenario, or in the one given."""
+        """Judge the last run. If it fails, the reference is run in ``scenario``, by default in the run's scenario."""
         __tracebackhide__ = True
         verdict = self.harness.judge(run)
         if verdict.failed and self.reference is not None:
@@ -278,7 +283,7 @@ class Simulation:
         return verdict
 
     def is_common(self, scenario: Scenario) -> bool:
-        """Return whether the reference does not pass a scenario either in which the ADS ended its process."""
+        """Return whether a failure in a scenario does not count, because the reference does not pass it either."""
         __tracebackhide__ = True
         if self.reference is None:
             return False
@@ -294,14 +299,14 @@ class Simulation:
         return run
 
     def rerun_one_by_one(self, leftover: Leftover) -> None:
-        """Run each scenario of a batch separately after a process died in it, so that a second death has one cause."""
+        """Run the scenarios of a batch in which a process died one by one, to see which scenario is the cause."""
         __tracebackhide__ = True
         leftover.discard()  # first, or after a second death every session would run the whole batch again
         for scenario in leftover.scenarios:
             self.rerun(scenario)
 
     def rerun_in_gym(self, scenario: Scenario) -> Run | None:
-        """Run a scenario with ``env.step`` of highway-env's own environment; None for a world that has none."""
+        """Run a scenario with ``env.step`` of highway-env's own environment; None if the world has no environment."""
         __tracebackhide__ = True
         world = protocol.gym_replaying(self.harness.world)
         if world is None:
@@ -317,10 +322,10 @@ class Simulation:
 
 
 def checked_factory(given: object, name: str) -> Callable[..., Any]:
-    """Return the ADS factory from a fixture.
+    """Return the value of a fixture if it is an ADS factory. ``name`` is the name of the fixture.
 
     Raises:
-        RequestError: if it is not a factory.
+        RequestError: if the value is not a factory.
     """
     if not callable(given):
         hint = hint_at_object(given)
@@ -332,7 +337,7 @@ def checked_factory(given: object, name: str) -> Callable[..., Any]:
 
 
 def source_file(function: Callable[..., Any], default: str = "") -> str:
-    """Return the source file of a function, without its wrappers."""
+    """Return the source file of a function, not of decorators around it; ``default`` if it is unknown."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return default if code is None else str(code.co_filename)
 

@@ -1,4 +1,4 @@
-"""Merging: run the findings of other machines here, and store the simplest of each kind in the corpus of a test."""
+"""Merging: findings of other machines are run here, and the simplest of each kind is stored in a test's corpus."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from pytest_pafot.support.text import plural, visible
 # order of the folders, on repeated findings, or on whether the folders are merged at once or one after the other.
 
 _NUMBERED = re.compile(r"(.+-[0-9a-f]{6})-\d+")
-"""An id to which :func:`~pytest_pafot.corpus.writer.free_path` has appended a number."""
+"""The pattern of an id that ends in a number, as :func:`~pytest_pafot.corpus.writer.free_path` appends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A saved scenario that fails here: its file, its finding as it would be written, and the kind of its failure."""
+    """A saved scenario that fails in this session and may be stored: its file, its finding, its kind of failure."""
 
     saved: Saved
     finding: Finding
@@ -42,17 +42,23 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joined:
-    """The candidates to store, by id, each with the ``xfail`` of its kind; and the kinds with different ``xfail``."""
+    """The result of a join.
+
+    Attributes:
+        kept: the candidates to store, by id, each with the ``xfail`` of its kind.
+        conflicts: the kinds of failures whose candidates have different ``xfail``; nothing is stored for them.
+    """
 
     kept: Mapping[str, Candidate]
     conflicts: Sequence[Sequence[Candidate]]
 
 
 def join(candidates: Iterable[Candidate], taken: Iterable[str] = ()) -> Joined:
-    """Return the simplest candidate of each kind, by the order of shrinking, then by id; of equal ones, the first.
+    """Return the simplest candidate of each kind of failure, by the order of shrinking, then by id.
 
-    A flaky candidate is chosen only if all are flaky. If several share an id, the simplest gets it, and the next one
-    gets ``-2`` appended. Ids that are taken, or that belong to a conflict, are not used.
+    Of equal candidates, the first is chosen; a flaky candidate only if all of its kind are flaky. If several chosen
+    candidates share an id, the simplest gets it, and ``-2`` is appended for the next candidate. Ids that are ``taken``,
+    or that belong to a conflict, are not used.
     """
     kinds: dict[Signature, list[Candidate]] = {}
     for each in candidates:
@@ -73,7 +79,7 @@ def join(candidates: Iterable[Candidate], taken: Iterable[str] = ()) -> Joined:
 
 
 def free_id(finding: Finding, taken: Collection[str]) -> str:
-    """Return a free id for a finding: its own without a number, or else with the first free number."""
+    """Return an id for a finding that is not taken: its own id without a number, or with the first free number."""
     stem = _stem(finding)
     number, name = 1, stem
     while name in taken:
@@ -83,7 +89,7 @@ def free_id(finding: Finding, taken: Collection[str]) -> str:
 
 
 def acceptances(group: Iterable[Candidate]) -> set[tuple[str, date | None]]:
-    """Return the different reasons for accepting a kind of failure, each with its last day."""
+    """Return the different reasons for which files of one kind are accepted (``xfail``), each with its last day."""
     return {(each.finding.xfail, each.finding.xfail_until) for each in group if each.finding.xfail is not None}
 
 
@@ -105,18 +111,18 @@ SHOWS_AGAIN = ("still failing", "introduced")
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """The report of a merge: lines on the files, and errors that the user must correct."""
+    """The result of a merge: lines on the files to print, and errors that the user must correct."""
 
     lines: Sequence[str]
     errors: Sequence[str]
 
 
 def merge(replays: Replays, folders: Iterable[Path], owner: str) -> Merged:
-    """Merge the files of other folders into the corpus of a test; ``owner`` is the owner of the crash record.
+    """Merge the files of other folders into the corpus of a test. ``owner`` is written into crash records.
 
-    A file of the corpus that fails takes part in the join, so it is replaced if a different folder has a simpler one of
-    its kind. A file that does not fail stays unchanged, and so does every file of a kind with different ``xfail``.
-    Nothing is written with ``save="none"``.
+    A file of the corpus that fails takes part in the join, so it is replaced if another folder has a simpler
+    file of the same kind. A file that does not fail stays unchanged. So does every file of a kind whose files have
+    different ``xfail``. Nothing is written with ``save="none"``.
     """
     harness = replays.harness
     own = saved_in(harness.folder)
@@ -153,7 +159,7 @@ def merge(replays: Replays, folders: Iterable[Path], owner: str) -> Merged:
 
 
 def _replayed(replays: Replays, saved: Saved, owner: str) -> tuple[str, Signature | None]:
-    """Return the label of a replay, and its signature if it shows the failure for which the file was saved.
+    """Replay a file; return its label, and its signature if it shows the failure for which the file was saved.
 
     Raises:
         RequestError: if the file cannot be read or run.
@@ -183,10 +189,10 @@ def _accepts(finding: Finding | None) -> tuple[str | None, date | None]:
 
 
 def _write(result: Joined, folder: Path, old: set[Path]) -> list[str]:
-    """Write the result, then remove the old files that it replaces; return errors.
+    """Write the result of a merge, then remove the old files that it replaces; return error messages.
 
-    If it is killed at any moment, each finding is in one or two files, and merging again leaves one. For that, a
-    finding that replaces a file is first written under a free name, and renamed when everything is written.
+    If the process is killed meanwhile, each finding is in one or two files, and the next merge leaves one file. For
+    that, a finding that replaces a file is first written under a free name, and renamed when everything is written.
     """
     targets = {folder / f"{id_}{SUFFIX}": each for id_, each in result.kept.items()}
     in_conflict = {each.saved.path for group in result.conflicts for each in group}

@@ -32,18 +32,18 @@ PROFILES: Mapping[str, Mapping[str, object]] = {
     FULL: {"runs": 400, "seed": 0},
     LOCAL: {"runs": 40},
 }
-"""The profiles: ``ci`` is automatic if the variable CI is set, otherwise ``local``, which has a random base seed."""
+"""The profiles, which are sets of defaults: ``ci`` if the environment variable CI is set, otherwise ``local``."""
 
 BUDGETS = ("runs", "generations")
-"""Options that limit a search: if one is given, the other has no default; if both are, the first limit ends it."""
+"""The options that limit a search. If one is given, the other has no default. If both are, the lower limit holds."""
 
 
 class OptionError(ArgumentTypeError):
-    """A wrong value of an option: where it is, what was expected and received. argparse prints it unchanged."""
+    """An error for a wrong option value: where the value is, what was expected, and what was received."""
 
 
 class Option(NamedTuple):
-    """An option and all names that are generated from it: ``--pafot-<name>``, ``pafot_<name>``, ``PAFOT_<NAME>``."""
+    """An option: type, default, help, and the names ``--pafot-<name>``, ``pafot_<name>`` and ``PAFOT_<NAME>``."""
 
     name: str
     kind: Kind
@@ -57,22 +57,22 @@ class Option(NamedTuple):
 
     @property
     def flag(self) -> str:
-        """The name on the command line."""
+        """The option's name on the command line, such as ``--pafot-max-time``."""
         return f"--pafot-{self.name.replace('_', '-')}"
 
     @property
     def key(self) -> str:
-        """The key in ini and toml files, and the attribute of ``config.option``."""
+        """The option's key in ini and toml files, which is also the attribute of ``config.option``."""
         return f"pafot_{self.name}"
 
     @property
     def variable(self) -> str:
-        """The name of the environment variable."""
+        """The name of the option's environment variable."""
         return f"PAFOT_{self.name.upper()}"
 
     @property
     def metavar(self) -> str:
-        """The placeholder of the value in the help."""
+        """The placeholder for the option's value in the help, such as ``SECONDS``."""
         shown = {"integer": "N", "day": "YYYY-MM-DD", "workers": "N", "page": "PATH", "folders": "DIR", "switch": ""}
         return shown.get(self.kind, self.name.upper() if self.kind == "text" else self.kind.upper())
 
@@ -80,7 +80,7 @@ class Option(NamedTuple):
         """Convert a text or a Python value to the type of the option.
 
         Raises:
-            OptionError: states what was expected and received; the caller adds the source.
+            OptionError: if the value is wrong. The caller adds to the message where the value is from.
         """
         if self.or_class and (not isinstance(value, str) or ":" in value):
             return value  # checked where it is used, since reading options must not import anything
@@ -88,7 +88,7 @@ class Option(NamedTuple):
         if self.choices and typed not in self.choices:
             *others, last = self.choices
             near = difflib.get_close_matches(str(value), self.choices, n=1)
-            hint = "; or give your own class, or module:Class if only text can be given" if self.or_class else ""
+            hint = "; or give your own class, as module:Class outside Python code" if self.or_class else ""
             hint = f"; did you mean {near[0]!r}?" if near else hint
             raise OptionError(f"expected {', '.join(others)} or {last}, received {value!r}{hint}")
         return typed
@@ -126,7 +126,7 @@ OPTIONS: tuple[Option, ...] = (
         "algorithm",
         "text",
         "Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts); distinct is the same, but "
-        "searches for different failures after it has found one; the others are baselines, the last three of which "
+        "searches for other failures after it has found one; the others are baselines, the last three of which "
         "need pytest-pafot[search]. Or module:Class for your own algorithm.",
         default="distinct",
         choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
@@ -215,7 +215,7 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "report",
         "page",
-        "Write the findings to FILE.html as one web page, or to DIR/ as a page with an animation of each.",
+        "Write the findings to FILE.html as one web page, or to the folder DIR/ as a page with an animation of each.",
     ),
     Option(
         "json",
@@ -234,14 +234,14 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "prune",
         "switch",
-        "Remove saved scenarios whose test no longer exists in the collected files; list them first.",
+        "List the saved scenarios whose test no longer exists in the collected files, and remove them.",
         default=False,
         everywhere=False,
     ),
     Option(
         "merge",
         "folders",
-        "Merge the saved scenarios of a different machine's corpus DIR into this one, instead of searches and replays: "
+        "Merge the saved scenarios of another machine's corpus DIR into this corpus, instead of searches and replays: "
         "each is run, and the simplest of each kind of failure is stored. May be given several times.",
         everywhere=False,
         is_argument=False,
@@ -250,7 +250,7 @@ OPTIONS: tuple[Option, ...] = (
         "today",
         "day",
         "Compare the last days of accepted failures (`xfail` with `until`) with this day instead of today, to see "
-        "which failures will count then.",
+        "which failures will be reported on that day.",
         everywhere=False,
         is_argument=False,
     ),
@@ -263,8 +263,8 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "strict_drift",
         "switch",
-        "Fail saved scenarios that pass with other versions than those that found them, or although the situation of "
-        "their failure did not occur.",
+        "Fail saved scenarios that pass with other versions of packages than in their file, or although the situation "
+        "of their failure did not occur.",
         default=False,
     ),
     Option(
@@ -289,7 +289,7 @@ BY_NAME: Mapping[str, Option] = {option.name: option for option in OPTIONS}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """The value of every option for one item; ``seed`` is the base seed."""
+    """The value of every option for the item of one test. ``seed`` is the base seed."""
 
     runs: int | None
     generations: int | None
@@ -316,18 +316,18 @@ class Settings:
 
     @property
     def is_search(self) -> bool:
-        """True if there is a search, not only replays."""
+        """True if a search is requested; False if only saved scenarios are replayed."""
         return self.generations != 0
 
     @property
     def budget(self) -> str:
-        """The command-line options that request a search of the same length."""
+        """The command-line options that request a search with the same number of runs or generations."""
         given = ((BY_NAME[name].flag, getattr(self, name)) for name in BUDGETS)
         return " ".join(f"{flag}={value}" for flag, value in given if value is not None)
 
 
 def is_ci(environ: Mapping[str, str]) -> bool:
-    """Return whether the profile ``ci`` is automatic: CI is set to anything except an empty text, 0 or false."""
+    """Return whether the environment variable CI is set, to anything except an empty text, 0 or false."""
     return environ.get("CI", "").lower() not in ("", "0", "false")
 
 
@@ -378,7 +378,7 @@ def _read_day(option: Option, value: object) -> str:
     from pytest_pafot.support.text import day_of  # noqa: PLC0415  (for few sessions)
 
     if not isinstance(value, str) or day_of(value) is None:
-        raise OptionError(f"expected a day of the calendar, as 2027-01-31, received {value!r}")
+        raise OptionError(f"expected a day of the calendar, such as 2027-01-31, received {value!r}")
     return value
 
 
@@ -392,7 +392,7 @@ def _read_page(option: Option, value: object) -> str:
 def _read_file(option: Option, value: object) -> str:
     text = _read_text(option, value)
     if text.endswith(("/", "\\")):
-        raise OptionError(f"expected the name of a file, received {value!r}, a folder; give {text}pafot.json")
+        raise OptionError(f"expected the name of a file, received {value!r}, which is a folder; give {text}pafot.json")
     return text
 
 
@@ -404,7 +404,7 @@ def _read_table(option: Option, value: object) -> str:
 
 
 def is_page_file(text: str) -> bool:
-    """Return whether the option ``report`` names a file, not a folder."""
+    """Return whether a value of the option ``report`` names a file; otherwise it names a folder."""
     return text.lower().endswith((".html", ".htm"))
 
 

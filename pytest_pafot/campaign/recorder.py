@@ -1,4 +1,4 @@
-"""The recorder of new findings: it saves the file, checks whether the run repeats, and reports the finding."""
+"""The recorder of new findings: it saves each finding, runs it again to confirm it, and reports it."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ NOT_REPEATED = "running it again gave a different run"
 
 
 def difference(run: Run, simulation: Simulation) -> str:
-    """Return what differs when a scenario is run again; empty if the finding is confirmed.
+    """Return what differs when the scenario of a run is run again; empty if the finding is confirmed.
 
-    The same engine must give a run that is equal to the last bit. If the world has an environment of highway-env's own,
-    the run must end in the same way there.
+    The same engine must give a run that is equal to the last bit. In highway-env's own environment, if the world has
+    it, the run must end in the same way.
     """
     try:
         if not is_same_run(run, simulation.rerun(run.scenario)):
@@ -66,12 +66,12 @@ UNSEEN_CRASH = Expect(
     time=0.0,
     message="the process ended while it ran this scenario",
 )
-"""The expectation of a scenario in which a process died for an unknown reason."""
+"""The expected result in the file of a scenario in which a process died for an unknown reason."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Recorder:
-    """A recorder that saves and reports the findings of one search."""
+    """A recorder that saves, confirms and reports the findings of one search."""
 
     harness: Harness
     seed: int
@@ -90,16 +90,16 @@ class Recorder:
 
     @property
     def count(self) -> int:
-        """The number of distinct findings that were reported, saved or only counted."""
+        """The number of distinct findings so far, including findings above the limit, which are not saved."""
         return len(self.kept) + len(self.unsaved) - len(self.held or ())
 
     def keep(self, run: Run, verdict: Verdict, generation: int, number: int) -> str:
-        """Save a new finding, run it again to confirm it, and report it or hold it back; return its id.
+        """Save a new finding, run its scenario again to confirm it, and report it or hold it back; return its id.
 
-        The generation is counted from 0, the number of the run in the search from 1.
+        ``generation`` is counted from 0; ``number``, the number of the run in the search, from 1.
         """
         if verdict.failure is None or verdict.exception is None:
-            raise ValueError(f"verdict: expected a failed one, received {verdict!r}")
+            raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
         harness = self.harness
         finding = Finding.of(
             run,
@@ -135,20 +135,23 @@ class Recorder:
         return kept.find.id
 
     def confirmed(self, run: Run) -> str:
-        """Return what differs when a run is repeated, or an empty text; measure how long that takes."""
+        """Return what differs when a run is repeated; empty if nothing does. Measure how long that takes."""
         began = self.clock()
         differs = self.confirm(run)
         self.pace = max(self.pace, (self.clock() - began) / max(run.duration, 1.0))
         return differs
 
     def release(self) -> None:
-        """Report the findings that were held back, and from now on report each finding at once."""
+        """Report the findings that were held back; from now on, each new finding is reported at once."""
         held, self.held = self.held or [], None
         for find_id in held:
             self.tell(self.kept[find_id])
 
     def withdraw(self) -> None:
-        """Remove the findings that were held back, which are a fault of the set-up; report those that cannot be."""
+        """Remove the files of findings that were held back, since they are a fault of the set-up.
+
+        A finding whose file cannot be removed is reported.
+        """
         withdrawn, self.held = [self.kept.pop(find_id) for find_id in self.held or ()], None
         self.unsaved.clear()
         for kept in withdrawn:
@@ -164,20 +167,23 @@ class Recorder:
                 folder.rmdir()
 
     def tell(self, told: FindTold) -> None:
-        """Report a finding, or an update of it."""
+        """Report a new finding, or an update of a reported finding, to the listener."""
         self.kept[told.find.id] = told
         if self.first is None or told.find.id == next(iter(self.kept)):
             self.first = told.exception
         self.listener(told)
 
     def call_flaky(self, kept: FindTold, difference: str) -> FindTold:
-        """Mark a finding as flaky, in its file too; return the marked one."""
+        """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
         marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, str(self.harness.root))))
         self.kept[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference))
         return self.kept[kept.find.id]
 
     def rewritten(self, kept: FindTold, finding: Finding) -> FindTold:
-        """Replace the content of a finding, in its file too; if that fails, return it unchanged, with the reason."""
+        """Replace a finding by a new version, also in its file; return it.
+
+        If the file cannot be written, the old finding is returned, with the reason.
+        """
         if kept.file is None:
             return replace(kept, finding=finding, content=text_of(finding) if kept.content else "")
         try:
@@ -186,9 +192,9 @@ class Recorder:
             return replace(kept, origin=f"{kept.origin}; its file is as first found: {error}")
 
     def keep_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> None:
-        """Save and report a scenario in which a process died.
+        """Save and report a scenario in which a process died in an earlier session, as its record ``leftover`` says.
 
-        ``again`` is how the process ended that ran it again; None if that is unknown.
+        ``again`` describes how a second process ended that ran the scenario again; None if that is unknown.
         """
         others = " and others in lock step" if leftover.is_lock_step else ""
         text = f"a process (pid {leftover.pid}) died while it ran this scenario{others}, "
@@ -213,7 +219,7 @@ class Recorder:
         self.tell(self._saved(finding, line, "the record of a session that died", PlainFailure(text), is_timed))
 
     def keep_lost(self, lost: LostRun, generation: int, number: int) -> str:
-        """Save and report a scenario whose process died or hung; return its id. See :meth:`keep`."""
+        """Save and report a scenario whose process died or hung; return its id. The numbers are as in :meth:`keep`."""
         alone = "" if lost.is_hang else ", also when nothing else ran"
         text = f"the {lost.who} that ran this scenario {lost.how}{alone}: "
         text += cause(lost, "--pafot-workers=1 finds nothing here; delete the file")
@@ -262,7 +268,7 @@ class Recorder:
         try:
             if self.harness.request.settings.save == "none":
                 problem = "--pafot-save=none"
-            # Between the check and the write, a different session may use the name for its own finding.
+            # Between the check and the write, another session may use the name for its own finding.
             while not problem and not write(path, finding):
                 other, renamed = free_path(self.harness.folder, finding, self.replayed)
                 if other == path:
@@ -295,9 +301,9 @@ def _headline(lost: LostRun) -> str:
 
 
 def cause(lost: LostRun, way_out: str) -> str:
-    """Return why a process may have died or hung, and the way out if the scenario is not the cause."""
+    """Return why a process may have died or hung; with ``way_out``, what to do if the scenario is not the cause."""
     if lost.how == OUT_OF_MEMORY:
-        return "the ADS uses more and more of it, or needs that much (then give a larger --pafot-memory)"
+        return "the ADS uses more and more memory, or needs that much (then give a larger --pafot-memory)"
     if not lost.is_hang:
         return "the likely cause is a crash of native code, an exit or a lack of memory"
     return (

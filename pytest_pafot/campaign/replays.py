@@ -31,12 +31,12 @@ from pytest_pafot.world.driving.perception import sight_of
 FLAKY = "flaky"
 
 BESIDE = {True: "introduced", False: "common", None: ""}
-"""The label of a saved scenario that fails, by whether the reference passes it; empty without a reference."""
+"""The label of a saved scenario that fails, by whether the reference passes the same scenario."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replays:
-    """The replays of one test's saved scenarios."""
+    """The replays of the saved scenarios of one test."""
 
     harness: Harness
     # replays the scenario of a file in a separate session, if no other process can be given what the test needs; raises
@@ -46,10 +46,10 @@ class Replays:
     def shown_by(self, saved: Iterable[Saved]) -> dict[Signature, str]:
         """Replay saved scenarios; return the *known* failures, each with the id of the first file that shows it.
 
-        A saved scenario, accepted or not, covers the failure that it shows now, even if it was saved for a different
-        one. If it passes, it covers nothing. So for each failure there is an item that fails for it, or that accepts
-        it. A file that cannot be used covers nothing either, as its own item reports the error. Neither does a file
-        that the reference fails as well: old failures must not hide new ones.
+        A saved scenario, accepted or not, covers the failure that it shows now, even if it was saved for another
+        failure. If it passes, it covers nothing. So for each known failure there is an item that fails with it or
+        accepts it. A file that cannot be used covers nothing either, as its item reports the error. Nor does a file in
+        which the reference fails as well: old failures must not hide new failures.
         """
         known: dict[Signature, str] = {}
         for each in saved:
@@ -62,7 +62,7 @@ class Replays:
         return known
 
     def still_fails(self, saved: Saved) -> bool:
-        """Return whether a process still dies in a saved scenario, without regard to the reference."""
+        """Return whether a process still dies in a saved scenario, even if the reference's process dies as well."""
         try:
             shown = self._observed(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
         except RequestError:
@@ -77,10 +77,12 @@ class Replays:
         return of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
 
     def world_of(self, saved: Saved) -> Any:
-        """Build the world that a file describes, or return the test's if it is code; check that the scenario fits it.
+        """Return the world in which to replay a file, and check that the scenario fits that world.
+
+        It is the world that the file describes; or the test's world, if the world is code, which files do not contain.
 
         Raises:
-            RequestError: names the file, the line and the field.
+            RequestError: if the world cannot be built, or the scenario does not fit. The message names file and line.
         """
         finding = _finding(saved)
         try:
@@ -95,12 +97,12 @@ class Replays:
         return world
 
     def tried(self, saved: Saved, world: Any, owner: str) -> tuple[Run, Verdict]:
-        """Run a saved scenario in a world; return the run and its verdict. ``owner`` is the owner of the crash record.
+        """Run a saved scenario in a world; return the run and its verdict. ``owner`` is written into the crash record.
 
-        The run is in a separate process if one died or hung in this scenario, or with ``--pafot-isolate``.
+        The run is in a separate process with ``--pafot-isolate``, or if a process died or hung in this scenario before.
 
         Raises:
-            ProcessLostError: if that process died or hung.
+            ProcessLostError: if the separate process died or hung.
             RequestError: for a world, factory or scenario that does not fit.
         """
         __tracebackhide__ = True
@@ -129,13 +131,16 @@ class Replays:
         return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
 
     def passes_reference(self, saved: Saved, world: Any, owner: str) -> bool | None:
-        """Return whether the reference passes a saved scenario; None without one."""
+        """Return whether the reference passes a saved scenario; None if the test has no reference."""
         __tracebackhide__ = True
         verdict = self.of_reference(saved, world, owner)
         return None if verdict is None else verdict.passes
 
     def of_reference(self, saved: Saved, world: Any, owner: str) -> Verdict | None:
-        """Return the verdict on the reference, in a separate process if the ADS has one; None without a reference."""
+        """Return the verdict on the reference in a saved scenario; None if the test has no reference.
+
+        The reference runs in a separate process if the ADS does.
+        """
         __tracebackhide__ = True
         harness, scenario = self.harness, _finding(saved).scenario
         job, isolate = harness.job(world, owner), self._is_apart(saved, owner)
@@ -146,14 +151,14 @@ class Replays:
             return None if runner is None else harness.judge_reference(runner, scenario, world)
 
     def labelled(self, saved: Saved, owner: str) -> tuple[str, Run, Verdict]:
-        """Replay a saved scenario; return its label, run and verdict. A pass is tried twice: it must not be chance.
+        """Replay a saved scenario; return its label, run and verdict. A replay that passes is run again.
 
         With a reference, a failure is ``introduced`` if the reference passes, otherwise ``common``. A pass is ``fixed``
         if the reference fails and the situation occurred; otherwise a label ``fixed`` becomes ``fixed before``.
 
         Raises:
-            ProcessLostError: if the process that ran it died or hung.
-            RequestError: if it cannot be run; names the file, the line and the field.
+            ProcessLostError: if the process that ran the scenario died or hung.
+            RequestError: if the scenario cannot be run. The message names the file, the line and the field.
         """
         __tracebackhide__ = True
         finding, world = _finding(saved), self.world_of(saved)
@@ -163,7 +168,7 @@ class Replays:
         if finding.expect.is_crash:
             label = "drifted" if verdict.failed else "fixed"  # The process survived, whatever the run shows.
         if label == "fixed" and (self.world_changes(finding) or self.sight_change(finding)):
-            label = "drifted"  # It passes in a different world or with different sight.
+            label = "drifted"  # It passes in another world or with another sight.
         if verdict.discarded:
             return label, run, verdict
         if verdict.failed:
@@ -183,23 +188,23 @@ class Replays:
         return label, run, verdict
 
     def world_changes(self, finding: Finding) -> list[str]:
-        """Return the differences between the world of a file and the test's, or how the file's world cuts the run."""
+        """Return how the file's world differs from the test's world, or how the file's world cuts the run."""
         own = self.harness.world
         return codec.changes(finding.world, own) or codec.cuts(finding.world, finding.scenario, own)
 
     def sight_change(self, finding: Finding) -> list[str]:
-        """Return the difference between the sight of the ADS in the file and now; empty if there is none."""
+        """Return how the ADS's sight in the file and now differ; empty if they are the same."""
         then = Sight() if finding.perception is None else finding.perception.sight
         now = sight_of(self.harness.ads) or Sight()
         return [] if then == now else [f"found with {then.described()}, run with {now.described()}"]
 
     def ads_changes(self, finding: Finding) -> list[str]:
-        """Return the differences between the ADS in a file and now: its sight, and its weights if both are known."""
+        """Return how the ADS in a file differs from the present ADS: its sight, and its weights if both are known."""
         then, now = finding.found.weights, weights_digest(self.harness.ads)
         return [*self.sight_change(finding), *(["found with other weights"] if then and now and then != now else [])]
 
     def changes(self, finding: Finding, now: str) -> str:
-        """Return the differences between a file and its replay; ``now`` is what happened in the replay."""
+        """Return the differences between a file and its replay in words; ``now`` is what happened in the replay."""
         versions = self.harness.versions
         changed = [
             f"{name} {version} then, {versions.get(name, 'none')} now"
@@ -216,7 +221,7 @@ class Replays:
 
 
 def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
-    """Return what happened in a replay, in the same form as the file describes its failure."""
+    """Return what happened in a replay in words, in the form in which the file's failure is described."""
     if failure is not None and failure.check is not None:
         when = "" if failure.check.time is None else f" at {failure.check.time:.1f} s"
         return f"{failure.check.name} failed{when}"

@@ -1,4 +1,4 @@
-"""The request for one search: the checked arguments of a mark or of ``pafot.explore``, and the settings."""
+"""The request for one search: the checked arguments of ``@pafot.search`` or ``pafot.explore``, and the options."""
 
 from __future__ import annotations
 
@@ -25,25 +25,28 @@ from pytest_pafot.world.driving.ads import hint_at_object
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts")
 NPCS = 4
-"""The default number of NPCs in a scenario; so many fit around the ego in any lane of a Highway."""
+"""The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""
 MOST_NPCS = 6
-"""The largest random number of NPCs; it is lower in the outer lanes, so that a cell stays free."""
+"""The largest number of NPCs in a random scenario. It is lower if the ego is in an outer lane: a cell must be free."""
 MOST_CROSSING = 3
-"""The largest random number of NPCs if ways of other traffic meet the ego's: enough to hide one NPC behind a
-second. An ego that waits for one of many NPCs meets the others at other times than their slots, so more show less."""
+"""The largest number of NPCs in a random scenario on a road where they cross the ego's way.
+
+Three are enough to hide one NPC behind another. With more of them, the ego would wait for the first NPC and meet the
+others at other times than their slots, so the scenarios would show less.
+"""
 GENE_DURATIONS = (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
 """The durations from which the gene duration of a scenario is sampled [s]."""
 SLOWEST_START = 12.0
-"""The lowest random start speed of the ego [m/s]; half the limit if that is lower."""
+"""The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower."""
 BLAMES = ("any", "ego", "preventable")
 
 
 class RequestError(Exception):
-    """A search that cannot be run as requested; the message is complete for the user."""
+    """An error for a search that cannot be run as requested. Its message is written for the user."""
 
 
 class SearchArguments(TypedDict, total=False):
-    """The arguments of :func:`pytest_pafot.search`, for type checkers and the check of names; all are optional."""
+    """The types of the arguments of :func:`pytest_pafot.search`, all of which are optional."""
 
     world: Any
     lanes: int
@@ -102,12 +105,12 @@ class Request:
     place: str = "@pafot.search"  # where the arguments are, for messages
 
     def error(self, arguments: str, problem: object) -> RequestError:
-        """Return an error about arguments, such as ``world=...``."""
+        """Return an error about one or more arguments, which are written like ``world=...``."""
         return RequestError(f"{self.place}({arguments}): {problem}")
 
 
 def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: str = "@pafot.search") -> Request:
-    """Return the request for arguments, including ``ads``; values of options are taken from the settings.
+    """Return the checked request for some arguments, including ``ads``. Values of options are in ``settings``.
 
     Raises:
         RequestError: on the first wrong argument.
@@ -133,13 +136,13 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
 
 
 def _problems(request: Request) -> Mapping[str, object]:
-    """Return the problem of each argument, in the order of reporting; a false value if there is none."""
+    """Return the problem of each argument, in the order of reporting; a false value if an argument is right."""
     world, limit, fitness = request.world, request.decision_limit, request.fitness
     part = next(iter(request.road), "")
     return {
         f"world=..., {part}=...": world is not None
         and part
-        and f"expected either a whole world or its parts, received both; pass {part} to the world",
+        and f"expected either world= or arguments of the road, received both; pass {part} to the world",
         "world=...": world is not None
         and (isinstance(world, type) or not callable(getattr(world, "rollout", None)))
         and f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}",
@@ -156,10 +159,10 @@ def _problems(request: Request) -> Mapping[str, object]:
 
 
 def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:
-    """Check that arguments of these names exist.
+    """Check that the names of arguments exist.
 
     Raises:
-        RequestError: on the first unknown name, with a similar one.
+        RequestError: on the first unknown name. The message suggests a similar name.
     """
     known = SearchArguments.__annotations__
     unknown = next((name for name in arguments if name not in known), None)
@@ -176,9 +179,9 @@ def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -
 
 
 def build_world(request: Request, fixture_world: Any) -> Any:
-    """Return the world of a search: the mark's, or else the fixture's with the mark's road arguments.
+    """Return the world of a search: the mark's world, or else the fixture's world with the mark's road arguments.
 
-    If the mark gives the length of the chains but no world, runs on the fixture's Highway last as long as the chains.
+    If the mark gives no world but the length of the chains, runs on the fixture's Highway last as long as the chains.
 
     Raises:
         RequestError: if the road arguments do not fit the world, or if the world lacks something that a search needs.
@@ -207,10 +210,12 @@ def build_world(request: Request, fixture_world: Any) -> Any:
 
 
 def build_space(request: Request, world: Any) -> SearchSpace:
-    """Return the space of scenarios in a world; unless the mark gives their number, the genes fill a run.
+    """Return the space of scenarios in which a search samples.
+
+    Unless the mark gives the number of genes in a chain, the chains last as long as a run in the world.
 
     Raises:
-        RequestError: if an argument is out of range, no scenario can be made, or the world cannot be built.
+        RequestError: if an argument is out of range, if no scenario can be made, or if the world cannot be built.
     """
     given = ", ".join(request.space)
     try:
@@ -227,10 +232,10 @@ def build_space(request: Request, world: Any) -> SearchSpace:
 
 
 def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return default arguments for the space of an algorithm that is not bound to the paper's space.
+    """Return the default arguments of the search space, for algorithms that are not bound to the paper's space.
 
-    NPCs are attentive. If ways of other traffic meet the ego's, most NPCs come from there. The other defaults are only
-    for a straight road. The start is random only on a Highway, because an environment defines how its ego starts.
+    NPCs are attentive. If other ways meet the ego's way, most NPCs cross from there. The other defaults are only for a
+    straight road. The start is random only on a Highway, because an environment defines how its ego starts.
     """
     drawn: dict[str, Any] = {"traffic": given.get("traffic", Traffic().style)}
     road = protocol.straight_road(world)
@@ -257,7 +262,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _crossing_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return default arguments for the space of a world in which other ways meet the ego's; empty for other worlds."""
+    """Return the default arguments of the search space if other ways meet the ego's way in a world; otherwise none."""
     crossings = protocol.crossings(world)
     if crossings is None:
         return {}
@@ -283,7 +288,7 @@ def _checked_world(request: Request, world: Any, origin: str) -> Any:
 
 
 def hint_at_world(given: Any) -> str:
-    """Return a hint at the world for an environment or its id; empty for anything else."""
+    """Return a hint at ``pafot.World`` if the user gave an environment or its id as world; otherwise an empty text."""
     spec = getattr(given, "spec", None)  # set on an environment that gymnasium made
     env_id = given if isinstance(given, str) else getattr(spec, "id", None)
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""

@@ -1,4 +1,4 @@
-"""A search that is resumed in other sessions: what it reads from earlier sessions and stores for later ones."""
+"""A search that goes on in several sessions: each reads the state of the earlier sessions and stores a new state."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from pytest_pafot.world.driving.perception import sight_of
 # Counts of random scenarios that fail, and that fail by the ego's fault, among the first scenarios of a search.
 
 FAILING = ("failed", "unpreventable", "common")
-"""The kinds of verdicts on runs that failed, even if something excuses them."""
+"""The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -42,10 +42,10 @@ class RandomBeginning:
 
     Attributes:
         listener: receives the events.
-        most: the number of random scenarios at the beginning; infinite if all are random.
-        runs: the number of their runs so far, without runs that say nothing about the ego.
-        at_fault: how many of these had a collision for which the ego is responsible, alone or with the NPC.
-        otherwise: how many of these failed in a different way, such as by a check or an error of the ADS.
+        most: the number of random scenarios at the beginning of the search; infinite if all are random.
+        runs: the number of counted runs so far: runs of random scenarios that say something about the ego.
+        at_fault: the number of counted runs with a collision for which the ego is responsible, alone or with the NPC.
+        otherwise: the number of counted runs that failed in any other way, such as by a check or an error of the ADS.
     """
 
     listener: Listener
@@ -58,7 +58,7 @@ class RandomBeginning:
 
     @property
     def is_whole(self) -> bool:
-        """True if all random scenarios were run."""
+        """True if all random scenarios at the beginning of the search were run."""
         return self._evaluated >= self.most
 
     @property
@@ -67,11 +67,11 @@ class RandomBeginning:
         return self._evaluated, self.runs, self.at_fault, self.otherwise
 
     def restore(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
-        """Continue from the counts of an earlier session."""
+        """Set the counts to those of an earlier session, to continue from there."""
         self._evaluated, self.runs, self.at_fault, self.otherwise = evaluated, runs, at_fault, otherwise
 
     def __call__(self, event: SearchEvent) -> None:
-        """Pass on and count an event; a run is judged once or twice before its scenario is evaluated."""
+        """Pass an event on to the listener and count it. A scenario may be judged twice before it is evaluated."""
         self.listener(event)
         if self.is_whole:
             return
@@ -93,7 +93,9 @@ SAVES_NONE = f"{BY_NAME['save'].flag}=none"
 
 
 def check_states(resume: str, here: Path) -> None:
-    """Refuse a folder of states behind a link, because states are written and removed there.
+    """Refuse a folder of states behind a link, because files are written and removed in that folder.
+
+    ``resume`` is the path that the user gave, relative to ``here``.
 
     Raises:
         RequestError: if a relative path contains a link.
@@ -105,7 +107,7 @@ def check_states(resume: str, here: Path) -> None:
 
 @dataclass(slots=True, kw_only=True)
 class Sessions:
-    """The sessions of one search, including this one; without a folder of states it is the only one."""
+    """All sessions of one search, including this session; without a folder of states, there is no other session."""
 
     harness: Harness
     seed: int  # the seed of the search
@@ -131,17 +133,17 @@ class Sessions:
 
     @property
     def go_on(self) -> bool:
-        """True if the search can be resumed in other sessions."""
+        """True if the search stores its state, so that other sessions can resume it."""
         return self._file is not None
 
     @property
     def seconds(self) -> float:
-        """The time that the search has taken in all its sessions [s]."""
+        """The time that the search has taken so far, in all its sessions [s]."""
         return self.clock() - self._began + (0.0 if self._earlier is None else self._earlier.seconds)
 
     @property
     def budget(self) -> tuple[int | None, int | None]:
-        """The runs and generations after which this session ends, counted from the beginning of the search."""
+        """The numbers of runs and generations after which this session ends, counted from the first session on."""
         settings = self.harness.request.settings
         return (
             None if settings.runs is None else self._runs + settings.runs,
@@ -156,14 +158,14 @@ class Sessions:
 
     @property
     def found_before(self) -> Counter[str]:
-        """The number of failing runs for each finding of an earlier session that is saved, by id."""
+        """The number of failing runs for each saved finding of an earlier session, by the finding's id."""
         loop = self.loop
         told = {*loop.recorder.kept, *loop.recorder.unsaved, *self._unsaved_before}
         return Counter({id_: 1 + loop.repeats[id_] for id_ in loop.finds.values() if id_ not in told})
 
     @property
     def notes(self) -> list[str]:
-        """Notes for the summary."""
+        """Lines for the summary on earlier sessions and their findings."""
         went_on = f"resumed after {plural(self._runs, 'run')} of earlier sessions"
         problem = "" if self._file is None else self._file.problem
         unsaved = self._unsaved_before
@@ -182,8 +184,8 @@ class Sessions:
         """Restore the counts of earlier sessions; return the checkpoint to resume from, or None for a new search.
 
         Raises:
-            RequestError: if the algorithm cannot be resumed, or if the state belongs to a different search or is in use
-                by a different session.
+            RequestError: if the algorithm cannot be resumed, or if the state belongs to another search or is in use by
+                another session.
         """
         self._before = tuple(each.id for each in saved)
         if self.harness.states is None:
@@ -218,7 +220,7 @@ class Sessions:
             self._file.release()
 
     def refused(self, error: ValueError) -> RequestError:
-        """Return the error for a state that does not belong to this search."""
+        """Return the error for a state from which the algorithm cannot resume, with what the user can do."""
         return RequestError(str(error)) if self._file is None else self._file.refused(error)
 
     def is_own(self, saved: Saved) -> bool:
@@ -229,10 +231,10 @@ class Sessions:
         return self.go_on and is_of_search and saved.id not in self._before
 
     def find_again(self, saved: Sequence[Saved], until: float) -> None:
-        """Run findings again that an earlier session has not shrunk, and those whose file is gone.
+        """Run again the findings that earlier sessions have not shrunk, and the findings whose file is gone.
 
-        If findings without a file were skipped, a search whose corpus was lost would pass forever. From the moment
-        ``until`` on [s], findings with a file are left to a later session.
+        If findings without a file were skipped, a search whose corpus was lost would pass forever. After the time
+        ``until`` [s], findings with a file are left to a later session.
         """
         __tracebackhide__ = True
         saves = self.harness.request.settings.save != "none"
@@ -266,13 +268,16 @@ class Sessions:
                 self.loop.finds[find.signature], self.answers[find_id] = find_id, list(find.answers)
 
     def at_border(self, checkpoint: Callable[[], Checkpoint[Any]]) -> None:
-        """Store the state after a generation, if it is time; ``checkpoint`` makes the checkpoint."""
+        """Store the state after a generation, unless it was stored shortly before.
+
+        ``checkpoint`` makes the checkpoint.
+        """
         self._last = checkpoint
         if self._file is not None:
             self._file.offer(checkpoint, self._counts)
 
     def store(self, simplified: Collection[str] = ()) -> None:
-        """Write the state at the end of the search, unless it was aborted; ``simplified`` findings are done."""
+        """Write the state at the end of the session; ``simplified`` are the ids of findings that are fully shrunk."""
         if self._file is not None and self._last is not None and self.loop.finished is not None:
             self._file.write(self._last(), self._counts(simplified))
 
@@ -311,7 +316,7 @@ class Sessions:
 
 
 def restore(counts: Counts, loop: SearchLoop, beginning: RandomBeginning) -> None:
-    """Restore the counts of an earlier session in a search that has not begun."""
+    """Restore the counts of an earlier session in the loop of a search that has not begun."""
     loop.finds = {each.signature: each.id for each in counts.finds}
     loop.repeats = Counter({each.id: each.repeats for each in counts.finds})
     loop.known, loop.verdicts, loop.caught = map(Counter, (counts.known, counts.verdicts, counts.caught))
@@ -321,9 +326,10 @@ def restore(counts: Counts, loop: SearchLoop, beginning: RandomBeginning) -> Non
 
 
 def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> dict[str, Any]:
-    """Return the settings in which a state and a search must agree, as plain data: all that the findings depend on.
+    """Return the settings in which a state and a search must agree, as plain data.
 
-    The code of the test, of the ADS and of the user's own algorithm is not included.
+    The findings depend on these settings, and also on the code of the test, of the ADS and of the user's own algorithm,
+    which is not included.
     """
     request, sight = harness.request, sight_of(harness.ads)
     names: list[str] = [each.name for each in fields(algorithm)] if is_dataclass(algorithm) else []
@@ -346,6 +352,6 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
 
 
 def _named(value: object) -> str:
-    """Return a text for an object that is not plain data, if possible the same in each process: a function's name."""
+    """Return a text for an object that is not plain data: a function's name, or a text that may differ by process."""
     name = getattr(value, "__qualname__", None)
     return repr(value) if name is None else f"{getattr(value, '__module__', '')}:{name}"

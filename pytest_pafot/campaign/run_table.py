@@ -1,4 +1,4 @@
-"""All runs of a search as a table with a row for each scenario that was tried, failed or not."""
+"""The table of a search, with a row for each scenario that was tried, whether it failed or not."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ COLUMNS: Mapping[str, str] = {
     "hardest_braking": "hardest braking of the ego [m/s^2]",
     "margins": "JSON: the worst margin of each check that the test made, negative if it failed",
 }
-"""The columns of the table in their order, with their meaning; a cell is empty if there is no value."""
+"""The columns of the table in their order, with their meaning. A cell without a value is empty."""
 
 Row = dict[str, Any]
 
 
 @dataclass(slots=True)
 class RunTable:
-    """A table that makes rows from the events of a search; rows that are taken are removed."""
+    """A collector of rows from the events of a search."""
 
     test: str = ""
     seed: int = 0
@@ -74,7 +74,7 @@ class RunTable:
                 self.rows.append(self._row(event))
 
     def taken(self) -> list[Row]:
-        """Return the rows since the last call."""
+        """Return the rows that are new since the last call, and remove them."""
         rows, self.rows = self.rows, []
         return rows
 

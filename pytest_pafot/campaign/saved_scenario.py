@@ -1,4 +1,4 @@
-"""A saved scenario outside of pytest: the content of its file, and one run of it with an ADS."""
+"""A saved scenario outside of pytest: the content of its file, and a replay with an ADS."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pytest_pafot.world.driving.ads import AdsFactory
 
 
 def load(path: str | os.PathLike[str]) -> SavedScenario:
-    """Load a saved scenario; nothing in its file is run as code.
+    """Load a saved scenario from its file. Nothing in the file is run as code.
 
     Raises:
         CorpusError: for any error in the file, with the line, the field and the way out.
@@ -30,11 +30,11 @@ def load(path: str | os.PathLike[str]) -> SavedScenario:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SavedScenario(Shown):
-    """The content of a corpus file.
+    """The content of the file of a saved scenario.
 
     Attributes:
         path: the path of the file.
-        finding: everything in the file, such as ``finding.test``.
+        finding: everything that the file says, such as ``finding.test``.
     """
 
     path: Path
@@ -42,17 +42,17 @@ class SavedScenario(Shown):
 
     @property
     def id(self) -> str:
-        """The id of the finding, which is the name of the file."""
+        """The id of the finding, which is the file's name without its suffix."""
         return self.finding.id
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario that fails."""
+        """The scenario that fails in the test."""
         return self.finding.scenario
 
     @property
     def expect(self) -> Expect:
-        """The expected result of a run while the failure is not fixed."""
+        """The result of a run that is expected as long as the failure is not fixed."""
         return self.finding.expect
 
     @property
@@ -60,7 +60,7 @@ class SavedScenario(Shown):
         """The world that the file describes.
 
         Raises:
-            CorpusError: if that world is code, which files do not contain, or cannot be made here.
+            CorpusError: if the world is code, which files do not contain, or if it cannot be made on this machine.
         """
         if codec.is_code(self.finding.world):
             code = WorldError(
@@ -76,19 +76,19 @@ class SavedScenario(Shown):
             raise reader.located(self.path, "world", error) from None
 
     def replay(self, ads: AdsFactory, *, world: Any = None) -> Run:
-        """Run the scenario once; call the test function or :meth:`matches` to judge the run.
+        """Run the scenario once, without judging it. Pass the run to the test function or to :meth:`matches` for that.
 
         Args:
             ads: the factory, or a highway-env vehicle class.
-            world: replaces the file's world; required if that is code.
+            world: a world to use in place of the file's world; required if the file's world is code.
 
         Raises:
             CorpusError: if the file's world cannot be made, if the scenario does not fit the world, or if a process
                 died in this scenario, as this process would.
-            AdsFactoryError: if ``ads`` does not make an ADS.
+            AdsFactoryError: if ``ads`` does not return an ADS.
         """
         if self.expect.is_crash:
-            expected, received = "a scenario that leaves its process alive", "one in which a process died"
+            expected, received = "a scenario that does not end its process", "a scenario in which a process died"
             fix = f"run `python -m pytest {self.path}`, which runs it in a separate process"
             raise CorpusError(self.path, expected, received, fix, field="expect.failure")
         if world is None:
@@ -101,15 +101,15 @@ class SavedScenario(Shown):
         return Run(trace, world=protocol.reference_world(world), take_over=protocol.taking_over(world))
 
     def matches(self, run: Run) -> bool:
-        """Return whether a run shows what the file expects: the same contact or other end, within 0.2 s of its time.
+        """Return whether a run ends as the file expects: by the same contact or in the same other way, within 0.2 s.
 
         Raises:
-            ValueError: if the file is of a failed check, which only the test function can measure.
+            ValueError: if the file describes a failed check, which only the test function can measure.
         """
         if self.expect.check is not None:
             raise ValueError(
-                f"matches: expected a failure that the run itself shows, received one of the check "
-                f"{self.expect.assertion!r}; call the test function with the run, which asserts it"
+                f"matches: expected a failure that is visible in the run, received a failure of the check "
+                f"{self.expect.assertion!r}; call the test function with the run instead"
             )
         return is_same_event(self.expect, run)
 

@@ -44,34 +44,37 @@ from pytest_pafot.world.guard.failure import is_interruption
 
 DONE, ALL_RUN = "all generations done", "all runs done"
 FOR_SIMPLIFYING = 1 / 3
-"""The share of a time limit that a search reserves to shrink its findings and to try reference drivers in them."""
+"""The share of a search's time limit that is reserved to shrink findings and to try reference drivers in them."""
 
 RUNS_TO_CONFIRM = 4
-"""The time to find and confirm something, in runs: the run, its repetition, and one in highway-env's own environment.
+"""The time to find and confirm a failure, as a number of runs.
 
-The last of these takes about twice as long.
+The scenario is run, run again, and run in highway-env's own environment, which takes about as long as two runs.
 """
 
 AFTER_A_DEATH = "ran as with --pafot-isolate, since a process died in this search before"
 
 
 def search_seed(base_seed: int, node_id: str) -> int:
-    """Return the seed of a search, derived from the base seed and the node id, so it is the same in every process."""
+    """Return the seed of a search, which depends only on the base seed and on the node id of the test."""
     return int.from_bytes(hashlib.sha256(f"{base_seed}:{node_id}".encode()).digest()[:4], "big")
 
 
 class TimeLimit(NamedTuple):
-    """The moment at which a search, including shrinking, must end [s], or infinity, and the flag of its option."""
+    """The time limit of a search, including shrinking: the option's flag, and the time of the end [s] or infinity."""
 
     flag: str
     until: float
 
 
 def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:
-    """Return when a search that begins ``now`` [s] must end: by its own limit, or by its share of the session's limit.
+    """Return the time limit of a search: its own limit or its share of the session's limit, whichever ends first.
 
-    The session ``began`` at a moment [s]. Its remaining time is divided equally among the searches ``left``, including
-    this one.
+    Args:
+        settings: the options of the search.
+        now: the time at which the search begins [s].
+        began: the time at which the session began [s].
+        left: the number of searches, including this search, that share the remaining time of the session equally.
     """
     own = TimeLimit(BY_NAME["max_time"].flag, now + (math.inf if settings.max_time is None else settings.max_time))
     if settings.total_time is None:
@@ -95,7 +98,7 @@ class SearchResult:
 
 @contextmanager
 def prepared(harness: Harness, listener: Listener) -> Iterator[Sessions]:
-    """Build the parts of a search that run, record and count; stop their processes at the end of the context.
+    """Build the parts of a search that run scenarios, record findings and count. Stop their processes at the end.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
@@ -143,7 +146,7 @@ def prepared(harness: Harness, listener: Listener) -> Iterator[Sessions]:
 
 @dataclass(slots=True, kw_only=True)
 class Search:
-    """A search of one test."""
+    """The search of one test, from the replays of saved scenarios to the summary."""
 
     node_id: str  # the node id in reports
     sessions: Sessions  # made by :func:`prepared`
@@ -165,11 +168,13 @@ class Search:
 
     @property
     def loop(self) -> SearchLoop:
-        """The loop, with everything that the search has seen so far."""
+        """The loop over scenarios, with everything that the search has seen so far."""
         return self.sessions.loop
 
     def run(self) -> SearchResult:
-        """Replay saved scenarios, search, simplify, and report a summary; findings are reported even after an error.
+        """Replay saved scenarios, search, simplify the findings, and report a summary.
+
+        Findings are reported even after an error.
 
         Raises:
             RequestError: if the search cannot be run as requested.
@@ -232,9 +237,9 @@ class Search:
         )
 
     def _retried(self, leftover: Leftover) -> Retried:
-        """Run the scenarios of a process that died again, in the world of that process; return the result.
+        """Run the scenarios again in which a process of an earlier session died; return the result.
 
-        If that world cannot be made, only report it.
+        They are run in the world of the dead process. If that world cannot be made, this is only reported.
         """
         harness, world = self.harness, self.harness.world
         if leftover.world not in (None, harness.job().world_data):
@@ -258,7 +263,7 @@ class Search:
         )
 
     def _searched(self, saved: Sequence[Saved], began: float) -> str:
-        """Run the campaign of a search that began at a moment [s]; return why it ended.
+        """Run the campaign; return why it ended. ``began`` is the time at which the search began [s].
 
         Raises:
             RequestError: if the algorithm does not support the settings or the road, or the fitness cannot be used.
@@ -320,10 +325,10 @@ class Search:
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
 
     def _most_seconds(self, search_until: float) -> Callable[[], float]:
-        """Return a function that returns how long the campaign that begins now may take [s], given its findings so far.
+        """Return a function that says how long the campaign may take from now on [s], given its findings so far.
 
-        With something to simplify, the campaign ends at the moment ``search_until``. Until then the search may use all
-        of the time, except for a rest in which a finding of its last run can be confirmed.
+        With a finding to simplify, the campaign ends at the time ``search_until`` [s]. Without one, it may use all of
+        the search's time, except for the time that is needed to confirm a finding in its last run.
         """
         loop, clock, began, runs_before = self.loop, self.sessions.clock, self.sessions.clock(), self.loop.runs
         workers = self.harness.request.settings.workers
@@ -403,7 +408,7 @@ class Search:
 
     @property
     def _unused(self) -> str:
-        """A note on traffic that no scenario of the search contains, because no NPC drives on the other roads."""
+        """A note that the search says nothing about traffic on other ways, because no NPC drives there; or empty."""
         world, unused = self.harness.world, protocol.unused_roads(self.harness.world)
         crosses = self.loop.space is not None and self.loop.space.crossings is not None
         if not unused or not self.loop.runs or crosses:
@@ -415,7 +420,7 @@ class Search:
         return f"{which}, so the search says nothing about such traffic"
 
     def _left_undone(self, reason: str) -> Iterator[str]:
-        """Yield what the search left undone, and how to continue."""
+        """Yield notes on what the search left undone, and how to continue."""
         settings, recorder = self.harness.request.settings, self.loop.recorder
         is_broken_off = reason in ("interrupted", "error")
         firm = [kept for kept in recorder.kept.values() if kept.is_firm]
@@ -436,14 +441,14 @@ class Search:
 
 
 def _population(given: int | None) -> dict[str, int]:
-    """Return the parameter of an algorithm, or nothing, so that the algorithm uses its own default."""
+    """Return the population as a parameter of the algorithm; nothing for None, so that its default is used."""
     return {} if given is None else {"population": given}
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
-    """Return the harness with its runs in other processes, if an earlier session died in a run of this test.
+    """Return a harness that runs scenarios in other processes, if an earlier session died in a run of this test.
 
-    Only if processes are forked: otherwise not every factory can be passed to a different process.
+    This is done only if processes are forked, because otherwise some factories cannot be passed to another process.
     """
     settings = harness.request.settings
     if scenario_pool.METHOD != "fork" or settings.isolate or not settings.is_search:

@@ -1,4 +1,4 @@
-"""The loop of a search: it turns scenarios into evaluations, and records every distinct finding at once."""
+"""The loop of a search: it runs and evaluates scenarios, and records every distinct finding at once."""
 
 from __future__ import annotations
 
@@ -28,11 +28,14 @@ from pytest_pafot.support.text import plural
 # Values that a search reads from every run. They are read in the process that made the run, to relieve this one.
 
 FITNESS = "fitness"
-"""The name of the fitness among the readings of a trace."""
+"""The name under which a trace stores its fitness."""
 
 
 def read_ahead(fitness: Callable[[Trace], float] | None, trace: Trace) -> None:
-    """Compute the values that the search will need, which the trace stores; ``fitness`` is None for the user's own."""
+    """Compute the values of a trace that the search will need, in the process that made the trace, which stores them.
+
+    ``fitness`` is None if the user's own function computes it, which runs only in the main process.
+    """
     trace.reading("interaction", interaction_of)
     unit_doubt(trace)
     mistake_of(trace)
@@ -69,7 +72,7 @@ class SearchLoop:
 
     @property
     def runs(self) -> int:
-        """The number of simulated scenarios."""
+        """The number of scenarios that were simulated so far."""
         return self.verdicts.total()
 
     @property
@@ -80,7 +83,7 @@ class SearchLoop:
 
     @property
     def known_alone(self) -> str:
-        """A note if all failures are saved failures of checks; empty if anything else failed, or nothing."""
+        """A note if all failures so far are known failures of checks; empty if nothing or anything else failed."""
         checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
         if not self.known or self.known.total() < self.verdicts["failed"] or not checks.issuperset(self.known):
             return ""
@@ -90,7 +93,7 @@ class SearchLoop:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about the search's health, and about a test function or a reference that makes it void."""
+        """Warnings about the search's health, and about a test function or reference with which nothing can fail."""
         warnings = self.health.warnings(self.known.total())
         excused = self.verdicts["npc"] + self.verdicts["unpreventable"]
         if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
@@ -114,7 +117,7 @@ class SearchLoop:
         return tuple(warnings)
 
     def evaluate(self, scenario: Scenario) -> Evaluation:
-        """Return the evaluation of a scenario for a campaign."""
+        """Run and judge a scenario; return its evaluation for the algorithm."""
         run = lost = None
         if scenario not in self.fatal:
             try:
@@ -142,7 +145,7 @@ class SearchLoop:
         )
 
     def follow(self, campaign: Iterable[events.Event], tick: Callable[[], None]) -> None:
-        """Run a campaign to its end; ``tick`` is called after each event.
+        """Process the events of a campaign to its end. ``tick`` is called after each event.
 
         Raises:
             SetupFaultError: if all runs of the first generation end in the same exception.
@@ -164,15 +167,15 @@ class SearchLoop:
             tick()
 
     def count(self) -> None:
-        """Count the evaluations since the last call; this is delayed so that no scenario has to wait for it."""
+        """Count the evaluations since the last call. Counting is delayed so that no scenario has to wait for it."""
         for event in self.uncounted:
             self.counted = self.counted.counted(event.evaluation, reused=event.reused)
         self.uncounted.clear()
 
     def lose(self, lost: LostRun) -> bool:
-        """Record a scenario whose process died or hung, which is never run again, not even in later sessions.
+        """Record a scenario whose process died or hung, so that it is never run again, not even in later sessions.
 
-        Return whether that counts as a failure: not if the reference does not pass either.
+        Return whether that is a failure. It is none if the reference does not pass the scenario either.
         """
         self.fatal.add(lost.task)
         if self.simulation.is_common(lost.task):
@@ -217,7 +220,7 @@ class SearchLoop:
         )
 
     def _count(self, signature: Signature, keep: Callable[[], str]) -> None:
-        """Count a failure: it is known, a repetition in this search, or new."""
+        """Count a failure as known, as a repetition in this search, or as new; ``keep`` records a new failure."""
         if signature in self.shown:
             self.known[self.shown[signature]] += 1
         elif signature in self.finds:

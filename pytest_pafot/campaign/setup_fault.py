@@ -1,7 +1,7 @@
 """Detection of a fault of the set-up: every run of the first generation ends in the same exception.
 
-A misspelt name in the test function, or an ADS that fails at its first decision, says nothing about any scenario.
-Actions in wrong units are not such a fault, but a doubt that is reported.
+The cause is an error such as a misspelt name in the test function, or an ADS that fails at its first decision. It says
+nothing about any scenario. Actions in wrong units are no such fault, but a doubt about them is reported.
 """
 
 from __future__ import annotations
@@ -21,20 +21,23 @@ from pytest_pafot.world.limits import TOP_SPEED
 from pytest_pafot.world.protocol import first_decision
 
 NO_STEERING = math.pi / 2
-"""A steering angle that no car reaches and no planner requests [rad]."""
+"""A steering angle beyond which the units of an action are doubtful [rad]: no car reaches it."""
 NO_ACCELERATION = 30.0
-"""An acceleration that no car reaches [m/s^2]; large negative numbers are allowed, as planners use them to brake."""
+"""An acceleration above which the units of an action are doubtful [m/s^2]: no car reaches it.
+
+Large negative accelerations are allowed, because planners use them to brake as hard as possible.
+"""
 
 
 class SetupFaultError(Exception):
-    """The exception in which all runs of the first generation ended."""
+    """An error of the set-up: all runs of the first generation ended in the same exception."""
 
     def __init__(self, run: Run, verdict: Verdict, runs: str) -> None:
         super().__init__(f"{runs} ended in {verdict.exception!r}")
         self.run, self.verdict, self.runs = run, verdict, runs
 
     def shown(self, world: Any, ads: Callable[..., Any]) -> BaseException:
-        """Return the exception for the item: what was raised and where, why it is no finding, and what to do."""
+        """Return the exception for the user: what was raised and where, why it is no finding, and what to do."""
         verdict = self.verdict
         if verdict.is_ads or verdict.exception is None:
             asked = None if is_vehicle_class(ads) else first_decision(world, self.run.trace.scenario)
@@ -60,7 +63,7 @@ class SetupFaultError(Exception):
 
 @dataclass(slots=True)
 class FirstGeneration:
-    """The runs of the first generation: whether they all end in the same exception."""
+    """The runs of the first generation, and whether all of them so far ended in the same exception."""
 
     is_alike: bool = True  # False as soon as two runs differ, and for the rest of the search
     last: tuple[Run, Verdict] | None = None  # the last judged run with its verdict; None before the first
@@ -69,7 +72,7 @@ class FirstGeneration:
     _cause: Cause | None = None
 
     def see(self, run: Run, verdict: Verdict) -> None:
-        """Record how a run ended."""
+        """Record how a run of the first generation ended."""
         if verdict.kind in ("npc", "invalid"):  # The test function was not called.
             self.unjudged += 1
             return
@@ -78,10 +81,10 @@ class FirstGeneration:
         self._cause, self.last, self.runs = cause, (run, verdict), self.runs + 1
 
     def end(self) -> None:
-        """End the generation.
+        """End the first generation.
 
         Raises:
-            SetupFaultError: if all of its runs ended in the same exception.
+            SetupFaultError: if all runs of the generation ended in the same exception.
         """
         if self.is_alike and self.last is not None:
             judged = " that were judged" if self.unjudged else ""
@@ -102,7 +105,10 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
 
 
 def unit_doubt(trace: Trace) -> str:
-    """Return what to check in a planner whose actions seem to have wrong units; empty for others and for policies."""
+    """Return what to check if the actions of a planner seem to have wrong units; empty if they do not.
+
+    It is always empty for policies of an environment, whose actions are not in SI units.
+    """
     return trace.reading("unit doubt", _unit_doubt)
 
 

@@ -1,8 +1,8 @@
 """Simplification after a search: each finding is shrunk, and reference drivers are tried in it.
 
-No finding depends on it: each is saved and reported before, and its file and report are replaced by the simpler one.
-If a time limit cuts it, a later session continues with the stored answers so far. Shrinking then makes the same
-attempts in the same order, so it has the same result.
+No finding depends on simplification: each finding is saved and reported before, and the simpler version replaces its
+file and report. If a time limit cuts the simplification, a later session continues with the stored answers. Shrinking
+then makes the same attempts in the same order, so it has the same result.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from pytest_pafot.world.driving.perception import Perception
 
 
 def needed_imperfections(sight: Sight, fails: Callable[[Sight], bool]) -> tuple[str, ...]:
-    """Return the names of the imperfections without which a test does not fail; empty if it fails with perfect sight.
+    """Return the names of the imperfections that a failure needs; empty if the test fails with perfect sight, too.
 
-    If there are several, each in turn is removed if the test still fails without it. So each one that remains is
-    needed, although a different set may work as well. It takes one run with perfect sight and, if there are several,
-    one for each imperfection.
+    One imperfection after the other is removed from the sight if the test still fails without it. So each remaining
+    imperfection is needed, although another set of imperfections may be enough as well. This takes one run with perfect
+    sight and, if there are several imperfections, a run for each of them.
 
     Args:
         sight: the sight with which the test fails.
-        fails: returns whether the test fails with a different sight.
+        fails: returns whether the test fails with another sight.
     """
     if fails(sight.only(())):
         return ()
@@ -52,26 +52,30 @@ def needed_imperfections(sight: Sight, fails: Callable[[Sight], bool]) -> tuple[
 
 
 ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000
-"""The default number of runs to shrink one finding; the second is for a vehicle class that the kernel runs quickly."""
+"""The default limits of the runs that shrink one finding.
+
+The larger limit is for an ADS that is a vehicle class of highway-env, because the kernel runs it quickly.
+"""
 
 
 RUNS_TO_CONCLUDE = 3
-"""The time for the work after shrinking, without the confirmation, in runs of the result: an approximate upper limit.
+"""The approximate time for the work after shrinking, except confirmation, as a number of runs.
 
-One run is for the verdict. The others are for reference drivers, with which the ADS is not called.
+One run is for the verdict on the shrunk scenario. The others are for reference drivers, which are fast because the ADS
+is not called.
 """
 
 
 @dataclass(slots=True, kw_only=True)
 class _Turn:
-    """The time in which one finding is shrunk.
+    """The share of the remaining time in which one finding is shrunk.
 
     Attributes:
-        until: the moment at which it ends [s], or infinity.
-        to_conclude: an estimate of the time to run the result again and to try reference drivers [s].
-        attempts: the number of attempts so far.
-        seconds: the time of these attempts [s].
-        is_over: True if it has ended shrinking.
+        until: the time at which the share ends [s], or infinity.
+        to_conclude: the estimated time to run the shrunk scenario again and to try reference drivers [s].
+        attempts: the number of attempts to shrink so far.
+        seconds: the time that the attempts have taken [s].
+        is_over: True if shrinking was stopped because no time was left.
     """
 
     until: float
@@ -81,14 +85,17 @@ class _Turn:
     is_over: bool = False
 
     def check(self, now: float) -> None:
-        """Raise OutOfBudget if no time is left for one more attempt and the work after it, and from then on."""
+        """Raise OutOfBudget if no time is left for another attempt and the work after it, and in all later calls."""
         mean = self.seconds / max(self.attempts, 1)
         self.is_over = self.is_over or now + mean + self.to_conclude >= self.until
         if self.is_over:
             raise OutOfBudget
 
     def took(self, seconds: float, confirming: float | None) -> None:
-        """Record an attempt; if it is the result so far, ``confirming`` is the time to confirm it [s], else None."""
+        """Record an attempt that took some time [s].
+
+        If the attempt is the simplest failing scenario so far, ``confirming`` is the time to confirm it [s]; else None.
+        """
         self.attempts += 1
         self.seconds += seconds
         if confirming is not None:
@@ -101,12 +108,12 @@ class Simplification:
 
     Attributes:
         loop: the loop of the search.
-        tell: receives the current phase, often.
+        tell: is called often, with a text on the current work.
         plain: the default start of the ego, which shrinking prefers.
         plain_seconds: the default duration of a gene, which shrinking prefers [s].
         answers: the results of attempts in this session or an earlier one, by the id of the finding.
         clock: returns the seconds since some fixed moment.
-        until: the moment at which it must end [s], or infinity.
+        until: the time at which the simplification must end [s], or infinity.
         done: the ids of the findings for which nothing is left to do.
         runs: the number of runs so far in this session.
     """
@@ -122,10 +129,10 @@ class Simplification:
     runs: int = field(default=0, init=False)
 
     def run_all(self, way_on: str) -> None:
-        """Simplify each finding in the order of discovery, except flaky ones, which cannot be shrunk.
+        """Simplify the findings in the order of discovery, except flaky findings, which cannot be shrunk.
 
-        With a time limit, each finding gets an equal share of the time that is left. Unused time goes to the next ones,
-        and then to those that were cut. ``way_on`` tells the user how to continue with a finding that stays cut.
+        With a time limit, each finding gets an equal share of the time that is left. Unused time goes to the next
+        findings, then to findings that were cut. ``way_on`` says how the user can go on with a finding that stays cut.
         """
         __tracebackhide__ = True
         recorder = self.loop.recorder
@@ -141,7 +148,7 @@ class Simplification:
             recorder.tell(replace(kept, find=find, is_new=False))
 
     def _have_turn(self, find_id: str, sharing: int) -> None:
-        """Simplify a finding in its share of the remaining time, which ``sharing`` findings divide equally."""
+        """Simplify a finding in its share of the remaining time; ``sharing`` is the number of equal shares."""
         __tracebackhide__ = True
         now, kept = self.clock(), self.loop.recorder.kept[find_id]
         if now >= self.until:
@@ -156,7 +163,7 @@ class Simplification:
             self.done.add(find_id)
 
     def _refine(self, kept: FindTold, turn: _Turn) -> bool:
-        """Shrink a finding, run the result again, try reference drivers, and report; return whether it is done."""
+        """Shrink a finding, run the result again, try reference drivers, and report; return True if nothing is left."""
         __tracebackhide__ = True
         found = kept.finding.original or kept.finding.scenario
         scenario, shrunk = self._shrunk(kept, found, turn)
@@ -216,12 +223,15 @@ class Simplification:
         )
 
     def _confirming(self, scenario: Scenario) -> float:
-        """Estimate the time to confirm a scenario, from the slowest confirmation so far [s]."""
+        """Return the estimated time to confirm a scenario [s], from the slowest confirmation so far."""
         longest_run = float(self.loop.simulation.harness.world.longest_run)
         return self.loop.recorder.pace * min(scenario.seconds, longest_run)
 
     def _shown(self, find_id: str, candidate: Scenario, top_speed: float) -> Shown:
-        """Run a candidate; return the scenario as driven and the starts of its genes, or None if it does not fail."""
+        """Run a simpler candidate for a finding; return the scenario as driven, with the ego's state at each gene.
+
+        Return None if the candidate does not show the finding's failure.
+        """
         __tracebackhide__ = True
         loop = self.loop
         if candidate in loop.fatal:
@@ -239,13 +249,13 @@ class Simplification:
         return (scenario, starts_of(run, top_speed)) if self._shows(find_id, run, verdict) else None
 
     def _shows(self, find_id: str, run: Run, verdict: Verdict) -> bool:
-        """Return whether a run shows the failure of a finding by the same fault, so the finding's name still fits."""
+        """Return whether a run shows the failure of a finding, and by the same fault, so its name still fits."""
         found = next(signature for signature, id_ in self.loop.finds.items() if id_ == find_id)
         shown = of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
         return shown is not None and (shown, shown.fault) == (found, found.fault)
 
     def _run_again(self, scenario: Scenario, kept: FindTold) -> tuple[Run, Verdict, str]:
-        """Run a scenario from scratch; return the run, its verdict, and how it differs from the finding, if it does."""
+        """Run a scenario from scratch; return the run, its verdict, and its difference from the finding, if any."""
         __tracebackhide__ = True
         run = self.loop.simulation.run(scenario, afresh=True)
         verdict = self.loop.simulation.judge(run)
@@ -289,7 +299,7 @@ class Simplification:
         )
 
     def _perceived(self, kept: FindTold, scenario: Scenario) -> Perceived | None:
-        """Return the imperfections of its sight that a finding needs; None if the ADS has none."""
+        """Return the imperfections of the ADS's perception that a finding needs; None if its perception is perfect."""
         before, simulation = kept.finding.perception, self.loop.simulation
         harness, ads = simulation.harness, simulation.harness.ads
         if before is None or not isinstance(ads, Perception):
@@ -303,7 +313,7 @@ class Simplification:
 
 
 def rollouts_for(harness: Harness) -> int:
-    """Return the largest number of runs to shrink one finding: the user's, or a default that depends on their cost."""
+    """Return the largest number of runs to shrink one finding: as the user set it, or by how fast the ADS is."""
     given = harness.request.settings.shrink_rollouts
     if given is not None:
         return given
@@ -311,7 +321,7 @@ def rollouts_for(harness: Harness) -> int:
 
 
 def driven(run: Run) -> Scenario:
-    """Return the scenario of a run without the genes that the run did not reach, which does not change the run."""
+    """Return the scenario of a run without the genes that the run did not reach. The run stays the same."""
     scenario = run.scenario
     return scenario.truncated(max(1, min(scenario.genes, int(run.duration / scenario.gene_seconds - 1e-9) + 1)))
 

@@ -36,27 +36,31 @@ from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.world import codec
 
 VERSION = 4
-"""The version of the format; a file of any other version is refused."""
+"""The version of the state's format. A state of any other version is refused."""
 
 MAX_BYTES = 1 << 28
-"""The largest size of a file that is written or read; ten thousand runs of four NPCs take about 10 MB."""
+"""The largest state that is written or read [bytes]. Ten thousand runs of four NPCs take about 10 MB."""
 
 LOCK = ".lock"
-"""The suffix of the lock file that is next to a state while a session uses it."""
+"""The suffix of the lock file next to a state. The lock file exists while a session uses the state."""
 
 SHARE = 50
-"""The smallest ratio of the time between two writes to the time of a write, so that writing takes at most 2 %.
+"""The shortest time from one write of the state to the next, as a multiple of the time for a write.
 
-The time to convert new runs to text is not counted, because each is converted once, however often the file is written.
+So writing takes at most 2 % of the session. The time to convert new runs to text is not included, because each run is
+converted only once.
 """
 
 FLAG = BY_NAME["resume"].flag
-ANEW = f"delete the file to start the search from scratch, or give a different folder with {FLAG}"
+ANEW = f"delete the file to start the search from scratch, or give another folder with {FLAG}"
 PARTS = ("version", "settings", "algorithm", "sums", "begun", "counts", "remembered")
 
 
 Shown = tuple[Scenario, tuple[Start, ...]] | None
-"""The result of an attempt: the scenario as driven and the start of each gene; None if it does not show the finding."""
+"""The result of an attempt to shrink a finding: the scenario as driven, and the ego's state at each gene's start.
+
+None if the run does not show the finding.
+"""
 
 Answer = tuple[str, Shown]
 """An attempt to shrink a finding: the id of the candidate, and the result of its run."""
@@ -64,15 +68,15 @@ Answer = tuple[str, Shown]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlierFind:
-    """A finding of an earlier session.
+    """A finding of an earlier session of the same search.
 
     Attributes:
-        id: the id of its file.
-        signature: distinguishes it from other findings.
+        id: the id of the finding, which is the name of its file.
+        signature: distinguishes the finding from other findings.
         repeats: the number of other runs that failed in the same way.
-        found: the scenario as found, its generation and the number of its run; None if it was only counted.
-        is_due: True if it still must be simplified.
-        answers: the results of the attempts to shrink it so far, in their order, if it is due.
+        found: the scenario as found, its generation and the number of its run; None if the finding was only counted.
+        is_due: True if the finding still must be simplified.
+        answers: the attempts to shrink the finding so far, in their order; empty if it is not due.
     """
 
     id: str
@@ -88,13 +92,13 @@ class Counts:
     """The knowledge and the counts of a search, without the state of its algorithm.
 
     Attributes:
-        before: the ids of the files saved before the search began; other files with its seed are its own findings.
-        seconds: the time of all its sessions so far [s].
+        before: the ids of the files saved before the search began. Other files with its seed are its own findings.
+        seconds: the time of all sessions of the search so far [s].
         decides_for_many: True if the ADS has decided for many runs at once.
         finds: the findings in the order of discovery.
         known: see :class:`~pytest_pafot.campaign.search_loop.SearchLoop`, also for the next five.
-        random: see :class:`~pytest_pafot.campaign.resuming.RandomBeginning`: evaluated, runs, at_fault, otherwise.
-        health: counts over all evaluations.
+        random: the counts of :class:`~pytest_pafot.campaign.resuming.RandomBeginning`, in the order of its ``counts``.
+        health: the figures on the search's health, over all evaluations.
     """
 
     before: tuple[str, ...]
@@ -112,11 +116,11 @@ class Counts:
 
 
 class NoNumberError(ValueError):
-    """A constant such as NaN, which is not a number in JSON."""
+    """An error for a constant such as NaN in a state, which is not a number in JSON."""
 
 
 def state_path(folder: Path, node_id: str) -> Path:
-    """Return the file of a test's search in the folder of states."""
+    """Return the path of the state of a test's search in the folder of states."""
     return folder / f"{safe_name(node_id)}.json"
 
 
@@ -129,7 +133,7 @@ class StateFile:
         settings: the settings that the state must have, as plain data.
         algorithm: the algorithm of the search.
         clock: returns the seconds since some fixed moment.
-        problem: why it could not be written last time, or empty.
+        problem: why the last write failed; empty if it did not fail.
     """
 
     path: Path
@@ -143,10 +147,10 @@ class StateFile:
     _cost: float = 0.0
 
     def claim(self) -> None:
-        """Lock the state against other sessions: of two that use it, the last to end would undo the other's work.
+        """Lock the state against other sessions. If two sessions used it, one of them would undo the other's work.
 
         Raises:
-            RequestError: if a different session uses the state, or if the lock file is a link.
+            RequestError: if another session uses the state, or if the lock file is a link.
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -159,7 +163,7 @@ class StateFile:
             file.close()
             raise RequestError(
                 f"{self.path}: expected a search that no other session runs now, received one that is running; wait "
-                f"until that session has ended, or give a different folder with {FLAG}"
+                f"until that session has ended, or give another folder with {FLAG}"
             )
         self._claim = file
 
@@ -176,10 +180,10 @@ class StateFile:
                 path.unlink()
 
     def read(self) -> tuple[Counts, Checkpoint[Any]] | None:
-        """Return the state; None if there is none yet.
+        """Return the counts and the checkpoint of the state; None if there is no state yet.
 
         Raises:
-            RequestError: if the file is not a state, belongs to a different search, or cannot be read.
+            RequestError: if the file is not a state, belongs to another search, or cannot be read.
         """
         data = self._data()
         if data is None:
@@ -206,12 +210,12 @@ class StateFile:
         return self._part(data, "counts", partial(from_plain, Counts)), checkpoint
 
     def offer(self, checkpoint: Callable[[], Checkpoint[Any]], counts: Callable[[], Counts]) -> None:
-        """Write the state between two generations, unless that would take too large a share of the time."""
+        """Write the state between two generations, unless writing would take too large a share of the time."""
         if self.clock() - self._written_at >= SHARE * self._cost:
             self.write(checkpoint(), counts())
 
     def write(self, checkpoint: Checkpoint[Any], counts: Counts) -> None:
-        """Write the state, as a whole or not at all; an error while writing is reported and does not end the search.
+        """Write the state, as a whole or not at all. An error of the file system is only reported.
 
         Raises:
             RequestError: if an algorithm stores data that JSON cannot represent.
@@ -246,7 +250,7 @@ class StateFile:
                 write_whole(self.path, content)
                 self.problem = ""
         except OSError as error:
-            reason, fix = error.strerror or error, way_out(error, f"or give a different folder with {FLAG}")
+            reason, fix = error.strerror or error, way_out(error, f"or give another folder with {FLAG}")
             self.problem = f"{self.path}: expected to write the state of the search, received: {reason}; {fix}"
         self._written_at = self.clock()
         self._cost = self._written_at - began
@@ -282,14 +286,14 @@ class StateFile:
         return data
 
     def _unreadable(self, path: Path, error: OSError) -> RequestError:
-        fix = way_out(error, f"or give a different folder with {FLAG}")
+        fix = way_out(error, f"or give another folder with {FLAG}")
         return RequestError(f"{path}: expected a file that can be read, received: {error.strerror or error}; {fix}")
 
     def _refuse(self, expected: str, received: str) -> NoReturn:
         raise self.refused(f"expected {expected}, received {received}")
 
     def refused(self, why: object) -> RequestError:
-        """Return the error for a state that cannot be used, with the way out."""
+        """Return the error for a state that cannot be used, with what the user can do."""
         return RequestError(f"{self.path}: {why}; {ANEW}")
 
 

@@ -1,4 +1,4 @@
-"""The user's test function as an oracle: its verdict on one run, also in one line."""
+"""The user's test function as an oracle: its verdict on one run, and the verdict as a line of text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference
 from pytest_pafot.world.guard.failure import UNFIT, is_interruption
 
 Test = Callable[[Run], Any]
-"""The user's function with all arguments except the run filled in; it asserts, and returns None."""
+"""The user's test function with all arguments except the run filled in. It asserts, and returns None."""
 
 
 class PlainFailure(Exception):  # noqa: N818  (its name is printed as the failure)
@@ -28,7 +28,7 @@ class PlainFailure(Exception):  # noqa: N818  (its name is printed as the failur
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """The verdict of the oracle on a run."""
+    """The verdict of the test function, the oracle, on a run."""
 
     # ``failed`` is a finding. ``rejected`` and ``skipped`` are no judgement. ``npc`` is a collision for which an NPC is
     # responsible, unless ``blame="any"``. ``unpreventable`` is a failure that no reference driver would have prevented,
@@ -45,34 +45,37 @@ class Verdict:
 
     @property
     def failed(self) -> bool:
-        """True if this is a finding."""
+        """True if the run is a failure that counts, so it is a finding."""
         return self.kind == "failed"
 
     @property
     def passes(self) -> bool:
-        """True if a test with this run passes, given its blame."""
+        """True if the test passes in the run, or if the run's failure is one that ``blame`` excludes."""
         return self.kind in ("passed", "npc", "unpreventable")
 
     @property
     def discarded(self) -> bool:
-        """True if the function declined to judge."""
+        """True if the test function declined to judge the run: it skipped or rejected it."""
         return self.kind in ("rejected", "skipped")
 
     def beside(self, reference: Verdict) -> Self:
-        """Return a failure with the verdict on the reference in the same scenario; it counts only if that passes."""
+        """Return the verdict together with the verdict on the reference in the same scenario.
+
+        The failure counts only if the reference passes.
+        """
         return replace(self, kind="failed" if reference.passes else "common", reference=reference)
 
 
 def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
-    """Judge a run by the function, unless the ADS itself failed or NPCs touched.
+    """Judge a run by the test function, unless the ADS itself failed or NPCs touched.
 
-    Unless blame is ``any``, the function is not called for collisions for which an NPC is responsible. With
-    ``preventable``, its assertions count only if a reference driver would have prevented the failure; any other
+    Unless ``blame`` is ``any``, the function is not called for collisions for which only an NPC is responsible. With
+    ``preventable``, a failing assertion counts only if a reference driver would have prevented the failure. Any other
     exception is an error of the function. A failure is identified by the line in ``test_file`` that failed.
 
     Raises:
-        BaseException: anything that says nothing about the run: an interrupt, the end of the session, a timeout of the
-            item, the end of a debugging session, or a function that cannot be an oracle.
+        BaseException: any exception that says nothing about the run, such as an interrupt, the end of the session, a
+            timeout of the item, the end of a debugging session, or a function that cannot be an oracle.
         NoReferenceDriversError: with ``preventable``, for a failing run in a world without reference drivers.
     """
     if run.outcome is Outcome.INVALID:
@@ -93,9 +96,10 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
 
 
 def reference_outcomes(run: Run, test: Test, *, blame: str, test_file: str) -> Iterator[tuple[str, ReferenceOutcome]]:
-    """Yield the outcome of each reference driver in the ego's place, simulated one after the other, judged as the ego.
+    """Yield the outcome of each reference driver in the ego's place. Its run is judged like the run of the ego.
 
-    A driver is left out if two NPCs touched in its run, or if the function declined to judge it.
+    The drivers are simulated one after the other. A driver is left out if two NPCs touched in its run, or if the test
+    function declined to judge the run.
     """
     blame = "any" if blame == "any" else "ego"
     for name, other in run.by_reference_drivers():
@@ -105,7 +109,7 @@ def reference_outcomes(run: Run, test: Test, *, blame: str, test_file: str) -> I
 
 
 def worst_margins(verdict: Verdict) -> tuple[tuple[str, float], ...]:
-    """Return the worst margin of each check, sorted by name."""
+    """Return the worst margin of each check that the test function made, sorted by the check's name."""
     worst: dict[str, float] = {}
     for each in verdict.checks:
         worst[each.name] = min(each.margin, worst.get(each.name, math.inf))
@@ -143,13 +147,13 @@ def _asked(run: Run, test: Test, test_file: str) -> Verdict:
 
 
 def ads_text(failure: Failure, timing: str = "") -> str:
-    """Return what the ADS did instead of a decision, with the traceback if it raised."""
+    """Return how the ADS itself failed, with the traceback if it raised."""
     text = f"the ADS failed: {failure.kind}: {failure.message}{timing}"
     return f"{text}\n\n{failure.traceback.rstrip()}" if failure.traceback else text
 
 
 def headline(run: Run, verdict: Verdict) -> str:
-    """Return one line on a finding: what happened in the run, and the function's message if that adds something."""
+    """Return one line on a finding: what happened in the run, and the test function's message if it says more."""
     if verdict.is_ads and verdict.failure is not None:
         return f"{verdict.failure.kind}: {verdict.failure.message}"
     if verdict.failure is not None and verdict.failure.check is not None:
@@ -164,7 +168,7 @@ def headline(run: Run, verdict: Verdict) -> str:
 
 
 def collision_in_short(run: Run) -> str:
-    """Return one line on the collision of a run: time, closing speed, NPC, fault; empty if there was none."""
+    """Return one line on a run's collision: time, closing speed, NPC and fault; empty if there was no collision."""
     hit = run.collision
     if hit is None:
         return ""
@@ -179,10 +183,10 @@ def collision_in_short(run: Run) -> str:
 
 
 def skips() -> tuple[type[BaseException], ...]:
-    """Return the exceptions that pytest reports as a skip or an xfail, which only the test function may raise.
+    """Return the exception classes that pytest reports as a skip or an xfail. Only the test function may raise them.
 
-    They are looked up in ``sys.modules``, because this package does not import pytest. Code that raises one of them has
-    imported its module.
+    They are looked up in ``sys.modules``, because this package does not import pytest. Code that raises such an
+    exception has imported its module.
     """
     pytest, unittest = sys.modules.get("pytest"), sys.modules.get("unittest")
     of_pytest = () if pytest is None else (pytest.skip.Exception, pytest.xfail.Exception)
@@ -190,7 +194,7 @@ def skips() -> tuple[type[BaseException], ...]:
 
 
 def assertions() -> tuple[type[BaseException], ...]:
-    """Return the exceptions by which a test function states that a property does not hold."""
+    """Return the exception classes with which a test function states that a property does not hold."""
     pytest = sys.modules.get("pytest")
     return (AssertionError,) if pytest is None else (AssertionError, pytest.fail.Exception)
 

@@ -1,6 +1,6 @@
 """The pytest plugin: options, marks, fixtures, items, and their reports on the terminal.
 
-A session without a marked test imports only the light modules below. Everything that needs numpy, yaml or highway-env
+A session without a marked test imports only small modules. Everything that needs numpy, yaml or highway-env
 is imported when a marked test is collected or run.
 """
 
@@ -40,7 +40,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the marks and one plugin per feature that is on."""
+    """Register the marks, and a separate plugin for each feature that the options turn on."""
     for line in (
         f"{ANY_MARK}: every test that belongs to pytest-pafot, to select or deselect all of them",
         f"{SEARCH_MARK}(**arguments): search for scenarios that break the test; write @pafot.search(...)",

@@ -1,4 +1,4 @@
-"""The plugin of a session that ``python -m pytest_pafot bisect`` starts for one commit: it writes a result as JSON."""
+"""The plugin of the session that ``python -m pytest_pafot bisect`` starts for a commit; it writes a result as JSON."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pytest_pafot.support.text import one_line, visible
 
 
 def pytest_runtest_teardown(item: pytest.Item) -> None:
-    """Write the result of the saved scenario's replay."""
+    """Write the result of the replay of a saved scenario to the file that the command reads."""
     if REPLAYED not in item.stash:
         return
     label, run, verdict = item.stash[REPLAYED]
@@ -40,7 +40,7 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
 
 
 def pytest_exception_interact(call: pytest.CallInfo[Any]) -> None:
-    """Write why there may be no replay: the first error that was raised."""
+    """Write the first error of the session, in case it prevents the replay."""
     if call.excinfo is not None and not Path(json.loads(os.environ[TOLD])["file"]).exists():
         error = call.excinfo.value.__cause__ or call.excinfo.value  # pytest wraps what an import raises
         text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
@@ -48,11 +48,11 @@ def pytest_exception_interact(call: pytest.CallInfo[Any]) -> None:
 
 
 def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | None) -> tuple[bool | None, str]:
-    """Return whether a replay passes, or None if that cannot be decided, and how it ended.
+    """Return whether a replay passes, or None if that cannot be decided; and a sentence on how the replay ended.
 
-    A replay fails only by the failure that the file describes: the saved event, or one of the same signature. It passes
-    if the saved situation occurred and the test function accepted the run. Versions of packages are ignored, because
-    all commits run with the packages that are installed now.
+    A replay fails only by the failure that the file describes: the saved event, or a failure of the same signature. A
+    replay passes if the saved situation occurred and the test function accepted the run. Versions of packages are
+    ignored, because all commits run with the packages that are installed now.
     """
     if run is None or verdict is None:
         return (False if label == "still failing" else None), "the process died or hung"
@@ -63,16 +63,17 @@ def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | Non
     now = replay_label(found, run, failure, {})
     if failure is not None:
         is_same = now == "still failing" or of_failure(run, failure) == finding.signature
-        return (False if is_same else None), f"{'' if is_same else 'a different failure: '}{headline(run, verdict)}"
+        return (False if is_same else None), f"{'' if is_same else 'another failure: '}{headline(run, verdict)}"
     why = unhandled(finding, run)
     is_tested = now == "fixed" or finding.expect.is_crash or (why and not missed(finding.expect.situation, run))
     return (True if is_tested else None), why or ending(run)
 
 
 def decided(trace: Trace) -> dict[str, Any]:
-    """Return an ego's decisions with their interval in ticks, and its speed [m/s].
+    """Return the decisions of the ego in a run, the interval between them in ticks, and the ego's speeds [m/s].
 
-    For an ego of one of highway-env's vehicle classes, which decides nothing, they are what it did at each tick.
+    An ego of a vehicle class of highway-env makes no decisions. Its accelerations and steering angles at each tick are
+    returned instead.
     """
     actions: list[Any] = [list(action) if _is_pair(action) else repr(action) for action in trace.actions]
     every = trace.physics_hz // trace.ads_hz
@@ -86,7 +87,7 @@ def _is_pair(action: Any) -> bool:
 
 
 def _imported_from_elsewhere() -> str:
-    """Return the file of a module that came from the user's folder instead of the commit's worktree; empty if none."""
+    """Return the file of a policy module that was imported from outside the commit's worktree, or an empty text."""
     policy = json.loads(os.environ[TOLD])["policy"]
     files = {
         os.path.realpath(file) for module in [*sys.modules.values()] if (file := getattr(module, "__file__", None))

@@ -1,4 +1,4 @@
-"""Collection of items: each marked test has one for its search and one for each of its saved scenarios."""
+"""Collection: each marked test becomes one item for its search, and one item for each of its saved scenarios."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ SEARCH = "search"  # a placeholder for the argument of an item, which a simulate
 
 
 def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
-    """Accept corpus files on the command line; return them, and the test files that are collected only for them."""
+    """Replace corpus files on the command line by the test files that replay them.
+
+    Return the corpus files, and the test files that the command line did not name itself.
+    """
     given = [arg for arg in config.args if arg.endswith(layout.SUFFIX)]
     if not given:
         return set(), set()
@@ -43,7 +46,7 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
 
 
 class Collection:
-    """Hooks that make, filter and order the items."""
+    """Hooks that create the items of searches and saved scenarios, filter them and order them."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -55,7 +58,7 @@ class Collection:
         config.stash[UNRUN] = Unrun({}, {}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
-        """Ignore everything in a corpus: it is data, whatever its name."""
+        """Ignore everything in a corpus folder, also files that are named like tests: they are data."""
         folders = [collection_path, *collection_path.parents]
         if not any(self._is_corpus(folder) for folder in folders):
             return None
@@ -67,7 +70,8 @@ class Collection:
     def _is_corpus(self, folder: Path) -> bool:
         """Return whether a folder is a corpus.
 
-        The rootdir and the folders above it are not. Neither is a requested folder, unless it has the default name.
+        The rootdir and the folders above it are no corpora. A folder given on the command line is a corpus only if it
+        has the default name.
         """
         if folder.name == layout.CORPUS:
             return not self._rootpath.is_relative_to(folder)
@@ -80,19 +84,19 @@ class Collection:
 
     @cached_property
     def _asked_for(self) -> set[Path]:
-        """The rootdir, the folders given as arguments, and all folders above them."""
+        """The rootdir, the folders given on the command line, and all folders above them."""
         folders = [self._rootpath, *self._folders_given]
         return {each for folder in folders for each in (folder, *folder.parents)}
 
     @property
     def _folders_given(self) -> list[Path]:
-        """The folders given on the command line; arguments that name files or tests give none."""
+        """The folders given on the command line, without files and tests."""
         given = (_given_path(self._config, arg) for arg in self._config.args)
         return [path for path in given if path.is_dir()]
 
     @pytest.hookimpl(trylast=True)  # so that its part of the name is behind those of the user's marks: test_x[1-search]
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """Parametrize the function with its search, then with every file that may belong to one of its items."""
+        """Parametrize a marked test function with its search, then with each saved scenario that may belong to it."""
         arguments = arguments_of(metafunc.definition)
         if arguments is None:
             return
@@ -106,7 +110,7 @@ class Collection:
         metafunc.parametrize(arg, [pytest.param(SEARCH, id=SEARCH_PART), *saved])
 
     def _saved_by_id(self, definition: pytest.Item, arguments: Mapping[str, Any]) -> Iterable[Saved]:
-        """Return one saved scenario per id, from the files of all parametrisations."""
+        """Return the saved scenarios of a test in all its parametrisations, one scenario per id."""
         corpus = corpus_name(self._config, arguments)
         if corpus is None:
             return []
@@ -125,7 +129,7 @@ class Collection:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pycollect_makeitem(self, collector: pytest.Collector) -> Generator[None, Any, Any]:
-        """Drop the combinations of parameters and files that do not belong together."""
+        """Drop items whose saved scenario belongs to other parameters of the same test."""
         made = yield
         # Note every class, even one whose members are dropped: an orphan's test may be gone together with its class.
         if isinstance(collector, pytest.Class):
@@ -137,7 +141,7 @@ class Collection:
         return [item for item in made if self._belongs(item)]
 
     def _belongs(self, item: pytest.Item) -> bool:
-        """Return whether an item stays: a file belongs to one parametrisation, and other items of it are dropped."""
+        """Return whether an item is collected: a saved scenario only together with the parameters of its test."""
         arguments = arguments_of(item)
         if arguments is None:
             return True
@@ -161,7 +165,7 @@ class Collection:
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> Generator[None, None, None]:
-        """Find files that no item runs before tests are selected; drop searches that need not run again afterwards."""
+        """Find the saved scenarios that no item runs, before tests are selected; drop unneeded searches afterwards."""
         self._find_unrun(items)
         self._deselect(items, self._is_beside_given)
         yield
@@ -202,7 +206,7 @@ class Collection:
         unrun.strays.update(find_strays(collected, unrun.orphans))
 
     def _is_beside_given(self, item: pytest.Item) -> bool:
-        """Return whether an item's module was collected only for a corpus file that the item does not replay."""
+        """Return whether an item's module was collected only to replay a corpus file, which is not the item's file."""
         saved = saved_of(item)
         return item.path in self._modules_for_them and (saved is None or saved.path not in self._given_files)
 
@@ -214,7 +218,7 @@ class Collection:
             items[:] = [item for item in items if item not in gone]
 
     def pytest_report_collectionfinish(self, items: list[pytest.Item]) -> str | None:
-        """Return how many items are searches and how many replay saved scenarios."""
+        """Return the line after collection: how many items are searches, and how many replay saved scenarios."""
         searches = sum(map(is_search, items))
         saved = sum(saved_of(item) is not None for item in items)
         if (not searches and not saved) or self._config.getoption(BY_NAME["merge"].key):
@@ -224,12 +228,12 @@ class Collection:
 
 
 def is_search(item: pytest.Item) -> bool:
-    """Return whether an item is a search, not a replay."""
+    """Return whether an item is a search; False for replays and for tests without a mark."""
     return item.get_closest_marker(SEARCH_MARK) is not None and item.get_closest_marker(SAVED_MARK) is None
 
 
 def saved_of(item: pytest.Item) -> Saved | None:
-    """Return the saved scenario that an item replays, or None."""
+    """Return the saved scenario that an item replays; None if the item is no replay."""
     mark = item.get_closest_marker(SAVED_MARK)
     return mark.args[0] if mark is not None and mark.args and isinstance(mark.args[0], Saved) else None
 
@@ -243,12 +247,12 @@ def _is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
 
 
 def _given_path(config: pytest.Config, arg: str) -> Path:
-    """Return the path in a command-line argument, without the names of tests."""
+    """Return the path in a command-line argument such as ``file.py::test``, without the names of tests."""
     return Path(os.path.normpath(config.invocation_params.dir / arg.split("::", 1)[0]))
 
 
 def _roots_in(corpora: Iterable[Path], corpus: Path, rootpath: Path) -> Iterator[tuple[Path, Path]]:
-    """Yield the corpora in folders that the option ``corpus`` names, each with the folder of its test files."""
+    """Yield each corpus to check for orphans, with the folder of the test files to which the corpus belongs."""
     for met in corpora:
         if not corpus.is_absolute():
             yield met, met.parents[len(corpus.parts) - 1]
@@ -260,7 +264,7 @@ def _roots_in(corpora: Iterable[Path], corpus: Path, rootpath: Path) -> Iterator
 
 def _module_of(file: Path, config: pytest.Config) -> Path:
     if not file.is_file():
-        raise pytest.UsageError(f"{visible(str(file))}: expected a saved scenario, found no such file")
+        raise pytest.UsageError(f"{visible(str(file))}: expected the file of a saved scenario, but it does not exist")
     corpus = corpus_name(config, {})
     module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():

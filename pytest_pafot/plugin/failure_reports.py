@@ -1,7 +1,7 @@
-"""The report of a failing item: short frames, lines that fit the terminal, and one line for the summary.
+"""The failure report of an item: short frames, lines that fit the terminal, and one line for the summary.
 
 A search may find dozens of failures, and pytest prints each three times: in its own section, in the short summary,
-which is not shortened on CI, and in files for other tools. ``-v`` or ``--tb=long`` brings the full frames back.
+which is not shortened on CI, and in files for other tools. With ``-v`` or ``--tb=long`` the frames are in full.
 """
 
 from __future__ import annotations
@@ -26,17 +26,20 @@ from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lin
 SUMMARY = pytest.StashKey[str]()  # the summary line of a failing item
 
 SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+(, position rule: \w+)?(, [a-z]+ traffic.*)?")
-"""The last line of ``run.explain()``, which the saved file and the report page contain, too."""
+"""The last line of ``run.explain()``. It is left out, since the saved file and the report page contain it, too."""
 
 REPEATED = (
     SCENARIO,
     re.compile(r"E +assert not <Collision [^<>]*>"),
     re.compile(r"E +\+  where .* = <Run [^<>]*>\.\w+"),
 )
-"""Lines that repeat what the explanation and the line of the assertion say."""
+"""Lines of a report that are left out, because the explanation or the line of the assertion says the same."""
 
 _COLOUR = re.compile("\x1b\\[[0-9;]*m")
-"""A colour code. pytest colours the difference of two values with them; a malicious file may hide a text in them."""
+"""A colour code of the terminal. It is removed, because a malicious file may hide a text with such codes.
+
+pytest itself uses them to colour the difference of two values.
+"""
 
 
 class Failures:
@@ -67,12 +70,15 @@ class Failures:
 
 
 def is_compact(config: pytest.Config) -> bool:
-    """Return whether a report leaves out what the saved file and the report page contain, too."""
+    """Return whether failure reports are short (without ``-v``): they leave out what the saved file contains, too."""
     return config.get_verbosity() <= 0
 
 
 def explained(run: Run, exception: BaseException, config: pytest.Config) -> str:
-    """Return the explanation of a run; if a check failed, as the line that follows the check's own explanation."""
+    """Return the explanation of a run, for the message of a failure.
+
+    If a check failed, the text is a line with a title, because it follows the check's own explanation.
+    """
     text = run.explain()
     if is_compact(config):  # drop the last line: it names the scenario, as the file does
         text = text.rpartition("\n")[0]
@@ -80,7 +86,7 @@ def explained(run: Run, exception: BaseException, config: pytest.Config) -> str:
 
 
 def summarise(report: pytest.TestReport, text: str) -> None:
-    """Set the summary line of a report to a text, or to the first line of its message if the text is empty."""
+    """Set a report's line in the short summary to a text; if it is empty, to the first line of the failure message."""
     crash = getattr(report.longrepr, "reprcrash", None)
     if crash is not None:
         first = _COLOUR.sub("", crash.message).removeprefix("Failed: ").partition("\n")[0]
@@ -88,7 +94,7 @@ def summarise(report: pytest.TestReport, text: str) -> None:
 
 
 def _make_visible(report: pytest.TestReport) -> None:
-    """Make the texts safe to display that are not part of a traceback: an error, the reason of a skip or an xfail."""
+    """Make unprintable characters of a report visible, outside its traceback: in an error, a skip or an xfail."""
     match report.longrepr:
         case str() as text:
             report.longrepr = visible_lines(text)
@@ -99,7 +105,7 @@ def _make_visible(report: pytest.TestReport) -> None:
 
 
 def _fit(longrepr: Any, width: int, *, is_brief: bool) -> None:
-    """Fit the lines of a failure's message into the width, but not lines of code; make all of them safe to display."""
+    """Wrap the lines of a failure message to a width, except lines of code, and make unprintable characters visible."""
     tracebacks = [each[0] for each in getattr(longrepr, "chain", ())] or [getattr(longrepr, "reprtraceback", None)]
     for entry in (entry for each in tracebacks if each is not None for entry in each.reprentries):
         lines = [_COLOUR.sub("", line) for line in entry.lines]

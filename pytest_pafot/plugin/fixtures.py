@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Simulate(Protocol):
-    """The function that the fixture ``pafot_simulate`` returns."""
+    """The type of the function that the fixture ``pafot_simulate`` returns."""
 
     def __call__(self, scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
         """Run a scenario in a world, by default in the world of the fixture ``pafot_world``."""
@@ -38,13 +38,13 @@ class Corpus:
     """The value of the fixture ``pafot_corpus``: the saved scenarios of the module that requests it.
 
     Attributes:
-        folder: contains a folder for each test; it may not exist.
+        folder: the folder with a folder for each test of the module; it may not exist.
     """
 
     folder: Path
 
     def __iter__(self) -> Iterator[Finding]:
-        """Iterate over all findings, in the order of tests and ids.
+        """Iterate over the findings in all saved files, in the order of tests and ids.
 
         Raises:
             CorpusError: if a file cannot be read.
@@ -64,7 +64,10 @@ class Corpus:
 
 @pytest.fixture(scope="session")
 def pafot_world() -> WorldLike:
-    """Return the world of searches whose mark gives none: a straight motorway. Override it in a conftest.py."""
+    """Return the world of searches whose mark names no world: a straight motorway.
+
+    Override this fixture in a conftest.py to search in another world.
+    """
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
     return Highway()
@@ -72,7 +75,10 @@ def pafot_world() -> WorldLike:
 
 @pytest.fixture(scope="session")
 def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
-    """Yield the executor that runs scenarios: the workers of --pafot-dask, or None. Override it in a conftest.py."""
+    """Yield the executor that runs scenarios: the workers of --pafot-dask, or None without that option.
+
+    Override this fixture in a conftest.py to use another executor.
+    """
     address = pytestconfig.getoption(BY_NAME["dask"].key)
     if address is None:
         yield None
@@ -90,9 +96,10 @@ def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
 
 @pytest.fixture(scope="session")
 def pafot_simulate(pafot_world: WorldLike) -> Simulate:
-    """Return a function (scenario, ads_factory, world=None) -> Run, warmed up so that its first call is not slower.
+    """Return a function (scenario, ads_factory, world=None) -> Run that simulates a scenario.
 
-    The function fails the test if the ADS raises, hangs or returns no action.
+    The function fails the test if the ADS raises, hangs or returns no action. It is warmed up: its first call is not
+    slower than the others.
     """
     from pytest_pafot.campaign.verdict import ads_text  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
@@ -119,7 +126,7 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
 
 @pytest.fixture
 def pafot_corpus(request: pytest.FixtureRequest) -> Corpus:
-    """Return the saved scenarios of all tests of the module, to iterate over."""
+    """Return the saved scenarios of all tests in the test's module, to iterate over."""
     corpus = corpus_name(request.config, arguments_of(request.node) or {}) or CORPUS
     folder = folder_of_module(request.path, corpus, request.config.rootpath)
     link = link_out(chosen_folder(request.path, corpus), folder.parent, request.config.rootpath)

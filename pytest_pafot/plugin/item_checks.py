@@ -1,4 +1,4 @@
-"""Checks of a marked item before its fixtures are set up, and the hooks that then run it."""
+"""Checks of a marked item before its fixtures are set up, and the hooks that run the item after that."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 
 
 class Checks:
-    """Hooks that turn anything wrong with a marked item into the item's own failure."""
+    """Hooks that check a marked item, and report anything wrong with it as the item's own failure."""
 
     # Neither tryfirst nor trylast: it must run after pytest reads the skip marks and before it sets up the fixtures.
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        """Refuse an item that cannot run as it is written; skip a search without generations."""
+        """Fail a marked item that cannot run as it is written; skip a search that is to run no generations."""
         # No __tracebackhide__: pytest 9 adds a line about hidden frames to a failure that has no other frame.
         arguments = arguments_of(item)
         if arguments is None:
@@ -56,7 +56,7 @@ class Checks:
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Say what to do if the fixture of the ADS does not exist."""
+        """Add what to do to the report of an item if the fixture of its ADS does not exist."""
         report = yield
         request = item.stash.get(REQUEST, None)
         if request is None or call.when != "setup" or call.excinfo is None:
@@ -75,7 +75,7 @@ def _check_function(item: pytest.Item) -> None:
     if unittest is not None and inspect.isclass(cls) and issubclass(cls, unittest.TestCase):
         raise RequestError(
             "expected a plain test function or class, received a method of the unittest.TestCase "
-            f"{cls.__name__}, which takes no fixtures; move the test out of it"
+            f"{cls.__name__}, which takes no fixtures; move the test out of that class"
         )
     if not isinstance(item, pytest.Function):
         raise RequestError(f"expected a test function, received {item!r}")
@@ -86,7 +86,7 @@ def _check_function(item: pytest.Item) -> None:
         )
     if inspect.iscoroutinefunction(item.obj) or inspect.isasyncgenfunction(item.obj):
         raise RequestError(
-            "expected a plain function, received an async one, whose assertions would never run; "
+            "expected a plain function, received an async function, whose assertions would never run; "
             "write `def` instead of `async def`"
         )
 
@@ -103,7 +103,7 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
     if saved_of(item) is None and SEARCH_PART not in item.name.removeprefix(item.originalname or ""):  # type: ignore[attr-defined]
         raise RequestError(
             f"expected the parameter {arg!r} to be free for the simulated run, but the test is "
-            "already parametrised by it; rename one of the two, with @pafot.search(arg=...)"
+            "already parametrised with it; rename that parameter, or name another with @pafot.search(arg=...)"
         )
     for name in (request.ads, WORLD_FIXTURE):
         if isinstance(name, str) and name not in item.fixturenames:  # type: ignore[attr-defined]
@@ -120,7 +120,7 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
 
 
 def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
-    """Say what to do about a fixture that does not exist, in lines that fit the width, except lines of code."""
+    """Return what to do about a missing ADS fixture, wrapped to a width except for lines of code."""
     near = difflib.get_close_matches(name, available, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else "."
     text = (
@@ -129,7 +129,7 @@ def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
         "    @pytest.fixture\n"
         f"    def {name}():\n"
         "        return lambda: MyPlanner()    # a fresh ADS for each scenario\n\n"
-        'Or name a different fixture with @pafot.search(ads="..."), or give a factory: @pafot.search(ads=MyPlanner).'
+        'Or name another fixture with @pafot.search(ads="..."), or give a factory: @pafot.search(ads=MyPlanner).'
     )
     lines = ([line] if line.startswith(" ") else wrapped_to(line, width) for line in text.splitlines())
     return "\n".join(part for parts in lines for part in parts)
@@ -139,13 +139,13 @@ def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
 
 
 class Execution:
-    """The hooks that run items and call test functions."""
+    """Hooks that run the items of searches and saved scenarios."""
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> None:
-        """Count the search as begun, and name the file of a saved scenario, before anything can skip or fail the item.
+        """Note that a search begins, or set the properties of a saved scenario, before the item can fail or be skipped.
 
-        A search that has begun, skipped or not, no longer needs a share of the session's time.
+        A search that has begun no longer needs a share of the session's time, even if it is skipped.
         """
         saved = saved_of(item)
         if saved is not None:
@@ -155,7 +155,7 @@ class Execution:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
-        """Search, merge or replay instead of making pytest's one call of the test function."""
+        """Run the search, merge or replay of a marked item, in place of pytest's single call of the test function."""
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None

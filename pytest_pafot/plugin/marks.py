@@ -1,4 +1,4 @@
-"""The decorators that request a search or a rate for a test function, and the marks that they set.
+"""The decorators ``@pafot.search`` and ``@pafot.rate``, and the marks that they set on test functions.
 
 Every test file that uses the plugin imports this module, so it imports only pytest.
 """
@@ -35,10 +35,10 @@ def search(target: Target, /) -> Target: ...
 @overload
 def search(**arguments: Unpack[SearchArguments]) -> Callable[[Target], Target]: ...
 def search(*target: Any, **arguments: Any) -> Any:
-    """Search for scenarios that make the decorated test function raise.
+    """Search for scenarios in which the decorated test function raises.
 
-    Works with and without arguments, on functions and on classes of test functions. Arguments are checked right before
-    the test runs, so a wrong argument fails one item and does not prevent the import of the module.
+    The decorator works with and without arguments, on functions and on classes of test functions. Arguments are checked
+    right before the test runs, so a wrong argument fails one item and does not prevent the import of the module.
     """
     if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
         return _decorated(target[0], (), {})
@@ -46,10 +46,10 @@ def search(*target: Any, **arguments: Any) -> Any:
 
 
 def _may_be_decorated(target: object) -> bool:
-    """Return whether the argument of ``@pafot.search`` is the decorated test, and not an ADS or its factory.
+    """Return whether the only argument of ``@pafot.search`` can be the decorated test, not an ADS or its factory.
 
-    An ADS is a class with ``__call__``, or a vehicle class of highway-env. A factory has neither the parameter ``run``
-    nor the name of a test.
+    An ADS is a class with ``__call__``, or a vehicle class of highway-env. A factory has no parameter ``run``, and its
+    name is not the name of a test.
     """
     if inspect.isclass(target):
         kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # if not imported, there is no vehicle class
@@ -76,7 +76,8 @@ def rate(**arguments: Unpack[RateArguments]) -> Callable[[Target], Target]: ...
 def rate(*target: Any, **arguments: Any) -> Any:
     """Fail the decorated test function if an ADS crashes too often in an environment's own traffic.
 
-    The function may have a parameter ``rate``, a :class:`pytest_pafot.Rate`. Arguments are checked when it runs.
+    The function may have a parameter ``rate``, which receives a :class:`pytest_pafot.Rate`. The arguments of the
+    decorator are checked when the test runs.
 
     Args:
         at_most: the crash rate [crashes per episode] above which the test fails; 0.02 allows two crashes in a hundred
@@ -84,9 +85,9 @@ def rate(*target: Any, **arguments: Any) -> Any:
         world: the environment, such as ``"highway-fast-v0"`` or ``pafot.World("highway-v0", config={...})``.
         ads: the factory, or the name of the fixture that returns it; by default ``"ads"``.
         episodes: the number of episodes, by default 300.
-        seed: the seed of the first episode, by default 0; each following episode adds 1.
-        confidence: a level such as 0.95, for a stricter test: it fails unless the episodes show at this confidence that
-            the true rate is at most ``at_most``.
+        seed: the seed of the first episode, by default 0; each later episode has the next number as its seed.
+        confidence: a level such as 0.95, for a stricter test. The test then fails unless the episodes show, with this
+            confidence, that the true crash rate is at most ``at_most``.
         planner: True if the ADS receives :class:`pytest_pafot.Observation` values and answers in SI units.
     """
 
@@ -103,7 +104,10 @@ def rate(*target: Any, **arguments: Any) -> Any:
 
 
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
-    """Return the merged arguments of an item's search marks, where the closest mark wins; None without such a mark."""
+    """Return the arguments of all search marks of an item, merged; None if the item has no search mark.
+
+    Of two marks with the same argument, the mark that is closer to the function is used.
+    """
     marks = list(item.iter_markers(SEARCH_MARK))
     if not marks:
         return None

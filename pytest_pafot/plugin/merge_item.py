@@ -1,4 +1,4 @@
-"""``--pafot-merge``: instead of searching, each test adds the findings of other machines to its corpus."""
+"""``--pafot-merge``: each test adds the findings of other machines to its corpus, instead of searching."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ if TYPE_CHECKING:
 MERGE = BY_NAME["merge"].key
 
 MERGES: pytest.StashKey[dict[str, list[Path]]] = pytest.StashKey()
-"""The folders of each test's files in other corpora, by the node id of the test, in a session that merges."""
+"""The folders in other corpora that hold a test's files, by the node id of the test. Only a merging session has it."""
 
 
 class Merging:
-    """Hooks that keep only the items of searches, and match the folders of other corpora with tests."""
+    """Hooks of a merging session: they drop all items except searches, and find the test of each folder to merge."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._roots = [config.invocation_params.dir / given for given in config.getoption(MERGE)]
         for root in self._roots:
             if not root.is_dir():
                 flag = BY_NAME["merge"].flag
-                raise pytest.UsageError(f"{flag}: expected the folder of a corpus, received {root}, not a folder")
+                raise pytest.UsageError(f"{flag}: expected the folder of a corpus, received {root}, which is no folder")
         config.stash[MERGES] = {}
 
     # First, before tests are selected: the files of a deselected test would be reported as files without a test.
     @pytest.hookimpl(tryfirst=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
-        """Drop all items except searches; report folders of other corpora that match no test, or several."""
+        """Drop all items except searches. Report folders of other corpora that match no test, or more than one."""
         others = [item for item in items if not is_search(item)]
         items[:] = [item for item in items if is_search(item)]
         config.hook.pytest_deselected(items=others)
@@ -63,7 +63,7 @@ class Merging:
 
 
 def run_merge(item: pytest.Function, request: Request) -> None:
-    """Merge the files of other corpora into that of a test; fail if one of them has an error to fix."""
+    """Merge the files of other corpora into the corpus of a test; fail if the user must correct one of the files."""
     __tracebackhide__ = True
     from pytest_pafot.campaign.merging import merge  # noqa: PLC0415  (imports the simulation)
     from pytest_pafot.campaign.replays import Replays  # noqa: PLC0415
@@ -82,11 +82,11 @@ def run_merge(item: pytest.Function, request: Request) -> None:
 
 
 def _refuse(file: Path, job: Job, scenario: Scenario) -> None:
-    """Refuse a replay in its own session: such a session needs a file in a corpus of this project."""
+    """Raise an error instead of replaying in a separate session, which could not replay a file of another project."""
     from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
 
     raise RequestError(
-        f"{file}: expected an ADS that can be sent to a different process, since the scenario may end the process that "
-        "runs it, received one that cannot be pickled; use --pafot-isolate and an ADS that can be pickled, or merge on "
-        "a system that forks processes"
+        f"{file}: expected an ADS that can be sent to another process, since the scenario may end the process that "
+        "runs it, received an ADS that cannot be pickled; use --pafot-isolate and an ADS that can be pickled, or "
+        "merge on a system that forks processes"
     )

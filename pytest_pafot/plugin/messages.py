@@ -1,7 +1,7 @@
-"""Messages from a running item to the controller, sent at once and from any worker.
+"""Messages from a running item to the controller, also from the workers of pytest-xdist.
 
-A message is a test report of a phase that only this plugin knows. pytest-xdist passes it to the controller at once, as
-it does every report. Other plugins take it for a passed phase without output.
+A message is a test report of a phase that only this plugin knows. pytest-xdist passes the message to the controller at
+once, like every report. Other plugins take it for the report of a passed phase without output.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ PAGE = "page"  # the kind of messages for a report page
 
 
 class Message(NamedTuple):
-    """A message of an item."""
+    """A message from a running item to the controller."""
 
     kind: str  # the kind of the data, such as ``progress``
     data: dict[str, Any]  # plain values, which pytest-xdist can send
 
 
 def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
-    """Send a message to the controller; its data must be plain values."""
+    """Send a message from a running item to the controller. The data must be plain values, which can be serialised."""
     report = pytest.TestReport(
         nodeid=item.nodeid,
         location=item.location,
@@ -52,7 +52,7 @@ def received(report: pytest.TestReport | pytest.CollectReport) -> Message | None
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_report_teststatus(report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
-    """Exclude messages from the counted results, in the controller and in workers."""
+    """Return empty texts for messages, so that pytest does not count them as results."""
     return ("", "", "") if getattr(report, "when", None) == PHASE else None
 
 
@@ -64,22 +64,22 @@ def pytest_report_teststatus(report: pytest.TestReport | pytest.CollectReport) -
 PREFIX = "pafot_"
 
 AS_SAVED = "pafot_saved"
-"""The attribute of a failing saved scenario's report that holds its id and file unchanged, for programs.
+"""The attribute of a report that holds the id and the file of a failing saved scenario, for programs.
 
-It is JSON in ASCII, because file names may contain bytes that are not valid characters, and pytest-xdist cannot send
-such a text.
+Its value is JSON in ASCII, because file names may contain bytes that are not valid characters, and pytest-xdist cannot
+send such a text.
 """
 
 
 def set_properties(properties: MutableSequence[tuple[str, Any]], **values: object) -> None:
-    """Set properties of an item or a report, each once and safe to display; leave out empty ones."""
+    """Set properties of an item or a report, replacing earlier values. Empty properties are left out."""
     names = {f"{PREFIX}{name}": visible(str(value)) for name, value in values.items() if value not in (None, "")}
     others = [each for each in properties if each[0] not in names]
     properties[:] = [*others, *names.items()]
 
 
 def set_of_saved(item: pytest.Item, saved: Saved) -> None:
-    """Set the properties of a saved scenario's item, before anything can go wrong with it."""
+    """Set the properties that identify the saved scenario of an item."""
     finding, file = saved.finding, relative(saved.path, item.config.rootpath)
     seed, signature = (None, None) if finding is None else (finding.found.seed, finding.signature.text)
     set_properties(item.user_properties, seed=seed, id=saved.id, signature=signature, file=file)
@@ -91,7 +91,7 @@ def severity_text(severity: Severity | None) -> str:
 
 
 def of_findings(findings: Iterable[tuple[Finding, str, Severity | None]]) -> dict[str, str]:
-    """Return the properties that describe findings and their files; several values are separated by commas."""
+    """Return the properties that describe findings. The values of several findings are separated by commas."""
     columns: dict[str, list[str]] = {"id": [], "signature": [], "file": [], "severity": []}
     for finding, file, severity in findings:
         texts = (finding.id, finding.signature.text, file, severity_text(severity))

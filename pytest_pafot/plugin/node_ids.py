@@ -1,6 +1,6 @@
 """The names of items: ``test_x[1-search]`` is a search, ``test_x[1-saved-<id>]`` replays a saved scenario.
 
-Both belong to the test ``test_x[1]``, which is called the base name here.
+Both belong to the test ``test_x[1]``. This module calls that name the base name.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ SEARCH_PART, SAVED_PART = "search", "saved-"
 
 
 def saved_part(id_: str) -> str:
-    """Return the part of an item's name that identifies its file.
+    """Return the part of an item's name that identifies its saved scenario, such as ``saved-<id>``.
 
-    Quote an id that pytest would rewrite, or that contains control characters, which a terminal would obey.
+    An id is quoted if pytest would rewrite it, or if it contains control characters, which a terminal would obey.
     """
     if id_.isascii() and "\\" not in id_ and visible(id_) == id_:
         return f"{SAVED_PART}{id_}"
@@ -28,7 +28,7 @@ def saved_part(id_: str) -> str:
 
 
 def base_name(item: pytest.Item) -> str:
-    """Return the name without the plugin's own part: ``test_x[1]`` for ``test_x[1-search]``."""
+    """Return the name of an item's test: ``test_x[1]`` for ``test_x[1-search]``."""
     mark = item.get_closest_marker(SAVED_MARK)
     parts = _around(SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name)
     if parts is None:
@@ -40,22 +40,22 @@ def base_name(item: pytest.Item) -> str:
 
 
 def base_id(item: pytest.Item) -> str:
-    """Return the node id without the plugin's own part, which is equal for a search and its saved scenarios."""
+    """Return the node id of an item's test, which a search and its saved scenarios have in common."""
     return _node_id(item, base_name(item))
 
 
 def saved_node_id(item: pytest.Item, id_: str) -> str:
-    """Return the node id that a finding of a search will have as an item."""
+    """Return the node id of the item that will replay a finding of a search, given the finding's id."""
     return _node_id(item, _renamed(item.name, id_))
 
 
 def saved_name(item: pytest.Item, id_: str) -> str:
-    """Return the name that the location of a report will have for a finding of a search."""
+    """Return the name, for the location of a report, of the item that will replay a finding of a search."""
     return _renamed(item.location[2], id_)
 
 
 def qualified_name(item: pytest.Item) -> str:
-    """Return the test with its classes and parameters: ``TestBraking::test_x[1]``."""
+    """Return the name of an item's test with its classes and parameters: ``TestBraking::test_x[1]``."""
     classes = [node.name for node in item.listchain() if isinstance(node, pytest.Class)]
     return "::".join([*classes, base_name(item)])
 
@@ -70,6 +70,6 @@ def _renamed(text: str, id_: str) -> str:
 
 
 def _around(part: str, text: str) -> tuple[str, str] | None:
-    """Return the text before and after the last occurrence of a part in a parametrised name, or None without one."""
+    """Return the text before and after the last occurrence of a part in a parametrised name; None if there is none."""
     found = re.fullmatch(rf"(.*[\[-]){re.escape(part)}([\]-].*)", text, re.DOTALL)
     return None if found is None else (found[1], found[2])

@@ -1,6 +1,7 @@
 """The sources of option values.
 
-Precedence: command line, marker, environment, a profile that was named, ini, the automatic profile, the default.
+Of several sources with a value, the first of this list is used: command line, mark, environment, the profile that the
+user named, configuration file, the automatic profile, the default.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
 
 _INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
-"""The types of ini keys by kind of option; keys of all other kinds are strings."""
+"""The type of the ini key for each kind of option. The keys of all other kinds are strings."""
 _LAST = re.compile(r"(?<=')[^']*(?='$)|[^\s']+$")
-"""The value that a message of pytest about an ini key ends with."""
+"""The last word or quoted text of a message: pytest's messages about an ini key end with the key's value."""
 
 
 def add_options(parser: pytest.Parser) -> None:
-    """Declare the whole table of options to pytest."""
+    """Declare all options of the plugin to pytest, on the command line and in configuration files."""
     group = parser.getgroup("pafot", "search for traffic that makes a driving policy crash (pytest-pafot)")
     for option in OPTIONS:
         value: dict[str, Any] = {"type": option.read, "metavar": option.metavar}
@@ -52,13 +53,13 @@ def add_options(parser: pytest.Parser) -> None:
 
 
 def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | None:
-    """Return the option ``corpus``; None if it, or the choice of a profile, is wrong."""
+    """Return the value of the option ``corpus``; None if that value, or the choice of a profile, is wrong."""
     value = option_value(config, BY_NAME["corpus"], marker)
     return None if value is None else str(value)
 
 
 def option_value(config: pytest.Config, option: Option, marker: Mapping[str, object]) -> Any:
-    """Return the value of an option under a mark, or under none; None if it is wrong, which each search reports."""
+    """Return the value of an option for a mark with some arguments; None if it is wrong, which each search reports."""
     try:
         return Sources(config=config, marker=marker, environ=os.environ).value(option, None, LOCAL)
     except OptionError:
@@ -66,7 +67,7 @@ def option_value(config: pytest.Config, option: Option, marker: Mapping[str, obj
 
 
 def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_seed: int) -> Request:
-    """Check the arguments of a mark; its positional arguments are stored under :data:`POSITIONAL`.
+    """Return the checked request for the arguments of a mark. Positional arguments are under :data:`POSITIONAL`.
 
     Raises:
         RequestError: on the first wrong argument or option.
@@ -93,12 +94,12 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_s
 def resolve(
     config: pytest.Config, marker: Mapping[str, object], fresh_seed: int, environ: Mapping[str, str] = os.environ
 ) -> Settings:
-    """Return the settings of an item whose marker has these arguments; arguments that are not options are ignored.
+    """Return the value of every option for an item whose mark has the arguments ``marker``.
 
-    The base seed is ``fresh_seed`` if no source gives one.
+    Arguments that are not options are ignored. The base seed is ``fresh_seed`` if no source gives a base seed.
 
     Raises:
-        OptionError: names the source, and what was expected and received.
+        OptionError: if a value is wrong; the message names its source.
     """
     sources = Sources(config=config, marker=marker, environ=environ)
     named = sources.given(BY_NAME["profile"]) or sources.ini(BY_NAME["profile"])
@@ -115,23 +116,28 @@ def resolve(
 
 
 class Sources(NamedTuple):
-    """The sources of values, read one option at a time, so that an error can name the source."""
+    """The sources of option values. They are read one option at a time, so that an error can name the source."""
 
     config: pytest.Config
     marker: Mapping[str, object]
     environ: Mapping[str, str]
 
     def value(self, option: Option, named: str | None, automatic: str) -> Any:
-        """Return the value of an option, by the precedence; ``named`` and ``automatic`` are profiles.
+        """Return the value of an option from the first source that has one.
+
+        Args:
+            option: the option.
+            named: the profile that the user named; None without one.
+            automatic: the profile that is used otherwise.
 
         Raises:
-            OptionError: names the source, and what was expected and received.
+            OptionError: if the value is wrong; the message names its source.
         """
         sources = self._sources(option, named, automatic)
         return next((value for source in sources if (value := source()) is not None), option.default)
 
     def budget(self, named: str | None, automatic: str) -> dict[str, Any]:
-        """Return the values of :data:`BUDGETS`, all from the first source that gives any of them."""
+        """Return the options that limit a search (:data:`BUDGETS`), all from the first source that has one of them."""
         each = [self._sources(BY_NAME[name], named, automatic) for name in BUDGETS]
         together = ([source() for source in sources] for sources in zip(*each, strict=True))
         given = next((values for values in together if any(value is not None for value in values)), (None, None))
@@ -146,12 +152,12 @@ class Sources(NamedTuple):
         )
 
     def given(self, option: Option) -> Any:
-        """Return the value on the command line, in the marker or in the environment; None if none of them has one."""
+        """Return an option's value on the command line, in the mark or in the environment; None without one."""
         read = (_read(option, place, value) for place, value in self._places(option))
         return next((value for value in read if value is not None), None)
 
     def _places(self, option: Option) -> tuple[tuple[str, object], ...]:
-        """Return the command line, the marker and the environment, each with its value of an option."""
+        """Return the names of three sources (command line, mark, environment), each with its value of an option."""
         return (
             (option.flag, self.config.getoption(option.key)),
             (f"@pafot.search({option.name}=...)", self.marker.get(option.name) if option.is_argument else None),
@@ -159,7 +165,7 @@ class Sources(NamedTuple):
         )
 
     def ini(self, option: Option) -> Any:
-        """Return the value in a configuration file; None if there is none."""
+        """Return an option's value in pytest's configuration file; None if the file has no value."""
         place = f"ini key {option.key}"
         try:
             value = self.config.getini(option.key)

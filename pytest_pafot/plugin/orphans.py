@@ -1,7 +1,7 @@
 """Saved scenarios that no test runs: orphans, whose test is gone, and strays, which are outside the folders of tests.
 
-A test that was only deselected makes no orphans. Only orphans are removed, and only on request. On CI, a session fails
-if a test is gone: its findings would never be replayed again, and no one would notice.
+The files of a test that was only deselected are no orphans. Only orphans are removed, and only on request. On CI, a
+session fails if a test is gone: its findings would never be replayed again, and no one would notice.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE
 
 MAX_NAME = 120  # length of the test's name in an error; the name is from a file, which may contain anything
 ERROR_ID = "pafot::saved_scenarios_without_a_test"
-"""The node id of the error that fails a session whose saved scenarios have lost their test."""
+"""The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
 
 
 class Orphan(NamedTuple):
@@ -60,7 +60,7 @@ class Orphan(NamedTuple):
 
 
 class Unrun(NamedTuple):
-    """The saved scenarios of a session that no item runs, or that two items run."""
+    """The saved scenarios of a session that no item runs, or whose failure several files describe."""
 
     orphans: dict[Path, Orphan]  # by folder
     strays: dict[str, str]  # saved scenarios outside of all folders of tests, each with the place where it should be
@@ -74,7 +74,7 @@ UNRUN = pytest.StashKey[Unrun]()
 
 @dataclass(slots=True, kw_only=True)
 class Collected:
-    """The items and corpora of a session, before tests are selected."""
+    """The items and corpora that a session collected, before tests are selected."""
 
     rootpath: Path  # the rootdir of the session
     asked_for: list[Path] = field(default_factory=list)  # the folders given on the command line
@@ -90,9 +90,9 @@ class Collected:
 def find_orphans(collected: Collected) -> dict[Path, Orphan]:
     """Return the folders of saved scenarios that belong to no test.
 
-    A folder is an orphan if its module is gone, or if its module or class was collected without such a test. Selections
-    by ``-k``, ``-m`` or node ids make no orphans: pytest collects all members of a module or class before it selects.
-    Neither does a module that failed or was skipped at import.
+    A folder is an orphan if its module is gone, or if its module or class was collected and has no such test.
+    Selections by ``-k``, ``-m`` or node ids make no orphans: pytest collects all members of a module or class before it
+    selects. A module that failed or was skipped at import makes no orphans either.
     """
     kinds = {folder: kinds_in(saved) for folder, saved in collected.saved.items()}
     return {
@@ -107,7 +107,7 @@ def find_orphans(collected: Collected) -> dict[Path, Orphan]:
 
 
 def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]:
-    """Return the files that are outside of all folders of tests, each with a description of its right place.
+    """Return the saved scenarios that are in no test's folder, each with a description of the folder for it.
 
     Only the folders between the rootdir and the folders of tests are searched.
     """
@@ -122,7 +122,7 @@ def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]
 
 
 def find_doubles(collected: Collected, items: Iterable[pytest.Item]) -> Iterator[tuple[str, list[str]]]:
-    """Yield a warning about files of one kind in a test's folder, with the node ids of the items that replay them.
+    """Yield warnings about files in a test's folder that fail in the same way, with the node ids that replay them.
 
     Such files appear if two branches find the same failure independently and are then merged.
     """
@@ -140,12 +140,12 @@ def find_doubles(collected: Collected, items: Iterable[pytest.Item]) -> Iterator
 
 
 def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
-    """Remove files and folders that they leave empty; return the files that were removed, and errors."""
+    """Remove files, and the folders that are empty then; return the removed files, and error messages."""
     removed: list[Path] = []
     failures: list[str] = []
     for file in files:
         try:
-            file.unlink(missing_ok=True)  # A different session may have removed it already.
+            file.unlink(missing_ok=True)  # Another session may have removed it already.
             removed.append(file)
         except OSError as error:
             from pytest_pafot.support.files import way_out  # noqa: PLC0415  a session that prunes nothing does not load it
@@ -160,11 +160,11 @@ def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
 
 
 class Guard:
-    """The hook that fails a session whose saved scenarios have lost their test, once, on the controller."""
+    """The hook that fails a session, once and on the controller, if the test of saved scenarios no longer exists."""
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
-        """Report the error after all items have run: only then have all pytest-xdist workers reported their items."""
+        """Fail the session after all items have run; only then have all pytest-xdist workers reported their items."""
         result = yield
         lines = _error(session.config)
         if lines:
@@ -173,7 +173,10 @@ class Guard:
 
 
 def _error(config: pytest.Config) -> list[str]:
-    """Return why the session fails, then each folder with the way out below it; empty if it does not fail."""
+    """Return the lines that say why the session fails; no lines if it does not fail.
+
+    After the reason, each affected folder is named, and then what the user can do about it.
+    """
     strict, allow, prune = (BY_NAME[name] for name in ("strict_health", "allow_orphans", "prune"))
     cause = "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
     if not cause or config.getoption("collectonly") or option_value(config, allow, {}):
@@ -193,7 +196,7 @@ def _error(config: pytest.Config) -> list[str]:
 
 
 def _report(session: pytest.Session, lines: Sequence[str]) -> None:
-    """Report an error of the session like an item's error, so that it counts and appears in files for other tools."""
+    """Report the session's error like the error of an item, so that it is counted, also in files for other tools."""
     try:
         pytest.fail("\n".join(lines), pytrace=False)
     except pytest.fail.Exception as error:
@@ -227,14 +230,17 @@ def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
         if prefix not in collected.classes:
             return True
         if prefix not in collected.opened:
-            return False  # Its members were not collected, because a different node id was requested.
+            return False  # Its members were not collected, because another node id was requested.
     return True
 
 
 def _orphan(
     folder: Path, root: Path, directory: Path, collected: Collected, kinds: Mapping[Path, set[Signature]]
 ) -> Orphan:
-    """Describe an orphan: which test is gone, and where it may be now; ``kinds`` are the failures in tests' folders."""
+    """Describe an orphaned folder: which test is gone, and where the test may be now.
+
+    ``kinds`` are the failures in the folders of the existing tests.
+    """
     module = module_named(directory, folder.parent.name)
     file = relative(module, collected.rootpath)
     saved = saved_in(folder) if link_below(root, folder) is None else []
@@ -261,10 +267,10 @@ def _orphan(
 
 
 def _way_out(folder: Path, root: Path, alike: list[Path], collected: Collected) -> str:
-    """Return where the files of a folder belong now, by names and kinds of failures, or how to remove them.
+    """Return where the files of an orphaned folder may belong now, or how to remove them.
 
-    A test without saved scenarios may be the renamed test; a test with scenarios of the same kinds shows the same
-    failures. Names are tried first, since tests of many policies fail in the same few ways.
+    An existing test may be the renamed test if it has no saved scenarios, or if its saved scenarios fail in the same
+    ways as the files, which are ``alike``. Names are compared first, since most policies fail in the same few ways.
     """
     new = [each for each, saved in collected.saved.items() if not saved]
     beside = [each for each in new if each.parent == folder.parent]
@@ -286,18 +292,18 @@ def _way_out(folder: Path, root: Path, alike: list[Path], collected: Collected) 
 
 
 def _is_folder_of(folder: Path, name: str) -> bool:
-    """Return whether a folder belongs to a test, by its own name and the name of the module's folder."""
+    """Return whether the names of a folder and of the folder above it are those of a test and its module."""
     module, _, test = name.partition("::")
     return (safe_name(Path(module).stem), safe_name(test)) == (folder.parent.name, folder.name)
 
 
 def _test_of(saved: Saved) -> str:
-    """Return the node id of the test that a saved scenario names; empty if it names none."""
+    """Return the node id of the test that a saved scenario names; empty if the scenario names no test."""
     return _named_test(saved.path) if saved.finding is None else saved.finding.test
 
 
 def _named_test(file: Path) -> str:
-    """Return the node id of the test that a file names, even if the file is broken; empty if it names none."""
+    """Return the node id of the test that a file names, even if the file is broken; empty if the file names no test."""
     from pytest_pafot.corpus.reader import content_of  # noqa: PLC0415  (yaml, which few sessions need)
     from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415
 
@@ -309,10 +315,10 @@ def _named_test(file: Path) -> str:
 
 
 def _own_files(folder: Path, saved: Iterable[Saved], directory: Path, rootpath: Path) -> list[Path]:
-    """Return the files in a folder, not behind a link, that name the test of this rootdir to which the folder belongs.
+    """Return the files in an orphaned folder that may be removed: they name the test to which the folder belongs.
 
-    A corpus outside of the rootdir may be shared with other projects. Its files are removable only if the module that
-    they name exists in this rootdir.
+    Files behind a link are left out. A corpus outside of the rootdir may be shared with other projects, so files there
+    may be removed only if the module that they name exists in this rootdir.
     """
     inside = folder.is_relative_to(rootpath)
     depth = len(directory.relative_to(rootpath).parts) if directory.is_relative_to(rootpath) else 0
@@ -331,7 +337,7 @@ def _own_files(folder: Path, saved: Iterable[Saved], directory: Path, rootpath: 
 
 
 def _home(file: Path, collected: Collected) -> str:
-    """Describe the folder where a file should be, by the test that it names."""
+    """Return the folder where a file should be, by the test that the file names, or a description of that folder."""
     name = _named_test(file)
     module, _, test = name.partition("::")
     test_file = collected.rootpath / module
@@ -344,7 +350,7 @@ def _home(file: Path, collected: Collected) -> str:
 
 
 def _up(folder: Path, top: Path) -> Iterator[Path]:
-    """Yield a folder and the folders above it up to a top folder; only the folder itself if it is outside of that."""
+    """Yield a folder and the folders above it up to ``top``; only the folder itself if it is not below ``top``."""
     yield folder
     if folder.is_relative_to(top):
         yield from (each for each in folder.parents if each.is_relative_to(top))

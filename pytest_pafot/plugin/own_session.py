@@ -1,6 +1,6 @@
-"""A separate session that replays one file, used if this process cannot fork a process that may die.
+"""A separate pytest session that replays one file, if the run may end its process and this process cannot fork.
 
-``python -m pytest <file>`` needs nothing that can be pickled, because it sets up the fixtures of the test itself.
+Nothing has to be sent to it, because ``python -m pytest <file>`` sets up the fixtures of the test itself.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 # pytest-xdist replaces it like a worker that crashed.
 
 STATUS = pytest.ExitCode.INTERRUPTED
-"""The exit status of the process. If no Python thread gets to run, faulthandler ends the process with 1 instead."""
+"""The exit status of a session that ended because its ADS hung.
+
+If no Python thread gets to run, faulthandler ends the process with status 1 instead.
+"""
 
 FLUSH = 120.0  # the longest time for the summary, since plugins may wait for something that the ADS holds [s]
 SHOWN = 6  # the number of innermost frames that are printed
@@ -40,7 +43,7 @@ SHOWN = 6  # the number of innermost frames that are printed
 
 @contextmanager
 def session_ends_if_stuck(item: pytest.Item) -> Iterator[None]:
-    """End the session if a decision of the ADS inside cannot be interrupted."""
+    """End the session if a decision of the ADS inside this context hangs and ignores interrupts."""
     main, file = threading.get_ident(), _real_stderr(item.config)
     try:
         with last_resort(LastResort(end=lambda: _end(item, main), grace=GRACE, file=file)):
@@ -65,11 +68,11 @@ def _end(item: pytest.Item, thread: int) -> None:
 
 
 def _flush(item: pytest.Item, stack: str) -> None:
-    """Report the item and end the session as an interrupt does, but from a different thread."""
+    """Report a stuck item and end the session as an interrupt would, but from another thread than the item's."""
     reason = (
         f"{item.nodeid}: a decision of the ADS exceeds the hang limit of the world and ignores every interrupt, so "
         "this session has to end. The scenario is on disk: the next session runs it again in a separate process and "
-        "saves it. With --pafot-isolate the search would go on"
+        "saves it. With --pafot-isolate, the search continues after such a decision"
     )
     item.ihook.pytest_runtest_logreport(
         report=pytest.TestReport(
@@ -90,7 +93,10 @@ def _flush(item: pytest.Item, stack: str) -> None:
 
 
 def _real_stderr(config: pytest.Config) -> int | None:
-    """Return a descriptor for faulthandler; None if pytest uses its only timer (``faulthandler_timeout``)."""
+    """Return the descriptor of the real stderr for faulthandler.
+
+    It is None if pytest already uses faulthandler's only timer (``faulthandler_timeout``).
+    """
     if config.pluginmanager.has_plugin("faulthandler") and float(config.getini("faulthandler_timeout") or 0.0) > 0.0:
         return None
     with suppress(OSError), uncaptured(config):
@@ -99,11 +105,11 @@ def _real_stderr(config: pytest.Config) -> int | None:
 
 
 def replay_in_own_session(item: pytest.Function, file: Path, job: Job, scenario: Scenario) -> None:
-    """Replay the scenario of a file in a separate session that runs the same job, unless this is such a session.
+    """Replay the scenario of a file in a separate pytest session. In such a session itself, do nothing.
 
     Raises:
-        ProcessLostError: if that session died.
-        RequestError: if that session ended before it replayed the file.
+        ProcessLostError: if the separate session died.
+        RequestError: if the separate session ended before it replayed the file.
     """
     __tracebackhide__ = True
     if os.environ.get(HERE):

@@ -1,6 +1,6 @@
-"""The item's side of a report page: it sends what the page shows of findings, replays and searches as they happen.
+"""The sender of a report page's content: a running item sends its findings, replays and searches as they happen.
 
-Imported only if a page, or a row in the report of pytest-html, is requested.
+This module is imported only if a page, or a row in the report of pytest-html, is requested.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def label_of(find: Find) -> str:
 
 @dataclass(slots=True, kw_only=True)
 class PageMessages:
-    """A sender of everything that a page shows of one item, a search or a replay."""
+    """A sender of everything that the report page shows of one item, which is a search or a replay."""
 
     item: pytest.Item  # the running item
     settings: Settings  # the item's settings, which name the page
@@ -59,7 +59,7 @@ class PageMessages:
                 self.events.append(event)
 
     def _find(self, told: FindTold) -> None:
-        """Send a new finding; it is sent again when more is known about it, and replaces the earlier message."""
+        """Send a new finding, or replace it on the page when more is known about it."""
         find, finding = told.find, told.finding
         view = finding_view(
             None if told.run is None else told.run.trace,
@@ -76,7 +76,7 @@ class PageMessages:
         self._tell(view=plain(view))
 
     def _searched(self, summary: SearchSummary) -> None:
-        """Send the search, and what its end adds to its findings."""
+        """Send the finished search, and what is known about its findings only now."""
         campaign = campaign_view(
             self.item.nodeid,
             self.events,
@@ -104,10 +104,17 @@ class PageMessages:
         check: Check | None = None,
         severity: Severity | None = None,
     ) -> None:
-        """Send a replay of a saved scenario for the counts, and its picture if it fails, i.e. if it has a headline.
+        """Send the replay of a saved scenario. The page counts it, and shows a picture if it fails.
 
-        The detail states what has drifted. The trace is None if the process died or hung. The check is the one that
-        failed, if any.
+        Args:
+            finding: the finding in the file.
+            trace: the trace of the replay; None if its process died or hung.
+            headline: how the replay failed; empty if it passes.
+            label: the label of the replay, such as ``still failing``.
+            detail: what differs from the file.
+            path: the path of the file.
+            check: the check that failed; None if no check failed.
+            severity: how bad the failure is; None without a measure.
         """
         self._tell(replayed=label, drifted={self.item.nodeid: detail} if label == "drifted" else {})
         if headline:

@@ -13,16 +13,16 @@ from pytest_pafot.plugin.session import is_worker
 
 
 class Rates:
-    """Hooks that measure the rate for such a test function, and fail it if the rate is too high."""
+    """Hooks that measure the crash rate for a test with ``@pafot.rate``, and fail the test if the rate is too high."""
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """Parametrize the function with its rate, if it has a parameter for it."""
+        """Parametrize a marked test function with a placeholder for the rate, if it has the parameter ``rate``."""
         if metafunc.definition.get_closest_marker(RATE_MARK) is not None and RATE_ARG in metafunc.fixturenames:
             metafunc.parametrize(RATE_ARG, [pytest.param(None, id=RATE_ARG)])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
-        """Drive the episodes, then call the test function."""
+        """Drive the episodes of a marked test, then call the test function."""
         mark = pyfuncitem.get_closest_marker(RATE_MARK)
         if mark is None:
             return None

@@ -1,4 +1,4 @@
-"""The item of a saved scenario: one replay, whose failure reaches pytest unchanged."""
+"""The item of a saved scenario: it runs one replay, and passes an exception of the test function on to pytest."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 
 REPLAYED = pytest.StashKey[tuple[str, Run | None, Verdict | None]]()
-"""The label, run and verdict of a replay, for other plugins; no run and verdict if its process died or hung."""
+"""The label, run and verdict of a replay, for other plugins. Run and verdict are None if its process died or hung."""
 
 
 def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
@@ -92,7 +92,10 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
 def _conclude_lost(
     item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, lost: LostRun, beside: str
 ) -> NoReturn:
-    """Fail an item whose process died or hung; ``beside`` is its label in a comparison with a reference, or empty."""
+    """Fail an item whose process died or hung.
+
+    ``beside`` is the item's label in a comparison with a reference; empty without a reference.
+    """
     __tracebackhide__ = True
     path = relative(saved.path, replays.harness.root)
     was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
@@ -133,7 +136,7 @@ def _tell(  # noqa: PLR0913  (the fields of a record)
     verdict: Verdict | None = None,
     worse: str = "",
 ) -> None:
-    """Report a replay to the controller; the verdict is None if its process died or hung."""
+    """Report a replay to the controller. The verdict is None if the process of the replay died or hung."""
     path, finding = relative(saved.path, replays.harness.root), saved.finding
     against, worse = replays.harness.against_name, f"{saved.id} {worse}" if worse else ""
     summary = ReplaySummary(node_id=item.nodeid, label=label, detail=detail, against=against, worse=worse)
@@ -149,8 +152,8 @@ def _tell(  # noqa: PLR0913  (the fields of a record)
             summary = replace(summary, id=finding.id, severity=severity, responsible=responsible)
         if finding.xfail is not None and not finding.is_accepted(today):
             over = (
-                f"{path}: accepted ({finding.accepted}), but that day is over: mend the failure, write a later day, or "
-                "remove the line"
+                f"{path}: accepted ({finding.accepted}), but that day is over: correct the failure, write a later day, "
+                "or remove the line"
             )
             messages.send(item, "warning", {"text": over})
         tell_finding(

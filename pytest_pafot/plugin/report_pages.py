@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def page_messages_of(item: pytest.Item, settings: Settings) -> PageMessages | None:
-    """Return the sender of what a page shows of an item; None if no page is requested."""
+    """Return the sender of an item's content for the report page; None if no page is requested."""
     if settings.report is None and not _has_rows(item.config):
         return None
     from pytest_pafot.plugin.page_messages import PageMessages  # noqa: PLC0415
@@ -36,7 +36,7 @@ def page_messages_of(item: pytest.Item, settings: Settings) -> PageMessages | No
 
 
 class Pages:
-    """Hooks that gather the content of pages, only on the controller."""
+    """Hooks that collect the content of report pages and write the pages, only on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -50,7 +50,7 @@ class Pages:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Store what items send; add it to the row of an ordinary report."""
+        """Store what items send for the page; add a picture to an item's row in the report of pytest-html."""
         message = messages.received(report)
         if message is not None:
             if message.kind == messages.PAGE:
@@ -68,7 +68,7 @@ class Pages:
             report.extras = [*getattr(report, "extras", ()), row]  # type: ignore[attr-defined]
 
     def pytest_sessionfinish(self, exitstatus: int) -> None:
-        """Write the pages, even if the session was interrupted."""
+        """Write the report pages, even if the session was interrupted."""
         lines = self._config.stash[SUMMARY_LINES]
         for path, draft in self._drafts.items():
             with lines.faults(f"--pafot-report={draft.target}: not written"):
@@ -124,7 +124,7 @@ class Pages:
         return write_report(draft.target, path, report)
 
     def _completed(self, finding: FindingView) -> FindingView:
-        """Return a finding with the number of runs and the label, which are known only at the end of its search."""
+        """Return a finding with its number of runs and its label, which are known only at the end of its search."""
         node_id = finding.node_id
         runs, label = self._runs.get(node_id, finding.runs), self._labels.get(node_id, finding.label)
         return replace(finding, runs=runs, label=label)

@@ -1,7 +1,7 @@
 """``--pafot-table``: all runs of a session's searches in one file, written by the controller.
 
-A CSV file grows with each generation, so a session that is killed leaves its runs. At the end, the rows are sorted by
-test and run, however many workers there were.
+A CSV file grows with each generation, so a killed session leaves the runs so far. At the end, the rows are sorted by
+test and run, so their order does not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class TableMessages:
 
 
 class Tables:
-    """Hooks that write the file, only on the controller."""
+    """Hooks that write the table of runs, only on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -76,7 +76,7 @@ class Tables:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Store the rows that a search sends."""
+        """Write or store the rows that a search sends."""
         message = messages.received(report)
         if message is None or message.kind != "runs":
             return
@@ -87,7 +87,7 @@ class Tables:
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self) -> None:
-        """Sort the rows, even if the session was interrupted."""
+        """Sort the rows of the file, even if the session was interrupted."""
         lines = self._config.stash[SUMMARY_LINES]
         if not self._problem:
             self._finish()
@@ -131,7 +131,7 @@ class Tables:
     def _fail(self, error: OSError) -> None:
         from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
-        self._problem = f"{error.strerror or error}; {way_out(error, 'or name a different file')}"
+        self._problem = f"{error.strerror or error}; {way_out(error, 'or name another file')}"
 
 
 def _text(rows: list[list[Any]]) -> str:

@@ -1,4 +1,4 @@
-"""The item of a search: a campaign whose events become messages of the item, and whose new findings fail it."""
+"""The item of a search: it runs a campaign, sends the events as messages, and fails if there are new findings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
-"""Folders of saved scenarios in which this session has already removed the unfinished files of killed processes."""
+"""The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
 
 IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in several processes already"
 
@@ -56,10 +56,12 @@ DRAWS = (
 
 
 def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) -> Harness:
-    """Return the harness of an item whose fixtures are set up; ``writes`` is True if it may save scenarios.
+    """Return the harness for a marked item, after its fixtures are set up.
+
+    ``writes`` is True if the item may save scenarios.
 
     Raises:
-        RequestError: if the value of a fixture cannot be used, or if it would write behind a link.
+        RequestError: if the value of a fixture cannot be used, or if scenarios would be saved behind a link.
     """
     world = build_world(request, item.funcargs[WORLD_FIXTURE])
     name, root = node_ids.qualified_name(item), item.config.rootpath
@@ -106,11 +108,11 @@ def _checked_executor(given: object) -> Executor | None:
 
 
 def bound_test(item: pytest.Function, arg: str) -> Test:
-    """Return a function that calls the test function with its fixtures, as pytest does, and with a run as its argument.
+    """Return a function of a run that calls the test function with that run and with its fixtures, as pytest does.
 
     Raises:
-        RequestError: for a fixture that collects failures instead of raising them. The returned function raises it for
-            failures that pytest-check has collected.
+        RequestError: if the test uses a fixture that collects failures instead of raising them. The returned function
+            raises it if pytest-check has collected failures.
     """
     for name, value in item.funcargs.items():
         if isinstance(value, pytest.Subtests) or type(value).__module__.partition(".")[0] == "pytest_subtests":
@@ -130,7 +132,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
 
 
 def run_search(item: pytest.Function, request: Request) -> None:
-    """Search, and fail the item if there is a new finding, or if nothing was tested."""
+    """Run the search of an item. Fail the item if there is a new finding, or if nothing was tested."""
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
     harness = harness_of(item, request)
@@ -176,9 +178,10 @@ def run_search(item: pytest.Function, request: Request) -> None:
 
 
 def searches_left(item: pytest.Item) -> int:
-    """Return how many searches this process still has to run, including the item's.
+    """Return how many searches this process still has to run, including the search of this item.
 
-    A worker of pytest-xdist does not know which searches the other workers run. It assumes an equal share for each.
+    A worker of pytest-xdist does not know which searches the other workers will run. It assumes an equal share for each
+    worker.
     """
     searches = sum(map(is_search, item.session.items))
     workers: int = getattr(item.config, "workerinput", {}).get("workercount", 1)
@@ -187,14 +190,14 @@ def searches_left(item: pytest.Item) -> int:
 
 
 def shown(exception: BaseException) -> BaseException:
-    """Return the exception that pytest should print: for a plain failure its text without a traceback."""
+    """Return the exception to raise for pytest; for a :class:`PlainFailure`, a failure without a traceback."""
     is_plain = isinstance(exception, PlainFailure)
     return pytest.fail.Exception(str(exception), pytrace=False) if is_plain else exception
 
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """A listener that sends events of a search as messages, and passes them to a page and a table, if requested."""
+    """A listener that sends the events of a search as messages; also to the report page and the table, if requested."""
 
     item: pytest.Function
     page: Listener | None
@@ -261,9 +264,9 @@ class SearchMessages:
 
 
 def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
-    """Return the serialised report of a new finding, as the item that it will be in the next session.
+    """Return the serialised failure report of a new finding, under the node id that will replay it in the next session.
 
-    pytest's own hooks make it, so marks of the function, such as xfail, apply to it.
+    pytest's own hooks make the report, so marks of the test function, such as xfail, apply to it.
     """
 
     def fail() -> None:
@@ -290,6 +293,7 @@ def _fail(item: pytest.Function, what: str, why: Sequence[str]) -> None:
 
 def _no_collecting(what: str) -> str:
     return (
-        f"expected a test function that raises at its first failure, received one with {what}, which collects failures "
-        "and lets the function end as if it had passed; write `assert ...`, and a separate test for each property"
+        f"expected a test function that raises at its first failure, received a function with {what}, which collects "
+        "failures and lets the function end as if it had passed; write `assert ...`, and a separate test for each "
+        "property"
     )

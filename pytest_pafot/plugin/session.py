@@ -1,4 +1,4 @@
-"""Values of the whole session, which are the same in the controller and in each worker of pytest-xdist."""
+"""Values of the whole session, which the controller and all workers of pytest-xdist share."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ HERE = "PAFOT_REPLAY_HERE"
 
 
 def terminal_width() -> int:
-    """Return the number of columns of the terminal, as pytest counts them."""
+    """Return the width of the terminal in columns, as pytest determines it."""
     columns = shutil.get_terminal_size((80, 24)).columns
     return columns if columns >= 40 else 80
 
 
 @dataclass(slots=True, kw_only=True)
 class Shared:
-    """Values that the controller chooses and every worker uses; the defaults are those of a session that begins now."""
+    """Values that the controller chooses and every worker uses. The defaults are for a session that begins now."""
 
     fresh_seed: int = field(default_factory=lambda: int.from_bytes(os.urandom(4), "big"))  # base seed if none is given
     progress_seconds: float = field(default_factory=lambda: LOG_SECONDS)  # interval between reports of progress [s]
@@ -58,7 +58,7 @@ class Shared:
 
 @dataclass(frozen=True, slots=True)
 class SummaryLines:
-    """Lines for the summary of the session, on the controller."""
+    """Lines for the summary of the session, which the controller collects."""
 
     problems: list[str] = field(default_factory=list)  # anything that went wrong outside of the tests
     reports: list[str] = field(default_factory=list)  # the files that were written
@@ -66,9 +66,10 @@ class SummaryLines:
 
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:
-        """Report an error in some work at the end of a session as a problem; pytest would lose all failures by it.
+        """Report an error in this context as a problem; at the end of a session, pytest would lose all failures by it.
 
-        ``work`` names the work in a few words. An interrupt ends only the work: the session is ending anyway.
+        ``work`` names in a few words what is done in the context. An interrupt ends only that, since the session is
+        ending anyway.
         """
         try:
             yield
@@ -81,7 +82,7 @@ SUMMARY_LINES = pytest.StashKey[SummaryLines]()
 
 
 def base_line(config: pytest.Config) -> str:
-    """Return one line with the default profile and base seed of searches; empty if no search runs."""
+    """Return a line with the profile and the base seed of searches without arguments; empty if no search runs."""
     try:
         settings = resolve(config, {}, config.stash[SHARED].fresh_seed)
     except OptionError as error:
@@ -92,9 +93,9 @@ def base_line(config: pytest.Config) -> str:
 
 
 def records_folder(item: pytest.Item, settings: Settings) -> Path:
-    """Return a folder in pytest's cache, which is not committed; the corpus if there is no cache.
+    """Return the folder for an item's crash records: in pytest's cache, or in the corpus if there is no cache.
 
-    If a link is on the way, return the link, which is later refused as a folder of records.
+    If the path leads through a link, return the link, which is later refused as a folder of records.
     """
     cached = _cached_folder(item.config)
     if cached is not None:
@@ -104,7 +105,7 @@ def records_folder(item: pytest.Item, settings: Settings) -> Path:
 
 
 def misspelt(environ: Mapping[str, str]) -> list[str]:
-    """Report variables whose name is similar to one that is read; all other names may be the user's own."""
+    """Return warnings about environment variables whose name is similar to the variable of an option."""
     read = [*(option.variable for option in OPTIONS if option.everywhere), HERE, "PAFOT_KERNEL"]
     # Compared without the common prefix, which would make any two names similar
     known = {name.removeprefix("PAFOT_"): name for name in read}
@@ -119,7 +120,7 @@ def misspelt(environ: Mapping[str, str]) -> list[str]:
 
 
 def unclaimed(config: pytest.Config) -> list[str]:
-    """Report records left by processes that died, if no test of this session has processed them."""
+    """Return warnings about the records of processes that died, if no test of this session has processed them."""
     folder = _cached_folder(config)
     if folder is None:
         return []
@@ -145,9 +146,9 @@ def unclaimed(config: pytest.Config) -> list[str]:
 
 
 def refused_output(config: pytest.Config, name: str, folder: Path) -> str:
-    """Return why an output is not written, or an empty text.
+    """Return why an output file must not be written to a folder; empty if it may be written.
 
-    A relative path that leads through a link is refused, since a link may come with a checkout.
+    A relative path that leads through a link is refused, since the link may be part of a checkout.
     """
     link = None if os.path.isabs(name) else link_below(config.rootpath, folder)  # noqa: PTH117  (a text of the user)
     return "" if link is None else refusal(link)
@@ -175,7 +176,7 @@ def is_worker(config: pytest.Config) -> bool:
 
 
 def shared_by_controller(config: pytest.Config) -> Shared:
-    """Return the values that the controller of this worker has chosen."""
+    """Return the shared values in a worker, as its controller chose them."""
     # Both processes share only the wall clock. If it was set back since, the session begins now.
     values = config.workerinput[KEY]  # type: ignore[attr-defined]
     return Shared(**values | {"began": time.monotonic() - max(0.0, time.time() - values["began"])})
@@ -186,13 +187,13 @@ class Controller:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: Any) -> None:
-        """Pass the shared values to a worker, as plain data."""
+        """Pass the shared values to a new worker, as plain data."""
         shared = node.config.stash[SHARED]
         node.workerinput[KEY] = asdict(shared) | {"began": time.time() - (time.monotonic() - shared.began)}
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
-        """Remember which saved scenarios the first workers collected."""
+        """Store which saved scenarios the first workers collected, so that later workers collect the same."""
         shared = node.config.stash[SHARED]
         if shared.frozen is None:
             # Under --dist=loadgroup the name of the group is appended.
@@ -201,7 +202,7 @@ class Controller:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
-        """Store the saved scenarios that a worker collected and that no item runs."""
+        """Store what an ended worker reports: the saved scenarios that no item runs."""
         told = getattr(node, "workeroutput", {}).get(KEY)
         if told is None:  # It died.
             return
@@ -218,8 +219,8 @@ class Worker:
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Pass the saved scenarios that no item runs to the controller.
 
-        They are JSON in ASCII, because file names may contain bytes that are not valid characters. pytest-xdist cannot
-        send such a text: it would replace the worker, and the new one would fail in the same way.
+        They are sent as JSON in ASCII, because file names may contain bytes that are not valid characters. pytest-xdist
+        cannot send such a text: it would replace the worker, and the new worker would fail in the same way.
         """
         unrun = session.config.stash[UNRUN]
         orphans = {str(folder): orphan for folder, orphan in unrun.orphans.items()}
@@ -231,7 +232,7 @@ class Header:
     """The hook that adds a line to the header of a verbose session."""
 
     def pytest_report_header(self) -> str:
-        """Return whether the kernel runs compiled, without importing it."""
+        """Return a line that says whether the simulation kernel is compiled; the kernel is not imported for that."""
         if not any((KERNEL / f"loop{suffix}").exists() for suffix in EXTENSION_SUFFIXES):
             return "pafot: kernel interpreted (not compiled at installation)"
         if os.environ.get("PAFOT_KERNEL") == "interpreted":

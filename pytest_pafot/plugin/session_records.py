@@ -1,7 +1,7 @@
 """``--pafot-json`` and the summary of a CI job, which the controller writes from the messages of items.
 
-The JSON file is written at the beginning of the session and again with each new finding. A session that is killed
-leaves its own findings, never the file of an earlier session.
+The JSON file is written at the beginning of the session and again with each new finding. So a killed session leaves
+its own findings, never the file of an earlier session.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
 JSON = BY_NAME["json"]
 SUMMARY = "GITHUB_STEP_SUMMARY"
-"""The environment variable that names the file for the summary of a step on GitHub."""
+"""The environment variable in which GitHub Actions names the file for the summary of a step."""
 
 
 def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
-    """Return whether a record is requested; never in a session that only replays a file for a different session."""
+    """Return whether ``--pafot-json`` or a CI job requests a record; False if the session replays for another one."""
     is_wanted = bool(config.getoption(JSON.key) or environ.get(SUMMARY))
     return is_wanted and not environ.get(HERE) and not config.getoption("collectonly", False)
 
@@ -41,10 +41,14 @@ def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
 def tell_finding(
     item: pytest.Item, finding: Finding, *, file: str | None, again: Sequence[str] = (), **told: Any
 ) -> None:
-    """Send a finding to the controller, if a record is requested.
+    """Send a finding to the controller, if a record of the session is requested.
 
-    ``told`` are attributes of its record. A finding without a file can only be reproduced by its search, with the
-    options ``again``.
+    Args:
+        item: the item that found or replayed it.
+        finding: the finding.
+        file: the path of its file; None if there is no file.
+        again: the options that repeat the search, which alone can reproduce a finding without a file.
+        told: further attributes of the finding's record.
     """
     if not is_asked_for(item.config, os.environ):
         return
@@ -55,7 +59,7 @@ def tell_finding(
 
 
 class Records:
-    """Hooks that gather the messages of items and their results."""
+    """Hooks that collect the messages and results of items, and write the record of the session."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -70,7 +74,7 @@ class Records:
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
-        """Replace the file of an earlier session by the record of a session that has not ended."""
+        """Replace the JSON file of an earlier session by the record of this session, which has not ended."""
         self._write_json(None)
 
     @pytest.hookimpl(tryfirst=True)
@@ -99,7 +103,7 @@ class Records:
                 with Path(path).open("a", encoding="utf-8") as file:
                     file.write(text)
             except OSError as error:
-                fix = way_out(error, "or name a different file")
+                fix = way_out(error, "or name another file")
                 self._lines.problems.append(f"{SUMMARY}={path}: not written: {error.strerror or error}; {fix}")
 
     def _take(self, node_id: str, message: messages.Message) -> None:
@@ -128,7 +132,7 @@ class Records:
                 self._texts[kind].append(f"{data['text']}")
 
     def _take_phase(self, report: pytest.TestReport) -> None:
-        """Store the result of a phase; a saved scenario that failed without a message could not be read or run."""
+        """Store the result of a phase. A saved scenario that failed without a message could not be read or run."""
         if SEARCH_MARK not in report.keywords:
             return
         if report.when == "call" or not report.passed:  # A setup that passed is not yet a result.
@@ -183,7 +187,7 @@ class Records:
         )
 
     def _orphans(self) -> list[OrphanRecord]:
-        """Return the folders of saved scenarios whose test is gone, without those that were pruned."""
+        """Return records of the folders whose test is gone, except folders that were removed with ``--pafot-prune``."""
         from pytest_pafot.report.session_record import OrphanRecord  # noqa: PLC0415
 
         left = ((folder, each, len(files_in(folder))) for folder, each in self._config.stash[UNRUN].orphans.items())
@@ -215,7 +219,7 @@ class Records:
             write_whole(path, to_text(self._record(code)))
         except OSError as error:
             if code is not None:  # reported once, at the end
-                fix = way_out(error, "or name a different file")
+                fix = way_out(error, "or name another file")
                 self._lines.problems.append(f"{JSON.flag}={self._file}: not written: {error.strerror or error}; {fix}")
             return
         if code is not None:
@@ -223,7 +227,7 @@ class Records:
 
 
 def _result(report: pytest.TestReport) -> str:
-    """Return the result of a phase."""
+    """Return the result of a phase from its report: ``passed``, ``skipped``, ``xfailed``, ``failed`` or ``error``."""
     if report.failed:
         return "failed" if report.when == "call" else "error"
     if report.skipped:

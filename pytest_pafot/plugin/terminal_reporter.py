@@ -1,4 +1,4 @@
-"""The controller's side, which turns messages of items into live progress, reports of findings, and the summary."""
+"""The output of the controller: live progress, reports of findings, and the summary, from the messages of items."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from pytest_pafot.report import terminal
 
 FAILING = ("still failing", "introduced", "common")
-"""The labels of replays that fail as their files describe."""
+"""The labels of replays that show the failure that their file describes."""
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
 
 
 class LiveTerminal:
-    """The output while tests run: lines, and on a terminal one line of progress that is overwritten."""
+    """The output while tests run: permanent lines, and on a terminal a line of progress that is overwritten."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -51,14 +51,14 @@ class LiveTerminal:
 
     @property
     def rewrites(self) -> bool:
-        """True if the line of progress can be overwritten: on a terminal, with one item at a time."""
+        """True if the line of progress can be overwritten: on a terminal, and if items do not run in parallel."""
         if self._writer is None or self.is_parallel:
             return False
         is_terminal = self._writer.isatty  # a value in earlier versions of pytest, a method in later ones
         return bool(is_terminal() if callable(is_terminal) else is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
-        """Write a line of progress; ``line`` makes it for a width in columns."""
+        """Write a line of progress. ``line`` is a function that makes the line for a width in columns."""
         if self._config.get_verbosity() < 0:
             return
         if not self.rewrites:
@@ -80,7 +80,7 @@ class LiveTerminal:
         self._has_line = False
 
     def write(self, lines: Iterable[str]) -> None:
-        """Write permanent lines."""
+        """Write lines that stay on the terminal, after the line of progress is removed."""
         if self._writer is None:
             return
         with uncaptured(self._config):
@@ -94,7 +94,7 @@ class LiveTerminal:
 
 
 class Reporter:
-    """Hooks that gather and report the messages of items, only on the controller."""
+    """Hooks that collect and report the messages of items, only on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -112,7 +112,7 @@ class Reporter:
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
-        """Store the session, and choose how often progress is reported."""
+        """Store the session, and choose the interval between reports of progress."""
         self._session = session
         if self._live.rewrites:
             self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
@@ -132,7 +132,7 @@ class Reporter:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
-        """Return the label of a replay that passes, which ``-v`` prints."""
+        """Return how pytest counts and prints a replay that passes; ``-v`` prints its label, such as ``fixed``."""
         if report.when != "call" or hasattr(report, "wasxfail"):
             return None
         label = dict(report.user_properties).get("pafot")
@@ -140,7 +140,7 @@ class Reporter:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
-        """Report the remaining findings, and prune orphans if requested."""
+        """Report findings that are not reported yet, and remove orphans if ``--pafot-prune`` requests it."""
         self._live.erase_progress()
         # After an interrupt or the death of a worker, a search with new findings has had no teardown.
         for node_id in list(self._pending):
@@ -164,7 +164,7 @@ class Reporter:
                 self._lines.problems.extend(failures)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
-        """Write one section for searches, replays, orphans and problems."""
+        """Write the plugin's section of the summary: searches, replays, orphans and problems."""
         own = SummaryLines()
         with own.faults("summary of pytest-pafot"):
             lines = self._summary()
@@ -202,7 +202,7 @@ class Reporter:
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)
 
     def _take(self, report: pytest.TestReport, message: Message) -> None:
-        """Process a message; a separate plugin processes the messages of pages."""
+        """Process a message of an item. Messages for the report page are left to a separate plugin."""
         from pytest_pafot.campaign.events import Progress, SearchSummary  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
         from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
@@ -244,7 +244,7 @@ class Reporter:
             self._live.write(data["lines"])
 
     def _expand(self, search_id: str) -> None:
-        """Report the findings of a search as the items that they will be in the next session, the worst first."""
+        """Report the findings of a search, the worst first, as the items that will replay them in the next session."""
         pending = sorted(self._pending.pop(search_id, {}).items(), key=lambda each: each[1][2])
         for node_id, (data, node, _) in pending:
             self._expanded.add(node_id)
@@ -261,7 +261,7 @@ class Reporter:
 
 
 def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
-    """Return a context in which output of a running test reaches the terminal, and is not captured by pytest."""
+    """Return a context in which output reaches the terminal during a test, because pytest does not capture it."""
     manager = config.pluginmanager.get_plugin("capturemanager")
     silent: AbstractContextManager[None] = nullcontext() if manager is None else manager.global_and_fixture_disabled()
     return silent

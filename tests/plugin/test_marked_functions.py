@@ -31,7 +31,7 @@ def test_other_THROUGH(THROUGH):
     project.write(indirectly + "".join(source.replace("THROUGH", each) for each in ("subtests", "indirectly")))
     result = project.run()
     result.assert_outcomes(failed=2, passed=2)
-    told = "*received one with the fixture '*', which collects failures*write `assert ...`*"
+    told = "*received a function with the fixture '*', which collects failures*write `assert ...`*"
     for each in ("subtests", "indirectly"):
         pytest.LineMatcher(section(result, f"test_parts_{each}").splitlines()).fnmatch_lines([told])
     assert project.files == []
@@ -51,7 +51,7 @@ def test_failures_collected_by_pytest_check_fail_the_search(project):
     project.write(test.replace("LEAST", "99"))
     result = project.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*received one with pytest-check, which collects failures*"])
+    result.stdout.fnmatch_lines(["*received a function with pytest-check, which collects failures*"])
 
 
 def test_unsuitable_function_is_one_error_and_others_run(project):
@@ -92,7 +92,7 @@ def test_other():
     result = project.run()
     result.assert_outcomes(errors=7, passed=1)
     told = {
-        "test_async": "*expected a plain function, received an async one*write `def`*",
+        "test_async": "*expected a plain function, received an async function*write `def`*",
         "TestCase.test_method": "*received a method of the unittest.TestCase TestCase*",
         "test_nothing": "expected a parameter 'run'*name it, as in `def test_nothing(run)`",
         "test_misspelt": "*expected a parameter 'rnu'*received the parameters (run); correct @pafot.search(arg=...)",
@@ -230,7 +230,7 @@ def test_missing_ads_fixture_suggests_a_similar_name(project, monkeypatch):
             "the fixture 'adss' that gives the ADS factory was not found; did you",
             "  mean 'ads'[?]",
             "    def adss():",
-            'Or name a different fixture with @pafot.search(ads="..."), or give a',
+            'Or name another fixture with @pafot.search(ads="..."), or give a',
             "  factory: @pafot.search(ads=MyPlanner).",
         ]
     )

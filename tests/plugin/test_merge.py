@@ -199,4 +199,4 @@ def test_corpora_of_several_folders_need_their_parent_folder(project):
 def test_a_folder_that_is_none_is_refused(failing):
     result = merge(failing, "nowhere")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["*--pafot-merge: expected the folder of a corpus, received *nowhere, not a folder"])
+    result.stderr.fnmatch_lines(["*--pafot-merge: expected the folder of a corpus, received *, which is no folder"])

@@ -88,7 +88,7 @@ def test_accepted_file_that_passes_fails_until_line_removed(saved):
 
 
 UNTIL = 'xfail: {reason: "planner issue 12", until: 2027-01-31}'
-OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day is over: mend *"
+OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day is over: correct *"
 
 
 def test_xfail_is_valid_through_its_last_day(saved):
@@ -135,7 +135,7 @@ def test_a_wrong_last_day_fails_its_one_item(saved):
 def test_invalid_today_on_command_line_is_refused(saved):
     result = saved.run("--pafot-today=31.1.2027", generations=0)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["*--pafot-today: expected a day of the calendar, as 2027-01-31, received '31.1.2027'"])
+    result.stderr.fnmatch_lines(["*--pafot-today: expected a day of the calendar, such as 2027-01-31, received '31.1.2027'"])
 
 
 def test_failure_whose_saved_files_pass_is_new_again(saved):

@@ -181,7 +181,7 @@ def test_second_session_with_the_same_state_is_refused(project, monkeypatch):
     (state,) = project.path.glob("states/*")
     told = (project.path / "inner.txt").read_text()
     assert f"{state.name}: expected a search that no other session runs now, received one that is running" in told
-    assert "wait until that session has ended, or give a different folder with --pafot-resume" in told
+    assert "wait until that session has ended, or give another folder with --pafot-resume" in told
     assert simulated(state) == 8
 
 
