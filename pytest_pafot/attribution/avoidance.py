@@ -1,8 +1,9 @@
-"""Computed braking of a driver, to see whether it would have avoided a collision with the other as recorded.
+"""Computation of a driver that brakes, to see whether braking would have avoided a recorded collision.
 
-Braking is the proper response to a vehicle ahead (Shalev-Shwartz et al. 2017). The responder keeps its line. It moves
-as
-in the world: in each step with the speed at its beginning.
+Braking is the proper response to a vehicle ahead (Shalev-Shwartz et al. 2017). The vehicle behind is the *responder*,
+the vehicle ahead is the *other*. The other moves as recorded. The responder stays on its recorded path and brakes there
+like a *reference*, a driver that responds properly. In each step it moves with the speed at the beginning of the step,
+as in the simulation.
 """
 
 from __future__ import annotations
@@ -20,22 +21,23 @@ Direction = tuple[FloatArray, FloatArray]
 """The cosine and sine of an angle, tick by tick."""
 
 DRAWS_AWAY = 2.0
-"""The gain in speed of the other from which on no braking is needed to restore the headway [m/s]."""
+"""If the vehicle ahead is at least this much faster, no braking is needed to restore the headway [m/s]."""
 
 HORIZON = 12.0
-"""The time for which the two are followed after the impact [s]; the calmest braking to a standstill takes less."""
+"""The longest time after the impact for which both vehicles are simulated [s]; the calmest braking to a standstill
+takes less."""
 
 ALIKE = 0.1
-"""A vehicle that drove at most this much faster than the reference has responded like it [m/s]."""
+"""A vehicle that was at most this much faster than the reference has responded like the reference [m/s]."""
 SPED_UP = 0.3
-"""A smaller gain in speed does not count as speeding up [m/s]."""
+"""The least gain in speed that counts as speeding up [m/s]."""
 HARDEST = 6.0
 """The hardest braking that the rules require of any vehicle [m/s^2], from UN R157, 5.2.5.2."""
 MARGIN = 0.2
-"""A vehicle that is no faster than the reference at the impact, and at most this much further ahead, has responded; in
-seconds of its driving [s]."""
+"""A vehicle that is no faster than the reference at the impact has responded if it is at most this far ahead of the
+reference, as a time at its speed [s]."""
 NEARLY = 0.5
-"""The speed by which a vehicle that has responded to a cut-in may exceed the reference's at the impact [m/s]."""
+"""A vehicle has responded to a cut-in if it is at most this much faster than the reference at the impact [m/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,11 +45,13 @@ class Braking:
     """A driver's response by braking.
 
     Attributes:
-        delay: time from the moment that requires a response until the brakes have acted for a tick [s]. That tick is
-            included, so that a collision that the safe distance of RSS excludes is avoided in steps of time, too.
-        deceleration: deceleration from then on, while faster than the other or nearer than the headway [m/s^2].
+        delay: time from the moment that requires a response until the brakes have acted for one tick [s]. The tick is
+            included because time passes in steps here; otherwise braking at the safe distance of RSS could come too
+            late.
+        deceleration: deceleration after the delay, while the driver is faster than the vehicle ahead or nearer to it
+            than the headway [m/s^2].
         perception: first part of the delay, in which the driver may continue to speed up [s].
-        headway: headway that the driver restores [s].
+        headway: headway to the vehicle ahead that the driver restores [s].
     """
 
     delay: float
@@ -61,10 +65,10 @@ class Emergency:
     """An emergency, in which calm braking is no longer the proper response.
 
     Attributes:
-        time_to_contact: time to contact at constant speeds below which it is an emergency [s].
-        leader_braking: braking of the leader above which it is an emergency [m/s^2].
-        perception: time that it must last to be perceived [s].
-        braking: response, until the two no longer close in.
+        time_to_contact: time to contact at constant speeds below which there is an emergency [s].
+        leader_braking: braking of the vehicle ahead above which there is an emergency [m/s^2].
+        perception: time for which one of these two criteria must hold before the driver perceives the emergency [s].
+        braking: response of the driver until it is no faster than the vehicle ahead.
     """
 
     time_to_contact: float
@@ -75,17 +79,17 @@ class Emergency:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pursuit:
-    """A responder and the vehicle ahead of it, from the start of a run to their contact at, or after, the last tick.
+    """A vehicle, the responder, and the vehicle ahead of it, the other, up to their contact at the end of a run.
 
     All arrays have the shape [ticks + 1].
 
     Attributes:
         ahead, right: offset of the other's centre from the responder's, along and across the road [m].
-        directions: cosine and sine of the angle to the road, of the responder and of the other.
-        speeds: speeds along the road, of the responder and of the other [m/s].
-        sizes: lengths and widths, of the responder and of the other [m].
+        directions: cosine and sine of the angle to the road, for the responder and for the other.
+        speeds: speeds along the road of the responder and of the other [m/s].
+        sizes: lengths and widths of the responder and of the other [m].
         hz: ticks per second.
-        goes_on: whether the other continues to brake after the last tick if it brakes then.
+        goes_on: whether the other would continue to brake after the last tick if it brakes at that tick.
     """
 
     ahead: FloatArray
@@ -99,18 +103,21 @@ class Pursuit:
     def avoided_from(
         self, since: int, response: Braking, emergency: Emergency | None = None, spare: float = 0.0
     ) -> int | None:
-        """Return the tick from which on a response would have avoided the contact; None if it would not have.
+        """Return the tick from which on a response would have avoided the contact; None if none would have.
 
-        That is the tick from which on there is something to respond to. If the reference restores its headway, it may
-        be a later tick up to which the responder has responded: the last one, after the response was due, at which it
-        was no faster than the other, and so far no faster than the reference.
+        The tick is ``since``, except if the response restores a headway and the responder did respond for a while: then
+        it is the last tick, after the response was due, at which the responder was no faster than the other and had
+        never been faster than the reference.
 
-        Until the impact the other moves as recorded, and the boxes are turned as recorded. After it, the other is ahead
-        in one lane and keeps its speed or its braking. The responder is followed until it is no faster, at most 12 s. A
-        responder that drove no faster than the reference has responded, whatever the result. So has one that is no
-        faster at the impact and hardly further ahead.
+        Until the impact, the other moves and the boxes are turned as recorded. After the impact, the other is ahead in
+        the same lane and keeps its speed or its braking. The simulation ends when the responder is no faster than the
+        other, at most 12 s later. The result is also None if the responder has responded: if it was never faster than
+        the reference, or if it was no faster at the impact and hardly further ahead.
 
         Args:
+            since: tick from which on the responder has to respond.
+            response: proper response.
+            emergency: emergency in which the proper response is harder; None for no such case.
             spare: additional delay with which the response must still avoid the contact [s].
         """
         end = len(self.ahead) - 1
@@ -132,21 +139,24 @@ class Pursuit:
         return None if is_hit else since
 
     def is_no_further(self, since: int, response: Braking, emergency: Emergency) -> bool:
-        """Return whether the responder is no further ahead at the impact than after a response from a tick on."""
+        """Return whether the responder is no further ahead at the impact than a reference that responds to a tick."""
         end = len(self.ahead) - 1
         return since < end and bool(self._driven(since, response, emergency)[1][end - since] <= 0)
 
     def sped_up(self, since: int) -> int | None:
-        """Return the last tick at which the responder was slowest since a tick; None if it is no faster at the end."""
+        """Return the tick at which the responder began to speed up until the end; None if it did not.
+
+        It is the last tick at which the responder was as slow as it had been so far since the tick ``since``.
+        """
         recorded = self.speeds[0][since:]
         if len(recorded) < 2 or recorded[-1] <= recorded.min() + SPED_UP:
             return None
         return since + last_slowest(recorded)
 
     def stays_off_unless_faster(self, since: int) -> bool:
-        """Return whether the responder would have avoided the other if it had never sped up since a tick.
+        """Return whether the responder would have avoided the other if it had not sped up after the tick ``since``.
 
-        It must also have been able to slow down to the other's speed at the impact.
+        In that case, its gap at the impact must also have sufficed to slow down to the other's speed.
         """
         end = len(self.ahead) - 1
         recorded = self.speeds[0][since:]
@@ -157,9 +167,10 @@ class Pursuit:
         return not is_hit and bool(self._gaps[-1] + lost[-1] > closing**2 / (2 * HARDEST))
 
     def _driven(self, since: int, response: Braking, emergency: Emergency | None) -> tuple[FloatArray, FloatArray]:
-        """Return the speeds of the reference [m/s], and how far it is behind the recorded place [m], tick by tick.
+        """Return the speeds of the reference [m/s], and its distances behind the responder's recorded places [m].
 
-        Until its response is due it drives as recorded, but never speeds up after it has perceived the danger.
+        The reference drives as recorded until its response is due, but does not speed up after it has perceived the
+        danger. After the impact, the distances are relative to the other.
         """
         hz, gaps, recorded, other = self.hz, self._gaps[since:], self._lists[0][since:], self._lists[1][since:]
         end, perceives, due = len(recorded) - 1, round(response.perception * hz), round(response.delay * hz)
@@ -187,24 +198,24 @@ class Pursuit:
 
     @cached_property
     def _gaps(self) -> list[float]:
-        """The gap between the boxes as if they were straight [m]."""
+        """The gap between the boxes at each tick, as if both pointed along the road [m]."""
         gaps: list[float] = (self.ahead - (self.sizes[0][0] + self.sizes[1][0]) / 2).tolist()
         return gaps
 
     @cached_property
     def _lists(self) -> tuple[list[float], list[float]]:
-        """The speeds as lists, which are faster to read one by one."""
+        """The speeds as lists, because reading single values of an array is slow."""
         return self.speeds[0].tolist(), self.speeds[1].tolist()
 
     def _is_hit(self, since: int, lost: FloatArray) -> bool:
-        """Return whether the responder, this far behind its recorded places since a tick [m], touches the other."""
+        """Return whether the responder touches the other if it is ``lost`` behind its recorded places [m]."""
         recorded = len(self.ahead) - since
         is_hit = self._touches(slice(since, len(self.ahead)), lost[:recorded])
         # After the impact, lost is relative to the other.
         return is_hit or bool((self._gaps[-1] + lost[recorded:] <= 0).any())
 
     def _touches(self, ticks: slice, lost: FloatArray) -> bool:
-        """Return whether the boxes touch at any tick, with the responder further back [m]."""
+        """Return whether the boxes touch at one of the ticks if the responder is ``lost`` further back [m]."""
         responder, other = self.sizes
         ahead, right = self.ahead[ticks] + lost, self.right[ticks]
         reach = (math.hypot(*responder) + math.hypot(*other)) / 2
@@ -224,18 +235,18 @@ class Pursuit:
 
 
 def last_slowest(speeds: FloatArray) -> int:
-    """Return the last index at which a vehicle is as slow as it has been so far."""
+    """Return the last index at which a speed is the lowest so far."""
     return int(np.flatnonzero(speeds == np.minimum.accumulate(speeds))[-1])
 
 
 def _later(seconds: float, response: Braking, emergency: Emergency | None) -> tuple[Braking, Emergency | None]:
-    """Return responses that begin this much later but perceive at the same time."""
+    """Return responses whose brakes act by some seconds later, with the same time of perception."""
     late = None if emergency is None else replace(emergency, braking=_later(seconds, emergency.braking, None)[0])
     return replace(response, delay=response.delay + seconds), late
 
 
 class Alarm:
-    """An alarm that says at each tick whether a responder brakes for an emergency."""
+    """An alarm that decides at each tick whether a responder brakes for an emergency."""
 
     def __init__(self, pursuit: Pursuit, since: int, emergency: Emergency) -> None:
         hz = pursuit.hz
@@ -248,7 +259,7 @@ class Alarm:
         self._held, self._from = 0, math.inf
 
     def acts(self, tick: int, closing: float, gap: float) -> bool:
-        """Return whether emergency braking acts in the step from a tick, at a closing speed [m/s] and a gap [m]."""
+        """Return whether emergency braking acts in the step after a tick, given closing speed [m/s] and gap [m]."""
         emergency = self._emergency
         is_near = closing > 0 and gap < emergency.time_to_contact * closing
         braking = self._brakings[tick] if tick < len(self._brakings) else self._later

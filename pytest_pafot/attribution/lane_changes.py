@@ -1,6 +1,6 @@
-"""Lane changes: when a vehicle came into another's lane, and since when it has kept that lane.
+"""Lane changes: when a vehicle came into the lane of another vehicle, and since when it has kept that lane.
 
-The centre of a vehicle determines its place across the road and its lane.
+The centre of a vehicle determines the lane that it is in.
 """
 
 from __future__ import annotations
@@ -16,26 +16,27 @@ from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.trace import ACROSS, LANE, OFFSET, FloatArray, Trace, X, Y
 
 DRIFTING = 0.3
-"""The sideways speed towards the other below which a vehicle keeps its place in the lane [m/s]."""
+"""The sideways speed from which on a vehicle moves towards a different lane [m/s]; a slower vehicle only wanders."""
 PAUSE = 0.5
-"""A sideways motion with a shorter pause counts as one motion [s]."""
+"""Sideways motions with a shorter pause between them count as one motion [s]."""
 KEEPING = 0.375
 """The largest offset from the lane's centre at which a vehicle keeps its lane; a larger offset distinguishes a cut-in
 from wandering (UN R157, annex 4, appendix 3) [m]."""
 KEPT_SECONDS = 1.0
-"""The time near the centre after which a vehicle has kept its lane [s]."""
+"""The time near the lane's centre after which a vehicle has kept its lane [s]."""
 BETWEEN_SECONDS = 2.0
-"""The same time for a vehicle that is not so near to the centre, but between the lane's lines [s]."""
+"""The time between the lane's lines after which a vehicle has kept its lane, even if it is not near the centre [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneChange:
-    """One continuous sideways motion of a vehicle (0: the ego) into another's track.
+    """One continuous sideways motion of a vehicle into the track of another vehicle.
 
     Attributes:
-        vehicle: index of the vehicle.
+        vehicle: index of the vehicle; 0 is the ego.
         seen: tick from which on the motion could be distinguished from wandering in the lane.
-        tick: moment of the lane change: the tick from which on the box was over the last lane line that it crossed.
+        tick: moment of the lane change, the tick from which on the vehicle's box was over the last line that it
+            crossed.
         drift: sideways speed at that moment [m/s].
     """
 
@@ -69,18 +70,19 @@ class LanePlaces:
         return np.asarray(offset)
 
     def over_line(self, vehicle: int, side: float, tick: int) -> bool:
-        """Return whether a box reaches over the line of its centre's lane, on one side (1: to the right)."""
+        """Return whether a vehicle's box reaches over the line of its lane on one side (1: right, -1: left)."""
         return bool(self._over[side][vehicle, tick])
 
     @cached_property
     def _over(self) -> dict[float, npt.NDArray[np.bool_]]:
-        """The values of :meth:`over_line` for both sides."""
+        """The values of :meth:`over_line` by side, shape [vehicles, ticks + 1]."""
         return {side: side * self._offsets + self.frame.half_across > self._half_widths for side in (1.0, -1.0)}
 
     def kept_since(self, vehicle: int, tick: int, end: int) -> tuple[int, int] | None:
-        """Return the ticks from which, and by which, a vehicle has kept its lane after a tick; None if it has not.
+        """Return two ticks: a vehicle keeps its lane from the first on, and has kept it for long enough at the second.
 
-        It must be near the lane's centre for a second, or between the lines for two.
+        Long enough is a second near the lane's centre, or two seconds between the lane's lines. None if that does not
+        happen between the ticks ``tick`` and ``end``.
         """
         part = slice(tick, end + 1)
         offset = np.abs(self._offsets[vehicle, part])
@@ -94,7 +96,10 @@ class LanePlaces:
         return min(kept, key=lambda each: each[1], default=None)
 
     def change(self, vehicle: int, other: int, side: float, onset: int) -> LaneChange | None:
-        """Return the lane change to a side (1: right) that put a vehicle into the other's track at a tick, or None."""
+        """Return the lane change that put a vehicle into another's track at the tick ``onset``; None without one.
+
+        ``side`` is 1 for a lane change to the right and -1 for one to the left.
+        """
         began = self._motion(vehicle, side, onset)
         if began is None:
             return None
@@ -113,19 +118,19 @@ class LanePlaces:
         return self._made(vehicle, side, began, moment)
 
     def is_back(self, change: LaneChange, side: float, tick: int) -> bool:
-        """Return whether the vehicle has given up a lane change: its box is again within the lane that it came from."""
+        """Return whether a vehicle has given up a lane change, so that its box is again within its former lane."""
         lanes, over = self._lanes[change.vehicle], self._over[side][change.vehicle]
         return bool(over[change.tick] and not over[tick] and lanes[tick] == lanes[change.tick] and lanes[tick] >= 0)
 
     def moved_in_behind(self, npc: int, side: float, first: int, last: int) -> LaneChange | None:
-        """Return the lane change of an NPC into the ego's lane behind it, while their tracks already overlapped."""
+        """Return an NPC's lane change into the ego's lane, behind the ego, while their tracks overlapped; or None."""
         return self._crossing_after(npc + 1, 0, side, first, last, is_ahead=False)
 
     def moved_over(self, npc: int, first: int, last: int) -> LaneChange | None:
-        """Return the lane change of the one ahead, ego or NPC, into the lane that the other was already in.
+        """Return the lane change of the vehicle ahead, ego or NPC, into the lane of the vehicle behind; None if none.
 
-        The one behind had left their common lane first, so their tracks overlapped all the time. None if there is no
-        such lane change between the ticks.
+        The vehicle behind had left their common lane first, but their tracks overlapped all the time. The lane change
+        must be between the ticks ``first`` and ``last``.
         """
         pairs = product(((0, npc + 1), (npc + 1, 0)), (1.0, -1.0))
         crossings = (self._crossing_after(*pair, side, first, last) for pair, side in pairs)
@@ -134,7 +139,10 @@ class LanePlaces:
     def _crossing_after(
         self, mover: int, other: int, side: float, first: int, last: int, *, is_ahead: bool = True
     ) -> LaneChange | None:
-        """Return the last lane change in which the mover, ahead or behind, crossed its lane line towards the other."""
+        """Return the last lane change in which a vehicle crossed its line towards the other vehicle's lane, or None.
+
+        ``is_ahead`` is whether the vehicle that changes lanes must be ahead of the other vehicle or behind it.
+        """
         over = self._over[side][mover, first : last + 1]
         crosses = over[1:] > over[:-1]
         if not crosses.any():
@@ -150,14 +158,14 @@ class LanePlaces:
         return None
 
     def _made(self, vehicle: int, side: float, began: int, moment: int) -> LaneChange:
-        """Make a lane change from its moment, with the tick from which on it could be seen, not before it began."""
+        """Make a lane change at the tick ``moment``; the motion began at the tick ``began``."""
         left = side * self._offsets[vehicle, began : moment + 1] > KEEPING
         seen = began + _run_start(left, moment - began) if left[-1] else moment
         drift = side * float(self.frame.drift[vehicle, moment])
         return LaneChange(vehicle=vehicle, seen=seen, tick=moment, drift=drift)
 
     def _motion(self, vehicle: int, side: float, onset: int) -> int | None:
-        """Return the first tick of the sideways motion that lasts until a tick, or ended just before it."""
+        """Return the first tick of the sideways motion that lasts until a tick or ended just before; None if none."""
         pause = PAUSE * self.trace.physics_hz
         moving = np.flatnonzero(side * self.frame.drift[vehicle, : onset + 1] >= DRIFTING)
         if not moving.size or onset - moving[-1] >= pause:
@@ -178,7 +186,7 @@ class LanePlaces:
 
     @cached_property
     def _half_widths(self) -> FloatArray:
-        """Half the width of the vehicle's lane, or of the first lane if it is off the road [m]."""
+        """Half the width of each vehicle's lane, or of the first lane if the vehicle is off the road [m]."""
         widths = np.array([lane.width for lane in self.trace.lanes])
         return np.asarray(widths[np.maximum(self._lanes, 0)] / 2)
 
@@ -192,7 +200,7 @@ class LanePlaces:
 
 
 def _run_start(holds: npt.NDArray[np.bool_], tick: int) -> int:
-    """Return the beginning of the stretch in which a condition holds up to a tick."""
+    """Return the first tick of the unbroken stretch, up to a tick, in which a condition holds."""
     fails = np.flatnonzero(~holds[:tick])
     return int(fails[-1]) + 1 if fails.size else 0
 
@@ -204,7 +212,7 @@ def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def first_lasting(holds: npt.NDArray[np.bool_], ticks: int) -> int | None:
-    """Return the first tick from which on a condition holds for this many ticks; None if there is none."""
+    """Return the first tick from which on a condition holds for ``ticks`` ticks; None if there is none."""
     count = np.concatenate(([0], np.cumsum(holds)))
     lasting = np.flatnonzero(count[ticks:] - count[:-ticks] == ticks)
     return int(lasting[0]) if lasting.size else None

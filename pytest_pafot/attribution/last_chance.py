@@ -1,4 +1,4 @@
-"""The last chance: the last time when a driver in the ego's place would have prevented the failure, by simulation."""
+"""The last chance: the last time at which a driver in the ego's place would have prevented a failure, by simulation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_pafot.attribution.sentences import avoidance_sentence, last_chance_s
 from pytest_pafot.model.trace import ACCELERATION, STEERING, Outcome, Trace
 
 DRIVER = "careful-human"
-"""The reference driver that takes over."""
+"""The reference driver that takes over from the ego to find its last chance."""
 
 STEADY_BRAKING = "steady-braking"
 """The driver that brakes with 6 m/s^2 down to a standstill, and keeps its lane."""
@@ -24,20 +24,21 @@ ANSWERED_BY_BRAKING: tuple[Fault, ...] = (
     "did-not-give-way",
     "entered-taken-zone",
 )
-"""The faults for which a run is searched for braking that avoids the collision."""
+"""The faults of an ego that should have braked, so that it is worth searching for braking that avoids the collision."""
 
 FREE_FOR = 12.0
-"""The time for which braking must keep the ego free of contact [s]: longer than it takes to stop from 60 m/s."""
+"""The time after the ego begins to brake in which it must not touch a vehicle [s]; a stop from 60 m/s takes less."""
 
 SCANNED = 10.0
-"""The time before the impact that is searched for a chance [s]."""
+"""The time before the impact in which the last chance is searched [s]."""
 
 SAME_IMPACT = 0.5
-"""An impact with the same NPC at most this long after the recorded one counts as the same impact [s]. Otherwise a
-driver that barely delays the impact would be free only because a rule's time limit then excuses it."""
+"""An impact with the same NPC at most this long after the recorded impact counts as the same impact [s]. Otherwise a
+driver that only delays the impact a little could be free of fault because of the time limit of a rule."""
 
 ROUNDING = 1e-6
-"""The largest difference of a repeated run: environments that step themselves compute sines in their own way."""
+"""The largest difference between the states of a run and of its repetition. They may differ because some environments
+compute sines in a different way."""
 
 TakeOver = Callable[[Trace, int, str], Trace]
 """A function that simulates a trace again, with a reference driver by name in the ego's place from a tick on."""
@@ -50,10 +51,10 @@ class LastChance:
     The driver prevents a collision if it stays free of fault, and a failed check if it keeps the check.
 
     Attributes:
-        time: time of that decision [s], to milliseconds.
+        time: time of the decision [s], to milliseconds.
         driver: name of the reference driver.
         action: acceleration [m/s^2] and steering [rad] with which the driver begins, to three digits.
-        ego_action: acceleration and steering of the ego at that time.
+        ego_action: acceleration [m/s^2] and steering [rad] of the ego at that time.
     """
 
     time: float
@@ -63,7 +64,7 @@ class LastChance:
 
     @property
     def sentence(self) -> str:
-        """A line with the time and with what the driver and the ego did then."""
+        """A line with the time of the last chance, and the actions of the driver and the ego at that time."""
         return last_chance_sentence(self.time, self.driver, self.action[0], self.ego_action[0])
 
 
@@ -72,7 +73,7 @@ class Avoidance:
     """The last decision of the ego from which braking in its lane avoids a collision.
 
     Attributes:
-        time: time of that decision [s], to milliseconds.
+        time: time of the decision [s], to milliseconds.
         braking: deceleration to a standstill [m/s^2].
     """
 
@@ -81,26 +82,28 @@ class Avoidance:
 
     @property
     def sentence(self) -> str:
-        """A sentence that says from when on which braking avoids the collision."""
+        """A sentence with the braking that avoids the collision, and the time from which on it does."""
         return avoidance_sentence(self.time, self.braking)
 
 
 def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastChance | None:
     """Return the last of the ego's decisions from which a reference driver stays free of fault to the end of the run.
 
-    The driver is free of fault if it does not collide, or is not responsible for the collision by
-    :func:`~pytest_pafot.attribution.responsibility.rss_rule`, unless it is the same impact at most 0.5 s later. A run
-    in which two NPCs touch does not count. The driver may fail from an earlier decision and succeed from a later one,
-    so all decisions of the last 10 s before the impact are tried, the latest first.
+    The driver is free of fault if it does not collide, or is not responsible for its collision by
+    :func:`~pytest_pafot.attribution.responsibility.rss_rule`. It is not free of fault if it only delays the impact by
+    at most 0.5 s, or if two NPCs touch in its run. The driver may fail from an earlier decision and succeed from a
+    later one, so all decisions of the last 10 s before the impact are tried, the latest first.
 
     Args:
         trace: trace of the run.
-        fault: fault of the ego in it.
-        take_over: function that simulates, see :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
+        fault: fault of the ego in the run.
+        take_over: function that simulates the run again with a driver that takes over, see
+            :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
 
     Returns:
-        The chance. None without a collision that the ego is responsible for; if the ego entered a lane, which a driver
-        that keeps its lane cannot undo; if no decision is such a chance; and if the run does not repeat.
+        The last chance, or None. It is None without a collision that the ego is responsible for; if the ego entered a
+        lane, because the driver keeps its lane and cannot undo that; if no decision is such a chance; and if a
+        repetition of the run differs from the trace.
     """
     if trace.collision is None or fault is None or fault == "entered-lane":
         return None
@@ -117,10 +120,11 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
 def last_decision(
     trace: Trace, until: int, take_over: TakeOver, prevents: Callable[[Trace], bool]
 ) -> LastChance | None:
-    """Return the last of the ego's decisions before a tick from which a careful driver's run meets a condition.
+    """Return the last of the ego's decisions from which a careful driver prevents a failure.
 
-    The decisions of the last 10 s before the tick are tried, the latest first. None if none of them does, or if the run
-    does not repeat. See :func:`last_chance` for the arguments.
+    The decisions of the last 10 s before the tick ``until`` are tried, the latest first. ``prevents`` evaluates the run
+    with the driver. None if no decision is such a chance, or if a repetition of the run differs from the trace. See
+    :func:`last_chance` for the other arguments.
     """
     for tick, taken in _taken_over(trace, until, take_over, DRIVER):
         if prevents(taken):
@@ -132,10 +136,10 @@ def last_decision(
 def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidance | None:
     """Return the last of the ego's decisions from which braking with 6 m/s^2 in its lane avoids the collision.
 
-    The ego then touches no vehicle in the 12 s after the decision, or up to the end of the run. Nor do two NPCs touch,
-    which would end the run. The decisions of the last 10 s before the impact are tried, the latest first. None if none
-    of them avoids it, if the fault is not a missing response to a vehicle ahead or crossing, or if the run does not
-    repeat. See :func:`last_chance` for the arguments.
+    Braking avoids the collision if the ego touches no vehicle in the 12 s after the decision, or until the end of the
+    run, and no two NPCs touch. The decisions of the last 10 s before the impact are tried, the latest first. None if
+    braking from none of them avoids the collision, if the fault is not a missing response to a vehicle ahead or
+    crossing, or if a repetition of the run differs from the trace. See :func:`last_chance` for the arguments.
     """
     if trace.collision is None or fault not in ANSWERED_BY_BRAKING:
         return None
@@ -147,7 +151,11 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
 
 
 def _taken_over(trace: Trace, until: int, take_over: TakeOver, driver: str) -> Iterator[tuple[int, Trace]]:
-    """Let a driver take over at each decision of the last 10 s before a tick, the latest first, if the run repeats."""
+    """Yield the ticks of the decisions in the last 10 s before a tick, the latest first, each with a new run.
+
+    In that run a driver takes over at the decision. The iteration stops if a repetition of the run differs from the
+    trace.
+    """
     every, first = trace.physics_hz // trace.ads_hz, max(until - round(SCANNED * trace.physics_hz), 0)
     for tick in range((until - 1) // every * every, first - 1, -every):
         taken = take_over(trace, tick, driver)
@@ -158,6 +166,6 @@ def _taken_over(trace: Trace, until: int, take_over: TakeOver, driver: str) -> I
 
 
 def _action(trace: Trace, tick: int) -> tuple[float, float]:
-    """Return the ego's action from a tick to the next."""
+    """Return the ego's acceleration and steering in the step after a tick, to three digits."""
     acceleration, steering = trace.ego[tick + 1, [ACCELERATION, STEERING]].round(3).tolist()
     return acceleration + 0.0, steering + 0.0  # never -0.0

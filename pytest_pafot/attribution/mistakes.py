@@ -1,7 +1,7 @@
 """The ego's mistake in a collision that it is responsible for, in a few words that distinguish one defect from another.
 
-A verdict's *fault* is the branch of the rules that blames the ego. All lane changes have the same fault; they are
-distinguished by where the other was when the ego had to take it into account.
+A verdict's *fault* is the rule by which the ego is responsible. All lane changes have the same fault. They become
+different mistakes by the place of the other vehicle at the time when the ego had to take that vehicle into account.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ from pytest_pafot.model.trace import ACROSS, LANE, Trace, X, Y
 Manoeuvre = Literal["lane-change", "lane-keeping"]
 
 WINDOW_SECONDS = 4.0
-"""The time before an event in which a lane change still belongs to it [s]; one takes about 2 s at motorway speed."""
+"""The time before an event in which a lane change belongs to the event [s]; a lane change takes about 2 s at motorway
+speed."""
 
 DISPLACEMENT = 1.0
-"""The largest sideways move in that time of a vehicle that keeps its lane [m]; half of the free width of a lane."""
+"""The largest sideways move of a vehicle that keeps its lane, within ``WINDOW_SECONDS`` [m]; it is half of the free
+width of a lane."""
 
 
 def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
@@ -50,10 +52,10 @@ Mistake = Literal[
     "did-not-give-way-behind",
     "entered-taken-zone",
 ]
-"""The mistakes of the ego: it did not keep its distance to a vehicle ahead, which it followed, behind which it changed
-lanes, or which had cut in; it changed lanes into a vehicle next to it, or in front of one behind; it braked hard, or
-stopped, with nothing in its way; it did not give way to a vehicle from the left, from the right, from ahead or from
-behind; it drove into a zone in which another vehicle visibly was."""
+"""The mistakes of the ego, in this order. It did not keep its distance to a vehicle ahead, also after a lane change
+behind that vehicle or after that vehicle's cut-in. It changed lanes into a vehicle next to it, or in front of a vehicle
+behind. It braked hard, or stopped, with nothing in its way. It did not give way to a vehicle from the left, the right,
+ahead or behind. It drove into a zone in which another vehicle visibly was."""
 
 NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
     {
@@ -63,10 +65,10 @@ NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
         "behind": "did-not-give-way-behind",
     }
 )
-"""The mistakes by the side that the other came from, because an ego that looks only to one side fails on the other."""
+"""The mistake by the side that the other vehicle came from, because a policy may look only to one side."""
 
 CLOSE_AHEAD = 2.0
-"""A vehicle with at most this gap ahead of an ego that changes lanes counts as next to it [m]."""
+"""A vehicle ahead of an ego that changes lanes counts as next to the ego if the gap is at most this large [m]."""
 
 BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
     {
@@ -77,14 +79,16 @@ BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
         "entered-taken-zone": "entered-taken-zone",
     }
 )
-"""The mistakes that follow from the fault; for a lane entered, or no way given, they depend on where the other was."""
+"""The mistake by the fault. The two other faults, a lane change and not giving way, have several mistakes each, by the
+place of the other vehicle."""
 
 
 def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
-    """Return the ego's mistake in a collision by the verdict; None if it is not responsible.
+    """Return the ego's mistake in a collision by the verdict; None if the ego is not responsible.
 
-    For an ego that entered a lane, the moment when it came over the line counts: the other is ahead if there are more
-    than 2 m between the boxes along the road, behind if its box is entirely behind the ego's, else next to it.
+    If the ego entered a lane, the mistake depends on the place of the other vehicle when the ego crossed the line. The
+    other vehicle is ahead if there are more than 2 m between the boxes along the road. It is behind if its box is
+    entirely behind the ego's. Otherwise it is next to the ego.
     """
     if trace.collision is None or attribution.fault is None or attribution.tick is None:
         return None
@@ -101,5 +105,5 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
 
 
 def mistake_of(trace: Trace) -> Mistake | None:
-    """Return the ego's mistake in a run, by the rule of attribution."""
+    """Return the ego's mistake in a run by the verdict of :func:`rss_rule`; None if the ego is not responsible."""
     return trace.reading("mistake", lambda trace: mistake(trace, rss_rule(trace)))

@@ -22,33 +22,34 @@ HARD_BRAKING = 5.0
 HARD_SECONDS = 0.4
 """The least duration of hard braking [s]."""
 LASTING_BRAKING = 4.0
-"""The deceleration above which braking by half of the speed counts as hard, too: more than a careful driver needs to
-keep its distance [m/s^2]."""
+"""The deceleration above which braking also counts as hard if it takes half of the speed [m/s^2]; a careful driver
+needs less to keep its distance."""
 LEAST_LOST = 5.0
-"""The least loss of speed in such a braking [m/s]."""
+"""The least loss of speed in a braking that counts as hard because it takes half of the speed [m/s]."""
 STANDING_SPEED = 0.1
 """The speed up to which the ego counts as standing [m/s]."""
 STANDING_SECONDS = 3.0
-"""The least duration of a stop that counts as a fault of its own [s]."""
+"""The least duration of a stop that counts as a fault [s]."""
 STANDSTILL_GAP = 5.0
-"""The gap to a standing vehicle within which a stop behind it is not needless [m]."""
+"""The largest gap to a standing vehicle at which a stop behind that vehicle is not needless [m]."""
 NEAR_SECONDS = 4.0
-"""The time to collision below which a vehicle ahead is a reason to brake, and the largest distance of an entering
-vehicle in seconds of the ego's driving [s]."""
+"""The time to collision below which a vehicle ahead is a reason to brake [s]. Also the largest distance at which a
+vehicle that enters the ego's track is a reason, as a time at the ego's speed [s]."""
 REASON_SECONDS = 1.6
-"""The time for which a reason to brake remains one: a careful driver takes 0.4 s to perceive it, 0.75 s until the
-brakes act, and the rest until they brake hard (UN R157, annex 4, appendix 3) [s]."""
+"""The time after a reason to brake in which hard braking may still begin because of it [s]. A careful driver takes
+0.4 s to perceive the reason, 0.75 s until the brakes act, and the rest until they act fully (UN R157, annex 4,
+appendix 3)."""
 AFTERMATH_SECONDS = 1.0
-"""The time after a braking in which it is still the cause of a danger behind [s]."""
+"""The time after a braking in which it still counts as the cause of a danger behind the vehicle [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stop:
-    """A braking.
+    """A braking of a vehicle, as an interval of ticks.
 
     Attributes:
-        begin: the last tick before it began to act.
-        end: the last tick in which it acted.
+        begin: the last tick before the braking began to act.
+        end: the last tick at which the braking acted.
     """
 
     begin: int
@@ -56,16 +57,16 @@ class Stop:
 
 
 def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
-    """Return the deceleration in the step to each tick [m/s^2], shape [ticks + 1]; negative if the vehicle speeds up.
+    """Return a vehicle's deceleration in the step before each tick [m/s^2], shape [ticks + 1].
 
-    Vehicle 0 is the ego.
+    Negative if the vehicle speeds up. Vehicle 0 is the ego.
     """
     speed = trace.states[:, vehicle, SPEED]
     return -np.diff(speed, prepend=speed[:1]) * trace.physics_hz
 
 
 def hard_braking(trace: Trace, vehicle: int, first: int, last: int) -> Stop | None:
-    """Return a vehicle's last hard braking that acted between two ticks; None if there was none."""
+    """Return a vehicle's last hard braking that acted between the ticks ``first`` and ``last``; None without one."""
     for begin, end in reversed(stretches(braking(trace, vehicle) > HARD_BRAKING)):
         until = min(end, last + 1)
         if until - 1 < first:
@@ -76,7 +77,10 @@ def hard_braking(trace: Trace, vehicle: int, first: int, last: int) -> Stop | No
 
 
 def lasting_braking(trace: Trace, first: int) -> Stop | None:
-    """Return the ego's last braking after a tick, above 4 m/s^2, that took half of its speed and at least 5 m/s."""
+    """Return the ego's last braking after the tick ``first`` that took half of its speed; None if there was none.
+
+    The braking must be above 4 m/s^2 and take at least 5 m/s.
+    """
     for begin, end in reversed(stretches(braking(trace) > LASTING_BRAKING)):
         before, after = trace.ego[[begin - 1, end - 1], SPEED]
         if end - 1 >= first and before - after >= max(before / 2, LEAST_LOST):
@@ -85,7 +89,7 @@ def lasting_braking(trace: Trace, first: int) -> Stop | None:
 
 
 def long_stop(trace: Trace) -> Stop | None:
-    """Return the braking to a standstill that has lasted for long when the run ends; None if there was none."""
+    """Return the ego's braking to a stop that has lasted for at least 3 s at the end of the run; None without one."""
     speed = trace.ego[:, SPEED]
     if speed[-1] > STANDING_SPEED:
         return None
@@ -100,9 +104,10 @@ def long_stop(trace: Trace) -> Stop | None:
 def reasons(trace: Trace, frame: RoadFrame, rules: RssRules, vehicle: int, ticks: slice) -> npt.NDArray[np.bool_]:
     """Return whether anything ahead gave a vehicle a reason to brake, at each of the ticks; vehicle 0 is the ego.
 
-    The reasons are: another vehicle in its track, closer than RSS allows or less than four seconds to a collision; a
-    vehicle within the distance of four seconds that brakes hard in its track or enters it; a zone where its way meets
-    another's, if both are within four seconds of it; and the end of its lane, as if a vehicle stood there.
+    There are four reasons. A vehicle ahead in the same track is closer than RSS allows, or less than four seconds from
+    a collision. A vehicle within four seconds of driving brakes hard in the same track, or enters it. Another vehicle's
+    way meets this vehicle's way in a zone, and both vehicles are in the zone or within four seconds of it. The lane
+    ends within four seconds.
     """
     speeds, drifts = frame.speed[:, ticks], frame.drift[:, ticks]
     speed, drift = speeds[vehicle], drifts[vehicle]
@@ -132,7 +137,7 @@ def reasons(trace: Trace, frame: RoadFrame, rules: RssRules, vehicle: int, ticks
 
 
 def _is_near_zone(trace: Trace, vehicle: int, ticks: slice) -> npt.NDArray[np.bool_]:
-    """Return whether a vehicle and another are both in the zone of their ways, or within four seconds of it."""
+    """Return, for each tick, whether a vehicle and an NPC are both in the zone of their ways or within 4 s of it."""
     found = np.zeros(ticks.stop - ticks.start, dtype=np.bool_)
     for npc, zone in enumerate(trace.zones):
         if zone is None or npc + 1 == vehicle:
@@ -149,7 +154,7 @@ def _is_near(places: FloatArray, speeds: FloatArray, stretch: Stretch) -> npt.ND
 
 
 def _is_near_end(states: FloatArray, lanes: tuple[Lane, ...], lane: Lane) -> npt.NDArray[np.bool_]:
-    """Return whether a vehicle's lane ends within four seconds, with no other lane continuing from there."""
+    """Return, for each tick, whether a vehicle's lane ends within four seconds and no other lane continues it."""
     end = (lane.x + lane.length * math.cos(lane.heading), lane.y + lane.length * math.sin(lane.heading))
     end = lane.points[-1] if lane.points else end
     starts = [each.points[0] if each.points else (each.x, each.y) for each in lanes]

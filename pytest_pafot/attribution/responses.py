@@ -1,6 +1,6 @@
-"""The distances and responses that the rules require of a driver, with their numbers, and what the driver did instead.
+"""The distances and responses that the rules of attribution require of a driver, and the driver's actual response.
 
-docs/explanation/verdicts.md has the sources.
+docs/explanation/verdicts.md has the sources of the numbers.
 """
 
 from __future__ import annotations
@@ -14,50 +14,59 @@ from pytest_pafot.criticality import RssRules
 from pytest_pafot.model.trace import FloatArray, Trace
 
 DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=6.0, hardest_braking=8.0)
-"""The safe distances of attribution. The usual two seconds behind a leader of equal speed must never be a fault: with
-these values they are safe up to 48 m/s (v + v^2 / 48 <= 2 v). RSS also assumes that the follower speeds up during the
-response time, which would require more than that; here the acceleration is 0, and a follower that speeds up comes too
-close by itself. A leader brakes with at most 8 m/s^2, the hardest that NPCs can; a follower with at least 6 m/s^2,
-which UN R157 5.2.5.2 expects of a system that must avoid a collision. Lateral values are the defaults of
+"""The safe distances of attribution. The usual headway of two seconds to a leader of equal speed must never be a fault:
+with these values it is safe up to 48 m/s (v + v^2 / 48 <= 2 v). RSS also assumes that the follower speeds up during the
+response time, which would require more than two seconds. Here that acceleration is 0; a follower that speeds up comes
+too close by its own action. A leader brakes with at most 8 m/s^2, the hardest that NPCs can; a follower with at least 6
+m/s^2, which UN R157 5.2.5.2 expects of a system that must avoid a collision. Lateral values are the defaults of
 :class:`~pytest_pafot.criticality.RssRules`."""
 
 FOLLOWING = Braking(delay=1.0, deceleration=HARDEST)
 """The proper response of the follower in a lane: the response of RSS, with the numbers of :data:`DISTANCES`."""
 
 CUT_OFF = Braking(delay=1.4, deceleration=3.0, perception=0.4, headway=1.0)
-"""The proper response of a vehicle that was cut off, unless it is an emergency: no harsh braking (UN R157, 5.2.3.3),
-but what a lane change may require of others (UN R79, 5.6.4.7: 3 m/s^2, and a second behind). The delay is the careful
-and competent driver's (UN R157, annex 4, appendix 3): 0.4 s to perceive the risk, 0.75 s until the brakes act, and half
-the time in which they build up."""
+"""The proper response of a vehicle in front of which another vehicle has cut in, unless there is an emergency. It need
+not brake harshly (UN R157, 5.2.3.3). It brakes with 3 m/s^2 and restores a headway of a second, which a lane change may
+require of other vehicles (UN R79, 5.6.4.7). The delay is the careful and competent driver's (UN R157, annex 4,
+appendix 3): 0.4 s to perceive the risk, 0.75 s until the brakes act, and half the time in which they build up."""
 
 EMERGENCY = Emergency(
     time_to_contact=2.0, leader_braking=5.0, perception=0.4, braking=Braking(delay=1.4, deceleration=HARDEST)
 )
-"""The criteria of the careful and competent driver for when a vehicle that was cut off has to brake hard."""
+"""The emergency in which a vehicle has to brake hard after a cut-in, by the criteria of the careful and competent
+driver in UN R157."""
 
 HELD = Braking(delay=0.0, deceleration=HARDEST)
-"""The response of a vehicle that already brakes: it continues."""
+"""The response of a vehicle that is already braking: it continues to brake hard."""
 
 GIVING_WAY = Braking(delay=0.4, deceleration=3.0)
-"""The response that a lane change may require of the vehicle behind in the other lane (UN R79, 5.6.4.7)."""
+"""The response that a lane change may require of the vehicle behind in the new lane (UN R79, 5.6.4.7)."""
 HEADWAY = 1.0
-"""The gap that must remain after the vehicle behind has slowed down, in seconds of the mover's driving [s]."""
+"""The gap that must remain ahead of the vehicle behind after it has slowed down for a lane change, as a time at the
+speed of the vehicle that changes lanes [s]."""
 BRAKES = 0.5
-"""The least deceleration that counts as braking in a reason [m/s^2]."""
+"""The least deceleration that counts as braking in the sentences of a verdict [m/s^2]."""
 
 
 def room_to_leave(follower: float, mover: float) -> float:
-    """Return the gap that a vehicle entering a lane has to leave to the one behind, given both speeds [m]."""
+    """Return the gap that a vehicle has to leave to the vehicle behind when it enters a lane [m].
+
+    ``follower`` is the speed of the vehicle behind and ``mover`` the speed of the vehicle that enters [m/s].
+    """
     faster = max(follower - mover, 0.0)
     slowing_down = faster * GIVING_WAY.delay + faster**2 / (2 * GIVING_WAY.deceleration)
     return max(slowing_down + mover * HEADWAY, 0.0)
 
 
 def answer(trace: Trace, vehicle: int, speeds: FloatArray, since: int, response: Braking = FOLLOWING) -> Fact:
-    """Return when a vehicle should have braked, given what it had to respond to since a tick, and what it did.
+    """Return the fact that tells when a vehicle should have braked, and what the vehicle did instead.
 
     Args:
+        trace: trace of the run.
+        vehicle: index of the vehicle; 0 is the ego.
         speeds: speeds of the vehicle at every tick [m/s].
+        since: tick from which on the vehicle had to respond to a danger.
+        response: proper response, whose delay counts from that tick.
     """
     hz, end = trace.physics_hz, trace.ticks
     due = since + round(response.delay * hz)

@@ -1,7 +1,7 @@
-"""Responsibility for a collision, by written rules over the trace.
+"""Responsibility for a collision, by written rules that read only the trace of the run.
 
-:func:`rss_rule` is the rule; :func:`position_rule` is a second opinion. docs/explanation/verdicts.md has the rules
-clause by clause, with their sources.
+:func:`rss_rule` decides the verdict; :func:`position_rule` is a second opinion. docs/explanation/verdicts.md has the
+rules clause by clause, with their sources.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ALONG, LANE, Trace
 
 Responsibility = Literal["ego", "npc", "both", "none"]
-"""The responsible vehicles; ``none`` without a collision, or where ways met and neither could have foreseen it."""
+"""The vehicles that are responsible for a collision. ``none`` without a collision, or if the ways of the vehicles met
+and neither could have foreseen the other in time."""
 
 Fault = Literal[
     "entered-lane",
@@ -57,55 +58,58 @@ Fault = Literal[
     "did-not-give-way",
     "entered-taken-zone",
 ]
-"""The faults of the ego: it changed lanes into another vehicle's way; it did not respond properly to a cut-in, or to a
-vehicle ahead in its lane; it braked hard, or stopped, with nothing in its way; where ways meet, it did not give way, or
-drove into a zone in which another vehicle visibly was."""
+"""The faults of the ego, in this order. It changed lanes into another vehicle's way. It did not respond properly to a
+cut-in, or to a vehicle ahead in its lane. It braked hard, or stopped, with nothing in its way. In a zone where its way
+meets the NPC's, it did not give way, or it drove in while the NPC visibly was there."""
 
 TOGETHER = 1.0
-"""Two lane changes into one lane that are at most this far apart count as simultaneous [s]."""
+"""The longest time between two lane changes into the same lane that count as simultaneous [s]."""
 SOON = 5.0
-"""The time after its lane change in which an NPC's braking belongs to the lane change if it is hit, and would have
-continued [s]."""
+"""The time after an NPC's lane change in which its braking counts as part of the lane change [s]. If the NPC is hit in
+that time, its braking is assumed to continue."""
 SPARE = 0.2
-"""An ego that brakes for a cut-in is responsible only if a response this much later would have helped, too [s]."""
+"""The additional delay of a response to a cut-in [s]. An ego that brakes for a cut-in is responsible only if even a
+response with this additional delay would have avoided the collision."""
 BLOCKED = 0.3
 AT_ONCE = 2.0
-"""No driver can respond to an NPC that moves in with a headway below ``BLOCKED`` and begins to brake hard within
-``AT_ONCE`` [s]."""
+"""The headway and the time [s] of a cut-in to which no driver can respond: the NPC moves in with a headway below
+``BLOCKED`` and begins to brake hard within ``AT_ONCE``."""
 AMPLE = 1.0
-"""A follower further behind than this, in seconds of its driving, can respond to a hard braking [s]."""
+"""The headway above which a follower can always respond to hard braking of the vehicle ahead [s]."""
 LEAST_ROOM = 2.0
-"""The gap between two vehicles that changed lanes towards each other from which on the one ahead is not responsible for
-the acceleration of the one behind [m]."""
+"""The gap from which on a vehicle that changed lanes ahead of another is not responsible if the vehicle behind speeds
+up into it [m]."""
 DECIDED = 0.5
-"""An NPC that moves in behind this shortly before it would touch the ego did not cause the danger by moving in [s]."""
+"""The time to contact below which an NPC that moves in behind the ego did not cause the danger by its lane change
+[s]."""
 LET_GO = 0.4
-"""Braking that pauses for this long is over [s]."""
+"""The pause after which a braking counts as finished [s]."""
 ROLLED = 0.5
-"""An ego that still drove this shortly before the impact does not count as standing if it owed a response [s]."""
+"""The time before the impact for which an ego must have stood to be excused from a missing response [s]."""
 LATER = 3.0
-"""An NPC that runs into a driving ego this long after the ego's braking had the time to adapt [s]."""
+"""The time after the ego's needless braking in which an NPC can adapt to the ego's new speed [s]."""
 CRAWLING = 3.0
-"""An NPC that is no faster than this when the danger begins can stop behind a standing vehicle [m/s]."""
+"""The speed up to which an NPC can stop behind a standing vehicle when the danger begins [m/s]."""
 DROVE_ON = 1.0
-"""An NPC that gained more speed than this towards an ego that had braked for nothing caused the danger itself [m/s]."""
+"""The gain in speed above which an NPC behind an ego that had braked for nothing caused the danger itself [m/s]."""
 LEAVING = 1.0
-"""An NPC that left the ego's way at most this long ago still counts as on it [s]."""
+"""The time for which an NPC still counts as on the ego's way after it has left that way [s]."""
 BRAKED_VISIBLY = 3.0
 BRAKED_BEFORE = 1.0
-"""A sentence mentions a leader's braking if it is at least this hard [m/s^2] and at most this long before the fact
-[s]."""
+"""A sentence mentions the braking of a vehicle ahead if it is at least this hard [m/s^2], and at most this long before
+the described moment [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Attribution:
-    """The responsibility for a collision and its reason. Two attributions are equal if they say the same.
+    """The responsibility for a collision and its reason. Two attributions are equal if they have the same text.
 
     Attributes:
         responsibility: vehicles that are responsible for the collision.
-        tick, time: when the decisive lane change, braking or danger began [s]; None without a collision.
-        fault: fault of the ego; None if it is not responsible.
-        facts: facts that the reason states.
+        tick, time: tick and time [s] at which the decisive lane change, braking or danger began; None without a
+            collision.
+        fault: fault of the ego; None if the ego is not responsible.
+        facts: facts that explain the verdict.
     """
 
     responsibility: Responsibility
@@ -116,7 +120,7 @@ class Attribution:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The texts on what happened and on what should have happened: at most two, none without a collision."""
+        """At most two sentences: what happened, and what should have happened; empty without a collision."""
         return sentences(self.facts)  # formatted on demand: a search judges many collisions and prints few
 
     @property
@@ -140,16 +144,17 @@ class Attribution:
 
 
 def rss_rule(trace: Trace) -> Attribution:
-    """Attribute a collision to the vehicle that caused the danger and did not respond properly.
+    """Attribute a collision to the vehicle that caused the danger or did not respond to it properly.
 
-    The danger began at the first tick of the last stretch of time, up to the impact, in which both the longitudinal and
-    the lateral distance were shorter than :data:`DISTANCES` requires (Responsibility-Sensitive Safety). If it had begun
-    when the two came into one track, the vehicle that changed lanes into it is responsible, unless it gave way to the
-    one behind, or had been the leader long enough for the other to respond. An ego is responsible, too, if a careful
-    driver's braking would have saved it from a cut-in. Otherwise the follower is responsible if 6 m/s^2 after 1 s would
-    have avoided the collision. A leading ego is responsible only for braking hard, or stopping, with nothing in its
-    way, and never while it stands. If the NPC's way meets the ego's, right of way is decided first. Each clause, its
-    source and its numbers are in docs/explanation/verdicts.md.
+    The danger is the last stretch of time, up to the impact, in which both the longitudinal and the lateral distance
+    were shorter than :data:`DISTANCES` requires (Responsibility-Sensitive Safety). If the vehicles came into one track
+    by a lane change after the danger had begun, the vehicle that changed lanes is responsible. It is not responsible if
+    it gave way to the vehicle behind, or if it had been the leader for long enough that the other could respond. The
+    ego is responsible, too, if a careful driver would have avoided a cut-in by braking. Without a lane change, the
+    follower is responsible if braking with 6 m/s^2 after 1 s would have avoided the collision. An ego ahead is
+    responsible only for braking hard, or stopping, with nothing in its way, and never while it stands. If the NPC's way
+    meets the ego's, right of way is decided first. Each clause, its source and its numbers are in
+    docs/explanation/verdicts.md.
 
     Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
     arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulations No. 79 (lane changes) and No. 157
@@ -165,7 +170,7 @@ def rss_rule(trace: Trace) -> Attribution:
 
 
 def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:
-    """Attribute a collision by right of way, or by the duties of two vehicles in one lane."""
+    """Attribute a collision with a crossing NPC by right of way, or by the rules for two vehicles in one lane."""
     along = trace.track_of(npc + 1)[:, ALONG]
     since, until = max(stretches(~np.isnan(along)), default=(0, 0))  # the last time on the ego's way
     is_lane = until - since > 1 and trace.ticks + 1 - until <= LEAVING * trace.physics_hz
@@ -185,7 +190,7 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:
 
 
 def _blamed(blame: Blame, hz: int) -> Attribution:
-    """Attribute a collision to the vehicles that failed in a zone."""
+    """Attribute a collision to the vehicles that broke a rule of right of way."""
     failed = {*blame.did_not_give_way, *blame.entered_taken_zone}
     fault: Fault | None = None
     if 0 in failed:
@@ -197,12 +202,15 @@ def _blamed(blame: Blame, hz: int) -> Attribution:
 
 
 def _part(trace: Trace, first: int, end: int) -> Trace:
-    """Return the part of a run from one tick to another."""
+    """Return the part of a run from the tick ``first`` up to, but without, the tick ``end``."""
     return replace(trace, **{name: getattr(trace, name)[first:end] for name in ("states", "track", "on_way")})
 
 
 def _later(found: Attribution, ticks: int, hz: int) -> Attribution:
-    """Return an attribution of a part of a run, with its times shifted by the ticks before that part."""
+    """Return the attribution of a part of a run with its times counted from the beginning of the whole run.
+
+    ``ticks`` is the number of ticks before the part.
+    """
 
     def shifted(time: float) -> float:
         return (round(time * hz) + ticks) / hz
@@ -225,11 +233,11 @@ def is_ego_responsible(trace: Trace) -> bool:
 
 
 def position_rule(trace: Trace) -> Responsibility:
-    """Attribute a collision by the NPC's position at the impact, as the authors' released code does: a second opinion.
+    """Attribute a collision by the NPC's position at the impact, as the released code of the paper's authors does.
 
-    An ego at 0.1 m/s or less is never responsible. Otherwise the ego is responsible if the NPC was ahead of it, in cell
-    1, 2 or 3; an NPC next to or behind the ego is responsible itself. An NPC that was not on the ego's way is in no
-    cell; it counts as ahead if it hit the ego's front. The paper itself counts collisions without this distinction.
+    It is a second opinion. An ego at 0.1 m/s or less is never responsible. A faster ego is responsible if the NPC was
+    ahead of it, in cell 1, 2 or 3; otherwise the NPC is responsible. An NPC that was not on the ego's way is in no
+    cell; it counts as ahead if it hit the ego's front. The paper itself counts all collisions alike.
     """
     hit = trace.collision
     if hit is None:
@@ -240,12 +248,15 @@ def position_rule(trace: Trace) -> Responsibility:
 
 @lru_cache(maxsize=1)
 def frame_of(trace: Trace) -> RoadFrame:
-    """Return a run in the frame of its road; the last one is cached for verdict, mistake and situation."""
+    """Return a run's positions and velocities along and across the road.
+
+    The last result is cached, because verdict, mistake and situation of a run all need it.
+    """
     return RoadFrame(trace)
 
 
 class Conflict:
-    """The danger between the ego and the NPC of its collision, from the first tick to the impact."""
+    """The conflict of the ego and the NPC that it collided with, from the first tick to the impact."""
 
     def __init__(self, trace: Trace, npc: int) -> None:
         frame = frame_of(trace)
@@ -288,7 +299,7 @@ class Conflict:
 
     @property
     def _is_in_one_track(self) -> bool:
-        """True if the danger began after the two came into one track, or if they were in one track throughout."""
+        """True if the danger began after ego and NPC came into one track, or if they were in one track all the time."""
         return self._onset == 0 or self._start > self._onset
 
     def _change(self, vehicle: int) -> LaneChange | None:
@@ -299,7 +310,7 @@ class Conflict:
 
     @property
     def _npc_change(self) -> LaneChange | None:
-        """The NPC's last lane change, including one behind an ego that reached over the line."""
+        """The NPC's last lane change, including a lane change behind an ego that reached over the line; or None."""
         changes = [self._change(self._npc + 1)]
         for side in (1.0, -1.0):
             change = self._lanes.moved_in_behind(self._npc, side, self._onset, self._end)
@@ -359,9 +370,9 @@ class Conflict:
         return self._attributed("ego", tick, (crossed, asked), "entered-lane")
 
     def _duty_passed(self, change: LaneChange, tick: int, pursuit: Pursuit) -> Attribution | None:
-        """Attribute to the follower, if it could still have avoided a leader that had kept its lane since a tick.
+        """Attribute to the follower if it could still have avoided a leader that had kept its new lane for a while.
 
-        None if the leader did not keep the lane for long enough, or if nothing could have avoided the collision.
+        None if the leader did not keep the lane for long enough, or if the follower could not avoid the collision.
         """
         kept = self._lanes.kept_since(change.vehicle, tick, self._end)
         since = None if kept is None else pursuit.avoided_from(max(kept[1], self._before), FOLLOWING)
@@ -399,7 +410,7 @@ class Conflict:
         return self._excused_behind(tick, late, pursuit, change, seen) if passed is None else passed
 
     def _pushed_in(self, change: LaneChange | None) -> bool:
-        """Return whether an NPC recently changed lanes ahead of a driving ego and did not give way."""
+        """Return whether the NPC changed lanes ahead of the ego in the last 5 s without giving way to a driving ego."""
         if change is None or self._stands or self._end - change.tick > SOON * self._hz:
             return False
         speed = float(self._frame.speed[self._npc + 1, change.tick])
@@ -411,7 +422,7 @@ class Conflict:
         return first_lasting(slowed > HARD_BRAKING, math.ceil(HARD_SECONDS * self._hz)) is not None
 
     def _strayed(self) -> Attribution:
-        """Attribute a contact side by side without a lane change: by slow drift, or in lanes that come together."""
+        """Attribute a contact side by side without a lane change, as by slow drift or in lanes that come together."""
         tick, right = self._onset, self._side
         towards = right * self._frame.drift[0, tick], -right * self._frame.drift[self._npc + 1, tick]
         ego, npc = (drift >= DRIFTING for drift in towards)
@@ -427,10 +438,10 @@ class Conflict:
     def _later_cause(
         self, tick: int, room: float, crossed: Fact, pursuit: Pursuit, moved_in: int = 0
     ) -> Attribution | None:
-        """Attribute to a nearer cause than a lane change that was over the line at a tick; None if there is none.
+        """Attribute to a cause that is later than a lane change at a tick; None if there is none.
 
-        Such a cause is that the ego braked for nothing when it already kept the lane; or that the NPC behind, which was
-        no faster at the tick and had this much room, sped up into the ego.
+        There are two such causes. The ego, which already kept the lane, braked for nothing. Or the NPC behind, which
+        was no faster at the tick and at least ``room`` away [m], sped up into the ego.
         """
         kept = self._lanes.kept_since(0, tick, self._end)
         stop = None if kept is None else self._needless_braking(0, moved_in)
@@ -443,9 +454,10 @@ class Conflict:
         return None if sped_up is None else self._npc_followed(tick, moved_in or tick, (crossed, sped_up), moved_in)
 
     def _sped_up(self, behind: int, tick: int, pursuit: Pursuit) -> Fact | None:
-        """Return the fact that the follower, which saw the other from a tick on, sped up into it; None if it did not.
+        """Return the fact that the follower, which saw the leader from a tick on, sped up into it; None if it did not.
 
-        This also holds for an ego that could have avoided the collision by the response that the rules require.
+        The follower must have been able to avoid the leader without speeding up. An ego may instead have been able to
+        avoid the collision by the response that the rules require.
         """
         seen = tick + round(CUT_OFF.perception * self._hz)
         since = pursuit.sped_up(seen)
@@ -458,23 +470,32 @@ class Conflict:
         return Fact(What.SPED_UP_INTO, behind, self._at(since), other=ahead, speed_m_per_s=speed)
 
     def _gives_way(self, change: LaneChange) -> bool:
-        """Return whether the ego's lane change leaves the NPC room, also when they have come into one track."""
+        """Return whether the ego's lane change leaves the NPC behind enough room.
+
+        The room is measured when the ego crosses the line, and when both have come into one track.
+        """
         entered = max(self._onset, change.tick)
         asked = (change.tick, self._lowest(change)), (entered, float(self._frame.speed[0, entered]))
         return all(self._gap(tick) >= self._room(tick, speed) for tick, speed in asked)
 
     def _room(self, tick: int, speed: float, behind: int | None = None) -> float:
-        """Return the gap that a lane change at a speed must leave to the one behind [m] (UN R79, 5.6.4.7)."""
+        """Return the gap [m] that a lane change must leave to the vehicle behind (UN R79, 5.6.4.7).
+
+        ``speed`` is the speed of the vehicle that changes lanes [m/s], and ``behind`` the index of the vehicle behind.
+        """
         follower = self._frame.speed[self._npc + 1 if behind is None else behind, tick]
         return room_to_leave(float(follower), speed)
 
     def _lowest(self, change: LaneChange) -> float:
-        """Return the ego's lowest speed during its lane change [m/s]: slowing down requires more of the one behind."""
+        """Return the ego's lowest speed during its lane change [m/s].
+
+        An ego that slows down while it changes lanes has to leave more room to the vehicle behind.
+        """
         over = max(self._onset, change.tick) + round(HEADWAY * self._hz)
         return float(self._frame.speed[0, change.tick : min(over, self._end) + 1].min())
 
     def _is_too_late(self, seen: int) -> bool:
-        """Return whether the time to collision is too short to respond to a cut-in that is seen at a tick."""
+        """Return whether the time to collision is too short to respond to a cut-in that the ego sees at a tick."""
         frame = self._frame
         closing = float(frame.speed[0, seen] - frame.speed[self._npc + 1, seen])
         hardest = EMERGENCY.braking.deceleration
@@ -494,7 +515,7 @@ class Conflict:
     def _unanswered(
         self, tick: int, danger: Fact, answer: Fact, fault: Fault, change: LaneChange | None = None
     ) -> Attribution:
-        """Attribute to the ego behind, and to an NPC that braked hard after pushing in or with nothing in its way."""
+        """Attribute to the ego, which did not respond, and to an NPC that braked hard for nothing or after a cut-in."""
         npc = self._npc + 1
         stop = None if self._stands else self._needless_braking(npc)
         braked = stop is not None and self._gap(stop.begin) <= AMPLE * self._frame.speed[0, stop.begin]
@@ -510,7 +531,7 @@ class Conflict:
         change: LaneChange | None = None,
         seen: int | None = None,
     ) -> Attribution:
-        """Attribute to the NPC ahead, unless the ego mastered the danger, or sped up, and still ran into it."""
+        """Attribute to the NPC ahead, unless the ego had escaped the danger, or sped up, and then still ran into it."""
         chance = self._second_chance(tick, pursuit, by_ego=True)
         if chance is None and seen is not None:
             chance = self._sped_up(0, seen, pursuit)
@@ -521,7 +542,10 @@ class Conflict:
         return self._blamed_unless_standing(tick, (reason[0], chance), "leader-unanswered")
 
     def _second_chance(self, tick: int, pursuit: Pursuit, *, by_ego: bool) -> Fact | None:
-        """Return the fact that the follower mastered the danger after a tick and lost that again, or None."""
+        """Return the fact that the follower had escaped the danger after a tick and then did not respond; else None.
+
+        The follower has escaped if it is no faster than the leader, or if it brakes hard enough to avoid the leader.
+        """
         behind, ahead = (0, self._npc + 1) if by_ego else (self._npc + 1, 0)
         closing = self._frame.speed[behind] - self._frame.speed[ahead]
         first = max(tick, self._before) + round(FOLLOWING.delay * self._hz)
@@ -540,7 +564,7 @@ class Conflict:
     def _npc_followed(self, duty: int, tick: int, reason: Reason, moved_in: int = 0) -> Attribution:
         """Attribute to the NPC behind, which had to respond from a tick on, unless the ego braked for nothing.
 
-        An NPC that moved in behind such an ego is responsible, too.
+        If the NPC moved in behind an ego that had braked for nothing, both are responsible.
         """
         braked = self._needless_braking(0, moved_in)
         if braked is not None and braked.end < duty:
@@ -561,7 +585,10 @@ class Conflict:
         return bool((braking(self._trace, vehicle)[stop.begin + 1 : stop.end + 1] > HARD_BRAKING).any())
 
     def _needless_braking(self, leader: int, moved_in: int = 0) -> Stop | None:
-        """Return the hard braking of the vehicle ahead with nothing in its way, from about when the danger began."""
+        """Return the hard braking of the vehicle ahead with nothing in its way; None if there is none.
+
+        It must have acted in the last second before the danger began, or later.
+        """
         first = self._start - round(AFTERMATH_SECONDS * self._hz)
         stops = (
             hard_braking(self._trace, leader, first, self._end),
@@ -575,9 +602,9 @@ class Conflict:
         return stop if self._is_needless(stop, ticks, moved_in, leader) else None
 
     def _is_needless(self, stop: Stop, ticks: slice, moved_in: int, leader: int = 0) -> bool:
-        """Return whether only the one ahead caused the danger: it had no reason to brake and never regained its speed.
+        """Return whether a braking was needless: the leader had no reason to brake and never regained its speed.
 
-        The other must have been behind then, and must not have moved in or sped up after the braking.
+        The other vehicle must have been behind when the braking began, and must not have moved in or sped up later.
         """
         ahead, behind = self._frame.speed[leader], self._frame.speed[0 if leader else self._npc + 1]
         if self._leads(stop.begin) == bool(leader) or ahead[self._end] >= ahead[stop.begin]:
@@ -612,7 +639,7 @@ class Conflict:
         return Attribution(responsibility=responsibility, tick=tick, time=self._at(tick), fault=fault, facts=facts)
 
     def _blamed_unless_standing(self, tick: int, reason: Reason, fault: Fault) -> Attribution:
-        """Attribute to the ego, unless it stood. An ego that rolled shortly before the impact did not stand."""
+        """Attribute to the ego, or to the NPC if the ego stood at the impact and for half a second before."""
         rolled = self._frame.speed[0, max(self._end - round(ROLLED * self._hz), 0) : self._end]
         if self._stands and not (rolled > STANDING_SPEED).any():
             return self._excused(tick, reason)
@@ -628,7 +655,7 @@ class Conflict:
         return bool(abs(self._frame.speed[0, self._end]) <= STANDING_SPEED)
 
     def _crossed(self, change: LaneChange) -> Fact:
-        """Return the fact that a vehicle changed lanes, and where it was then."""
+        """Return the fact that a vehicle changed lanes, with its place relative to the other vehicle at that time."""
         crossed = self._placed(What.CROSSED_LINE, change.vehicle, change.tick)
         before = int(self._trace.states[change.tick, change.vehicle, LANE])
         lane = before + (1 if self._frame.drift[change.vehicle, change.tick] > 0 else -1)
@@ -636,7 +663,7 @@ class Conflict:
         return crossed._replace(lane=lane if is_numbered else None)
 
     def _placed(self, what: What, vehicle: int, tick: int) -> Fact:
-        """Return a fact about a vehicle at a tick, and where it was then."""
+        """Return a fact about a vehicle at a tick, with its place relative to the other vehicle at that tick."""
         other, gap = self._npc + 1 - vehicle, max(self._gap(tick), 0.0)
         ahead = gap if self._leads(tick) == (vehicle == 0) else -gap
         faster = float(self._frame.speed[other, tick] - self._frame.speed[vehicle, tick])
@@ -644,7 +671,7 @@ class Conflict:
         return Fact(what, vehicle, self._at(tick), other, gap_m=ahead, faster_m_per_s=faster, leader_m_per_s2=braked)
 
     def _led_braking(self, tick: int) -> float:
-        """Return how hard the NPC ahead braked from shortly before a tick on [m/s^2]; 0 if not worth mentioning."""
+        """Return the hardest braking of the NPC ahead from one second before a tick on [m/s^2]; 0 if below 3 m/s^2."""
         since = max(tick - round(BRAKED_BEFORE * self._hz), 0)
         peak = float(braking(self._trace, self._npc + 1)[since + 1 : self._end + 1].max(initial=0.0))
         return peak if peak >= BRAKED_VISIBLY else 0.0
@@ -658,11 +685,14 @@ class Conflict:
         return Fact(What.BRAKED_FOR_NOTHING, vehicle, self._at(stop.begin), braking_m_per_s2=peak)
 
     def _had_no_time(self, vehicle: int, tick: int) -> Fact:
-        """Return the fact that the proper response would not have been in time."""
+        """Return the fact that a vehicle had too little time for the proper response."""
         return Fact(What.HAD_NO_TIME, vehicle, self._at(tick))
 
     def _answer(self, vehicle: int, since: int, response: Braking = FOLLOWING) -> Fact:
-        """Return when the follower should have braked, given what required it since a tick, and what it did."""
+        """Return the fact that tells when the follower should have braked, and what it did instead.
+
+        The follower had to respond from the tick ``since`` on.
+        """
         return answer(self._trace, vehicle, self._frame.speed[vehicle], since, response)
 
     def _at(self, tick: int) -> float:
@@ -670,17 +700,20 @@ class Conflict:
         return tick / self._hz
 
     def _gap(self, tick: int) -> float:
-        """Return the gap between the boxes along the road [m], negative side by side."""
+        """Return the gap between the boxes of ego and NPC along the road [m]; negative if they are side by side."""
         frame, npc = self._frame, self._npc
         half = frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
         return float(abs(frame.ahead[npc, tick]) - half)
 
     def _leads(self, tick: int) -> bool:
-        """Return whether the ego is the one ahead."""
+        """Return whether the ego is ahead of the NPC at a tick."""
         return bool(self._frame.ahead[self._npc, tick] < 0)
 
     def _pursuit(self, *, by_ego: bool, goes_on: bool = False) -> Pursuit:
-        """Return the ego behind the NPC, or the NPC behind the ego; ``goes_on`` continues the last tick's braking."""
+        """Return the pursuit of the NPC by the ego, or of the ego by the NPC.
+
+        ``goes_on`` is whether the vehicle ahead continues to brake after the last tick.
+        """
         frame, npc, past, way = self._frame, self._npc, slice(self._end + 1), 1.0 if by_ego else -1.0
         vehicles = (0, npc + 1) if by_ego else (npc + 1, 0)
         first, second = ((frame.cos[vehicle, past], frame.sin[vehicle, past]) for vehicle in vehicles)

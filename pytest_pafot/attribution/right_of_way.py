@@ -20,25 +20,26 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ALONG, HEADING, SPEED, Trace, X, Y
 
 SPARE = 1.0
-"""The distance outside its stretch of a zone at which a vehicle may still be touched there, or may have backed away a
-little: the stretches assume vehicles in the middle of their ways [m]."""
+"""The distance outside its stretch of a zone at which a vehicle still counts as in the zone [m]. The stretches assume
+vehicles in the middle of their ways, and a vehicle may have moved back a little."""
 STOPS = 1.3
-"""The deceleration from which on a vehicle brakes to stop; a smaller one needs no brake light (UN R13-H, 5.2.22.4) and
-only means that it arrives later [m/s^2]."""
+"""The deceleration from which on others may assume that a vehicle stops [m/s^2]. A smaller deceleration does not
+require a brake light (UN R13-H, 5.2.22.4), and the vehicle only arrives later."""
 LOOK = 0.6
-"""The time up to its last chance in which a vehicle that has to give way observes the other: one tick is too little
-[s]."""
+"""The time, up to its last chance to stop, in which a vehicle that has to give way observes the other vehicle [s]. One
+tick would be too short."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blame:
-    """The vehicles that failed in a zone; vehicle 0 is the ego, ``i + 1`` NPC ``i``.
+    """The vehicles that broke a rule in a zone; vehicle 0 is the ego, ``i + 1`` is NPC ``i``.
 
     Attributes:
-        did_not_give_way, entered_taken_zone: vehicles that did so.
-        tick: tick at which the first vehicle that did not give way entered, or else the first that entered a taken
-            zone.
-        facts: facts that the reason states.
+        did_not_give_way: vehicles that did not give way.
+        entered_taken_zone: vehicles that drove into the zone while another vehicle visibly was in it.
+        tick: tick at which the first vehicle of ``did_not_give_way`` entered the zone; if there is none, the first
+            vehicle of ``entered_taken_zone``.
+        facts: facts that the verdict states.
     """
 
     did_not_give_way: tuple[int, ...]
@@ -51,10 +52,11 @@ class Passing:
     """A vehicle that approaches a zone along its way.
 
     Attributes:
-        places: position along its way at each tick [m].
-        speeds: speed along its body at each tick [m/s].
-        begins, ends: its stretch of the zone [m].
-        entry: tick at which it enters; None if it has not, or is back before the zone at the last tick.
+        places: position of the vehicle along its way at each tick [m].
+        speeds: speed of the vehicle along its heading at each tick [m/s].
+        begins, ends: stretch of the vehicle's way in the zone [m].
+        entry: tick at which the vehicle enters the zone; None if it has not entered, or if it is back before the zone
+            at the last tick.
     """
 
     def __init__(self, trace: Trace, vehicle: int, zone: Zone) -> None:
@@ -70,39 +72,45 @@ class Passing:
 
     @property
     def is_inside(self) -> bool:
-        """True if it is in its stretch of the zone at the last tick, or hardly outside."""
+        """True if the vehicle is in its stretch of the zone, or at most 1 m outside of it, at the last tick."""
         return bool(self.begins - SPARE <= self.places[-1] <= self.ends + SPARE)
 
     def entered(self) -> int:
-        """Return the tick at which it enters.
+        """Return the tick at which the vehicle enters the zone.
 
         Raises:
-            ValueError: if it does not enter.
+            ValueError: if the vehicle does not enter the zone.
         """
         if self.entry is None:
             raise ValueError("expected a vehicle that has entered the zone, received one that has not")
         return self.entry
 
     def last_chance(self) -> int:
-        """Return the last tick before it enters at which the proper response stops it before the zone.
+        """Return the last tick at which the proper response would have stopped the vehicle before the zone.
 
-        That is the first tick if there is none, because it came too fast.
+        If the vehicle was too fast at every tick, it is the first tick.
         """
         return self.last_stop(self.entered(), self.begins) or 0
 
     def last_stop(self, before: int, place: float) -> int | None:
-        """Return the last tick before a tick at which the proper response stops it before a place; None if none."""
+        """Return the last tick before ``before`` at which the proper response stops the vehicle before a place [m].
+
+        None if there is no such tick.
+        """
         for tick in range(before - 1, -1, -1):
             if place - self.places[tick] >= stopping(float(self.speeds[tick]), HARDEST):
                 return tick
         return None
 
     def look(self, last: int) -> range:
-        """Return the ticks up to its last chance in which it had to observe the other."""
+        """Return the ticks up to the tick ``last`` in which the vehicle had to observe the other vehicle."""
         return range(max(last - round(LOOK * self.hz), 0), last + 1)
 
     def leaves(self) -> float:
-        """Return when it leaves, after the last tick with its last speed [s]; infinite if it stands then."""
+        """Return the time at which the vehicle leaves the zone [s].
+
+        If the run ends before, the vehicle is assumed to keep its last speed. Infinite if it stands at the end.
+        """
         passed = (tick for tick in range(self.entered(), len(self.places)) if self.places[tick] >= self.ends)
         tick = next(passed, None)
         if tick is not None:
@@ -111,7 +119,7 @@ class Passing:
         return (len(self.places) - 1) / self.hz + float(self.ends - self.places[-1]) / speed if speed > 0 else math.inf
 
     def foreseen(self, tick: int, time: float) -> tuple[float, float]:
-        """Return the place [m] and speed [m/s] at a time [s] that can be foreseen for it at a tick."""
+        """Return the vehicle's place [m] and speed [m/s] at a time [s], as an observer at a tick can foresee them."""
         speed, seconds = float(self.speeds[tick]), time - tick / self.hz
         if speed <= 0:
             return float(self.places[tick]), 0.0
@@ -122,17 +130,17 @@ class Passing:
         return float(self.places[tick]) + speed * seconds - slowing * seconds**2 / 2, speed - slowing * seconds
 
     def slowest(self, tick: int) -> float:
-        """Return its lowest speed from a tick on, for as long as a vehicle behind may still adapt [m/s]."""
+        """Return the vehicle's lowest speed in the second after a tick, in which a vehicle behind may adapt [m/s]."""
         return float(self.speeds[tick : tick + round(HEADWAY * self.hz) + 1].min())
 
 
 def stopping(speed: float, deceleration: float) -> float:
-    """Return the distance that a vehicle needs to respond and stop [m]."""
+    """Return the distance that a vehicle needs to respond and stop [m], at a speed [m/s] and a deceleration [m/s^2]."""
     return speed * FOLLOWING.delay + speed**2 / (2 * deceleration)
 
 
 class ZoneConflict:
-    """The ego and the NPC of a collision in the zone of their ways, up to the impact."""
+    """The approach of the ego and an NPC to the zone of their ways, up to their collision."""
 
     def __init__(self, trace: Trace, npc: int, zone: Zone) -> None:
         self._trace, self._zone = trace, zone
@@ -140,17 +148,17 @@ class ZoneConflict:
 
     @property
     def is_in_zone(self) -> bool:
-        """True if both are in their stretches of the zone at the impact."""
+        """True if ego and NPC are both in their stretches of the zone at the impact."""
         return self.ego.is_inside and self.npc.is_inside
 
     @property
     def has_merged(self) -> bool:
-        """True if both have reached a zone in which their ways merge."""
+        """True if the ways merge in the zone, and ego and NPC have both entered it."""
         return self._zone.kind == "merging" and self.ego.entry is not None and self.npc.entry is not None
 
     @property
     def blame(self) -> Blame | None:
-        """The vehicles that failed; None if neither did."""
+        """The vehicles that broke a rule of right of way; None if neither did."""
         pairs = ((self.ego, self.npc), (self.npc, self.ego))
         holder = {"ego": self.ego, "npc": self.npc}.get(self._zone.priority)
         without = tuple(own for own, other in pairs if own is not holder and self._did_not_give_way(own, other))
@@ -173,7 +181,10 @@ class ZoneConflict:
         )
 
     def _did_not_give_way(self, own: Passing, other: Passing) -> bool:
-        """Return whether the other was foreseen in the zone with it, too near to stop without abrupt braking."""
+        """Return whether a vehicle did not give way to another that it could foresee in the zone at the same time.
+
+        The other vehicle must have been too near to stop without abrupt braking.
+        """
         enters, leaves = own.entered() / own.hz, own.leaves()
         for tick in own.look(own.last_chance()):
             place, speed = other.foreseen(tick, enters)
@@ -188,7 +199,7 @@ class ZoneConflict:
         return False
 
     def _is_near_in_lane(self, own: Passing, other: Passing, place: float, speed: float) -> bool:
-        """Return whether a merging vehicle leaves too small a gap to the foreseen place of the other."""
+        """Return whether a merging vehicle leaves too small a gap to the foreseen place [m] of the other vehicle."""
         enters = own.entered()
         lead = float((other.ends - place) - (own.ends - own.places[enters]))
         gap = abs(lead) - own.half_length - other.half_length
@@ -197,7 +208,7 @@ class ZoneConflict:
         return gap < float(DISTANCES.safe_along(own.speeds[enters], np.asarray(speed), FOLLOWING.delay))
 
     def _seen_taken(self, own: Passing, other: Passing) -> list[int]:
-        """Return the ticks at which the other was visibly in the zone to stay and it could still respond."""
+        """Return the ticks at which a vehicle could still respond and saw that the other would remain in the zone."""
         if self._zone.kind == "merging":
             return self._could_slow_down(own, other)
         touched = self._reaches(own, other)
@@ -209,7 +220,7 @@ class ZoneConflict:
         return [tick for tick in ticks if other.foreseen(tick, max(enters, tick / own.hz))[0] < other.ends]
 
     def _reaches(self, own: Passing, other: Passing) -> int:
-        """Return the tick from which on its box always touches the place of the other's box at the impact."""
+        """Return the tick from which on a vehicle's box always touches the place of the other's box at the impact."""
         poses = self._trace.states[:, own.vehicle], self._trace.states[-1:, other.vehicle]
         mine, others = (
             Boxes.driving(*rows[:, [X, Y, HEADING, SPEED]].T, *self._trace.sizes[each.vehicle, :, None])
@@ -220,7 +231,7 @@ class ZoneConflict:
 
     @staticmethod
     def _could_slow_down(own: Passing, other: Passing) -> list[int]:
-        """Return the ticks at which the other merged ahead of it and it could have slowed down to the other's speed."""
+        """Return the ticks at which the other had merged ahead and a vehicle could still slow down to its speed."""
         ticks = range(other.entered(), own.entered())
         leads = {tick: float(own.ends - own.places[tick] - (other.ends - other.places[tick])) for tick in ticks}
         slowest = {tick: float(other.speeds[tick:].min()) for tick in ticks}

@@ -1,4 +1,4 @@
-"""The sentences that explain a verdict to a user, and the facts that they state. No other file words them.
+"""The sentences that explain a verdict to a user, and the facts that they state. No other module has such sentences.
 
 Each text is at most 97 characters long, so that it fits on one line of an explanation.
 """
@@ -13,7 +13,7 @@ from pytest_pafot.model.crossings import Zone
 
 
 class What(Enum):
-    """The kinds of facts, each with the words of its sentence."""
+    """The kinds of facts, each with the template of its sentence."""
 
     CROSSED_LINE = "{who} crossed {into} at {at}, {place}."
     CAME_IN = "{who} moved in at {at}, {place}."
@@ -45,25 +45,30 @@ _WITHOUT_DUE = {
     What.BRAKED: "{who} braked at {braked} from {at} on.",
     What.SPED_UP: "{who} sped up to {it.speed_m_per_s:.1f} m/s from {at} on.",
 }
-"""The words for a vehicle that did not have to brake before the impact."""
+"""The sentences for a vehicle that did not have to brake before the impact, because the danger began too late."""
 
 
 class Fact(NamedTuple):
-    """One fact of a reason. Figures that its sentence does not use are 0.
+    """One fact that explains a verdict. Figures that the sentence of the fact does not use are 0.
 
     Attributes:
-        vehicle, other: the vehicle that the fact is about and the one that it refers to; 0 is the ego, ``i + 1`` NPC
-            ``i``.
-        time_s: when it happened or began.
-        later_s: when the other vehicle did the same, if both crossed a line or both entered a zone.
-        due_s: from when on the vehicle should have braked; None if it did not have to before the impact.
-        gap_m: gap between the boxes along the road: positive if the vehicle is ahead of the other, negative if it is
-            behind, 0 side by side.
-        asked_m: gap that the rules require.
-        faster_m_per_s: by how much the other was faster. The sentence leaves it out if ``leader_m_per_s2`` is not 0.
-        leader_m_per_s2: how hard the NPC braked, if it was ahead and braked visibly.
-        lane: lane that was crossed into; None if it has no number.
-        zone: zone that was entered.
+        what: kind of the fact.
+        vehicle: index of the vehicle that the fact is about; 0 is the ego, ``i + 1`` is NPC ``i``.
+        other: index of the other vehicle that the fact mentions.
+        time_s: time at which the event happened or began [s].
+        later_s: time at which the other vehicle did the same, if both crossed a line or both entered a zone [s].
+        due_s: time from which on the vehicle should have braked [s]; None if it did not have to before the impact.
+        gap_m: gap between the boxes along the road [m]; positive if the vehicle is ahead of the other, negative if it
+            is behind, 0 side by side.
+        asked_m: gap that the rules require [m].
+        speed_m_per_s: speed that the vehicle reached when it sped up [m/s].
+        faster_m_per_s: speed of the other minus speed of the vehicle [m/s]. The sentence does not mention it if
+            ``leader_m_per_s2`` is not 0.
+        leader_m_per_s2: hardest braking of the NPC, if it was ahead and braked visibly [m/s^2].
+        braking_m_per_s2: hardest braking of the vehicle [m/s^2].
+        lasting_s: time for which the vehicle stood before the impact [s].
+        lane: lane that the vehicle moved into; None if it has no number.
+        zone: zone that the vehicle entered.
     """
 
     what: What
@@ -84,11 +89,11 @@ class Fact(NamedTuple):
 
 
 Reason = tuple[Fact, ...]
-"""The facts that explain a verdict: what happened, then what should have happened. Empty without a collision."""
+"""The facts that explain a verdict: first what happened, then what should have happened. Empty without a collision."""
 
 
 def sentences(reason: Reason) -> tuple[str, ...]:
-    """Return the text of each fact."""
+    """Return the sentence, or two sentences, of each fact."""
     return tuple(map(_sentence, reason))
 
 
@@ -128,7 +133,7 @@ def _capitalised(text: str) -> str:
 
 
 def _place(fact: Fact) -> str:
-    """Return where a vehicle was relative to the other, and a second sentence on how that one drove."""
+    """Return the place of a vehicle relative to the other vehicle, and a sentence on the other's speed or braking."""
     whom, faster = _name(fact.other), fact.faster_m_per_s
     if not fact.gap_m:
         return f"next to {whom}"
@@ -144,7 +149,7 @@ def _place(fact: Fact) -> str:
 
 
 def _entered(fact: Fact) -> str:
-    """Return who entered a zone when, how long before or after the other, where the NPC came from, and the priority."""
+    """Return which vehicle entered a zone when, its time from the other vehicle, and which vehicle had priority."""
     if fact.zone is None:
         return ""
     zone, later = fact.zone, fact.later_s - fact.time_s
@@ -160,12 +165,12 @@ def _entered(fact: Fact) -> str:
 
 
 def avoidance_sentence(time: float, braking: float) -> str:
-    """Return the sentence that says from when on [s] which braking [m/s^2] avoids the collision as it was driven."""
+    """Return the sentence that braking at a rate [m/s^2] from a time [s] on avoids the collision."""
     return f"Braking at {braking:.0f} m/s^2 from {time:.1f} s on avoids the collision."
 
 
 def last_chance_sentence(time: float, driver: str, acceleration: float, of_ego: float) -> str:
-    """Return when a reference driver still had a chance [s], and what it and the ego did then [m/s^2]."""
+    """Return the line with the time of the last chance [s] and the accelerations of driver and ego then [m/s^2]."""
     return f"Last chance at {time:.1f} s: {driver} {_doing(acceleration)}, the ego {_doing(of_ego)}"
 
 

@@ -129,9 +129,9 @@ def max_safety_shortfall(trace: Trace) -> float:
 def required_deceleration(trace: Trace) -> FloatArray:
     """Return the follower's constant deceleration that just avoids a leader with constant speed [m/s^2].
 
-    Higher is worse. The deceleration is (v1 - v2)^2 / (2 gap) while the follower closes in on the leader in the same lane, and
-    infinite at contact. Otherwise it is 0, also for an NPC that crosses. Source: deceleration rate to avoid a crash,
-    DRAC (Cooper and Ferguson 1976; in the review of Westhofen et al. 2022).
+    Higher is worse. The deceleration is (v1 - v2)^2 / (2 gap) while the follower closes in on the leader in the same
+    lane, and infinite at contact. Otherwise it is 0, also for an NPC that crosses. Source: deceleration rate to avoid a
+    crash, DRAC (Cooper and Ferguson 1976; in the review of Westhofen et al. 2022).
     """
     return Encounters(trace).required_deceleration.T
 
