@@ -1,4 +1,4 @@
-"""The record of an ADS that raised an exception, hung, or returned an invalid action; and the end of an ADS."""
+"""The record of an ADS that raised an exception, hung, or returned an invalid action; and the call of its ``close``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
 
 UNFIT = BaseException
-"""The class to catch around the user's code; :func:`let_through` then raises again what the code did not cause."""
+"""The class to catch around the user's code. Call :func:`let_through` afterwards: it raises again every exception that
+the code did not cause."""
 
 OWN = ("pytest_pafot.world.", "pytest_pafot.policies.")
 """The prefixes of modules between the ADS and a run, whose frames are left out of tracebacks."""
@@ -32,16 +33,16 @@ DEBUGGER = "_pytest.debugging"
 
 
 def exits() -> tuple[type[BaseException], ...]:
-    """Return the exception of ``pytest.exit()``; empty if pytest is not imported, because then no code calls it."""
+    """Return the exception class of ``pytest.exit()`` in a tuple, which is empty if pytest has not been imported."""
     return (sys.modules["pytest"].exit.Exception,) if "pytest" in sys.modules else ()
 
 
 def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
-    """Return whether an exception ends the session, a debugger or a test's time, and is no failure of the user's code.
+    """Return whether an exception ends the session, leaves a debugger, or reports that a test's time is over.
 
-    Every other exception counts as the user's code's own failure, whatever its class: a panic of a native library, a
-    cancelled task, or ``pytest.skip()``, which would otherwise go unnoticed. A test function may call
-    ``pytest.exit()``, but an ADS may not, because with a status of 0 the session would pass.
+    Every other exception is a failure of the user's code, whatever its class: a panic of a native library, a cancelled
+    task, or ``pytest.skip()``, which would otherwise go unnoticed. A test function may call ``pytest.exit()``, but an
+    ADS (``is_of_ads``) may not, because with a status of 0 the session would pass.
     """
     if isinstance(error, BaseExceptionGroup):
         return any(is_interruption(each, is_of_ads=is_of_ads) for each in error.exceptions)
@@ -119,7 +120,7 @@ def _close(close: Callable[[], Any], guard: HangGuard) -> None:
                 guard.decision_ends()
     except UNFIT as error:
         failed = error_of(error, 0, guard)
-        what = f"an end within the hang limit, at most {guard.limit:g} s" if failed.interrupted else "no exception"
-        received = "none, so it was interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
+        what = f"a return within the hang limit of {guard.limit:g} s" if failed.interrupted else "no exception"
+        received = "no return, so it was interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
         text = f"ads.close: expected {what}, received {received}; this does not change the result of the run"
         warnings.warn(text, RuntimeWarning, stacklevel=2)

@@ -25,7 +25,7 @@ IDLE_LOOKS = 5
 COPY_LATE = 0.05
 """The extra time for a forked copy of this process to reach the end of the ADS's code [s]."""
 LONGEST_TIMER = 1e6
-"""The longest timer [s]; systems refuse much longer ones, and nobody waits that long."""
+"""The longest timer [s]; systems refuse much longer timers, and no session lasts that long."""
 DEBUGGERS = frozenset({"bdb", "pydevd"})
 """The modules that have a function on the stack while pdb, or an editor's debugger, waits for its user."""
 
@@ -36,9 +36,9 @@ class LastResort:
 
     Attributes:
         end: a function that ends the process; the watching thread calls it.
-        grace: the time for which a decision may ignore interruptions before that [s].
-        file: a file descriptor for a traceback. With it, the process also ends if no Python thread has run for so long,
-            for instance because native code holds the interpreter's lock. None if something else handles that case.
+        grace: the time for which a decision may ignore interruptions before ``end`` is called [s].
+        file: a file descriptor for a traceback. With it, the process also ends if no Python thread has run for the same
+            time, for instance because native code holds the interpreter's lock. None if other code handles that case.
     """
 
     end: Callable[[], None]
@@ -57,11 +57,11 @@ def last_resort(resort: LastResort) -> Iterator[None]:
 
 
 class OneProcess:
-    """The process that calls an ADS, which may fork it. Use it in a ``with`` statement around the ADS's code.
+    """A guard against an ADS that forks this process. Use it in a ``with`` statement around the ADS's code.
 
     If the ADS forks and lets the copy return, the copy would also run the rest of the session, and write and print
-    everything twice. The copy is recognised by its process id, and is ended at the end of the ``with`` statement. The
-    original process raises an ``AdsFactoryError`` there.
+    everything twice. At the end of the ``with`` statement, the copy is recognised by its process id and ended, and the
+    original process raises an ``AdsFactoryError``.
     """
 
     def __init__(self) -> None:
@@ -88,9 +88,9 @@ class OneProcess:
         if self._noticed[0] and kind is None:
             self._noticed[0] = 0
             raise AdsFactoryError(
-                "ads: expected an ADS that ends the processes that it forks, received one that lets a copy of this "
-                "process run on; the copy was ended and has written nothing. End it with os._exit() if os.fork() "
-                "returns 0, or use multiprocessing or subprocess"
+                "ads: expected an ADS that ends the processes that it forks, received an ADS that lets a copy of this "
+                "process run on; the copy was ended and has written nothing. Call os._exit() in the process in which "
+                "os.fork() returns 0, or use multiprocessing or subprocess"
             )
 
 
@@ -102,17 +102,17 @@ class HangGuard:
     """A guard that interrupts the thread that made it when a decision takes longer than a limit.
 
     In the main thread of platforms with ``signal.pthread_kill``, it also interrupts blocking system calls; elsewhere
-    the exception is raised at the thread's next Python instruction. An ADS that swallows it is interrupted again. With
-    signals, a debugger that waits for its user in the main thread is not interrupted. Code that never returns to the
-    interpreter cannot be interrupted, and an ADS may swallow each interruption. Then the :class:`LastResort` remains,
-    and the next session names the scenario from its record on disk.
+    the exception is raised at the thread's next Python instruction. An ADS that catches the exception is interrupted
+    again. With signals, a debugger that waits for its user in the main thread is not interrupted. Two cases are left to
+    the :class:`LastResort`: code that never returns to the interpreter, and an ADS that catches every interruption. The
+    next session then names the scenario from its record on disk.
 
     A decision is guarded while ``started`` is set. A caller may end a decision without a lock: it clears ``started``
     first and then reads the clock. If the decision was within the limit by that clock, no thread has found it overdue,
     because the watching thread reads the clock before ``started``. Otherwise the caller must call :meth:`settle`.
 
     Attributes:
-        limit: longest decision [s].
+        limit: the time after which a decision is interrupted [s].
         clock: a monotonic clock [s].
         started: the start of the running decision by the clock [s]; None between decisions.
     """
@@ -147,7 +147,7 @@ class HangGuard:
 
     @property
     def pause(self) -> float:
-        """The longest time until the next check [s]."""
+        """The longest time between two checks of the decision [s]."""
         return min(self.limit / 4, LONGEST_PAUSE)
 
     def decision_starts(self) -> None:
@@ -176,7 +176,10 @@ class HangGuard:
                 return
 
     def look(self) -> float:
-        """Interrupt an overdue decision, and return for how long it has ignored that [s]; for the watching thread."""
+        """Interrupt an overdue decision, and return for how long it has ignored interruptions [s].
+
+        Only the watching thread calls this.
+        """
         with self._lock:
             now, started = self.clock(), self.started  # in this order; see the class
             if started is None or now - started <= self.limit:
@@ -303,7 +306,7 @@ def _waits_in_a_debugger(frame: FrameType | None) -> bool:
 
 
 def one_process() -> OneProcess:
-    """Return the object that notices copies of this process; it is always the same one, which saves time per run."""
+    """Return the object that notices copies of this process; it is always the same object, which saves time per run."""
     return _WATCHDOG.process
 
 
