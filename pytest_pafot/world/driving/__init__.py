@@ -1,1 +1,1 @@
-"""Drivers and vehicles: kinds of ADS, their sight, highway-env's vehicles, and directors of NPCs."""
+"""Drivers and vehicles: kinds of ADS and what they see, highway-env's vehicles, and directors, which steer the NPCs."""

@@ -65,13 +65,13 @@ class EgoDriver(Protocol):
 
 
 class AskedDriver(EgoDriver, Protocol):
-    """The driver of the ego with actions of an ADS, which other code may call."""
+    """A driver of the ego whose ADS may also be called by other code, which then passes in the actions."""
 
     def observe(self, tick: int) -> Any:
         """Return the ADS's observation at a tick."""
 
     def apply(self, action: Any) -> Any:
-        """Check an action, apply it, and return it as checked."""
+        """Check an action, apply it, and return the checked action."""
 
 
 def is_vehicle_class(candidate: object) -> bool:
@@ -99,7 +99,7 @@ def check_drives_in(factory: AdsFactory, world: Any) -> None:
 
 
 def preload(factory: AdsFactory) -> None:
-    """Call a factory's ``preload``, if it has one, so that not each forked process has to load the same."""
+    """Call a factory's ``preload``, if it has one, so that forked processes share what it loads."""
     load = _of_factory(factory, "preload")
     if load is not None:
         load()
@@ -112,13 +112,13 @@ def weights_digest(factory: AdsFactory) -> str:
 
 
 def loading_hint(factory: AdsFactory) -> str:
-    """Return a factory's doubt about the options for loading its policy; empty if it has none."""
+    """Return a factory's note that its policy may need other options for loading; empty if it has none."""
     told = _of_factory(factory, "loading_hint")
     return told if isinstance(told, str) else ""
 
 
 def _of_factory(factory: AdsFactory, name: str) -> Any:
-    """Return an attribute of a factory or of the factory that it wraps; None without.
+    """Return an attribute of a factory or of the factory that it wraps; None if there is none.
 
     A class has none, because its attributes belong to its instances, the ADSs.
     """
@@ -169,8 +169,8 @@ def _check_sight_is_told(factory: AdsFactory, ads: SeeingAds) -> None:
     seeing = inspect.unwrap(factory, stop=lambda each: getattr(each, "sight", None) == ads.sight)
     if getattr(seeing, "sight", None) != ads.sight:
         raise AdsFactoryError(
-            f"ads: expected a pafot.Perception as the factory itself, received one that {shown(factory)} makes and "
-            "calls, so that findings would not state the imperfect sight; write "
+            f"ads: expected a pafot.Perception as the factory itself, received a pafot.Perception that "
+            f"{shown(factory)} makes and calls, so findings would not state the imperfect sight; write "
             "`ads=pafot.Perception(lambda: MyPlanner(), ...)`, or return that from the fixture"
         )
 
@@ -233,7 +233,7 @@ def give_route(vehicle: Any, route: Sequence[Any] | None) -> None:
 
 
 class SelfDriving:
-    """The driver for kind (c) of ADS: a highway-env vehicle class that drives itself, at every physics tick."""
+    """The driver of an ego of a highway-env vehicle class, which drives itself and decides at every physics tick."""
 
     every = 1
 
@@ -255,7 +255,10 @@ class SelfDriving:
 
 @dataclass(eq=False)
 class Planner:
-    """The driver for kind (a) of ADS: a callable from :class:`Observation` to acceleration and steering, or a Drive."""
+    """The driver of the ego for a planner in SI units, a callable from :class:`Observation` to an action.
+
+    The action is acceleration [m/s^2] and steering [rad], or a :class:`Drive`.
+    """
 
     ads: Callable[[Observation], Any]
     road: Road
@@ -278,7 +281,7 @@ class Planner:
         return self.apply(self.ads(self.observe(tick)))
 
     def apply(self, action: Any) -> tuple[float, float] | Drive:
-        """Check an action, apply it, and return it as checked."""
+        """Check an action, apply it, and return the checked action."""
         checked = checked_si_action(action, self.lanes.lane_count)
         self._drive = checked if isinstance(checked, Drive) else None
         if isinstance(checked, Drive):
@@ -311,7 +314,7 @@ class Planner:
         self.vehicle.control(self._wanted, angle + self._bend())
 
     def _bend(self) -> float:
-        """Return the steering that following the lane takes [rad]."""
+        """Return the steering angle with which a vehicle follows the lane [rad]."""
         return 0.0
 
     def _place(self) -> tuple[float, float]:

@@ -14,7 +14,7 @@ CONSTANTS = (
     "POLITENESS", "LANE_CHANGE_MIN_ACC_GAIN", "LANE_CHANGE_MAX_BRAKING_IMPOSED", "LANE_CHANGE_DELAY", "KP_HEADING",
     "KP_LATERAL", "MAX_STEERING_ANGLE",
 )  # fmt: skip
-"""The constants of the model that a subclass may set."""
+"""The constants of ``IDMVehicle`` that a subclass may set."""
 ORDINARY = frozenset({
     "__module__", "__qualname__", "__doc__", "__annotations__", "__annotate__", "__annotate_func__",
     "__firstlineno__", "__static_attributes__", "__abstractmethods__", "_abc_impl",

@@ -99,7 +99,7 @@ class JunctionDirector:
 
     @property
     def executed(self) -> Scenario:
-        """The scenario with the genes so far as driven, and the later ones as requested."""
+        """The scenario with the genes that have begun as driven, and the later genes as requested."""
         if self._grid is None:
             return self._scenario
         chains = iter(self._grid.executed.npcs)
@@ -117,7 +117,7 @@ class JunctionDirector:
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
-        """The tick at which each NPC reached the cell of each started gene, or entered its zone; None before it."""
+        """The tick at which each NPC reached the cell of each started gene, or entered its zone; None if it has not."""
         others = iter(() if self._grid is None else self._grid.arrivals)
         return tuple(
             (npc.entered if npc.entered >= 0 else None,) if isinstance(npc, CrossingNpc) else next(others)
@@ -146,7 +146,7 @@ class JunctionDirector:
         self._crosser.command(ego)
 
     def ceiling(self, npc: Npc) -> float:
-        """Return the highest speed of an NPC on the grid that leaves crossing NPCs their places [m/s]."""
+        """Return the highest speed at which an NPC on the grid does not drive into crossing NPCs [m/s]."""
         number = self._numbers[npc.index]
         return self._crosser.ceiling(npc, number - 1, *self._relations[number])
 

@@ -21,7 +21,7 @@ _RELATIVE = ("x", "y", "vx", "vy")
 
 
 def observer(env: Any) -> Any:
-    """Return a function without arguments that returns an environment's observation, a faster one if possible."""
+    """Return a function that returns an environment's observation: a faster function than its own if possible."""
     stock = env.observation_type
     is_supported = (
         type(stock) is observation.KinematicObservation
@@ -36,7 +36,7 @@ def observer(env: Any) -> Any:
 
 @dataclass(eq=False)
 class FastKinematics:
-    """The kinematics of the ego and of the vehicles nearest along its lane, with the environment's settings."""
+    """A faster function for the Kinematics observation: the ego and the vehicles that are nearest along its lane."""
 
     _env: Any
     _stock: Any

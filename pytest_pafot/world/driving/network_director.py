@@ -15,24 +15,25 @@ from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import NetworkRoad
 
 LOOK_AHEAD = 3.0
-"""The time [s] for which a lane must continue so that an NPC enters it; an NPC leaves a lane that ends within it."""
+"""The driving time [s] for which a lane must continue so that an NPC enters it; an NPC leaves a lane that ends sooner.
+"""
 HEADING_SHARE = 0.9
 """The share of the largest angle to a lane that an NPC uses towards its target lane. It leaves a reserve, because at
 the beginning and end of a bend the lane that it leaves has a slightly different direction."""
 CHANGING_SHARE = 0.3
-"""The share of its lateral acceleration that an NPC may use for a bend while it speeds up during a lane change."""
+"""The share of its lateral acceleration that an NPC may use to follow a bend while it speeds up in a lane change."""
 BETWEEN_LANES = 0.5
 """The distance from the centre of its target lane beyond which an NPC still changes lanes [m]."""
 
 
 class Others(Protocol):
-    """NPCs on their own ways, into which NPCs on the grid do not drive."""
+    """The NPCs that drive on their own ways, for which NPCs on the grid leave room."""
 
     def ceiling(self, npc: Npc) -> float:
-        """Return the highest speed of an NPC that leaves the others their places [m/s]."""
+        """Return the highest speed at which an NPC on the grid does not drive into NPCs on their own ways [m/s]."""
 
     def leaves_room(self, npc: Npc, lane: int) -> bool:
-        """Return whether the others leave room for an NPC in a lane."""
+        """Return whether the NPCs on their own ways leave room for an NPC on the grid to enter a lane."""
 
 
 class NetworkDirector(Director):
@@ -66,8 +67,8 @@ class NetworkDirector(Director):
     def executed(self) -> Scenario:
         """The scenario as driven, if chains can express it; else as requested.
 
-        A chain steps only between neighbouring cells and cannot express skipped cells. In that case the scenario is the
-        requested one, which gives the same run again, too.
+        A chain steps only between neighbouring cells and cannot express skipped cells. If cells were skipped, this is
+        the requested scenario, which also gives the same run again.
         """
         return self._scenario if self.driven else super().executed
 

@@ -18,7 +18,7 @@ DRIVES_ITSELF = "a highway-env vehicle class drives itself and reads the road, s
 
 @dataclass(frozen=True)
 class Perception:
-    """An ADS factory that wraps a factory, so that its ADS sees the other vehicles imperfectly.
+    """A factory that wraps an ADS factory, so that the ADS sees the other vehicles imperfectly.
 
     The ADS sees its own vehicle, the road and fixed objects exactly. All random values follow from the scenario's seed,
     so a scenario gives the same run each time and in any process.
@@ -27,18 +27,18 @@ class Perception:
         ads: the wrapped factory. It makes planners in SI units, or policies for an environment with the observation
             Kinematics, OccupancyGrid, TimeToCollision or LidarObservation; it may have a parameter ``env``.
         range: the largest distance between centres at which the ADS sees a vehicle [m]; None for no limit.
-        latency: the age of the others' states [s], rounded up to whole physics ticks. Before that time, the ADS sees
-            the states at the start. Range and occlusion also belong to the earlier time, but the ego's own state
-            is current.
-        noise: standard deviations of normal errors of the others' ``"position"``, along x and along y [m], and
-            ``"speed"`` [m/s], such as ``{"position": 0.5}``. They are sampled for each vehicle at each decision.
-        dropout: the probability that the ADS does not see a vehicle, 0 to 1. It is sampled likewise.
+        latency: the age of the states of other vehicles as seen [s], rounded up to whole physics ticks. Until
+            a run has lasted this long, the ADS sees the states at the start. Range and occlusion are determined for the
+            same earlier time, but the ego's own state is current.
+        noise: standard deviations of the normal errors of the other vehicles' ``"position"``, along x and along y [m],
+            and ``"speed"`` [m/s], such as ``{"position": 0.5}``. Errors are sampled for each vehicle at each decision.
+        dropout: the probability that the ADS does not see a vehicle at a decision, 0 to 1, sampled like the errors.
         occlusion: if true, vehicles hide each other: a vehicle is hidden if the straight lines from the ego's centre to
             its centre and to its four corners all run through boxes of other vehicles.
 
     Raises:
         FieldError: for an impossible value, such as a negative latency.
-        AdsFactoryError: for a vehicle class, which drives itself, and for a second Perception.
+        AdsFactoryError: if ``ads`` is a vehicle class, which drives itself, or already a Perception.
     """
 
     ads: AdsFactory
@@ -64,7 +64,7 @@ class Perception:
 
     @property
     def sight(self) -> Sight:
-        """The sight of its ADS."""
+        """The imperfections of the ADS's sight."""
         return Sight(
             range=self.range,
             latency=self.latency,
@@ -91,8 +91,9 @@ class Perception:
         """
         if observations:
             raise AdsFactoryError(
-                "ads: expected pafot.Perception as the factory, received one in the place of an ADS, called with an "
-                "observation; write `ads=pafot.Perception(MyPlanner, ...)`, or return that from the fixture"
+                "ads: expected pafot.Perception as the factory, received a pafot.Perception in the place of an ADS, "
+                "called with an observation; write `ads=pafot.Perception(MyPlanner, ...)`, or return that from the "
+                "fixture"
             )
         ads = make_ads(self.ads, **arguments)
         if is_vehicle_class(ads):

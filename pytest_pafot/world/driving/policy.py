@@ -1,4 +1,4 @@
-"""ADSs that use an environment's own observations and actions, and the view that planners inside it simulate in."""
+"""ADSs that use an environment's own observations and actions, and the environment in which they may simulate."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from pytest_pafot.world.stock import Road, class_from_path
 
 
 class Policy:
-    """The driver for kinds (b) and (d) of ADS: a callable from the environment's observation to its action.
+    """The driver of the ego for a policy, a callable from an environment's observation to the environment's action.
 
-    The environment has the road and the ego of the run. For kind (d), the view is updated to the run's state before
-    each decision. With a sight, both show only what is seen.
+    The environment ``env`` has the road and the ego of the run. ``view`` is a second environment, for a planner that
+    simulates; it is updated to the run's state before each decision. With a ``sight``, both environments contain only
+    what the policy sees.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class Policy:
             return self._observe()
 
     def apply(self, action: Any) -> Any:
-        """Check an action, apply it, and return it as checked."""
+        """Check an action, apply it, and return the checked action."""
         checked = checked_action(action, self.env.action_space)
         self.env.action_type.act(checked)
         return checked
@@ -74,7 +75,7 @@ def check_action_space(space: Any) -> None:
 
 
 def checked_action(action: Any, space: Any) -> Any:
-    """Return an action in the form of a space, an int or a float array of its shape.
+    """Return an action as its space requires: as an int, or as a float array with the shape of the space.
 
     Raises:
         BadAction: for an action that is not in the space.
@@ -123,8 +124,8 @@ def copies_on(objects: Sequence[Any], road: Road) -> list[Any]:
 class View:
     """An environment for a planner to copy and simulate in, with the run's state but without the NPCs' genes.
 
-    The ego is a copy of the run's ego. Every other vehicle is of the environment's own traffic class, in the same state
-    and with its current speed as the desired one, because an observer cannot know more.
+    The ego is a copy of the run's ego. Every other vehicle is of the environment's own traffic class, in the NPC's
+    state, and with the current speed as its desired speed, because an observer cannot know more.
     """
 
     def __init__(self, env: Any, run_env: Any) -> None:

@@ -1,4 +1,4 @@
-"""Planners in SI units on roads of any shape, which see the road straightened and whose steering follows its bends."""
+"""Planners in SI units on roads of any shape. They see the road straightened, and are steered along its bends."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pytest_pafot.world.roads.route import wrapped
 
 
 class Pose(NamedTuple):
-    """The state of a vehicle in the world, real or as seen, with the columns of VehicleState; the lane is not used."""
+    """A vehicle's true or seen state in world coordinates, in the order of VehicleState; the lane is not used."""
 
     x: float
     y: float
@@ -36,15 +36,15 @@ class Pose(NamedTuple):
 
 @dataclass(eq=False)
 class RoadPlanner(Planner):
-    """A planner for a road that is shown straightened; it returns acceleration and steering, or a :class:`Drive`.
+    """The driver of the ego for a planner in SI units on a bent road, which the planner sees straightened.
 
-    Positions are along the ego's way, and nominal across it (see :class:`NetworkRoad`). Distances are driven distances,
-    and headings are relative to the lane. The planner's steering is added to the steering that follows the lane. A
-    :class:`Drive` can only use a lane that exists at the ego's place.
+    In its observations, x is along the ego's way and y nominal across it (see :class:`NetworkRoad`). Distances are
+    driven distances, and headings are relative to the lane. The planner's steering is added to the steering that
+    follows the lane. A :class:`Drive` can only use a lane that exists at the ego's place.
 
     Attributes:
         starts: the places along the road at which vehicles start [m].
-        junction: the ways on which other traffic meets the ego's way, if there are any.
+        junction: the ways on which other traffic meets the ego's way; None if there are none.
         ways: the way of each crossing NPC, None for each NPC on the grid; empty if no NPC crosses.
     """
 
@@ -63,7 +63,7 @@ class RoadPlanner(Planner):
         self._past = deque(maxlen=0)
 
     def apply(self, action: Any) -> tuple[float, float] | Drive:
-        """Check an action, apply it, and return it as checked."""
+        """Check an action, apply it, and return the checked action."""
         checked = super().apply(action)
         if isinstance(checked, Drive) and not self.lanes.exists(checked.lane, self._along[0]):
             raise BadAction(
@@ -72,13 +72,13 @@ class RoadPlanner(Planner):
         return checked
 
     def actuate(self) -> None:
-        """Steer and accelerate as decided; with a latency, store all poses."""
+        """Set the controls of a tick as decided; with a latency, store all poses for later observations."""
         if self._poses.maxlen:
             self._poses.append(self._everybody())
         super().actuate()
 
     def observe(self, tick: int) -> Observation:
-        """Return the observation of the straightened road; with an imperfect sight, others may be late or missing."""
+        """Return an observation of the straightened road; with imperfect sight, vehicles may be late or missing."""
         network, everybody = self.lanes, self._everybody()
         self._along = [self._place_of(number, pose) for number, pose in enumerate(everybody)]
         ego, own = everybody[0], network.spot(*everybody[0][:3], self._along[0])
@@ -132,7 +132,7 @@ class RoadPlanner(Planner):
         return way.place(pose.x, pose.y, near)[0]
 
     def _spot(self, npc: int, pose: Pose) -> tuple[Spot | None, float]:
-        """Return an NPC's seen spot on the ego's way, None if it is not on it, and its place along its own way [m]."""
+        """Return a seen NPC's spot on the ego's way, None if it is elsewhere, and its place along its own way [m]."""
         way, near = self.ways[npc] if self.ways else None, self._along[npc + 1]
         if way is None or self.junction is None:
             return self.lanes.spot(*pose[:3], near), near

@@ -21,12 +21,12 @@ from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 
 OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollisionObservation", "LidarObservation")
-"""The observations of highway-env that are computed from the vehicles of a road, so that copies can replace these."""
+"""The observation classes of highway-env that are computed only from a road's vehicles, which copies can replace."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeeingAds:
-    """An ADS and its sight; the engine passes to ``ads`` what that sight lets it see."""
+    """An ADS with an imperfect sight; the engine passes to ``ads`` only what this sight lets it see."""
 
     ads: Any
     sight: Sight
@@ -47,7 +47,7 @@ class SeeingAds:
 
     @property
     def batch(self) -> Any:
-        """The ADS's own ``batch``, which receives what is seen in each run."""
+        """The ADS's own ``batch``, which receives an imperfect observation for each run."""
         return self.ads.batch
 
     @property
@@ -58,12 +58,14 @@ class SeeingAds:
 
 @dataclass(frozen=True, slots=True)
 class PlannerSight:
-    """The sight of a planner in one run.
+    """A planner's imperfect sight in one run, which turns exact observations into imperfect observations.
 
     Attributes:
-        seed: the scenario's seed.
+        sight: the imperfections.
+        seed: the scenario's seed, from which all errors follow.
         physics_hz: ticks per second.
-        lanes: the road's lanes; None if it is not straight, because its planner finds the lanes of vehicles itself.
+        lanes: the road's lanes, in which vehicles with position errors are put; None on a road that is not straight,
+            where ``RoadPlanner`` finds the lane of each vehicle.
     """
 
     sight: Sight
@@ -81,15 +83,15 @@ class PlannerSight:
         return round(now.time * self.physics_hz)
 
     def asking(self, ads: Callable[[Observation], Any], observer: Observer) -> Callable[[Observation], Any]:
-        """Wrap an ADS so that it receives what is seen in a run recorded by an observer."""
+        """Wrap an ADS so that it receives imperfect observations; ``observer`` has the run's exact observations."""
         return lambda now: ads(self.recorded(now, observer))
 
     def recorded(self, now: Observation, observer: Observer) -> Observation:
-        """Return what is seen now in a run recorded by an observer."""
+        """Return the imperfect observation for the exact one ``now``; ``observer`` has the earlier observations."""
         return self.seen(now, observer.observation(max(0, self.tick(now) - self.delay)))
 
     def seen(self, now: Observation, then: Observation) -> Observation:
-        """Return what is seen now, given the exact observation at the time of measurement."""
+        """Return the imperfect observation at the time of ``now``, if ``then`` is exact at the time of measurement."""
         others, ids, lateral = [], [], [now.lateral_velocities[0]]
         for glimpse in self.sight.glimpses(then.array, self.seed, self.tick(now)):
             was = then.others[glimpse.other]
@@ -153,7 +155,7 @@ class PolicySight:
 
     @contextmanager
     def shown(self) -> Iterator[None]:
-        """Put the vehicles as the policy sees them on the environment's road, within the context."""
+        """Put the vehicles as the policy sees them on the environment's road, for the duration of a ``with`` block."""
         env, road = self._env, self._env.road
         vehicles = road.vehicles
         road.vehicles = [env.vehicle, *self._others(self._past[0] if self._past else self._vehicles)]
@@ -163,7 +165,7 @@ class PolicySight:
             road.vehicles = vehicles
 
     def observe_through(self) -> None:
-        """Make the environment observe what is seen, also after a reset has replaced its observation type."""
+        """Make the environment's observations imperfect, also after a reset has replaced its observation type."""
         env = self._env
         define_spaces, plain = env.define_spaces, env.observation_type.observe
 
@@ -179,7 +181,7 @@ class PolicySight:
         env.define_spaces, env.observation_type.observe = define_again, observe
 
     def close(self) -> None:
-        """Let the environment observe everything again from its next reset on."""
+        """Make the environment's observations exact again from its next reset on."""
         self._env.__dict__.pop("define_spaces", None)
 
     @property

@@ -53,7 +53,7 @@ class ParallelLanes(RoadNetwork):  # type: ignore[misc]
         self._grid = Lanes(len(lanes), float(first.width), float(first.length))
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
-        """Return highway-env's index of the lane with the least lateral distance plus angle; the first of equals."""
+        """Return the index of the lane with the smallest sum of lateral distance and angle, as highway-env does."""
         return self.closest(float(position[0]), float(position[1]), 0.0 if heading is None else heading)
 
     def closest(self, x: float, y: float, heading: float) -> tuple[str, str, int]:
@@ -77,7 +77,7 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
         self._squares: dict[tuple[int, int], list[tuple[float, int]]] = {}
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
-        """Return highway-env's index of the lane with the least lateral distance plus angle; the first of equals."""
+        """Return the index of the lane with the smallest sum of lateral distance and angle, as highway-env does."""
         index: tuple[str, str, int]
         x, y = float(position[0]), float(position[1])
         if not (math.isfinite(x) and math.isfinite(y)):
@@ -134,9 +134,9 @@ def is_regulated(vehicle: Vehicle) -> bool:
 
 
 class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
-    """The regulated road of highway-env if only the ego, the first vehicle, can be made to yield.
+    """The regulated road of highway-env for runs in which only the ego, the first vehicle, may have to yield.
 
-    Pairs of other vehicles are therefore not checked, and no pairs at all if the ego does not obey the road.
+    Pairs of other vehicles are therefore not checked; nor is any pair if the ego does not obey the road's rules.
     """
 
     vehicles: list[Any]
@@ -221,7 +221,7 @@ class Car(Vehicle):  # type: ignore[misc]
 
     @property
     def target_speed(self) -> float:
-        """The speed that an observer assumes to be the desired one [m/s]."""
+        """The current speed [m/s], which highway-env's IDM takes for the vehicle's desired speed."""
         return float(self.speed)
 
     def control(self, acceleration: float, steering: float) -> None:
@@ -231,7 +231,7 @@ class Car(Vehicle):  # type: ignore[misc]
 
     @property
     def action(self) -> dict[str, float]:
-        """The controls in the form of highway-env."""
+        """The controls as a dict, as in highway-env."""
         return {"steering": self.steering, "acceleration": self.acceleration}
 
     @action.setter
@@ -239,7 +239,7 @@ class Car(Vehicle):  # type: ignore[misc]
         self.steering, self.acceleration = float(value["steering"]), float(value["acceleration"])
 
     def act(self, action: Any = None) -> None:
-        """Hold the controls, or take new ones, as highway-env's own predictions pass them."""
+        """Hold the current controls, or set the controls in ``action``, which highway-env's predictions pass."""
         if action:
             self.action = action
 
@@ -255,7 +255,7 @@ class Car(Vehicle):  # type: ignore[misc]
 
 
 class DirectedVehicle(MDPVehicle):  # type: ignore[misc]
-    """The vehicle of highway-env for discrete actions, which computes the same steering in half the time.
+    """The vehicle of highway-env for discrete actions, with the same steering computed in half the time.
 
     For a single number, ``numpy.clip`` takes longer than all other operations together.
     """
@@ -277,7 +277,7 @@ def _clipped(value: Any, bound: float) -> Any:
 
 
 def quick(vehicle_class: Any) -> Any:
-    """Return a class or partial that makes equivalent vehicles for an environment's actions, a faster one if known."""
+    """Return a faster class with the same behaviour as a class of ego vehicles, or the given class if none is known."""
     if isinstance(vehicle_class, functools.partial) and vehicle_class.func is MDPVehicle:
         return functools.partial(DirectedVehicle, *vehicle_class.args, **vehicle_class.keywords)
     return vehicle_class

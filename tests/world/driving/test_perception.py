@@ -329,7 +329,9 @@ def test_hidden_perception_inside_a_factory_is_refused(world):
         return pafot.Perception(WatchingPolicy, noise={"speed": 1.0})()
 
     for factory in (inner, pafot.Perception(inner, latency=0.2)):
-        with pytest.raises(AdsFactoryError, match=r"expected a pafot\.Perception as the factory itself, received one "):
+        with pytest.raises(
+            AdsFactoryError, match=r"expected a pafot\.Perception as the factory itself, received a pafot\.Perception "
+        ):
             world.rollout(SCENARIO, factory)
 
 
