@@ -1,1 +1,1 @@
-"""The engines that step a run: the kernel, highway-env's objects, lock step, and the environment itself."""
+"""The engines that simulate runs: in the kernel, with highway-env's objects, in lock step, or with ``env.step``."""

@@ -36,7 +36,7 @@ TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 
 
 class StockVehicle(Vehicle):  # type: ignore[misc]
-    """A highway-env vehicle with names for its state, and with highway-env's own physics, lane search and shape.
+    """A highway-env vehicle with properties for its state, and with highway-env's own physics, lane search and shape.
 
     ``target_speed`` is its current speed, which highway-env's IDM then assumes to be the desired speed of a vehicle
     ahead.
@@ -54,7 +54,7 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
 
     @property
     def target_speed(self) -> float:
-        """The current speed [m/s]."""
+        """The current speed [m/s], which stands in for the desired speed."""
         return float(self.speed)
 
     @property
@@ -77,9 +77,9 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
 
 
 class StockPolicy:
-    """The driver for a policy in its environment, which observes by the results of ``env.step`` and acts through it.
+    """The driver of the ego for a policy that observes and acts only through ``env.step``.
 
-    ``outer`` is the environment in its wrappers, if it has any. ``view`` is the environment for a planner that
+    ``outer`` is the environment, in its wrappers if it has any. ``view`` is a second environment, for a planner that
     simulates; it is updated before each decision.
     """
 
@@ -116,11 +116,11 @@ class StockPolicy:
         if plain.road.vehicles != vehicles:
             raise WorldError(
                 f"env_id: expected an environment that makes its vehicles in `_reset`, received "
-                f"{type(plain).__name__}, whose `reset` adds others afterwards; make them in `_reset`"
+                f"{type(plain).__name__}, whose `reset` adds vehicles afterwards; make all vehicles in `_reset`"
             )
 
     def decide(self, tick: int) -> Any:
-        """Call the ADS and check its action, which the environment applies later."""
+        """Call the ADS, and return its checked action, which the environment applies in the next step."""
         if self.failure is not None:
             raise self.failure
         if self._view is not None:
@@ -181,7 +181,7 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
 def replay_environment(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory, *, is_planner: bool
 ) -> Trace:
-    """Do a run of a :class:`pytest_pafot.World` with ``env.step`` of its environment in its wrappers."""
+    """Simulate a run of a :class:`pytest_pafot.World` with ``env.step`` of its environment, in all wrappers."""
     outer, route = environment.make(), environment.route
     env = _reset(outer, scenario)
     is_policy, view = not (is_planner or is_vehicle_class(ads_factory)), None
@@ -287,8 +287,9 @@ class _Loop:
                     return self._ended
                 if record.tick == tick and getattr(driver, "failure", None) is None:
                     raise WorldError(
-                        f"wrappers: expected that a step through them steps the environment, received one that did "
-                        f"not, at {tick / record.rules.physics_hz:.1f} s; leave out wrappers that end or reset episodes"
+                        f"wrappers: expected that a step of the wrappers steps the environment, received a step that "
+                        f"did not, at {tick / record.rules.physics_hz:.1f} s; leave out wrappers that end or reset "
+                        f"episodes"
                     )
         return record.trace()
 
@@ -299,7 +300,7 @@ class _Loop:
             self._traffic.command()
 
     def _step(self, dt: float) -> None:
-        """Do ``Road.step``, and then record and test for contact, unless the run has ended within the decision."""
+        """Call ``Road.step``; then record and test for contact, unless the run has already ended."""
         record = self._traffic.record
         error = step_ego(record.tick, self._guard, lambda: self._road_step(dt))
         if not self._is_over:

@@ -1,9 +1,9 @@
 """Runs in lock step, in which an ADS with a method ``batch`` decides for all runs at once.
 
 ``batch(observations) -> actions`` receives the :class:`Observations` of all unfinished runs at one decision tick, and
-returns one action for each in the same order. One fresh ADS serves all runs of a batch. It may therefore store state
-between decisions only per run, by ``observations.runs``, and an action may depend only on its own run. Under these
-conditions, the runs equal those of the same ADS called one by one.
+returns one action for each observation, in the same order. One fresh ADS serves all runs of a batch. It may therefore
+store state between decisions only separately for each run, by ``observations.runs``, and an action may depend only on
+its own run. Under these conditions, the runs are the same as if the ADS were called for one run after another.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Observations(list[Any]):
 
     Args:
         runs: the number of each unfinished run among all runs of the batch, from 0; it is the same at every tick.
-        seen: the observation of each of them, in the same order.
+        seen: the observation in each of these runs, in the same order.
     """
 
     def __init__(self, runs: Sequence[int], seen: Iterable[Any]) -> None:
@@ -56,11 +56,11 @@ class SteppedRun(Protocol):
         """Return the ADS's current observation."""
 
     def take(self, action: Any, seconds: float) -> None:
-        """Apply a decision, which took some seconds, and drive up to the next one or the end."""
+        """Apply a decision that took ``seconds``, and drive until the next decision or the end of the run."""
 
 
 def batching_ads(factory: AdsFactory, hang_limit: float) -> Any:
-    """Make a fresh ADS that decides for many runs at once; close it and return None if it has no ``batch``."""
+    """Make a fresh ADS and return it if it has ``batch``, which decides for many runs at once; else return None."""
     if is_vehicle_class(factory) or wants_env(factory):
         return None
     ads = make_ads(factory)

@@ -74,7 +74,7 @@ def run_on(
 def begin_planner(
     network: RoadNetwork, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None
 ) -> ObjectRun:
-    """Begin a run that receives its decisions in SI units from outside."""
+    """Begin a run to which the caller passes decisions in SI units, for an ADS with the given sight."""
     road = Road(network, np_random=np.random.default_rng(scenario.seed))
     return ObjectRun(rules, scenario, road, partial(_planner, rules, scenario, road, None, sight, None), guard)
 
@@ -104,7 +104,7 @@ def planner_of(rules: Rules, scenario: Scenario, road: Road, ads: Any, sight: Si
 
 
 class ObjectRun:
-    """A run that receives its decisions; see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`.
+    """A run to which the caller passes decisions; see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`.
 
     The road must be empty: the run adds all vehicles, the ego first. ``make_ego`` makes the ego's driver for its start
     (x [m], y [m], heading [rad]) before the NPCs exist.
@@ -131,7 +131,7 @@ class ObjectRun:
         return cast("AskedDriver", self.traffic.driver).observe(self.traffic.record.tick)
 
     def take(self, action: Any, seconds: float) -> None:
-        """Apply a decision, which took some seconds, and drive up to the next one or the end."""
+        """Apply a decision that took ``seconds``, and drive until the next decision or the end of the run."""
         record, error = self.traffic.record, None
         try:
             record.actions.append(cast("AskedDriver", self.traffic.driver).apply(action))
@@ -142,7 +142,7 @@ class ObjectRun:
         self.go_on(error)
 
     def go_on(self, error: AdsError | None = None) -> None:
-        """Drive up to the next decision; set ``trace`` if the run ends, also because of an error of the ADS."""
+        """Drive until the next decision; set ``trace`` if the run ends, as it does at once with an error of the ADS."""
         traffic, record, driver = self.traffic, self.traffic.record, self.traffic.driver
         for _ in range(min(driver.every, self._last - record.tick) if error is None else 0):
             driver.actuate()
@@ -162,7 +162,7 @@ class ObjectRun:
 
 
 def decide(driver: EgoDriver, tick: int, record: Record, guard: HangGuard) -> AdsError | None:
-    """Let the ADS decide, under guard, and return its error, or None."""
+    """Let the ADS decide within the guard's time limit, and return its error, or None."""
     started = guard.clock()
     try:
         try:
@@ -188,9 +188,10 @@ def step_ego(tick: int, guard: HangGuard, step: Callable[[], Any]) -> AdsError |
 
 
 class VehiclesOfRun:
-    """The highway-env vehicles of a run; it passes the director's controls to them and their states to the record.
+    """The highway-env vehicles of a run. They receive the director's controls, and the record receives their states.
 
-    The ego is at its start. ``make_npc`` makes a vehicle from x [m], y [m], heading [rad] and speed [m/s].
+    The driver's ego must already be at its start. ``make_npc`` makes a vehicle from x [m], y [m], heading [rad] and
+    speed [m/s].
     """
 
     def __init__(
@@ -234,7 +235,7 @@ class VehiclesOfRun:
             vehicle.control(npc.acceleration, npc.steering)
 
     def note(self) -> Trace | None:
-        """Record the state after a step, and return the trace if it ends the run by a contact or off the road."""
+        """Record the state after a step, and return the trace if a contact or the end of the road ends the run."""
         self.record.tick += 1
         states = self._states()
         left = self._write(states, [self._controls(vehicle) for vehicle in self.vehicles])

@@ -59,7 +59,7 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
 def begin(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None
 ) -> ObjectRun:
-    """Begin a run that receives its actions from outside, for an ADS with the given sight."""
+    """Begin a run to which the caller passes the actions, for an ADS with the given sight."""
     env = _env_of(environment, scenario)
 
     def make_ego(start: tuple[float, float, float]) -> Policy:
@@ -71,7 +71,7 @@ def begin(
 
 
 def put_ego(env: Any, ego: Any, route: Sequence[Any] | None) -> None:
-    """Make a vehicle the only one of an environment, on a route if it follows one.
+    """Make ``ego`` the only vehicle of an environment, and give it the route if it follows routes.
 
     highway-env's own check of collisions is turned off, because pafot tests for contact itself.
     """

@@ -55,7 +55,7 @@ def run_planner(
 
 
 class KernelRun:
-    """A run in the kernel that receives its decisions; see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`."""
+    """A run in the kernel to which the caller passes decisions, as a ``SteppedRun`` of ``engines.lock_step``."""
 
     def __init__(self, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None = None) -> None:
         ego = Body(NPC_LENGTH, NPC_WIDTH)
@@ -75,7 +75,7 @@ class KernelRun:
         return now if self._sight is None else self._sight.recorded(now, self._observer)
 
     def take(self, action: Any, seconds: float) -> None:
-        """Apply a decision, which took some seconds, and drive up to the next one or the end."""
+        """Apply a decision that took ``seconds``, and drive until the next decision or the end of the run."""
         loop, record, error = self._loop, self._record, None
         try:
             self._pilot.take(action, seconds)
@@ -132,11 +132,11 @@ class SiWorld(Protocol):
 
     @property
     def rules(self) -> Rules:
-        """The rules of its runs."""
+        """The settings that all runs have in common."""
 
     @property
     def network(self) -> Any:
-        """The road in the form of highway-env."""
+        """The road as a road network of highway-env."""
 
 
 def rollout_vehicle(world: SiWorld, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
@@ -159,7 +159,7 @@ def rollout_vehicle(world: SiWorld, scenario: Scenario, ads: Any, decisions: Seq
 
 
 def kernel_model(world: SiWorld, ads: Any) -> IdmModel | None:
-    """Return the model by which the kernel drives a vehicle class; None if it cannot or must not."""
+    """Return the model by which the kernel drives a vehicle class; None if the kernel cannot, or is not to be used."""
     return None if world.engine == "highway-env" else idm_model(ads)
 
 
@@ -182,7 +182,7 @@ def rollout_planner(
 
 
 def begin(world: SiWorld, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-    """Begin a run that receives its decisions in SI units from outside, for an ADS with the given sight."""
+    """Begin a run to which the caller passes decisions in SI units, for an ADS with the given sight."""
     if world.engine != "highway-env":
         return KernelRun(world.rules, scenario, guard, sight)
     from pytest_pafot.world.engines.object_engine import begin_planner  # noqa: PLC0415  (a second of imports)
