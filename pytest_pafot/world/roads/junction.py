@@ -39,21 +39,22 @@ WIDER = 1.0
 TOUCHING = 1e-6
 """The distance below which boxes touch [m]. Without it, rounding would decide when roads meet at right angles."""
 ONE_LANE, ONE_DIRECTION = 0.5, 0.1
-"""The largest distance and angle between two ways in one lane [m, rad]."""
+"""The largest distance and angle between two ways at which they are in the same lane [m, rad]."""
 BESIDE, ALIGNED = 1.0, 0.3
-"""The distance from a way and the angle to it within which a vehicle is in the way of others on it [m, rad]."""
+"""The distance from a way and the angle to the way up to which a vehicle obstructs vehicles on that way [m, rad]."""
 APPROACH = 20.0
 """The distance of both vehicles before the zone at which the direction of approach is determined [m]."""
 OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
-"""Limits for the angle between the two directions there [rad]: vehicles come from opposite directions above the first,
-and side by side below the second. In a roundabout the angle is three quarters of pi, and a circulating vehicle comes
-from the left."""
+"""Limits for the angle between two vehicles' directions of approach [rad]. Above the first, they come from opposite
+directions; below the second, they come side by side. In a roundabout the angle is three quarters of pi, and a
+circulating vehicle comes from the left."""
 OFF_WAY = (math.nan, math.nan, math.nan, math.nan, math.nan)
 """The row in the track for a vehicle that is not on the ego's way."""
 NOT_ON_WAY = 0.5
 """The angle to the ego's way above which a vehicle is not on it [rad]."""
 STRAIGHTER = 0.2
-"""The difference of turning angles in a merging zone above which the way that turns less is the main lane [rad]."""
+"""The difference of the turning angles of two merging ways above which the way that turns less is the main lane [rad].
+"""
 LEAD = 6.0
 """The time before its first zone at which an ego of constant speed starts, if its lane is long enough [s]."""
 MOST_WAYS = 64
@@ -61,7 +62,7 @@ MOST_WAYS = 64
 COARSE = 4
 """The number of points that are first treated as one when two ways are compared, which is faster."""
 DRAWN = 4
-"""The step between the points of a way that are used for pictures."""
+"""The step from one point of a way that is stored for pictures to the next."""
 
 
 class Course(NamedTuple):
@@ -98,7 +99,10 @@ class CrossingWay:
         return Track(line.x.tolist(), line.y.tolist(), column.direction, column.lean, column.speed, column.sharpest)
 
     def place(self, x: float, y: float, near: float) -> tuple[float, float, float]:
-        """Return a vehicle's place along the way and to the right of it, and the direction there, near some place."""
+        """Return a vehicle's place along the way and to the right of it [m], and the way's direction there [rad].
+
+        ``near`` is a place close to the vehicle, because ways may cross themselves [m].
+        """
         self.track.locate(x, y, near)
         return self.track.along, self.track.across, self.track.direction
 
@@ -114,7 +118,7 @@ class Junction:
     Attributes:
         crossings: the zones and ways from which a search samples.
         ways: the ways by name.
-        meetings: the meetings of ``crossings``, and those with the ego's way, whose name is ``""``.
+        meetings: for the names of two ways, the stretches of both in which they meet; the ego's way is named ``""``.
         shared: for the names of two ways, the place along the first way of each point of the second [m]; NaN for points
             that are not on the first way. Pairs without a shared place are absent.
         along_ego: for each way, the place along the ego's way of each of its points [m]; NaN for points that are not
@@ -148,13 +152,13 @@ class Junction:
         return spot if road.part(spot) >= 0 and abs(spot.angle) < NOT_ON_WAY else None
 
     def stretches(self, mine: str, theirs: str) -> list[tuple[Stretch, Stretch]]:
-        """Return the stretches in which two ways meet; one may be the ego's."""
+        """Return the stretches in which two ways meet; either may be the ego's way."""
         if (theirs, mine) in self.meetings:
             return [(own, its) for its, own in self.meetings[theirs, mine]]
         return list(self.meetings.get((mine, theirs), ()))
 
     def places(self, mine: str, theirs: str) -> array[float] | None:
-        """Return the places along one way of each point of another way; None if the two share no lane."""
+        """Return the place along the way ``mine`` of each point of ``theirs`` [m]; None if the two share no lane."""
         if mine == theirs and mine != EGOS:
             return array("d", [STEP * point for point in range(len(self.ways[mine].line.x))])
         return self.shared.get((mine, theirs))
@@ -291,7 +295,7 @@ def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
 
 
 def boxes_touch(a: Course, b: Course, pairs: tuple[IntArray, IntArray], wider: float) -> Flags:
-    """Return for each pair of points whether vehicles' boxes touch, each widened by ``wider`` [m] (separating axes)."""
+    """Return for each pair of points whether two vehicles there touch, with boxes widened by ``wider`` [m]."""
     i, j = pairs
     length, width = NPC_LENGTH, NPC_WIDTH + wider
     x, y = b.x[j] - a.x[i], b.y[j] - a.y[i]
@@ -311,8 +315,8 @@ class Meeting(NamedTuple):
 
     Attributes:
         stretches: the stretches of both ways in which wide boxes can touch [m].
-        closest: the points of both at which they are nearest; in a merging zone the first points in one lane.
-        merges: true if both lead on in one lane.
+        closest: the points of both ways at which they are nearest; if they merge, the first points in the same lane.
+        merges: true if both ways continue in one lane.
     """
 
     stretches: tuple[Stretch, Stretch]
@@ -323,8 +327,9 @@ class Meeting(NamedTuple):
 def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Iterator[Meeting]:
     """Yield the places at which two ways meet, in the order of the second way.
 
-    If two ways merge into one lane, the meeting ends a vehicle's length after that. If they leave one lane, it begins a
-    vehicle's length before that. Ways side by side, whose boxes touch only when widened, do not meet.
+    If two ways merge, the meeting ends a vehicle's length after the first point in the same lane. If they part, it
+    begins a vehicle's length before the last such point. Ways side by side, on which vehicles touch only if widened, do
+    not meet.
     """
     wide = boxes_touch(a, b, pairs, WIDER)
     i, j = pairs[0][wide], pairs[1][wide]
@@ -369,9 +374,9 @@ def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
 
 
 def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: float, turned: float) -> FloatArray:
-    """Return the place along one way of each point of another way [m].
+    """Return the place along the way ``a`` of each point of the way ``b`` [m].
 
-    It is NaN for points that are farther than ``beside`` from the first way [m], or turned more than ``turned`` [rad].
+    It is NaN for points that are farther than ``beside`` from the way ``a`` [m], or turned more than ``turned`` [rad].
     """
     i, j = pairs
     x, y, cos, sin = b.x[j] - a.x[i], b.y[j] - a.y[i], a.cos[i], a.sin[i]
@@ -386,7 +391,7 @@ def _places(a: Course, b: Course, pairs: tuple[IntArray, IntArray], beside: floa
 def _driven(speeds: FloatArray, limits: NpcLimits) -> FloatArray:
     """Return the speeds at which a vehicle drives along a way, given its desired speed at each point [m/s].
 
-    They differ because the speed control lags behind, both before and after a bend.
+    The two differ because the speed control lags behind, both before and after a bend.
     """
     wanted = speeds.tolist()
     driven = wanted[:1]
@@ -493,7 +498,7 @@ class JunctionFrame(NetworkFrame):
     def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
         """Place the bodies on their ways, and return each vehicle's lane, and the outcome if the run leaves the road.
 
-        A crossing NPC's body has the place along its own way, the distance to its right, and the angle to it.
+        A crossing NPC's body gets its place along its own way, its distance to the right of it, and its angle to it.
         """
         on_grid, lanes = self._on_grid, [-1] * len(states)
         found, left = super().see([states[number] for number in on_grid], [bodies[number] for number in on_grid])

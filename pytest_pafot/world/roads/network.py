@@ -27,14 +27,14 @@ from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
 from pytest_pafot.world.roads.straight import StraightRoad
 
 Meeting = Literal["crosses", "joins", "oncoming"]
-"""The kind of meeting between a road and the ego's way; a road that only leaves the way does not count."""
+"""The kind of meeting between the ego's way and a different road; a road that only leaves the way has none."""
 
 BEND_SHARE = 0.8
 """The share of the lateral acceleration available for following a bend; the rest is reserved for control."""
 SLOWING = 2.0
 """The deceleration of an NPC before a bend or a lane's end [m/s^2]; at most a third of its braking limit is used."""
 SPEED_LAG = 1 / 1.5
-"""The lag of the speed control behind a steadily falling speed, which is the inverse of its gain [s]."""
+"""The time by which the speed control lags behind a steadily falling target speed: the inverse of its gain [s]."""
 
 
 def allowed_speeds(
@@ -110,10 +110,10 @@ class Column:
         exists: True if the lane exists at the point.
         across: the distance of its centre from the line, to the right [m].
         direction: the direction of its centre line [rad].
-        lean: the angle to it of a vehicle that follows it exactly [rad]. In a bend, a car's heading is turned inwards
-            less than its course.
-        speed: the highest speed that bends, limits and the lane's end leave to an NPC [m/s].
-        sharpest: the largest curvature of the lane over the length of a lane change from here [1/m].
+        lean: the angle between the direction and a vehicle that follows the lane exactly [rad]. In a bend, a car's
+            heading is turned inwards less than its course.
+        speed: the highest speed that bends, speed limits and the lane's end allow to an NPC [m/s].
+        sharpest: the largest curvature of the lane within the length of a lane change ahead of the point [1/m].
         part: the index of the lane in ``Trace.lanes``, -1 if it does not exist.
     """
 
@@ -195,7 +195,7 @@ class NetworkRoad:
         return self.bends.continues(lane, since, until)
 
     def cells(self, along: float, ego_lane: int, rows: float) -> frozenset[Cell]:
-        """Return the cells whose centre is on a lane; ``rows`` is the distance between rows [m]."""
+        """Return the cells around an ego whose centres are on lanes; ``rows`` is the distance between rows [m]."""
         return frozenset(cell for cell in Cell if self.exists(ego_lane + cell.column, along + cell.row * rows))
 
     def position(self, longitudinal: float, lane: int) -> tuple[float, float, float]:
@@ -213,19 +213,19 @@ class NetworkRoad:
         return self.bends.nearest_lane(lateral)
 
     def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
-        """Return a lane's distance across from the line [m], its direction [rad], and a vehicle's lean in it [rad]."""
+        """Return a lane's distance to the right of the line [m], direction [rad] and lean [rad]; see Column."""
         return self.bends.lane_at(lane, along)
 
     def speed_at(self, lane: int, along: float) -> float:
-        """Return the highest speed of an NPC in a lane [m/s]."""
+        """Return the highest speed of an NPC in a lane at a place along the road [m/s]."""
         return self.bends.speed_at(lane, along)
 
     def stretch(self, along: float, across: float) -> float:
-        """Return the metres driven per metre along the road: more than 1 on the outside of a bend, less inside."""
+        """Return the metres that a vehicle drives per metre of the line: above 1 on the outside of a bend."""
         return self.bends.stretch(along, across)
 
     def spot(self, x: float, y: float, heading: float, near: float) -> Spot:
-        """Return a vehicle's place on the road near a place along it, because roads may cross themselves."""
+        """Return a vehicle's place on the road; ``near`` is a place close to it, because the road may cross itself."""
         bends = self.bends
         bends.locate(x, y, heading, near)
         return Spot(bends.along, bends.across, bends.angle, bends.lane, bends.offset)
@@ -248,13 +248,13 @@ class NetworkRoad:
 
     @cached_property
     def unused(self) -> frozenset[Meeting]:
-        """The kinds of meetings with other lanes. NPCs on the grid never drive on these lanes."""
+        """The kinds of meetings of the way with lanes outside the way, on which NPCs on the grid never drive."""
         own_lanes = len(self.lanes) - len(self.others)
         ways = zip(self.others, self.lanes[own_lanes:], strict=True)
         return frozenset(filter(None, (self._meeting(index[:2], lane) for index, lane in ways)))
 
     def _meeting(self, section: tuple[str, str], lane: Lane) -> Meeting | None:
-        """Return how a lane outside the way's sections meets it; None if it leaves the way, or is far from it."""
+        """Return how a lane outside the way's sections meets the way; None if the lane leaves it or is far away."""
         nodes, ends = {node for each in self.sections for node in each}, {end for _, end in self.sections}
         is_turned = section[::-1] in self.sections
         if section[1] in ends:
@@ -311,7 +311,7 @@ class NetworkFrame:
     def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
         """Place the bodies on the road, and return each vehicle's lane, and the outcome if the run leaves the road.
 
-        Bodies have nominal positions across the road, and headings relative to the ego's way; see :class:`Trace`.
+        Bodies get nominal positions across the road, and headings relative to the ego's way.
         """
         road, bends, lanes, has_ended = self._road, self._road.bends, [], False
         for number, ((x, y, heading, speed), body) in enumerate(zip(states, bodies, strict=True)):

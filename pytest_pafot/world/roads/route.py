@@ -23,20 +23,22 @@ Angle = TypeVar("Angle", float, FloatArray)
 STEP = 0.5
 """The distance between neighbouring points of a line [m]."""
 WIDEST_GAP = 10.0
-"""The largest gap between a lane's end and the next lane's beginning [m]; highway-env's roundabouts have 6 m."""
+"""The largest gap over which a vehicle drives on from a lane's end to the next lane [m]; in highway-env's roundabouts
+it is 6 m."""
 SHARPEST_BEND = 1.3
 """The largest angle between the directions of two consecutive lanes [rad]; a larger one cannot be driven."""
 DECIDED_BEFORE = 2.5
 """The distance before a lane's end at which highway-env's vehicles choose the next lane [m]."""
 ROUGH = 0.06
-"""The largest angle between neighbouring points of a line [rad]; no vehicle can follow more at a joint of two lanes."""
+"""The angle between neighbouring points of a line above which a joint of two lanes is rounded off [rad], because no
+vehicle can follow it."""
 BLEND = 3.0
-"""The length scale of rounding a gap or bend between two lanes, to either side [m]."""
+"""The length scale over which a joint of two lanes is rounded off, to either side [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A part of a lane that belongs to the way; ``begin`` and ``end`` are longitudinal coordinates of the lane [m]."""
+    """The part of a lane that belongs to a way, from ``begin`` to ``end`` in the lane's longitudinal coordinate [m]."""
 
     index: LaneIndex
     lane: Any
@@ -66,7 +68,7 @@ def way(
     """Return the pieces of the ego's way in driving order, and the number of the piece in which the ego starts.
 
     The ego starts in lane ``start`` at the longitudinal coordinate ``at`` [m]. The way covers the distances ``ahead``
-    and ``behind`` [m] if the network continues so far. ``planned`` is the ego's route in the form of highway-env.
+    and ``behind`` [m] if the network continues that far. ``planned`` is the ego's ``route`` in highway-env.
     """
     first = Piece(start, network.get_lane(start), 0.0, float(network.get_lane(start).length))
     before: list[Piece] = []
@@ -86,7 +88,7 @@ def way(
 
 
 def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
-    """Return the next piece on the route, or without a route the nearest piece that can be driven on to."""
+    """Return the next piece on the route, or without a route the nearest piece on which a vehicle can drive on."""
     origin, node, number = last.index
     point = last.lane.position(last.end, 0)
     deciding = last.lane.position(max(last.end - DECIDED_BEFORE, last.begin), 0)

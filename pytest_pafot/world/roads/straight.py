@@ -1,7 +1,7 @@
 """The straight road in the grid's coordinates: positions along the road and across its lanes.
 
 A road maps world coordinates to (longitudinal, lateral, heading relative to the road). The NPC's driver, the grid and
-the start positions know no more about a road, so other shapes can have the same interface.
+the start positions use nothing else of a road, so other shapes can have the same interface.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ class StraightRoad:
 
     @property
     def starts_at_origin(self) -> bool:
-        """True if world coordinates are also road coordinates."""
+        """True if world coordinates and road coordinates are the same."""
         return self._origin == (0.0, 0.0)
 
     def project(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
-        """Return the place along the road [m], across it from the centre of lane 0 [m], and the heading to it [rad]."""
+        """Return the place along the road [m], to the right of lane 0's centre [m], and the angle to the road [rad]."""
         x0, y0 = self._origin
         return x - x0, y - y0, heading
 

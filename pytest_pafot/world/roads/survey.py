@@ -23,15 +23,15 @@ TIGHTEST = 1 / 6.5
 SHORTEST_LANE = 10.0
 """The least length of a lane next to the way; the grid ignores shorter ones [m]."""
 BEYOND_ENDS = 0.5
-"""The distance beyond its ends within which a lane still counts as next to the way [m]."""
+"""The distance beyond a lane's ends up to which the lane is still next to the way [m]."""
 SAME_DIRECTION = 0.5
-"""The largest angle between lanes of one direction [rad]."""
+"""The largest angle between two lanes at which they lead in the same direction [rad]."""
 SAME_LANE = 1.0
-"""The largest step across the road within a continuous lane [m]."""
+"""The largest sideways step between neighbouring points at which a lane is still continuous [m]."""
 BRIDGED = 10.0
 """The longest interruption of a lane, such as between two sections, that is bridged [m]."""
 EVENED = 2.0
-"""The length scale over which steps across the road are rounded off [m]."""
+"""The length scale over which sideways steps of a lane are rounded off [m]."""
 LANE_CHANGE = 25.0
 """The length of a lane change at the speeds at which bends matter [m]."""
 STOP_BEFORE_END = NPC_LENGTH / 2 + 1.5
@@ -45,7 +45,7 @@ Flags = npt.NDArray[np.bool_]
 
 
 class _Strip:
-    """A lane with one number along the way; arrays have an entry per point of the line."""
+    """A lane next to the ego's way that has the same number everywhere; arrays have an entry per point of the line."""
 
     def __init__(self, points: int) -> None:
         self.exists = np.zeros(points, dtype=bool)
@@ -55,10 +55,10 @@ class _Strip:
 def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     """Make the road of an environment after its reset.
 
-    ``ahead`` is the greatest distance that a vehicle may drive [m].
+    ``ahead`` is the greatest distance that a vehicle may drive [m]; ``name`` stands for the environment in errors.
 
     Raises:
-        WorldError: if the grid has no meaning on the road; the message says why.
+        WorldError: if the grid cannot be used on the road; the message says why.
     """
     network, ego = env.road.network, env.vehicle
     index, at = _start(network, ego, name)
@@ -72,7 +72,8 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
             field=name,
             expected=f"bends that a vehicle of {NPC_LENGTH:g} m can follow, with a radius of at least "
             f"{1 / TIGHTEST:g} m",
-            received=f"{1 / abs(curvature[worst]):.1f} m at x = {line.x[worst]:.0f}, y = {line.y[worst]:.0f}",
+            received=f"a radius of {1 / abs(curvature[worst]):.1f} m at x = {line.x[worst]:.0f} m, "
+            f"y = {line.y[worst]:.0f} m",
         )
     start = _place(line, first, np.asarray(pieces[first].lane.position(at, 0)))
     columns, lanes = _columns(line, strips, limits)
@@ -95,7 +96,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
         raise WorldError(
             field=name,
             expected="a road that goes on ahead of the ego's start",
-            received=f"one that ends {road.end - start:.0f} m ahead",
+            received=f"a road that ends {road.end - start:.0f} m ahead",
             fix="give the ego a route, or a start further back",
         )
     return road
@@ -104,7 +105,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
 def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
     """Return the lane in which the ego starts, and its place in that lane [m]."""
     if ego is None or not network.lanes_list():
-        raise WorldError(field=name, expected="an ego on a road with lanes", received="an environment without")
+        raise WorldError(field=name, expected="an ego on a road with lanes", received="an environment without them")
     index = network.get_closest_lane_index(ego.position, ego.heading)
     lane = network.get_lane(index)
     at, offset = (float(value) for value in lane.local_coordinates(ego.position))
@@ -114,7 +115,7 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
         raise WorldError(
             field=name,
             expected="an ego that starts on a lane and in its direction, because the grid runs along its lane",
-            received=f"one {abs(offset):.1f} m from the centre of the nearest lane {index}, at an angle of "
+            received=f"an ego {abs(offset):.1f} m from the centre of the nearest lane {index}, at an angle of "
             f"{math.degrees(turned):.0f} degrees",
             fix="free areas such as parking lots have no grid",
         )
@@ -234,7 +235,7 @@ def curvature_of(line: Line) -> FloatArray:
 
 
 def lone_column(line: Line, pieces: Sequence[Piece], limits: NpcLimits, ego_speed: float, parts: list[int]) -> Column:
-    """Return the only lane along a line of pieces; ``parts`` has the index of the trace's lane at each point."""
+    """Return the only lane along a line of pieces; ``parts`` has the index in ``Trace.lanes`` at each point."""
     strip = _Strip(len(line.x))
     strip.exists[:] = True
     for number, piece in enumerate(pieces):
