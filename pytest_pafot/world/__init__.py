@@ -1,4 +1,4 @@
-"""Worlds: roads on which a scenario runs against an ADS. Most of the package's use of highway-env is here."""
+"""Worlds: the roads on which scenarios run against an ADS. Most code that uses highway-env is in this package."""
 
 from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.support.errors import AdsFactoryError, WorldError

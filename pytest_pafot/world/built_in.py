@@ -1,4 +1,4 @@
-"""The common base of :class:`pytest_pafot.Highway` and :class:`pytest_pafot.World`, with reference drivers' runs."""
+"""The common base of :class:`pytest_pafot.Highway` and :class:`pytest_pafot.World`, with runs of reference drivers."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.validation import number_within
 
 WATCHED = 6.0
-"""The time for which a driver has watched before it takes over [s]: long enough to have noticed every vehicle."""
+"""The time for which a reference driver watches before it takes over [s], long enough to notice every vehicle."""
 
 
 class RecordedBody(Body):
-    """The ego of a recorded run: it repeats the recorded states up to a tick, and then follows its controls.
+    """The ego of a recorded run: it repeats the recorded states up to a tick, and afterwards obeys its controls.
 
-    The states up to the tick are equal to the last bit for every kind of ADS. Repeating decisions would achieve that
-    for planners only.
+    The states up to the tick are equal to the last bit for every kind of ADS. Repeating the ADS's decisions instead
+    would achieve that only for planners.
     """
 
     def __init__(self, trace: Trace, tick: int) -> None:
@@ -43,7 +43,7 @@ class RecordedBody(Body):
         self._rows = iter(trace.ego[1 : tick + 1].tolist())
 
     def step(self, dt: float) -> None:
-        """Take the state of the next recorded tick; after the last one, move like any body."""
+        """Take the state of the next recorded tick; after the last recorded tick, move like any body."""
         row = next(self._rows, None)
         if row is None:
             super().step(dt)
@@ -54,13 +54,13 @@ class RecordedBody(Body):
 
 @dataclass(slots=True)
 class Relief:
-    """A reference driver that watches first and takes over at a time [s]; until then its decisions have no effect."""
+    """A reference driver that takes over at ``time`` [s]; shortly before, it only watches."""
 
     driver: ReferenceDriver
     time: float
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Return acceleration [m/s^2] and steering [rad]."""
+        """Return the driver's acceleration [m/s^2] and steering [rad]; zeros before it takes over."""
         if observation.time >= self.time:
             return self.driver(observation)
         if observation.time >= self.time - WATCHED:
@@ -69,27 +69,27 @@ class Relief:
 
 
 BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
-"""The smallest and largest value of the fields that both worlds have."""
+"""The fields that both built-in worlds have, with their smallest and largest accepted values."""
 
 
 class BuiltInWorld(ABC):
-    """A world of this package, which has rules and in which reference drivers can take the ego's place."""
+    """The base class of this package's worlds, in which reference drivers can take the ego's place."""
 
     clearance: float
     headway: float
     limits: NpcLimits
     hang_limit: float
     engine: str = "auto"
-    """The engine that steps runs in SI units."""
+    """The engine that simulates runs in SI units; see :class:`pytest_pafot.Highway`."""
 
     @property
     def observation_space(self) -> Any:
-        """The observation space of gymnasium; None if the ADS receives a :class:`pytest_pafot.Observation`."""
+        """The gymnasium space of observations; None if the ADS receives a :class:`pytest_pafot.Observation`."""
         return None
 
     @property
     def action_space(self) -> Any:
-        """The action space of gymnasium; None if actions are in SI units."""
+        """The gymnasium space of actions; None if the ADS acts in SI units."""
         return None
 
     @property
@@ -100,7 +100,7 @@ class BuiltInWorld(ABC):
     @property
     @abstractmethod
     def network(self) -> Any:
-        """The road in the form of highway-env."""
+        """The road as a road network of highway-env."""
 
     @abstractmethod
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -108,16 +108,16 @@ class BuiltInWorld(ABC):
 
     @abstractmethod
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-        """Begin a run that receives its decisions from outside, for an ADS with the given sight."""
+        """Begin a run to which the caller passes the decisions, for an ADS with the given sight."""
 
     @property
     def has_lock_step(self) -> bool:
-        """True if runs can take place in lock step."""
+        """True if several runs can proceed in lock step, one decision at a time."""
         return True
 
     @property
     def longest_run(self) -> float:
-        """The duration of a run that nothing ends early [s]."""
+        """The duration of a run that no collision or failure ends early [s]."""
         return self.rules.duration
 
     @property
@@ -144,8 +144,8 @@ class BuiltInWorld(ABC):
 
         Args:
             scenarios: the scenarios to run; they are checked against this world.
-            ads_factory: a callable that returns the ADS. :mod:`pytest_pafot.world.engines.lock_step` states what an ADS
-                with ``batch`` promises.
+            ads_factory: a callable that returns the ADS. For an ADS with ``batch``, see the conditions in
+                :mod:`pytest_pafot.world.engines.lock_step`.
 
         Raises:
             ScenarioError: if a scenario does not fit this world.
@@ -164,14 +164,14 @@ class BuiltInWorld(ABC):
     def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
         """Simulate a scenario with a reference driver in the ego's place.
 
-        The driver works in SI units on this road, decides at every physics tick, and has no foresight.
+        The driver works in SI units on this road, decides at every physics tick, and does not know the future.
 
         Args:
             scenario: the scenario to run; it is checked against this world.
             name: one of :attr:`reference_drivers`.
 
         Raises:
-            WorldError: for a different name.
+            WorldError: if there is no reference driver with this name.
             ScenarioError: if the scenario does not fit this world.
         """
         return self._driven_by(_reference_driver(name), scenario)
@@ -179,8 +179,8 @@ class BuiltInWorld(ABC):
     def take_over(self, trace: Trace, tick: int, name: str) -> Trace:
         """Simulate a run again, and let a reference driver take over the ego at a tick.
 
-        Up to that tick the ego repeats the states in the trace, so the NPCs repeat theirs. The driver has watched for
-        the last 6 s before it, and then drives as in :meth:`rollout_reference`.
+        Up to that tick, the ego repeats its states in the trace, so the NPCs repeat their states, too. The driver
+        watches for the last 6 s before that tick, and from then on drives as in :meth:`rollout_reference`.
 
         Args:
             trace: the trace of a run in this world.
@@ -188,14 +188,14 @@ class BuiltInWorld(ABC):
             name: one of :attr:`reference_drivers`, or ``steady-braking``.
 
         Raises:
-            WorldError: for a different name, a tick that the run does not have, or a trace with a different tick rate.
+            WorldError: for an unknown name, a tick that the run does not have, or a trace with a different tick rate.
             ScenarioError: if the trace's scenario does not fit this world.
         """
         if not 0 <= tick <= trace.ticks:
             raise WorldError(field="tick", expected=f"a tick of the run, 0 to {trace.ticks}", received=repr(tick))
         if trace.physics_hz != self.rules.physics_hz:
             expected = f"a run in this world, with {self.rules.physics_hz} ticks per second"
-            raise WorldError(field="trace", expected=expected, received=f"one with {trace.physics_hz}")
+            raise WorldError(field="trace", expected=expected, received=f"a run with {trace.physics_hz}")
         relief = Relief(_reference_driver(name, TAKING_OVER), tick / trace.physics_hz)
         return self._driven_by(relief, trace.executed, RecordedBody(trace, tick))
 
@@ -207,7 +207,7 @@ class BuiltInWorld(ABC):
         return rollout_planner(self, every_tick, scenario, driver, body=body)
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
-        """Describe the first decision of an ADS in a scenario; return None if the run fails before it."""
+        """Describe the first decision of an ADS in a scenario; return None if the run fails before that decision."""
         return decision_asked(self.rollout, scenario)
 
     def _check_fields(self) -> None:

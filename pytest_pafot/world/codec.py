@@ -3,8 +3,8 @@
 A ``pafot.Highway`` or ``pafot.World`` is data, and a replay makes it from the file. The same holds for a world whose
 class an installed package has registered: the ``kind`` in a file is the name of its entry point in the group
 ``pytest_pafot.worlds``. Any other user-defined world is code, and so are wrappers around an environment. Files may
-come from strangers, so no file may decide which code runs. In these cases a replay takes the world that the test
-names, if its class or its environment is the one in the file.
+come from strangers, so no file may decide which code runs. For a world that is code, a replay uses the world that the
+test names, if the name of its class or environment is the name in the file.
 """
 
 from __future__ import annotations
@@ -27,28 +27,30 @@ from pytest_pafot.world.protocol import WorldLike, missing
 from pytest_pafot.world.validation import PHYSICS_HZ, plain_data
 
 GROUP = "pytest_pafot.worlds"
-"""The group of entry points for worlds. Each names a class with ``from_dict(data)`` and ``to_dict()`` by its kind."""
+"""The group of entry points for worlds. The name of an entry point is the ``kind`` in files; its value is a class with
+``from_dict(data)`` and ``to_dict()``."""
 
 OWN = "own"
-"""The kind of a world that is code."""
+"""The ``kind`` in files of a world that is code."""
 
 BUILT_IN: Mapping[str, type[Highway | World]] = MappingProxyType({"highway": Highway, "gym": World})
-"""The kinds of this package."""
+"""The worlds of this package by their ``kind`` in files."""
 
 OTHER_VEHICLES = "highway_env.vehicle.behavior.IDMVehicle"
 """The default class of other vehicles in highway-env's environments."""
 
 NAMED_BY = ("kind", "class", "env_id")
-"""The fields in which the world that the test names must equal the file. Changes in all others are only reported."""
+"""The fields of a file that must be equal in the world that the test names. Changes in other fields are only reported.
+"""
 
 LONGEST_DECISION = 600.0
-"""The longest decision in the world of a file if no test names a world [s]."""
+"""The largest ``hang_limit`` that a file can set if no test names a world [s]."""
 
 MAX_TOLD = 3
 
 
 def from_dict(data: Mapping[str, Any]) -> WorldLike:
-    """Make the world that a file describes, from the data of :func:`described` or a built-in world's ``to_dict``.
+    """Make a world from the plain data that :func:`described` or a built-in world's ``to_dict`` has returned.
 
     Raises:
         WorldError: for an unknown kind or field, a bad value, a configuration that names code outside highway-env,
@@ -63,7 +65,7 @@ def from_dict(data: Mapping[str, Any]) -> WorldLike:
     if isinstance(kind, str) and kind in registered:
         return _from_registered(registered[kind], values)
     hint = (
-        "a world of your own is code, which no file holds; use the object itself"
+        "a file cannot hold the code of your own world; use the world object itself"
         if kind == OWN
         else f"a package that registers its kind in the entry points {GROUP} may not be installed here"
     )
@@ -163,7 +165,7 @@ def described(world: Any) -> dict[str, Any]:
 
 
 def _kind_of(cls: type[Any]) -> str | None:
-    """Return the kind under which its own package has registered a class; None if it has not."""
+    """Return the kind under which a class's own package has registered the class; None if it is not registered."""
     if not hasattr(cls, "from_dict"):  # reading the entry points of all packages takes milliseconds
         return None
     package = cls.__module__.partition(".")[0]
@@ -174,11 +176,11 @@ def _kind_of(cls: type[Any]) -> str | None:
 
 
 def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> WorldLike:
-    """Make the world that a file describes, within the limits of the world that the test names; see :func:`within`.
+    """Make the world that a file describes, with runs and decisions no longer than in ``own``, the test's world.
 
     Raises:
-        WorldError: as :func:`from_dict`, and for a registered world beyond these limits, because only its package
-            could shorten its runs.
+        WorldError: as :func:`from_dict`; and for a registered world whose runs or decisions may last longer, because
+            :func:`within` cannot shorten them.
     """
     world = from_dict(within(data, scenario, own))
     if own is None or data.get("kind") in BUILT_IN:
@@ -189,16 +191,18 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Wor
     ):
         if asked > most + 1e-9:
             expected, received = f"{what} of at most {most:g} s, as in the world that the test names", f"{asked:g} s"
-            raise WorldError(field="world.data", expected=expected, received=received, fix="raise that world's limit")
+            raise WorldError(
+                field="world.data", expected=expected, received=received, fix="raise the limit of the test's world"
+            )
     return world
 
 
 def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapping[str, Any]:
-    """Return a file's world data, limited so that its run is no longer than the longest in the test's own world.
+    """Return a file's world data, changed so that no run and no decision lasts longer than in the test's own world.
 
     A file may come from anyone and must not decide how long a session lasts. A decision may take as long as in the
-    test's own world, and a run has at most as many ticks as the longest run there. A longer run is cut: only its
-    beginning is simulated. Data within these limits is not changed.
+    test's own world, and a run has at most as many ticks as the longest run in that world. A longer run is cut: only
+    its beginning is simulated. Data within these limits is not changed.
 
     Args:
         data: the world data of the file; errors in it are not corrected.
@@ -219,13 +223,13 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapp
 
 
 def cuts(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str]:
-    """Describe how :func:`within` shortens the run of a file; empty if it does not."""
+    """Describe how :func:`within` shortens the run of a file; return an empty list if it does not."""
     longest = within(data, scenario, own).get("duration")
     return [] if longest == data.get("duration") else differences("world", data, {**data, "duration": longest})
 
 
 def _longest(data: Mapping[str, Any], own: Any) -> float:
-    """Return the duration at a file's tick rate that has as many ticks as the longest run in the test's world [s]."""
+    """Return the duration that has as many ticks in the file's world as the longest run in the test's world [s]."""
     config = data.get("config")
     rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
     try:
@@ -243,10 +247,10 @@ def is_code(data: Mapping[str, Any]) -> bool:
 
 
 def named(data: Mapping[str, Any], world: Any) -> Any:
-    """Return the world that the test names for a file whose world is code.
+    """Return ``world``, which the test names, if it is the world of the file ``data``.
 
     Raises:
-        WorldError: if it differs from the file in :data:`NAMED_BY`.
+        WorldError: if it differs from the file in a field of :data:`NAMED_BY`.
     """
     now = described(world)
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
@@ -258,7 +262,7 @@ def named(data: Mapping[str, Any], world: Any) -> Any:
 
 
 def changes(data: Mapping[str, Any], world: Any) -> list[str]:
-    """Describe how the world that the test names differs from a file whose world is code; empty for other files."""
+    """Describe how the test's world differs from a file whose world is code; return an empty list for other files."""
     if not is_code(data):
         return []
     return differences("world", data, described(world))

@@ -1,6 +1,6 @@
 """A highway-env environment as a world needs it: checked, without its random traffic, in the requested wrappers.
 
-This module refuses every unusable environment, configuration or wrapper, and its errors say how to correct it.
+This module refuses every unusable environment, configuration or wrapper; the errors say how to correct the input.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, plain_data, whole_
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
 """The options that environments have for their random traffic, besides ``vehicles_count``."""
 REPLACED = (*TRAFFIC, "vehicles_count", "offscreen_rendering")
-"""The options that are replaced while scenarios run; the right one for rendering depends on the machine."""
+"""The traffic options, which this package replaces while scenarios run, and the option that depends on the machine."""
 
 LARGEST: Mapping[str, float] = MappingProxyType(
     {
@@ -49,10 +49,10 @@ LARGEST: Mapping[str, float] = MappingProxyType(
         "scaling": 1000,
     }
 )
-"""The options of highway-env's environments that determine the amount of work, with the largest value that takes only
-seconds."""
+"""The largest accepted values of options that determine how long highway-env computes; with these values, it takes
+seconds to make an environment."""
 SMALLEST: Mapping[str, float] = MappingProxyType({"scaling": 0.01, "grid_step": 0.05})
-"""The smallest values of options by which highway-env divides: pixels per metre, and metres per cell. The latter is
+"""The smallest accepted values of options by which highway-env divides: pixels per metre, and metres per cell, which is
 also its step along each lane."""
 LONGEST: Mapping[str, int] = MappingProxyType(
     {
@@ -63,21 +63,22 @@ LONGEST: Mapping[str, int] = MappingProxyType(
         "weights": 3,
     }
 )
-"""The largest number of entries of options that are lists."""
+"""The largest accepted number of entries of options that are lists."""
 NESTED = ("observation_config", "observation_configs", "action_config")
 """The options whose values are configurations of observations and actions."""
 MOST_CELLS = 250_000
-"""The largest number of cells of an occupancy grid."""
+"""The largest accepted number of cells of an occupancy grid."""
 MOST_NUMBERS = 10_000_000
-"""The largest number of values in one observation: 40 features of the largest grid, or four 1920 by 1080 images."""
+"""The largest accepted number of values in an observation: 40 features of the largest grid, or four images of 1920 by
+1080."""
 LEAST_NUMBERS = MOST_NUMBERS // 20
-"""The least count for each part of an observation, because even a small part takes milliseconds."""
+"""The least number of values that is counted for a part of an observation; even a small part takes milliseconds."""
 
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
 """The wrappers that ``gymnasium.make`` itself puts around any environment.
 
-They check, or end an episode, and do not change observations and actions. The world, and not ``TimeLimit``, decides the
-duration of a run, just as it overrides the environment's own ``duration``.
+These wrappers check calls or end episodes; they change neither observations nor actions. The world, and not
+``TimeLimit``, decides the duration of a run, just as the world overrides the environment's own ``duration``.
 """
 
 
@@ -86,7 +87,8 @@ class GymEnvironment:
     """The environment of a world, made at its first use; if it cannot be used, a ``WorldError`` says why.
 
     Attributes:
-        config: the user's configuration; None for the registered one.
+        env_id: the environment's registered id.
+        config: the user's configuration; None for the registered configuration.
         wrappers: the user's wrappers; None if the policy must see the environment without wrappers.
     """
 
@@ -115,8 +117,8 @@ class GymEnvironment:
                 field="env_id",
                 expected="an environment that is registered without wrappers",
                 received=f"{self.env_id!r}, which is registered with {' and '.join(added)} around it",
-                fix=f"use pafot.World({self.env_id!r}, wrappers=[]), which runs through env.step with the registered "
-                "wrappers, and with any further ones in the list",
+                fix=f"to use these wrappers, give pafot.World({self.env_id!r}, wrappers=[]); the list is for wrappers "
+                "to add to the registered ones",
             )
         return _wrapped(env, self.wrappers or ())
 
@@ -126,10 +128,10 @@ class GymEnvironment:
         return self.make()
 
     def with_traffic(self) -> Any:
-        """Return an environment with its random traffic, in all its wrappers; the caller resets it with a seed.
+        """Return an environment with its random traffic, in all its wrappers; the caller must reset it with a seed.
 
-        highway-env's own environments rebuild everything in a reset, so each is made once and used again. Other
-        environments may retain state, so they are made for every call.
+        highway-env's own environments rebuild everything in a reset, so the same environment is returned every time.
+        Other environments may retain state, so every call makes a new one.
         """
         is_stock = self.wrappers is None and type(self.unwrapped).__module__.startswith("highway_env.")
         return self._stock_with_traffic if is_stock else self.make(has_traffic=True)
@@ -140,22 +142,22 @@ class GymEnvironment:
 
     @property
     def wrapper_names(self) -> list[str]:
-        """The names of the wrappers' classes, from the inside out, including registered wrappers."""
+        """The class names of all wrappers, the innermost first, including registered wrappers."""
         return wrapper_names(self.outer)
 
     @property
     def unwrapped(self) -> Any:
-        """The environment without wrappers and traffic, which no run changes."""
+        """The environment without wrappers and without traffic; no run changes it."""
         return self.outer.unwrapped
 
     @cached_property
     def straight_road(self) -> StraightRoad | None:
-        """The road; None if it is not straight."""
+        """The environment's road if it is straight, else None."""
         return straight_road(self.unwrapped.road.network)
 
     @cached_property
     def network(self) -> Any:
-        """The road in the form of highway-env."""
+        """The road as a road network of highway-env."""
         lanes = SearchedLanes if self.straight_road is None else ParallelLanes
         return lanes(self.unwrapped.road.network)
 
@@ -166,11 +168,11 @@ class GymEnvironment:
         return None if route is None else tuple(route)
 
     def steps_itself(self, *, drives_itself: bool) -> bool:
-        """Return whether runs need the environment's own steps, because it or its road overrides highway-env's.
+        """Return whether runs must call the environment's own ``step``, because highway-env's ``step`` is overridden.
 
-        An ego that drives itself depends only on the steps of the road. highway-env's intersections are an exception:
-        their ``step`` spawns and removes traffic, which runs do not have, and their ``RegulatedRoad`` makes vehicles
-        yield, which the engines here reproduce.
+        For an ego that drives itself, only the ``step`` of the road matters. highway-env's intersections are an
+        exception: their ``step`` spawns and removes traffic, which runs do not have, and their ``RegulatedRoad`` makes
+        vehicles yield, which this package's engines reproduce.
         """
         env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_road = road is not RegulatedRoad and (road.step is not Road.step or road.act is not Road.act)
@@ -179,14 +181,14 @@ class GymEnvironment:
 
     @property
     def has_ordinary_steps(self) -> bool:
-        """True if neither the environment nor its road overrides the steps that all environments share."""
+        """True if neither the environment nor its road overrides the ``step`` of highway-env's base classes."""
         env, road = type(self.unwrapped), type(self.unwrapped.road)
         has_own_step = env.step is not AbstractEnv.step or env._simulate is not AbstractEnv._simulate
         return not has_own_step and road.step is Road.step and road.act is Road.act
 
     @property
     def whole_config(self) -> dict[str, Any]:
-        """All options, with the values that the environment has or would have with its random traffic.
+        """All options of the environment; the traffic options have their values from before traffic was switched off.
 
         Options that are not plain data are left out.
         """
@@ -207,7 +209,7 @@ class GymEnvironment:
 
 
 def wrapper_names(env: Any) -> list[str]:
-    """Return the class names of all wrappers around an environment that are not in :data:`NEUTRAL`, inside out."""
+    """Return the class names of an environment's wrappers that are not in :data:`NEUTRAL`, the innermost first."""
     found = []
     while isinstance(env, gymnasium.Wrapper):
         if type(env) not in NEUTRAL:
@@ -218,10 +220,10 @@ def wrapper_names(env: Any) -> list[str]:
 
 @contextmanager
 def vehicle_classes_kept() -> Iterator[None]:
-    """Undo all changes that an environment makes to constants of highway-env's vehicle classes.
+    """Undo all changes that are made to constants of highway-env's vehicle classes in a ``with`` block.
 
     intersection-v0 sets the IDM's distances on the class itself, and so for every other environment of the process.
-    Without this, making an environment once would change how an IDM ego drives from then on.
+    Without this function, making that environment once would change how every later IDM ego drives.
     """
     classes, queue = set(), [Vehicle]
     while queue:
@@ -274,7 +276,7 @@ def _check_base(env_id: str, cls: type[Any]) -> None:
 
 
 def _check_sizes(config: dict[str, Any], creator: Any) -> None:
-    """Refuse options with which highway-env would take minutes; the meaning of user-defined options is not known."""
+    """Refuse values with which highway-env would take minutes; options with an unknown meaning are not checked."""
     given = {name: value for name, value in config.items() if name not in REPLACED}
     for name, bounds in (("simulation_frequency", PHYSICS_HZ), ("policy_frequency", ADS_HZ)):
         if name in given:
@@ -284,7 +286,7 @@ def _check_sizes(config: dict[str, Any], creator: Any) -> None:
     _check_size("config", given)
     if (numbers := _numbers(given.get("observation"), config)) > MOST_NUMBERS:
         expected, received = f"at most {MOST_NUMBERS} numbers", f"about {numbers:.0f}"
-        fix = "give it fewer features, parts or images, or make it coarser"
+        fix = "give it fewer features, parts or images, or larger cells"
         raise WorldError(field="config.observation", expected=expected, received=received, fix=fix)
 
 
@@ -297,7 +299,7 @@ def _check_size(place: str, config: Any) -> None:
     cells = _cells(config) if config.get("type") == "OccupancyGrid" else 0.0
     if not cells <= MOST_CELLS:
         expected = f"a grid of at most {MOST_CELLS} cells"
-        raise WorldError(field=f"{place}.grid_step", expected=expected, received=f"one of {cells:.0f}")
+        raise WorldError(field=f"{place}.grid_step", expected=expected, received=f"a grid of {cells:.0f} cells")
     for name, value in config.items():
         if limit := _exceeded(name, value):
             expected, received = f"{limit}, so that an environment is made in seconds", f"{value!r:.100}"
@@ -306,7 +308,7 @@ def _check_size(place: str, config: Any) -> None:
 
 
 def _exceeded(name: str, value: Any) -> str:
-    """Return the limit that an option's value, or an entry of its list, exceeds; empty if it exceeds none."""
+    """Return the limit that an option's value, or an entry of its list, violates; an empty text if none."""
     entries = value if isinstance(value, (list, tuple)) else [value]
     numbers = [abs(each) for each in entries if isinstance(each, (int, float))]
     if _length(value, 0) > LONGEST.get(name, math.inf):
@@ -319,7 +321,7 @@ def _exceeded(name: str, value: Any) -> str:
 
 
 def _length(value: Any, default: int) -> int:
-    """Return the length of a list, or of a text or mapping, which highway-env treats like a list."""
+    """Return the length of a list, text or mapping, which highway-env treats alike; ``default`` for other values."""
     return len(value) if isinstance(value, (list, tuple, str, Mapping)) else default
 
 
@@ -335,7 +337,7 @@ def _cells(grid: Mapping[str, Any]) -> float:
 
 
 def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
-    """Estimate how many numbers highway-env computes for an observation, except those that other limits bound."""
+    """Estimate how many numbers highway-env computes for an observation, unless a different limit bounds its kind."""
     if not isinstance(observation, Mapping):
         return 0.0
 
@@ -379,7 +381,7 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
 
 
 def _check_names(place: str, given: Any, known: Collection[str]) -> None:
-    """Refuse options that highway-env's observations and actions, and those nested in them, would ignore."""
+    """Refuse options of observations and actions, also of nested ones, that highway-env would ignore."""
     if isinstance(given, list):
         for index, inner in enumerate(given):
             _check_names(f"{place}[{index}]", inner, known)
@@ -432,7 +434,7 @@ def _made(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool
 
 
 def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace plain data by the environment's own value if it stands for that, such as for a tuple or an array."""
+    """Replace plain data that equals a default of the environment by that default, such as a list by a tuple."""
 
     def is_known(name: str, value: Any) -> bool:
         with suppress(WorldError):

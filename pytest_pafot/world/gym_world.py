@@ -36,17 +36,18 @@ if TYPE_CHECKING:
     from pytest_pafot.world.gym_environment import GymEnvironment
 
 LONGEST_RUN = 60.0
-"""The paper's duration of a run [s]: the default on circuits, and if neither option nor environment states one."""
+"""The paper's duration of a run [s]. It is the default if an environment states no duration, and on roads that are not
+straight, where runs last longer only with ``duration=``."""
 
 
 @dataclass(frozen=True)
 class World(BuiltInWorld):
-    """An environment that is registered with gymnasium and derives from highway-env's ``AbstractEnv``.
+    """A world on the road of a registered gymnasium environment that derives from highway-env's ``AbstractEnv``.
 
-    Its ADS is a callable from the environment's own observation to its own action, or a highway-env vehicle class
-    that drives itself, or comes from a factory with a parameter ``env`` for planners that simulate inside the
-    environment. With ``planner_hz`` it is a planner in SI units, as in :class:`pytest_pafot.Highway`. The NPCs replace
-    the random traffic on the environment's road.
+    The ADS is a callable from the environment's own observation to the environment's own action. Its factory may have a
+    parameter ``env``, for a planner that simulates inside the environment. The ADS may also be a highway-env vehicle
+    class, which drives itself, or with ``planner_hz`` a planner in SI units, as in :class:`pytest_pafot.Highway`. The
+    NPCs replace the environment's random traffic.
 
     Attributes:
         env_id: the environment's registered id, such as ``"highway-v0"``.
@@ -54,15 +55,15 @@ class World(BuiltInWorld):
         duration: the longest duration of a run [s]; by default the environment's own ``duration``.
         clearance, headway, limits, hang_limit: as in :class:`pytest_pafot.Highway`.
         wrappers: callables that take an environment and return it wrapped, such as gymnasium's wrappers. They are put
-            around the result of ``gymnasium.make``, the first one innermost, and runs go through ``env.step`` of the
-            outermost. By default none; an environment that is registered with wrappers is then refused.
+            around the result of ``gymnasium.make``, the first callable innermost, and runs call ``env.step`` of the
+            outermost wrapper. With None, an environment that is registered with wrappers is refused.
         planner_hz: decisions per second of an ADS that is a callable from :class:`pytest_pafot.Observation` to
-            ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`; divides the environment's
+            ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`; a divisor of the environment's
             ``simulation_frequency``. None if the ADS uses the environment's own observation and action.
 
     Raises:
-        WorldError: if the environment cannot be used; the message says why. The environment itself is made at
-            the first use, or by :meth:`check`.
+        WorldError: if an argument cannot be used. The environment itself is made and checked at the first use, or by
+            :meth:`check`.
     """
 
     env_id: str
@@ -91,7 +92,7 @@ class World(BuiltInWorld):
         if self.wrappers is None:
             return
         if self.planner_hz is not None:
-            expected = "no wrappers around the environment of a planner in SI units, which does not see through them"
+            expected = "no wrappers with planner_hz=, because a planner in SI units does not act through wrappers"
             raise WorldError(field="wrappers", expected=expected, received=f"{self.wrappers!r:.200}")
         if not isinstance(self.wrappers, (list, tuple)):
             raise WorldError(field="wrappers", expected="a list of callables", received=f"{self.wrappers!r:.200}")
@@ -104,7 +105,7 @@ class World(BuiltInWorld):
         """Make the environment now, to check that it can be used.
 
         Raises:
-            WorldError: if it cannot; the message says why.
+            WorldError: if the environment cannot be used; the message says why.
         """
         road, rules = self.road, self.rules
         self.limits.top_speed(road.speed_limit)
@@ -116,7 +117,7 @@ class World(BuiltInWorld):
             raise WorldError(field="duration", expected=expected, received=f"{rules.duration:g}")
 
     def check_fits(self, scenario: Scenario) -> None:
-        """Check the environment, and a scenario against it.
+        """Check that the environment can be used and that a scenario fits it.
 
         Raises:
             ScenarioError: if the scenario does not fit; the error names the field.
@@ -137,15 +138,15 @@ class World(BuiltInWorld):
 
     @property
     def start(self) -> tuple[int, float] | None:
-        """The ego's lane and speed [m/s] at the environment's start; None on a straight road, where any will do."""
+        """The lane and speed [m/s] with which the ego must start; None on a straight road, which allows any."""
         road = self.road
         return None if isinstance(road, StraightRoad) else (road.ego_lane, road.ego_speed)
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
-        """The kinds of meetings with other roads on which no vehicle drives, as far as that is known.
+        """The kinds of roads without traffic, by how they meet the ego's way; empty if they are not known.
 
-        In a user-defined environment that overrides ``step``, any vehicle may drive there.
+        In a user-defined environment that overrides ``step``, any vehicle may drive on any road.
         """
         environment, road = self.environment, self.road
         is_stock = type(environment.unwrapped).__module__.startswith("highway_env.")
@@ -159,22 +160,22 @@ class World(BuiltInWorld):
 
     @property
     def observation_space(self) -> Any:
-        """The observation space of a policy, outside all wrappers; None for a planner in SI units."""
+        """The gymnasium space of a policy's observations, after all wrappers; None for a planner in SI units."""
         return None if self.planner_hz is not None else self.environment.outer.observation_space
 
     @property
     def action_space(self) -> Any:
-        """The action space of a policy, outside all wrappers; None for a planner in SI units."""
+        """The gymnasium space of a policy's actions, before all wrappers; None for a planner in SI units."""
         return None if self.planner_hz is not None else self.environment.outer.action_space
 
     @property
     def physics_hz(self) -> int:
-        """The environment's ``simulation_frequency``."""
+        """The physics ticks per second, the environment's ``simulation_frequency``."""
         return self.rules.physics_hz
 
     @property
     def ads_hz(self) -> int:
-        """The environment's ``policy_frequency``, or ``planner_hz``."""
+        """The decisions per second: ``planner_hz`` if given, else the environment's ``policy_frequency``."""
         return self.rules.ads_hz
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -215,10 +216,10 @@ class World(BuiltInWorld):
         return policy_engine.rollout(self.environment, self.rules, scenario, ads_factory)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario as :meth:`rollout` does, but with ``env.step`` of the plain environment.
+        """Simulate a scenario as :meth:`rollout` does, but entirely with ``env.step`` of the registered environment.
 
         Args:
-            scenario: the scenario as :attr:`pytest_pafot.Trace.executed` has it; it must fit this world.
+            scenario: the scenario as driven, such as :attr:`pytest_pafot.Trace.executed`; it must fit this world.
             ads_factory: a callable that returns the ADS; it is called once.
         """
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)
@@ -233,7 +234,11 @@ class World(BuiltInWorld):
 
     @property
     def has_lock_step(self) -> bool:
-        """True if runs can take place in lock step: on a straight road, and without the environment's own steps."""
+        """True if several runs can proceed in lock step.
+
+        They cannot on a road that is not straight, with wrappers or ``planner_hz``, or if the environment overrides
+        highway-env's ``step``.
+        """
         is_bare = isinstance(self.road, StraightRoad) and self.wrappers is None
         return is_bare and self.planner_hz is None and not self.environment.steps_itself(drives_itself=False)
 
@@ -257,7 +262,7 @@ class World(BuiltInWorld):
 
     @cached_property
     def environment(self) -> GymEnvironment:
-        """The maker of the environment. Using it imports highway-env."""
+        """The object that makes and checks the environment; its first use imports highway-env."""
         from pytest_pafot.world.gym_environment import GymEnvironment  # noqa: PLC0415  (imports highway-env)
 
         return GymEnvironment(self.env_id, self.config, self.wrappers)
@@ -268,7 +273,7 @@ class World(BuiltInWorld):
 
     @property
     def network(self) -> Any:
-        """The road in the form of highway-env."""
+        """The road as a road network of highway-env."""
         return self.environment.network
 
     @cached_property
@@ -301,14 +306,14 @@ class World(BuiltInWorld):
 
     @property
     def _wanted(self) -> float:
-        """The duration of a run on a straight road [s]."""
+        """The duration of a run on a straight road: ``duration``, else the environment's own [s]."""
         config, name = self.environment.unwrapped.config, "config.duration" if self.duration is None else "duration"
         value = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
         return number_within(name, value, 1 / config["simulation_frequency"], 3600.0)
 
     @property
     def _longest(self) -> float:
-        """The longest duration of a run on any other road [s]."""
+        """The longest duration of a run on a road that is not straight [s]."""
         own = self.environment.unwrapped.config.get("duration", LONGEST_RUN)
         most = LONGEST_RUN if self.duration is None else math.inf
         return min(number_within("config.duration", own, 0.0, math.inf), most)

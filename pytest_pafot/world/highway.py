@@ -25,28 +25,28 @@ from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, check_divides, che
 LANE_WIDTH = 4.0
 """The lane width of highway-env [m]."""
 ENGINES = ("auto", "kernel", "highway-env")
-"""The engines that can step a run; ``auto`` uses the kernel whenever that can drive the ego."""
+"""The engines that can simulate a run; ``auto`` uses the kernel if the kernel can drive the ego, else highway-env."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Highway(BuiltInWorld):
     """A straight motorway of three to six lanes.
 
-    Its ADS is a callable from :class:`pytest_pafot.Observation` to ``(acceleration [m/s^2], steering [rad])`` or a
-    :class:`pytest_pafot.Drive`, or a highway-env vehicle class that drives itself.
+    The ADS is a callable from :class:`pytest_pafot.Observation` to ``(acceleration [m/s^2], steering [rad])`` or a
+    :class:`pytest_pafot.Drive`. It may also be a highway-env vehicle class, which drives itself.
 
     Attributes:
         lanes: the number of lanes, 3 to 6; lane 0 is the leftmost.
         speed_limit: the speed limit [m/s]; the default is the paper's 60 mph.
         physics_hz: simulation ticks per second.
-        ads_hz: decisions of the ADS per second; divides ``physics_hz``.
+        ads_hz: decisions of the ADS per second; a divisor of ``physics_hz``.
         duration: the longest duration of a run [s].
-        clearance: gap between the ego and the cells ahead and behind [m]; 0 is the paper's literal grid.
-        headway: the headway of NPCs that start ahead of or behind the ego [s].
+        clearance: the gap between the ego and the cells ahead of it and behind it [m]; it is 0 in the paper's grid.
+        headway: the headway with which NPCs start ahead of the ego or behind it [s].
         limits: the limits of every NPC.
-        hang_limit: longest decision of the ADS in wall-clock time, after which it is interrupted [s].
-        engine: the engine that steps a run: ``"kernel"``, ``"highway-env"``, or ``"auto"``, which uses the kernel if
-            that can drive the ego. The results are the same, so the engine is not part of a saved world.
+        hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
+        engine: the engine that simulates a run: ``"kernel"``, ``"highway-env"``, or ``"auto"``, which uses the kernel
+            if the kernel can drive the ego. The results are the same, so the engine is not part of a saved world.
 
     Raises:
         WorldError: if a value cannot be used; the message states the possible values.
@@ -94,7 +94,7 @@ class Highway(BuiltInWorld):
             ScenarioError: if the scenario does not fit this world.
             AdsFactoryError: if the factory returns nothing that can drive here.
             BadAction: if one of the decisions is not a valid action.
-            WorldError: for decisions with a vehicle class, which returns no decisions.
+            WorldError: if ``decisions`` are given for a vehicle class, which makes none.
             Exception: any exception of the factory itself. An exception of the ADS ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
@@ -118,7 +118,7 @@ class Highway(BuiltInWorld):
         """Simulate a scenario as :meth:`rollout` does, but with ``env.step`` of highway-env's own highway-v0.
 
         Args:
-            scenario: the scenario as :attr:`pytest_pafot.Trace.executed` has it; it must fit this world.
+            scenario: the scenario as driven, such as :attr:`pytest_pafot.Trace.executed`; it must fit this world.
             ads_factory: a callable that returns the ADS; it is called once.
         """
         from pytest_pafot.world.engines.gym_replay import replay_highway  # noqa: PLC0415  (imports highway-env)
@@ -136,7 +136,7 @@ class Highway(BuiltInWorld):
 
     @cached_property
     def network(self) -> Any:
-        """The road in the form of highway-env."""
+        """The road as a road network of highway-env."""
         from pytest_pafot.world.driving.vehicles import ParallelLanes, straight_network  # noqa: PLC0415  (imports highway-env)
 
         lane = self.road.lanes[0]

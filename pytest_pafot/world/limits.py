@@ -1,4 +1,4 @@
-"""The limits of an NPC's driver, which make NPCs drive like vehicles and not fly like missiles."""
+"""The physical limits of NPCs, with which they drive like real vehicles, and defaults that all worlds share."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pytest_pafot.world.validation import number_within
 TOP_SPEED = 40.0
 """The highest speed of highway-env's vehicles [m/s]."""
 CLEARANCE, HEADWAY, HANG_LIMIT = 3.0, 2.0, 30.0
-"""The defaults of worlds: the gap between the ego and the cells ahead and behind [m], the headway of NPCs that start
-there [s], and the longest decision of an ADS in wall-clock time [s]."""
+"""The defaults of worlds: the gap between the ego and the cells ahead of it and behind it [m], the headway with which
+NPCs start in these cells [s], and the wall-clock time after which a decision of an ADS is interrupted [s]."""
 BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
     {
         "acceleration": (0.1, 100.0, ""),
@@ -25,7 +25,8 @@ BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
         "heading": (0.01, math.pi / 4, ", so that no NPC drives sideways"),
     }
 )
-"""The smallest and the largest value of each limit, and the reason; beyond them the arithmetic is not sound."""
+"""The smallest and the largest accepted value of each limit, and a reason for the error message. With other values,
+the computation of an NPC's controls is not reliable."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,10 +36,11 @@ class NpcLimits:
     Attributes:
         acceleration: strongest acceleration [m/s^2].
         braking: strongest deceleration, as a positive number [m/s^2].
-        jerk: largest change of acceleration per second [m/s^3]; exceeded only in the tick of standstill.
-        lateral_acceleration: speed times the turning rate of the course, and of the heading [m/s^2].
+        jerk: largest change of acceleration per second [m/s^3]; exceeded only in the tick in which an NPC stops.
+        lateral_acceleration: largest product of speed and turning rate [m/s^2], both for the heading and for the
+            course, which is the direction of motion.
         overspeed: top speed as a multiple of the speed limit.
-        heading: largest angle to the lane [rad]; an NPC never drives sideways.
+        heading: largest angle between an NPC and its lane [rad].
     """
 
     acceleration: float = 5.0

@@ -1,7 +1,7 @@
 """The interface between a search and a world: members that every world has, and optional capabilities.
 
-A user-defined world only needs to satisfy :class:`WorldLike`. For each further capability, a function in this module
-detects it; no other module looks for methods or classes of worlds.
+A user-defined world only needs to satisfy :class:`WorldLike`. For each optional capability, a function in this module
+finds out whether a world has it; other modules call that function and do not look at the world's class or methods.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class FirstDecision:
 
 
 def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario) -> FirstDecision | None:
-    """Find out the first decision of a world by a run of ``rollout``; return None if the run fails before it."""
+    """Find out by a run of ``scenario`` what an ADS receives and must return; return None if no decision is reached."""
     seen: list[Any] = []
     trace = rollout(scenario, lambda: seen.append)  # returns None, so that the error names the expected action
     if not seen or trace.error is None:
@@ -65,7 +65,7 @@ class WorldLike(Protocol):
 
     @property
     def longest_run(self) -> float:
-        """The duration of a run that nothing ends early [s]."""
+        """The duration of a run that no collision or failure ends early [s]."""
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, /) -> Trace:
         """Simulate a scenario with a fresh ADS from ``ads_factory()``; equal scenarios give equal traces."""
@@ -78,14 +78,14 @@ class LockStepping(WorldLike, Protocol):
     """A world in which many runs can proceed together, one decision at a time."""
 
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory, /) -> list[Trace]:
-        """Return the traces of :meth:`WorldLike.rollout`; runs are in lock step if the ADS has a method ``batch``."""
+        """Simulate scenarios with the traces of :meth:`WorldLike.rollout`, in lock step if the ADS has ``batch``."""
 
 
 class Resumable(WorldLike, Protocol):
-    """A world whose runs can start with given decisions."""
+    """A world that accepts the first decisions of a run as an argument, in place of the ADS's own."""
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, /, *, decisions: Sequence[Any] = ()) -> Trace:
-        """Simulate a scenario; the first ``decisions``, in the form of ``Trace.actions``, replace those of the ADS."""
+        """Simulate a scenario; ``decisions``, in the form of ``Trace.actions``, replace the first calls of the ADS."""
 
 
 class GymReplaying(WorldLike, Protocol):
@@ -96,9 +96,12 @@ class GymReplaying(WorldLike, Protocol):
 
 
 class RoadStart(NamedTuple):
-    """The ego's start on a road that prescribes it: the lane, counted from 0 at the left, and the speed [m/s].
+    """The lane and the speed with which the ego must start on a road.
 
-    There are ``physics_hz`` ticks per second, and a gene lasts a whole number of ticks.
+    Attributes:
+        lane: the ego's lane, counted from 0 at the left.
+        speed: the ego's speed [m/s].
+        physics_hz: ticks per second; a gene of a scenario for this road must last a whole number of ticks.
     """
 
     lane: int
@@ -109,13 +112,16 @@ class RoadStart(NamedTuple):
 def missing(world: object) -> list[str]:
     """Return the names in :data:`REQUIRED` that a world lacks.
 
-    Properties are not evaluated, because they may make an environment.
+    Properties are not evaluated, because a property may make the world's environment.
     """
     return [name for name in REQUIRED if not hasattr(type(world), name) and not hasattr(world, name)]
 
 
 def lock_stepping(world: Any) -> LockStepping | None:
-    """Return the world if it has ``rollout_batch`` and ``has_lock_step`` is not false, else None."""
+    """Return the world if it can run scenarios in lock step, else None.
+
+    It can if it has ``rollout_batch``, unless its ``has_lock_step`` is false.
+    """
     return world if hasattr(world, "rollout_batch") and getattr(world, "has_lock_step", True) else None
 
 
@@ -130,22 +136,22 @@ def resumable(world: Any) -> Resumable | None:
 def gym_replaying(world: Any) -> GymReplaying | None:
     """Return the world if its own class defines ``rollout_in_gym``, else None.
 
-    An inherited method does not count: a derived class may do anything in its ``rollout``, and the environment of its
-    base class would not confirm that.
+    An inherited method is not used: a derived class may change ``rollout``, and the base class's environment would then
+    repeat a different run.
     """
     return world if "rollout_in_gym" in vars(type(world)) else None
 
 
 def road_start(world: Any) -> RoadStart | None:
-    """Return the ego's start that a world's ``start`` prescribes; None if any lane and speed is possible."""
+    """Return the ego's start that a world's ``start`` prescribes; None if the ego may start in any lane and speed."""
     start: tuple[int, float] | None = getattr(world, "start", None)
     return None if start is None else RoadStart(*start, physics_hz=world.physics_hz)
 
 
 def unused_roads(world: Any) -> frozenset[Meeting]:
-    """Return the kinds of meetings with roads on which no NPC drives, if the world's own class states them.
+    """Return how roads without NPCs meet the ego's way (crossing, joining, oncoming), if the world's class states it.
 
-    An inherited property does not count: in a derived class any vehicle may drive on these roads.
+    An inherited property is not used: in a derived class, any vehicle may drive on these roads.
     """
     return world.unused_roads if "unused_roads" in vars(type(world)) else frozenset()
 
@@ -157,7 +163,7 @@ def crossings(world: Any) -> Crossings | None:
 
 
 def most_on_grid(world: Any) -> int:
-    """Return how many NPCs have a cell at the ego's prescribed start; 8 if the world prescribes no start."""
+    """Return the largest number of NPCs with cells around the ego's prescribed start; 8 without a prescribed start."""
     start = road_start(world)
     return len(Cell) if start is None else next(n for n in range(len(Cell), -1, -1) if _has_cells(world, start, n))
 
@@ -179,7 +185,7 @@ def straight_road(world: Any) -> StraightRoad | None:
 
 
 def runs_in_kernel(world: Any, ads: Any) -> bool:
-    """Return whether a world drives an ADS, or its factory, only in compiled code, so that a run takes milliseconds."""
+    """Return whether a world drives ``ads``, an ADS or its factory, entirely in the kernel, in milliseconds per run."""
     return bool(world.runs_in_kernel(ads)) if hasattr(world, "runs_in_kernel") else False
 
 
@@ -189,23 +195,23 @@ def reference_world(world: Any) -> ReferenceWorld | None:
 
 
 def taking_over(world: Any) -> Callable[[Trace, int, str], Trace] | None:
-    """Return a world's ``take_over``, which lets a reference driver take over during a run; None without."""
+    """Return a world's ``take_over``, which lets a reference driver take over during a run; None if it has none."""
     found: Callable[[Trace, int, str], Trace] | None = getattr(world, "take_over", None)
     return found
 
 
 def hang_limit(world: Any) -> float:
-    """Return the longest decision of the ADS that a world allows, in wall-clock time [s]."""
+    """Return the wall-clock time after which a world interrupts a decision of the ADS [s]."""
     return float(getattr(world, "hang_limit", HANG_LIMIT))
 
 
 def check_fits(world: Any, scenario: Scenario) -> None:
-    """Check a scenario against a world, if it can do so without a run; its error names the field."""
+    """Refuse a scenario that does not fit a world; the error names the field. Some worlds have no such check."""
     if hasattr(world, "check_fits"):
         world.check_fits(scenario)
 
 
 def first_decision(world: Any, scenario: Scenario) -> FirstDecision | None:
-    """Return a world's first decision in a scenario; None if it does not state one, or the run fails before it."""
+    """Describe the first decision of an ADS in a world; return None if the world cannot, or fails before it."""
     asked: FirstDecision | None = world.first_decision(scenario) if hasattr(world, "first_decision") else None
     return asked

@@ -10,13 +10,14 @@ neither the NPCs' plans nor the future. Their sources:
 - ``idm-aeb``: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic
   simulations", Physical Review E 62, 2000, with emergency braking at a low time to collision.
 
-The regulation's models define reactions to danger. Without danger the regulation only requires a following distance
-(5.2.3.3). For that, the two drivers keep a headway of two seconds, and brake gently as long as that suffices.
+The regulation's models define reactions to danger. Without danger, the regulation only requires a distance to the
+vehicle ahead (5.2.3.3). The two drivers keep it by a headway of two seconds, and brake gently as long as gentle braking
+suffices.
 
 At junctions, which none of the models covers, all three drivers give way by the same rules. They approach at a speed at
-which they can stop. They wait before the zone for each vehicle that would follow them sooner than the critical headway
-of the Highway Capacity Manual (two-way stop, two-lane major road). They brake as in the regulation for a vehicle that
-is in the way without priority.
+which they can stop. They wait before the zone for each vehicle that would arrive after them by less than the critical
+headway of the Highway Capacity Manual (two-way stop, two-lane major road). For a vehicle that is in the way without
+priority, they brake as in the regulation.
 """
 
 from __future__ import annotations
@@ -43,23 +44,23 @@ BUILD_UP = 0.6
 """The time in which hard braking builds up (UN R157) [s]."""
 
 HEADWAY = 2.0
-"""The headway to a leader [s]."""
+"""The headway that a driver keeps to the vehicle ahead [s]."""
 STANDSTILL_GAP = 3.0
-"""The gap to a standing leader [m]."""
+"""The gap that a driver keeps to a standing vehicle ahead [m]."""
 GENTLE_BRAKING = 4.0
 """The hardest braking that drivers call comfortable (Mattas et al. 2020) [m/s^2]."""
 GENTLE_ACCELERATION = 1.5
 """The highest acceleration of a calm driver [m/s^2]."""
 GAP_GAIN = 0.25
-"""The braking per missing metre of the following distance [1/s^2]."""
+"""The braking for each metre by which the gap to the vehicle ahead is too small [1/s^2]."""
 CLOSING_GAIN = 0.8
-"""The braking per closing speed [1/s]."""
+"""The braking for each m/s by which the ego is faster than the vehicle ahead [1/s]."""
 SPEED_GAIN = 0.5
-"""The acceleration per difference to the desired speed [1/s]."""
+"""The acceleration for each m/s by which the ego is slower than desired [1/s]."""
 
 CRITICAL: Mapping[Kind, float] = MappingProxyType({"oncoming": 4.1, "merging": 6.2, "crossing": 7.1})
 """The critical headways of a left turn from the major road, and of a right and a left turn from the minor road (Highway
-Capacity Manual) [s]. The driver lets a vehicle pass first if it would arrive sooner than this after the driver's entry.
+Capacity Manual) [s]. The driver waits for a vehicle that would arrive within this time after the driver's own entry.
 """
 LINE = 1.0
 """The distance between a waiting driver and the zone [m]."""
@@ -67,26 +68,31 @@ STOPPING = 2.0
 """The required braking at which a driver begins to stop before a zone: the comfortable braking of Treiber et al. (2000)
 [m/s^2]."""
 CREEPING = 2.0
-"""The least speed for predicting arrivals at a zone, because a slow or standing vehicle may set off [m/s]."""
+"""The least speed that predictions of arrivals at a zone assume, because a slow or standing vehicle may set off [m/s].
+"""
 STANDING, PATIENCE = 0.3, 2.0
-"""A speed [m/s] and a time [s]: a vehicle that has been slower for so long lets others go first and is not expected to
-come."""
+"""A speed [m/s] and a time [s]: a vehicle that has been slower than this speed for this time is assumed to let others
+go first."""
 CLEAR = 0.5
-"""The least time between a vehicle that leaves a zone and the driver that enters behind it [s]."""
+"""The least time from a vehicle's exit out of a zone to the driver's entry [s]."""
 
 EPSILON = 1e-6
 """The tolerance of comparisons of times, so that rounding delays nothing by a tick [s]."""
 
 LANE_GAIN, HEADING_GAIN = 0.01, 0.3
-"""The steering per offset from the lane's centre [rad/m] and per heading [1]."""
+"""The steering for each metre of offset from the lane's centre [rad/m], and for each radian of angle to the lane [1].
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leader:
-    """A vehicle ahead: its speed along the road [m/s] and its deceleration [m/s^2].
+    """A vehicle ahead of the ego.
 
-    The gap is the distance between the boxes along the road [m], negative while they overlap; ``closing`` is the ego's
-    speed minus the vehicle's [m/s].
+    Attributes:
+        gap: the distance between the two boxes along the road [m]; negative if they overlap.
+        speed: the vehicle's speed along the road [m/s].
+        closing: the ego's speed minus the vehicle's speed [m/s].
+        braking: the vehicle's deceleration [m/s^2].
     """
 
     gap: float
@@ -96,12 +102,12 @@ class Leader:
 
     @property
     def time_to_collision(self) -> float:
-        """The time to collision at constant speeds [s]; infinite if the two do not close in."""
+        """The time to collision at constant speeds [s]; infinite if the gap does not shrink."""
         return max(self.gap, 0.0) / self.closing if self.closing > 0 else math.inf
 
     @property
     def is_critical(self) -> bool:
-        """True if a careful driver has to brake hard."""
+        """True if a careful driver behind this vehicle has to brake hard."""
         near = STANDSTILL_GAP + HEADWAY * (self.speed + self.closing)
         is_braking = self.braking > EMERGENCY.leader_braking and self.gap < near
         return is_braking or self.time_to_collision < EMERGENCY.time_to_contact
@@ -109,17 +115,16 @@ class Leader:
 
 @dataclass(slots=True)
 class ReferenceDriver(ABC):
-    """The base of all reference drivers, which keep their lane and their desired speed, and see leaders.
+    """The base class of all reference drivers, which keep their lane and react to the vehicles ahead.
 
     Attributes:
-        now, step: the time of the observation, and the time since the previous one [s].
-        since: the beginning of each condition that has held without a break [s].
-        lane: the lane to keep.
-        wanted: the desired speed [m/s].
-        acceleration: the acceleration that the pedals have reached [m/s^2].
-        speeds, brakings: the other vehicles' speeds and decelerations [m/s, m/s^2].
-        places, drifts: the other vehicles' places across the road [m], and their speeds to the right, including slip
-            [m/s].
+        now, step: the time of the observation, and the time since the previous observation [s].
+        since: for each condition that holds now, the time at which it began to hold [s].
+        lane: the lane that the driver keeps.
+        wanted: the speed that the driver desires [m/s].
+        acceleration: the acceleration of the last decision, from which braking builds up [m/s^2].
+        speeds, brakings: the speeds along the road [m/s] and decelerations [m/s^2] of the other vehicles.
+        places, drifts: the other vehicles' y [m], and their speeds to the right [m/s].
     """
 
     HARDEST = HARD_BRAKING
@@ -158,13 +163,13 @@ class ReferenceDriver(ABC):
         return self.acceleration, steering
 
     def watch(self, observation: Observation) -> None:
-        """Observe while a different driver has the wheel, and adopt the ego's lane and its highest speed."""
+        """Observe while a different driver drives the ego; adopt the ego's lane and its highest speed so far."""
         self(observation)
         self.lane = observation.ego.lane
         self.wanted = max(self.wanted or 0.0, min(observation.ego.speed, observation.speed_limit))
 
     def at_junction(self, observation: Observation) -> float:
-        """Return the acceleration that vehicles on other ways leave to the driver [m/s^2]; infinite without any."""
+        """Return the highest acceleration that vehicles on other ways allow [m/s^2]; infinite if there are none."""
         meeting = [other for other in observation.crossing if other.to_leave > 0 and other.ego_to_leave > 0]
         passes = [self.lets_pass(observation, other) for other in meeting]
         stops = [other.ego_distance for other, first in zip(meeting, passes, strict=True) if first]
@@ -175,7 +180,7 @@ class ReferenceDriver(ABC):
         return min(wishes, default=math.inf)
 
     def before_zone(self, observation: Observation, other: CrossingVehicle, waits: bool) -> float:
-        """Return the acceleration that one vehicle on a different way leaves to the driver, who may wait [m/s^2]."""
+        """Return the highest acceleration before the zone of one vehicle, for which the driver may wait [m/s^2]."""
         ego = observation.ego
         lets_pass = self.held(f"lets pass {other.id}", waits)
         if other.zone.kind == "merging" and other.is_inside and other.to_leave < other.ego_to_leave:
@@ -192,7 +197,7 @@ class ReferenceDriver(ABC):
         return -self.HARDEST if in_the_way else math.inf  # it can no longer stop; leaving the zone is fastest
 
     def lets_pass(self, observation: Observation, other: CrossingVehicle) -> bool:
-        """Return whether the driver waits before a zone for a vehicle, or for room behind a queue."""
+        """Return whether the driver waits before a zone, for a vehicle to pass or for room beyond the zone."""
         ego = observation.ego
         enters = max(other.ego_distance, 0.0) / max(ego.speed, CREEPING)
         leaves = other.to_leave / other.speed if other.speed > STANDING else math.inf
@@ -209,7 +214,7 @@ class ReferenceDriver(ABC):
         return leaves + CLEAR > enters and arrives < enters + CRITICAL[other.zone.kind]
 
     def is_queue_behind(self, observation: Observation, other: CrossingVehicle) -> bool:
-        """Return whether a slow vehicle leaves no room behind a zone."""
+        """Return whether a slow vehicle beyond a zone leaves too little room for the ego to clear the zone."""
         ego = observation.ego
         room = other.ego_to_leave + ego.length / 2 + STANDSTILL_GAP
         leaders = (self.ahead(observation, index) for index in range(len(observation.others)))
@@ -227,7 +232,7 @@ class ReferenceDriver(ABC):
         return self.now - self.since.setdefault(condition, self.now)
 
     def ahead(self, observation: Observation, index: int) -> Leader | None:
-        """Return another vehicle as a leader, whatever its lane; None if its centre is not ahead."""
+        """Return an observed vehicle as a leader, in whatever lane; None if its centre is not ahead of the ego's."""
         ego, other, speed = observation.ego, observation.others[index], self.speeds[index]
         if other.x <= ego.x:
             return None
@@ -240,7 +245,7 @@ class ReferenceDriver(ABC):
         return max(min(SPEED_GAIN * missing, GENTLE_ACCELERATION), -GENTLE_BRAKING)
 
     def follow(self, speed: float, leader: Leader) -> float:
-        """Return the gentle acceleration towards the following distance [m/s^2]."""
+        """Return the gentle acceleration that brings the ego to its headway behind a vehicle [m/s^2]."""
         missing = STANDSTILL_GAP + HEADWAY * speed - leader.gap
         return max(min(-GAP_GAIN * missing - CLOSING_GAIN * leader.closing, GENTLE_ACCELERATION), -GENTLE_BRAKING)
 
@@ -252,7 +257,8 @@ class CarefulHuman(ReferenceDriver):
     Another vehicle matters once it is in the ego's way, or has left the centre of its lane towards the ego by more
     than 0.375 m. Danger is a time to collision below 2 s, or a leader that brakes harder than 5 m/s^2. The driver needs
     0.4 s to perceive it and 0.75 s to brake. It then brakes with up to 0.774 g until no danger is left. Without danger,
-    the same times pass before it opens the gap to a new vehicle; from then on it follows attentively.
+    the driver needs the same times before it increases the gap to a new vehicle ahead; afterwards it reacts to that
+    vehicle at once.
     """
 
     brakes_from: float = math.inf
@@ -293,14 +299,14 @@ class FuzzySafety(ReferenceDriver):
 
     Two fuzzy measures from 0 to 1, proactive (PFS) and critical (CFS), determine the braking: PFS up to the comfortable
     4 m/s^2, CFS from there to 6 m/s^2. The driver reacts to leaders, and to vehicles that will move into its way before
-    it has passed them. CFS assumes that a leader keeps its speed. For a leader that goes on braking hard, the driver
-    therefore brakes with only 4 m/s^2 until little time is left, and the published model hits some of them.
+    it has passed them. CFS assumes that a leader keeps its speed. Behind a leader that goes on braking hard, the driver
+    therefore brakes with only 4 m/s^2 until little time is left, and the published model hits some of these leaders.
     """
 
     COMFORTABLE = 4.0
     HARDEST = 6.0
     OTHERS = 7.0
-    """The hardest braking that it expects of other vehicles [m/s^2]."""
+    """The hardest braking that the driver expects of other vehicles [m/s^2]."""
     MARGIN = 2.0
     """The safety margin of PFS [m]."""
     ROUNDING = 0.5
@@ -337,21 +343,21 @@ class FuzzySafety(ReferenceDriver):
         return apart / sideways <= passing + 0.1
 
     def braking(self, speed: float, leader: Leader) -> float:
-        """Return the deceleration that the two measures require [m/s^2]."""
+        """Return the deceleration that PFS and CFS require [m/s^2]."""
         critical = self.critical(speed, leader)
         if critical > 0:
             return self.COMFORTABLE + critical * (self.HARDEST - self.COMFORTABLE)
         return self.proactive(speed, leader) * self.COMFORTABLE
 
     def proactive(self, speed: float, leader: Leader) -> float:
-        """Return PFS: 0 if gentle braking suffices behind a leader that brakes hard, 1 if hard braking does not."""
+        """Return PFS: 0 if gentle braking suffices behind a leader that brakes hard, 1 if even hard braking hits it."""
         others = leader.speed**2 / (2 * self.OTHERS)
         safe = speed * DELAY + speed**2 / (2 * self.COMFORTABLE) - others + self.MARGIN
         unsafe = speed * DELAY + speed**2 / (2 * self.HARDEST) - others
         return _fuzzy(leader.gap - self.MARGIN, safe, unsafe)
 
     def critical(self, speed: float, leader: Leader) -> float:
-        """Return CFS: 0 if gentle braking avoids a leader that keeps its speed, 1 if hard braking does not."""
+        """Return CFS: 0 if gentle braking avoids a leader that keeps its speed, 1 if even hard braking hits it."""
         if leader.closing <= 0:
             return 0.0
         gap = leader.gap - self.ROUNDING
@@ -379,7 +385,7 @@ class IdmAeb(ReferenceDriver):
     """The deceleration of emergency braking (UN R157, annex 4, appendix 3) [m/s^2]."""
     JERK = HARDEST / BUILD_UP
     TRIGGER = 1.5
-    """The time to collision below which it brakes fully [s]."""
+    """The time to collision below which the driver brakes fully [s]."""
 
     braking: bool = False
 
@@ -413,7 +419,7 @@ class SteadyBraking(ReferenceDriver):
 
     HARDEST = FOLLOWING.deceleration
     JERK = 1000.0
-    """A jerk with which the brakes act at once [m/s^3]."""
+    """The jerk of braking [m/s^3], so high that the brakes act at once."""
 
     acceleration: float = -FOLLOWING.deceleration
 
@@ -429,18 +435,19 @@ class SteadyBraking(ReferenceDriver):
 REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {"careful-human": CarefulHuman, "fuzzy-safety": FuzzySafety, "idm-aeb": IdmAeb}
 )
-"""The factories of the reference drivers; each can be the ADS of a search."""
+"""The factories of the reference drivers by name; each can be the ADS of a search."""
 
 TAKING_OVER: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {**REFERENCES, STEADY_BRAKING: SteadyBraking}
 )
-"""The factories of the drivers that can take over during a run."""
+"""The factories of the drivers that can take over during a run, by name."""
 
 
 def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float, is_known: bool) -> bool:
     """Return whether a vehicle is in the ego's way, or visibly leaves its lane towards the ego.
 
-    ``drift`` is its speed to the right [m/s]. A known vehicle still matters while it pauses over the line.
+    ``drift`` is the vehicle's speed to the right [m/s]. A vehicle that has mattered before (``is_known``) still matters
+    while it pauses over the lane's line.
     """
     if _apart(ego, other) <= 0:
         return True

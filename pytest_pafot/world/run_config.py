@@ -35,10 +35,10 @@ class Rules:
         road: the straight road, or the ego's way through a network.
         physics_hz, ads_hz: ticks and decisions per second.
         duration: the longest duration of a run [s].
-        clearance: gap between the ego and the cells ahead and behind [m].
-        headway: the headway of NPCs that start ahead or behind [s].
+        clearance: the gap between the ego and the cells ahead of it and behind it [m].
+        headway: the headway with which NPCs start ahead of the ego or behind it [s].
         limits: the limits of every NPC.
-        hang_limit: longest decision of the ADS in wall-clock time [s].
+        hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
         junction: the ways on which other traffic meets the ego's way; None if there are none.
     """
 
@@ -54,7 +54,7 @@ class Rules:
 
     @property
     def crossings(self) -> Crossings | None:
-        """The zones and ways for Crossing-Instructions; None if no other way meets the ego's."""
+        """The zones and ways for Crossing-Instructions; None if no other way meets the ego's way."""
         return None if self.junction is None else self.junction.crossings
 
     def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
@@ -64,7 +64,7 @@ class Rules:
 
     @property
     def ego_start(self) -> float:
-        """The ego's start along the road [m]."""
+        """The ego's place along the road at the start [m]."""
         if isinstance(self.road, NetworkRoad):
             return self.road.start
         return ego_start(self.headway, self.clearance)
@@ -75,7 +75,7 @@ class Rules:
 
     @property
     def straight(self) -> StraightRoad:
-        """The road, which must be straight."""
+        """The road if it is straight; otherwise this raises a ``TypeError``."""
         if not isinstance(self.road, StraightRoad):
             raise TypeError(f"road: expected a straight road, received {type(self.road).__name__}")
         return self.road
@@ -151,12 +151,12 @@ class Rules:
     def _check_crossing(self, place: str, instruction: CrossingInstruction) -> None:
         crossings = self.crossings
         if crossings is None:
-            expected = "Position-Instructions on a road on which no way of other traffic meets the ego's"
+            expected = "Position-Instructions on a road on which no way of other traffic meets the ego's way"
             fix = 'give NPCs PositionInstruction(cell, speed), or use a world with crossings, such as "intersection-v0"'
             raise ScenarioError(field=place, expected=expected, received=instruction.goal, fix=fix)
         if instruction.zone not in crossings.ways:
             expected = f"one of {', '.join(zone.way for zone in crossings.zones)}"
-            fix = "ways that start where the ego's does, or do not meet it, have no zone"
+            fix = "a way that starts with the ego's way, or does not meet it, has no zone"
             raise ScenarioError(field=f"{place}.zone", expected=expected, received=instruction.zone, fix=fix)
         if crossings.fits(instruction):
             return
@@ -165,10 +165,11 @@ class Rules:
         slots = [slot for slot in slots if crossings.fits(replace(instruction, slot=slot))]
         fits = f"a slot from {min(slots):g} to {max(slots):g} s" if slots else "a different zone or speed"
         expected = (
-            f"{fits} at {instruction.zone} and {instruction.speed:g} m/s, to start on the way and before the zone"
+            f"{fits} at {instruction.zone} and {instruction.speed:g} m/s, so that the NPC starts on its way before the "
+            "zone"
         )
         received = (
-            f"{instruction.slot:g} s, with which it would start at {crossings.start(instruction):.0f} m of its way"
+            f"{instruction.slot:g} s, with which the NPC would start at {crossings.start(instruction):.0f} m of its way"
         )
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
@@ -185,12 +186,12 @@ class Rules:
                     raise ScenarioError(field=place, expected=expected, received=f"{instruction.speed:g}")
 
     def ticks(self, scenario: Scenario) -> int:
-        """Return the number of physics ticks of a run that nothing ends early."""
+        """Return the number of physics ticks of a run that no collision or failure ends early."""
         return int(min(self.duration, scenario.seconds) * self.physics_hz + 1e-9)  # rounding must not lose a tick
 
 
 def ego_start(headway: float, clearance: float) -> float:
-    """Return the ego's start on a straight road [m], with room behind it for NPCs at any speed."""
+    """Return the ego's place along a straight road at the start [m], with room behind it for NPCs at any speed."""
     return max(200.0, 50.0 + headway * TOP_SPEED + clearance)
 
 
@@ -215,9 +216,9 @@ def start_places(
 
 
 def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float) -> list[float]:
-    """Return the start speed of each NPC [m/s]: the ego's, or less in a bend and just after it.
+    """Return the start speed of each NPC [m/s]: the ego's speed, or less in a bend and just after a bend.
 
-    Just after a bend the NPC's body still has the slip of the bend, so it turns at a rate in proportion to its speed.
+    Just after a bend, an NPC's heading still differs from its course, so the NPC turns, and at a higher speed faster.
     """
     road = rules.road
     if isinstance(road, StraightRoad):

@@ -1,7 +1,8 @@
 """The parts of highway-env that the package uses, imported without matplotlib and pandas.
 
-highway-env imports matplotlib for one function that plots, and pandas for observations that most runs do not use.
-Together they take three times as long as all its other imports. Here they are imported at their first use.
+highway-env imports matplotlib for one function that plots, and pandas for observations that most runs do not use. To
+import these two takes three times as long as all other imports of highway-env. This module delays both to their first
+use.
 """
 
 from __future__ import annotations

@@ -11,20 +11,20 @@ from typing import Any
 from pytest_pafot.support.errors import WorldError, checked_number, checked_whole
 
 PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)
-"""The smallest and largest number of ticks, and of decisions, per second."""
+"""The smallest and largest accepted number of physics ticks per second, and of decisions of an ADS per second."""
 
 MOST_TICKS = 400_000
-"""The largest number of ticks of a run. With 8 NPCs its record takes about 0.5 KB per tick."""
+"""The largest accepted number of ticks in a run. With 8 NPCs, the record of a run takes about 0.5 KB per tick."""
 
 
 def number_within(name: str, value: object, low: float, high: float, why: str = "") -> float:
-    """Return a finite number within bounds as a float; in the error message, ``why`` follows the bounds."""
+    """Return ``value`` as a float if it is from ``low`` to ``high``; else raise an error that adds ``why`` to both."""
     expected = f"a number from {low:g} to {high:g}{why}"
     return checked_number(value, name, expected, least=low, most=high, error=WorldError)
 
 
 def whole_within(name: str, value: object, low: int, high: int) -> int:
-    """Return a whole number within bounds."""
+    """Return ``value`` as an int if it is a whole number from ``low`` to ``high``; else raise an error."""
     expected = f"a whole number from {low} to {high}"
     return checked_whole(value, name, expected, least=low, most=high, error=WorldError)
 
@@ -47,14 +47,14 @@ def plain_data(name: str, value: Any) -> Any:
 
 
 def check_ticks(duration: float, physics_hz: int) -> None:
-    """Check that the record of a run fits into memory."""
+    """Refuse a duration [s] with more than :data:`MOST_TICKS` ticks, whose record would take too much memory."""
     if duration * physics_hz > MOST_TICKS:
         expected = f"at most {MOST_TICKS / physics_hz:g} s at {physics_hz} ticks a second"
         raise WorldError(field="duration", expected=expected, received=f"{duration:g}")
 
 
 def check_divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:
-    """Check that a decision takes a whole number of physics ticks."""
+    """Refuse rates at which a decision does not last a whole number of ticks; arguments are pairs (name, rate)."""
     (physics_name, physics_hz), (ads_name, ads_hz) = physics, ads
     if physics_hz % ads_hz == 0:
         return

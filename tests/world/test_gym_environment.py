@@ -255,7 +255,7 @@ def test_custom_reset_that_adds_vehicles_is_refused(wrappers, register):
             return first
 
     register("mine-v0", entry_point=Crowded)
-    with pytest.raises(WorldError, match="received Crowded, whose `reset` adds others"):
+    with pytest.raises(WorldError, match="received Crowded, whose `reset` adds vehicles"):
         World("mine-v0", wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
 
 
@@ -328,5 +328,5 @@ def test_wrapper_exception_is_ads_failure_at_its_decision(seen_before):
 
 def test_wrapper_that_does_not_step_is_reported():
     world = World("highway-v0", duration=5.0, wrappers=[partial(TimeLimit, max_episode_steps=2), Autoreset])
-    with pytest.raises(WorldError, match=r"received one that did not, at 2.0 s; leave out wrappers .* reset episodes"):
+    with pytest.raises(WorldError, match=r"a step that did not, at 2.0 s; leave out wrappers .* reset episodes"):
         world.rollout(SCENARIO, lambda: lambda seen: 1)

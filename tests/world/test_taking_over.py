@@ -112,7 +112,7 @@ def test_taking_over_gives_the_same_run_each_time():
         (10, "me", HIGHWAY, "expected one of careful-human, fuzzy-safety, idm-aeb, steady-braking, received 'me'"),
         (-1, "idm-aeb", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received -1"),
         (10**6, "idm-aeb", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received 1000000"),
-        (10, "idm-aeb", Highway(physics_hz=30), "trace: expected a run in this world, with 30 ticks .* one with 15"),
+        (10, "idm-aeb", Highway(physics_hz=30), "trace: expected a run in this world, with 30 ticks .* a run with 15"),
     ],
 )
 def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
