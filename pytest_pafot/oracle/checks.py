@@ -1,6 +1,6 @@
-"""Checks: assertions of a test function with a margin, the distance of a value from its bound.
+"""Checks: assertions of a test function that report a margin, which is the distance of a value from its bound.
 
-A search that knows the margins can climb them; a plain ``assert`` only reports that it failed.
+A search can reduce a margin step by step. A plain ``assert`` reports only that it failed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pytest_pafot.support.errors import POSITIVE, checked_number
 
 
 class Rejected(BaseException):
-    """The signal of :func:`reject`. It is no ``Exception``, so that the test's own handlers do not swallow it."""
+    """The exception that :func:`reject` raises; not an ``Exception``, so that the test's handlers do not catch it."""
 
 
 def reject() -> NoReturn:
@@ -34,19 +34,19 @@ LONGEST_NAME = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """A value that was compared with its bounds in one run, or that a search should maximise.
+    """A value of one run that was compared with its bounds, or a target, which is a value that a search maximises.
 
     Attributes:
-        name: name of the check; two failures of checks with the same name are the same.
-        value: worst value [unit]; NaN fails.
-        margin: distance by which the value keeps its bound, in units of the scale; negative if it does not, minus
-            infinity for NaN. For a target, minus the value.
-        at_most, at_least: bounds [unit]; None without. Both are None for a target.
+        name: name of the check; two failures of checks with the same name count as the same failure.
+        value: worst value of the run [unit]; NaN fails.
+        margin: distance of the value from its bound, divided by the scale of the check; negative if the bound is
+            broken, minus infinity for NaN. For a target, minus the value.
+        at_most, at_least: bounds [unit]; None if there is no such bound. Both are None for a target.
         unit: unit of the value.
         time: time of the worst value [s]; None if unknown.
-        npc: NPC that the check is about; None if unknown.
-        values: one value a tick, if given so and the ticks are known; None otherwise.
-        start: tick of the first of these values.
+        npc: index of the NPC that the check is about; None if unknown.
+        values: all values, one per tick, if the check received such an array and its ticks are known; otherwise None.
+        start: tick of the first value in ``values``.
     """
 
     name: str
@@ -62,16 +62,16 @@ class Check:
 
     @property
     def bounds(self) -> dict[str, float | None]:
-        """The bounds by the names of the arguments of :func:`check`."""
+        """The two bounds, by the argument names ``at_most`` and ``at_least``."""
         return {"at_most": self.at_most, "at_least": self.at_least}
 
     @property
     def holds(self) -> bool:
-        """True if the value keeps its bounds."""
+        """True if the value is within its bounds."""
         return self.margin >= 0 or (self.at_most is None and self.at_least is None)
 
     def __str__(self) -> str:
-        """Return the check in words, as in ``jerk 35.1 > 20 m/s^3 at 4.2 s``."""
+        """Return the check in words, such as ``jerk 35.1 > 20 m/s^3 at 4.2 s``."""
         bound, sign = self.at_most, "<=" if self.holds else ">"
         if self.at_least is not None and (bound is None or self.value < self.at_least):
             bound, sign = self.at_least, ">=" if self.holds else "<"
@@ -84,7 +84,7 @@ class Check:
 
 
 class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
-    """Error for a check whose bound is broken; ``check`` says by how much, when, and with which NPC."""
+    """Error for a check whose bound is broken; its attribute ``check`` has the value, the time and the NPC."""
 
     __module__ = "pytest_pafot"  # users import it from there, and tracebacks show this name
 
@@ -103,10 +103,10 @@ class Recording:
     """The checks of one run, in the order in which they were made.
 
     Attributes:
-        hz: ticks of the run a second.
-        ticks: number of ticks of the run.
+        hz: ticks per second of the run.
+        ticks: number of ticks in the run.
         npcs: number of NPCs in the run; None if unknown.
-        checks: checks that were made.
+        checks: checks that the test function made in the run.
     """
 
     hz: int
@@ -116,13 +116,13 @@ class Recording:
 
 
 _RECORDING: ContextVar[Recording | None] = ContextVar("pafot_checks", default=None)
-"""The recording of the run that is being evaluated in this context. Without it, each check in a test function would
-need one more argument."""
+"""The recording of the run that is being evaluated now. It is a context variable so that checks in a test function do
+not need the run as an argument."""
 
 
 @contextmanager
 def recorded(recording: Recording) -> Iterator[None]:
-    """Record the checks that are made inside the context."""
+    """Add the checks that are made inside the ``with`` block to a recording."""
     token = _RECORDING.set(recording)
     try:
         yield
@@ -141,18 +141,19 @@ def check(
     npc: int | None = None,
     scale: float | None = None,
 ) -> None:
-    """Assert that a value keeps its bounds, and report to the search by how much.
+    """Assert that a value is within its bounds, and report the margin to the search.
 
     Args:
-        value: a number, or an array with one value a tick, such as ``run.ego.jerk``; the worst value counts. NaN fails.
-            A formula, such as the result of :func:`~pytest_pafot.criticality.temporal.always`, needs no bound.
-        name: name of the finding; failures with the same name are the same.
+        value: a number, or an array with one value per tick, such as ``run.ego.jerk``, of which the worst value is
+            checked. NaN fails. A formula, such as the result of :func:`~pytest_pafot.criticality.temporal.always`,
+            needs no bound.
+        name: name of the check; failures of checks with the same name count as the same failure.
         at_most, at_least: bounds [unit]; at least one is required, except for a formula.
         unit: unit, such as ``"m/s^3"``; the unit of a signal by default.
         at: time of the event [s]; by default the time of an array's worst tick, or of the tick that decides a formula.
-        npc: NPC that the check is about; -1, as in ``run.leader``, means none.
-        scale: divisor of the margin [unit], so that checks in different units are comparable; by default the bound, or
-            1 if that is 0.
+        npc: index of the NPC that the check is about; -1, as in ``run.leader``, means no NPC.
+        scale: divisor of the margin [unit], which makes checks in different units comparable; by default the bound, or
+            1 if the bound is 0.
 
     Raises:
         CheckFailed: if a bound is broken.
@@ -193,11 +194,11 @@ def check(
 
 
 def target(value: Any, *, name: str) -> None:
-    """Make the search maximise a value that has no bound; it never fails.
+    """Make the search maximise a value that has no bound; a target never fails the test.
 
     Args:
-        value: a number, or an array with one value a tick; the largest value counts, and NaN is ignored.
-        name: name of the objective.
+        value: a number, or an array with one value per tick, of which the largest value is used; NaN is ignored.
+        name: name of the target.
     """
     values = _values(value, name)
     tick = int(np.where(np.isnan(values), -np.inf, values).argmax())
@@ -252,9 +253,10 @@ def _npc(name: str, npc: Any) -> int | None:
 
 
 def _clock(value: Any, values: FloatArray) -> tuple[int, float] | None:
-    """Return the tick of an array's first value and the ticks a second; None for a number, and if they are unknown.
+    """Return the tick of an array's first value and the ticks per second; None for a number, or if they are unknown.
 
-    They come from the array itself, or from the run that is being evaluated if the array is as long.
+    They are those of the array if it is a signal. Otherwise they are those of the evaluated run, if the array has one
+    value per tick of that run.
     """
     if values.size == 1:
         return None
@@ -265,7 +267,7 @@ def _clock(value: Any, values: FloatArray) -> tuple[int, float] | None:
 
 
 def _short(value: float, bound: float | None) -> str:
-    """Return a value with few digits, or with more if it would otherwise read as its bound or as beyond it."""
+    """Return a value with few digits, but enough of them to show on which side of its bound it is."""
     texts = [f"{value:.1f}"] if 1 <= abs(value) < 1e4 else []
     texts += [f"{value:.{digits}g}" for digits in range(3, 17)]
     if bound is None or math.isnan(value):

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 LINE_LENGTH = 99
 """The longest line of an explanation."""
 MAX_GENE_ROWS = 5
-"""The most rows of the table of genes in an explanation."""
+"""The largest number of rows in an explanation's table of genes."""
 _DEPARTURES = {
     Outcome.END_OF_ROAD: ", when a vehicle reached the end of the road",
     Outcome.LEFT_ROUTE: ", when the ego left its route",
@@ -51,14 +51,14 @@ _DEPARTURES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """An NPC at one tick.
+    """An NPC at one tick of a run.
 
     Attributes:
-        npc: index in the scenario.
+        npc: index of the NPC in the scenario.
         tick: physics tick.
         time: time of that tick [s].
-        cell: cell of the NPC's centre; if that is the ego's own cell, the last other cell before. None if there is
-            none, and for an NPC that crosses while it is not on the ego's way.
+        cell: cell of the NPC's centre, or if the centre is in the ego's own cell, the last cell before. None if there
+            is no such cell, and for an NPC that crosses while it is not on the ego's way.
     """
 
     npc: int
@@ -68,37 +68,38 @@ class Moment:
 
 
 class NoReferenceDriversError(RuntimeError):
-    """Error for a run that does not know its world, so that no reference driver can be tried in it."""
+    """Error for a run that was made without its world, so that no reference driver can be simulated in its scenario."""
 
 
 class ReferenceWorld(Protocol):
-    """A world that can put reference drivers in the ego's place."""
+    """A world that can simulate scenarios with a reference driver in the ego's place."""
 
     @property
     def reference_drivers(self) -> Sequence[str]:
         """The names of the reference drivers."""
 
     def rollout_reference(self, scenario: Scenario, name: str, /) -> Trace:
-        """Simulate a scenario with one reference driver."""
+        """Simulate a scenario with the reference driver of a name in the ego's place."""
 
 
 ReferenceOutcome = Literal["avoids", "hit", "at-fault", "fails"]
-"""The outcome for a reference driver in the ego's place: it avoids the failure; it is hit, and an NPC is responsible;
-it is responsible for a collision itself, alone or with the NPC; or it fails the test function without a collision."""
+"""The outcome for a reference driver in the ego's place. ``avoids``: the driver avoids the failure. ``hit``: it
+collides, but only the NPC is responsible. ``at-fault``: it is responsible for a collision, alone or with the NPC.
+``fails``: it fails the test function without a collision."""
 
 
 def preventing(outcomes: Iterable[tuple[str, ReferenceOutcome]], responsibility: str | None) -> Iterator[str]:
     """Return the names of the reference drivers that would have prevented a failure.
 
-    They avoid it; or, if the ego is responsible for a collision, an NPC hits them at most, because they then do not
-    repeat the ego's fault. If the ego was not at fault, or did not collide, a driver that is hit prevents nothing.
+    These are the drivers that avoid the failure. If the ego is responsible for a collision, drivers that are only hit
+    by an NPC are included, because they do not repeat the ego's fault.
     """
     free: tuple[ReferenceOutcome, ...] = ("avoids", "hit") if responsibility in ("ego", "both") else ("avoids",)
     return (name for name, outcome in outcomes if outcome in free)
 
 
 def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
-    """Return the outcome for a reference driver, given its run and whether that fails."""
+    """Return the outcome for a reference driver, given its run and whether that run fails."""
     if not fails:
         return "avoids"
     if run.collision is None:
@@ -108,13 +109,14 @@ def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(Drawn):
-    """One run and everything that a test can ask of it. Measures are computed at their first use.
+    """One simulated run with its outcome, measures and verdict. Measures are computed at their first use.
 
     Attributes:
         trace: record of the run, tick by tick.
         decision_limit: longest allowed decision of the ADS [s], or None for no limit; see :attr:`too_slow`.
-        world: world of the run, if it has reference drivers; see :attr:`reference_drivers`.
-        take_over: function that lets a reference driver take over in the middle of this run; see :attr:`last_chance`.
+        world: world of the run, if it has reference drivers, else None; see :attr:`reference_drivers`.
+        take_over: function that repeats the run with a reference driver that takes over in the middle, or None; see
+            :attr:`last_chance`.
     """
 
     trace: Trace
@@ -125,7 +127,7 @@ class Run(Drawn):
     if not TYPE_CHECKING:  # type checkers know every name
 
         def __getattr__(self, name: str) -> Any:
-            """Suggest the nearest name; Python calls this only for attributes that do not exist."""
+            """Raise an error that suggests the nearest name; Python calls this only if the attribute does not exist."""
             __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
             if hasattr(type(self), name):
                 return object.__getattribute__(self, name)  # raises again an AttributeError from inside a property
@@ -138,7 +140,7 @@ class Run(Drawn):
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario as driven; running it again repeats this run."""
+        """The scenario as the NPCs drove it, after repairs; a run of this scenario repeats this run."""
         return self.trace.executed
 
     @property
@@ -148,12 +150,12 @@ class Run(Drawn):
 
     @property
     def collision(self) -> Collision | None:
-        """The ego's collision with its time, NPC, place and speeds; None without one."""
+        """The ego's collision with its time, NPC, place and speeds; None without a collision."""
         return self.trace.collision
 
     @property
     def ads_error(self) -> AdsError | None:
-        """The error of the ADS, which did not return an action; None without one."""
+        """The error because of which the ADS returned no action; None without an error."""
         return self.trace.error
 
     @property
@@ -168,12 +170,12 @@ class Run(Drawn):
 
     @property
     def max_decision_time(self) -> float:
-        """The longest decision of the ADS in wall-clock time [s]; not reproducible."""
+        """The duration of the ADS's longest decision in wall-clock time [s]; not reproducible."""
         return self.trace.max_decision_seconds
 
     @property
     def too_slow(self) -> bool:
-        """True if a decision took longer than the limit; False without a limit. Depends on wall-clock time."""
+        """True if a decision took longer than ``decision_limit`` in wall-clock time; False without a limit."""
         return self.decision_limit is not None and self.max_decision_time > self.decision_limit
 
     # How dangerous it was for the ego: over all ticks and NPCs.
@@ -182,16 +184,16 @@ class Run(Drawn):
     def mettc(self) -> float:
         """The paper's minimum estimated time to collision [s]; lower is worse, inf if there is none.
 
-        It is the time until the ego reaches the point where its line of travel crosses an NPC's (PAFOT, section 3.3,
-        equations 1 to 3).
+        The estimated time is the time until the ego reaches the point where its line of travel crosses an NPC's line
+        (PAFOT, section 3.3, equations 1 to 3).
         """
         return self._encounters.mettc
 
     @cached_property
     def min_ttc(self) -> float:
-        """The least time to contact of the boxes at constant velocity [s]; lower is worse, inf if there is none.
+        """The least time to contact of the ego's box and an NPC's [s]; lower is worse, inf if there is none.
 
-        It is the time to collision of Hayward (1972), for oriented boxes.
+        It assumes constant velocities: the time to collision of Hayward (1972), for oriented boxes.
         """
         return self._encounters.min_ttc
 
@@ -202,7 +204,7 @@ class Run(Drawn):
 
     @cached_property
     def min_centre_distance(self) -> float:
-        """The paper's minimum distance, between centres [m]; lower is worse (PAFOT, section 3.3, equation 4)."""
+        """The paper's minimum distance between the ego's centre and an NPC's [m]; lower is worse (equation 4)."""
         return self._encounters.min_centre_distance
 
     @cached_property
@@ -224,30 +226,30 @@ class Run(Drawn):
 
     @property
     def headway(self) -> Signal:
-        """The gap along the lane to the leader, divided by the ego's speed [s]; lower is worse, inf without leader."""
+        """The gap to the leader divided by the ego's speed, at each tick [s]; lower is worse, inf without a leader."""
         return self.signal(BY_NAME["headway"])
 
     @cached_property
     def leader(self) -> npt.NDArray[np.intp]:
-        """The index of the NPC ahead of the ego in its lane at each tick, -1 without one."""
+        """The index of the nearest NPC ahead in the ego's lane at each tick; -1 if there is none."""
         return leader(self.trace)
 
     @cached_property
     def lane_changes(self) -> tuple[EgoLaneChange, ...]:
-        """The ego's lane changes: when, from and to which lane, and the gaps ahead and behind there."""
+        """The ego's lane changes: their times, the old and new lanes, and the gaps ahead and behind in the new lane."""
         return ego_lane_changes(self.trace)
 
     @cached_property
     def passages(self) -> tuple[Passage, ...]:
-        """The times at which the ego and each NPC that crosses were in their zone; empty without such an NPC.
+        """The times at which the ego and each NPC that crosses were in the zone of their ways; empty if no NPC crosses.
 
-        ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` says how narrowly the ego and
-        crossing traffic missed each other.
+        ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` is the time by which the ego
+        and crossing traffic missed each other.
         """
         return tuple(filter(None, passages(self.trace)))
 
     def signal(self, measure: Measure, npc: int | None = None) -> Signal:
-        """Return your own measure as a signal; a measure of each NPC needs the index of one.
+        """Return a measure of your own as a signal; ``npc`` is the index of the NPC if it is a measure of each NPC.
 
         Raises:
             ValueError: if the measure returns an array of a different shape, or if ``npc`` is missing.
@@ -275,12 +277,12 @@ class Run(Drawn):
 
     @cached_property
     def attribution(self) -> Attribution:
-        """The attribution of the collision: which vehicle caused it, since when it was dangerous, and why."""
+        """The attribution of the collision: which vehicle caused it, when the danger began, and the reason."""
         return rss_rule(self.trace)
 
     @property
     def responsibility(self) -> str | None:
-        """The responsibility for the collision, ``"ego"``, ``"npc"`` or ``"both"``; None without one."""
+        """The responsibility for the collision, ``"ego"``, ``"npc"`` or ``"both"``; None if neither is responsible."""
         verdict = self.attribution.responsibility
         return None if verdict == "none" else verdict
 
@@ -292,7 +294,9 @@ class Run(Drawn):
 
     @property
     def preventable_by(self) -> tuple[str, ...]:
-        """The names of the reference drivers that avoid a collision in the ego's place, or any fault if it is at fault.
+        """The names of the reference drivers that would have prevented the collision in the ego's place.
+
+        They avoid the collision; if the ego is responsible for it, they may also be hit without being at fault.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world.
@@ -313,7 +317,7 @@ class Run(Drawn):
         return {name: reference_outcome(run, fails=run.collision is not None) for name, run in runs}
 
     def by_reference_drivers(self) -> Iterator[tuple[str, Run]]:
-        """Yield a run of the same scenario with each reference driver in the ego's place, one after the other.
+        """Yield the name of each reference driver, with a run of the same scenario with that driver in the ego's place.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world.
@@ -325,10 +329,10 @@ class Run(Drawn):
 
     @cached_property
     def last_chance(self) -> LastChance | None:
-        """The last decision at which a careful driver in the ego's place would have stayed free of fault; simulated.
+        """The last decision from which a careful driver in the ego's place would have stayed free of fault.
 
-        None without a collision that the ego is responsible for, if it entered another vehicle's lane, and if there was
-        no such chance in the last 10 s.
+        The driver is simulated. None without a collision that the ego is responsible for, if the ego entered another
+        vehicle's lane, and if there was no such chance in the last 10 s before the impact.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world.
@@ -341,25 +345,25 @@ class Run(Drawn):
 
     @cached_property
     def worst_ttc(self) -> Moment | None:
-        """The moment and NPC with the least time to contact; None if it never was finite."""
+        """The tick and NPC with the least time to contact in the run; None if no time to contact was finite."""
         return self._at_minimum(self._encounters.ttc)
 
     @cached_property
     def closest_approach(self) -> Moment | None:
-        """The moment and NPC with the least distance between the boxes."""
+        """The tick and NPC with the least distance between the NPC's box and the ego's."""
         return self._at_minimum(self._encounters.gap)
 
     @property
     def closest_time(self) -> float:
-        """The time at which the boxes were closest [s]."""
+        """The time at which an NPC's box was closest to the ego's [s]."""
         return self.duration if self.closest_approach is None else self.closest_approach.time
 
     @cached_property
     def event_time(self) -> float:
-        """The time of the event that the run is about [s].
+        """The time of the most important event of the run [s].
 
-        The event is the collision, the ADS's error or the departure from the road; else the least time to contact; else
-        the closest approach.
+        The event is the collision, the ADS's error or the departure from the road. If none of these occurred, it is the
+        least time to contact, or else the closest approach.
         """
         if self.collision is not None:
             return self.collision.time
@@ -370,20 +374,20 @@ class Run(Drawn):
 
     @property
     def event_npc(self) -> int | None:
-        """The NPC that collided, or the one with the least time to contact; None if there is none."""
+        """The index of the NPC that collided, or else of the NPC with the least time to contact; None if none."""
         event = self.collision or self.worst_ttc
         return None if event is None else event.npc
 
     @property
     def event_cell(self) -> Cell | None:
-        """The cell that :attr:`event_npc` was in at that moment; None if it crossed the ego's way."""
+        """The cell of the NPC :attr:`event_npc` at the event; None if that NPC crossed the ego's way."""
         event = self.collision or self.worst_ttc
         return None if event is None else event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
-        """Return the zone of an event's NPC if it crosses and had not left the zone; else None.
+        """Return the zone of an event's NPC, if that NPC crosses and had not left the zone; else None.
 
-        After an NPC has merged and left the zone, it is on the ego's way like any other.
+        After an NPC has merged and left the zone, it is on the ego's way like any other NPC.
         """
         zone, on_way = self.npcs[event.npc].zone, self.trace.on_way
         if zone is None or on_way is None:
@@ -391,7 +395,7 @@ class Run(Drawn):
         return zone if event.cell is None or on_way[event.tick, event.npc] <= zone.npc[1] else None
 
     def place_of(self, event: Collision | Moment) -> str:
-        """Return where an event's NPC was, in words; empty if it never left the ego's own cell.
+        """Return the place of an event's NPC in words; empty if the NPC never left the ego's own cell.
 
         For example ``in cell 2 (front)``, or ``from the left in the zone o1>o3`` for an NPC that crosses.
         """
@@ -404,14 +408,17 @@ class Run(Drawn):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The texts on what happened, what should have happened, and who is responsible; none without a collision."""
+        """The sentences of the verdict; empty without a collision.
+
+        They say what happened, what should have happened, and which vehicle is responsible.
+        """
         if self.collision is None:
             return ()
         verdict = self.attribution
         return *verdict.sentences, responsible_sentence(verdict.responsibility, self.collision.npc)
 
     def explain(self) -> str:
-        """Explain the run in under 15 lines of plain ASCII: what happened, whose fault, and the NPCs' instructions."""
+        """Explain the run in fewer than 15 lines of ASCII: the events, the verdict and the NPCs' instructions."""
         lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
         names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
         names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
@@ -433,7 +440,10 @@ class Run(Drawn):
         return criticality.Encounters(self.trace)
 
     def _at_minimum(self, measure: FloatArray) -> Moment | None:
-        """Return where a measure of shape [NPCs, ticks + 1] is least: the first such tick, then the first such NPC."""
+        """Return the moment at which a measure of shape [NPCs, ticks + 1] is least; None if it is never finite.
+
+        Of equal values, the first tick is used, and at that tick the first NPC.
+        """
         values = np.where(np.isnan(measure), np.inf, measure).T
         if values.size == 0 or not np.isfinite(values.min()):
             return None
@@ -468,7 +478,10 @@ class Run(Drawn):
         return lines
 
     def _hardest_brake(self) -> str:
-        """Return how hard the ego braked and when; if the verdict says that it did not, why that is no response."""
+        """Return the words for the ego's hardest braking and its time.
+
+        If the verdict says that the ego did not brake, they also say why this braking is not a response.
+        """
         text = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
         if self.hardest_brake < 0.05:
             return text
@@ -489,13 +502,13 @@ def _no_world(name: str, argument: str) -> NoReferenceDriversError:
 
 
 def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
-    """Return a crossing NPC's instruction in words: ``from the left, 0.5 s after the ego leaves``."""
+    """Return a crossing NPC's instruction in words, such as ``from the left, 0.5 s after the ego leaves``."""
     whence = "" if zone is None else zone.whence
     return ", ".join(filter(None, (whence, instruction.when, instruction.deed)))
 
 
 def _crossing_lines(trace: Trace) -> list[str]:
-    """Return a line for each NPC that crosses: its way, its instruction, and how it passed the zone."""
+    """Return one line for each NPC that crosses: its way, its instruction, and its time in the zone."""
     told = [(npc, each) for npc, each in enumerate(trace.executed.crossings) if each is not None]
     shown = told[: MAX_GENE_ROWS - (2 if trace.executed.positions else 0)]
     zones, passed = trace.zones or (None,) * len(trace.executed.npcs), passages(trace)
@@ -507,7 +520,7 @@ def _crossing_lines(trace: Trace) -> list[str]:
 
 
 def _passed(passage: Passage | None) -> str:
-    """Return how an NPC passed its zone, in words: ``; arrived 0.1 s after it (5.6 s)``."""
+    """Return when an NPC passed its zone, relative to the ego, in words: ``; arrived 0.1 s after it (5.6 s)``."""
     if passage is None:
         return ""
     if passage.npc_enters == math.inf:
@@ -523,7 +536,10 @@ def _passed(passage: Passage | None) -> str:
 
 
 def _gene_table(trace: Trace, room: int) -> list[str]:
-    """Return the table of Position-Instructions that were started: a row per gene, a column per NPC, times in s."""
+    """Return the table of the instructions that were started, with a row per gene and a column per NPC.
+
+    The table has at most ``room`` rows, the last ones. Times are in seconds.
+    """
     scenario = trace.executed
     npcs = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], CrossingInstruction)]
     if not npcs:
@@ -544,7 +560,10 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
 
 
 def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
-    """Return one instruction in words; ``reached`` introduces the time of arrival, or is empty without room for it."""
+    """Return one NPC's instruction in words.
+
+    ``reached`` is the text before the time of arrival; it is empty if the table has no room for that time.
+    """
     chain = trace.chains[npc]
     if gene >= len(chain):
         return "-"
