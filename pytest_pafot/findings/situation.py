@@ -41,7 +41,7 @@ PLACE_SHARE = 0.25
 SPEED = 3.0
 """Two speeds of an NPC are near each other if the NPC's speed relative to the ego differs by up to this [m/s]."""
 EGO_SPEED = 9.0
-"""If the ego's speed differs by up to this [m/s], it is enough that the NPC's absolute speed differs by up to 3 m/s."""
+"""The NPC's own speed may differ by up to 3 m/s instead, if the ego's speed differs by up to this [m/s]."""
 REACH = 20.0
 REACH_FACTOR = 2.0
 """A leader may be up to 20 m ahead, or twice the saved distance, because an ego that brakes earlier stays farther away.

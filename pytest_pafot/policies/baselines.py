@@ -33,13 +33,13 @@ TOLD_BY = {
     "target_entropy": "SAC",
     "gae_lambda": "A2C",
 }
-"""The algorithm by the first of these marks that a zip has: a parameter, or part of the policy class's module name.
+"""The algorithms by a mark in the zip: the name of a parameter, or a part of the name of the policy class's module.
 
-A zip does not name its algorithm. DDPG is read as TD3, from which it derives.
+A zip does not name its algorithm, so the first mark that it has decides. DDPG is loaded as TD3, from which it derives.
 """
 
 OF_TRAINING = {"learning_rate": 0.0, "lr_schedule": 0.0, "clip_range": 0.0, "buffer_size": 1}
-"""Replacements of parameters that only training needs: functions of a different Python, memory for a million steps."""
+"""Replacements of parameters that only training needs: functions from a different Python version, or large memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,12 +58,12 @@ class Sb3Policy(PolicyLoader):
 
     @functools.cached_property
     def weights_digest(self) -> str:
-        """The hash of the zip, and of the statistics after it."""
+        """A hash of the zip file and, if there are any, of the statistics of VecNormalize."""
         return digest_of(path for path in (self.file, self.vecnormalize) if path is not None)
 
     @functools.cached_property
     def loading_hint(self) -> str:
-        """The evidence that statistics of VecNormalize are missing; empty if they are given or nothing shows it."""
+        """A sentence on why statistics of VecNormalize seem to be missing; empty if they are given or not missed."""
         try:
             return "" if self.vecnormalize is not None else _missing_statistics(self.file)
         except (OSError, AdsFactoryError):  # a missing hint must not prevent the run
@@ -88,7 +88,7 @@ class Sb3Policy(PolicyLoader):
             marks = {*zipped, *module.split(".")}
             name = next((name for mark, name in TOLD_BY.items() if mark in marks), None)
         if name is None:
-            raise refused("a zip of a known algorithm", str(self.file), 'give algorithm="PPO", or a class')
+            raise refused("a zip whose algorithm can be recognised", str(self.file), 'give algorithm="PPO", or a class')
         if not isinstance(name, str):
             return name
         own = getattr(library("stable_baselines3", "sb3"), name, None)
@@ -98,7 +98,7 @@ class Sb3Policy(PolicyLoader):
         return found
 
     def __call__(self) -> BaselineAds:
-        """Return a new ADS without any history."""
+        """Return a new ADS, which has not seen any observation."""
         model: BaselineModel = self.loaded
         return BatchingBaselineAds(model) if model.decides_for_many else BaselineAds(model)
 
@@ -116,13 +116,13 @@ class Sb3Policy(PolicyLoader):
 
 
 class BaselineModel:
-    """A loaded model, and the changes that its wrappers made to observations.
+    """A loaded model with the changes that the wrappers of its training made to observations.
 
     Args:
         model: an object with ``predict``, ``observation_space`` and ``action_space``.
         statistics: a ``VecNormalize`` without its environments, or None.
-        frame_stack: number of observations that it sees at once.
-        deterministic: as for ``predict``.
+        frame_stack: number of observations that the model sees at once.
+        deterministic: the argument ``deterministic`` of ``model.predict``.
     """
 
     def __init__(self, model: Any, statistics: Any, frame_stack: int, deterministic: bool) -> None:
@@ -153,7 +153,7 @@ class BaselineModel:
         """Return the stacked observations including a new one, and the model's input.
 
         Args:
-            frames: the previous stack, None at the first observation.
+            frames: the previous stack of observations; None at the first observation.
             observation: the environment's observation.
         """
         if isinstance(observation, dict):
@@ -169,17 +169,17 @@ class BaselineModel:
         return observation if self._statistics is None else self._statistics.normalize_obs(observation)
 
     def predict(self, seen: Any, state: Any = None, *, is_first: bool = False) -> tuple[Any, Any]:
-        """Return the action for one input, or a row per run for several, and the state of a recurrent model."""
+        """Return the action for an input, and the state of a recurrent model; for several runs, a row for each."""
         start = np.array([is_first])
         action, state = self._model.predict(seen, state=state, episode_start=start, deterministic=self._deterministic)
         return action, state
 
 
 class BaselineAds:
-    """An ADS that drives one run.
+    """An ADS that drives one run with a model.
 
     Attributes:
-        pure: whether it decides only from its observation.
+        pure: True if the ADS decides only from the current observation.
     """
 
     def __init__(self, model: BaselineModel) -> None:
@@ -198,7 +198,7 @@ class BaselineAds:
 
 
 class BatchingBaselineAds(BaselineAds):
-    """An ADS that drives one run, or many in lock step."""
+    """An ADS that drives one run with a model, or many runs in lock step."""
 
     def __init__(self, model: BaselineModel) -> None:
         super().__init__(model)
@@ -216,7 +216,7 @@ class BatchingBaselineAds(BaselineAds):
 
 
 def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int | None:
-    """Return the axis along which ``count`` arrays of one shape stack to the other shape; None if there is none."""
+    """Return the axis along which ``count`` arrays of the shape ``one`` stack to the shape ``stacked``, or None."""
     for axis in range(len(one)):
         if (*one[:axis], one[axis] * count, *one[axis + 1 :]) == tuple(stacked):
             return axis
@@ -224,18 +224,18 @@ def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int
 
 
 def pushed(frames: Array | None, observation: Array, count: int, shape: Sequence[int]) -> Array:
-    """Return the last observations as one array, the newest last, with zeros for those before the first.
+    """Return the last ``count`` observations as one array, the newest last; zeros stand for missing observations.
 
-    This is how ``VecFrameStack`` of Stable-Baselines3 stacks.
+    ``VecFrameStack`` of Stable-Baselines3 stacks in this way.
 
     Args:
-        frames: the previous array, None at the first observation.
+        frames: the previous array; None at the first observation.
         observation: the newest observation.
-        count: number of observations in an array.
+        count: number of observations in the array.
         shape: shape of the array.
 
     Raises:
-        AdsFactoryError: if this number of observations does not give that shape.
+        AdsFactoryError: if ``count`` observations do not give an array of this shape.
     """
     axis = stacking_axis(observation.shape, shape, count)
     if axis is None:
@@ -259,11 +259,11 @@ def _parameters(file: Path) -> dict[str, Any]:
 
 
 def _missing_statistics(file: Path) -> str:
-    """Say why statistics for a zip are probably missing; empty if there is no evidence.
+    """Say why statistics of VecNormalize are probably missing for a zip; empty if there is no evidence.
 
-    The wrappers of a training are stored nowhere. But ``learn`` stores the observations from before VecNormalize for
-    its next call, or None without VecNormalize, and the zip contains this. Algorithms with a replay buffer store some
-    in either case.
+    No file names the wrappers of a training. But ``learn`` stores the last observations from before VecNormalize in the
+    zip, or None without VecNormalize. Only for algorithms with a replay buffer this is no evidence, because they store
+    such observations in either case.
     """
     beside = [each for folder in (file.parent, file.with_suffix("")) for each in sorted(folder.glob("*.pkl"))]
     found = next((each for each in beside if _is_statistics(each)), None)
@@ -272,18 +272,19 @@ def _missing_statistics(file: Path) -> str:
     given = f"vecnormalize={name!r}"
     if "buffer_size" not in zipped and zipped.get("_last_original_obs") is not None:
         return (
-            f"{file.name} was trained behind VecNormalize, as its content shows, but no statistics are given: unless "
-            f"only rewards were normalised, it sees different numbers here than in training; give sb3(..., {given})"
+            f"{file.name} was trained with VecNormalize, as its content shows, but no statistics are given: unless "
+            "only rewards were normalised, the model now sees different numbers than in training; "
+            f"give sb3(..., {given})"
         )
     if found is None:
         return ""
     return (
-        f"no statistics of VecNormalize are given for {file.name}, but {name} next to it has some: a model that was "
-        f"trained behind them sees different numbers here; give sb3(..., {given})"
+        f"no statistics of VecNormalize are given for {file.name}, but the file {name} contains some: if the model was "
+        f"trained with them, it now sees different numbers than in training; give sb3(..., {given})"
     )
 
 
 def _is_statistics(file: Path) -> bool:
-    """Return whether ``VecNormalize.save`` wrote a file, by the class at its start; nothing is unpickled."""
+    """Return whether ``VecNormalize.save`` wrote a file: the class name at its start shows it; nothing is unpickled."""
     with file.open("rb") as opened:
         return b"vec_normalize" in opened.read(200)

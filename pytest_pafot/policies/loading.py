@@ -1,4 +1,4 @@
-"""The common part of all loaders: a policy is loaded once per process, and identified by a hash of what is loaded."""
+"""The common part of all loaders: a policy is loaded once per process, and a hash of its files or values names it."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from typing import Any
 from pytest_pafot.support.errors import AdsFactoryError, sentence
 
 KEPT = 8
-"""The number of policies that stay loaded in a process, so that each run gets its ADS without a delay."""
+"""The largest number of policies that stay loaded in a process, so that each run gets its ADS without a delay."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyLoader(ABC):
-    """An ADS factory whose policy is loaded once in a process; forked processes inherit it."""
+    """An ADS factory whose policy is loaded once in a process; forked processes inherit the loaded policy."""
 
     @property
     @abstractmethod
     def weights_digest(self) -> str:
-        """``sha256:`` and a hash of what is loaded, for findings; empty if there is nothing to hash."""
+        """The text ``sha256:`` with a hash of the policy, for findings; empty if there is nothing to hash."""
 
     @abstractmethod
     def load(self) -> Any:
-        """Load what the ADSs of all runs share."""
+        """Load the policy, which the ADSs of all runs share."""
 
     @abstractmethod
     def __call__(self) -> Any:
@@ -36,14 +36,14 @@ class PolicyLoader(ABC):
 
     @abstractmethod
     def check_world(self, world: Any) -> None:
-        """Compare the policy with a world's ``observation_space`` and ``action_space``, which are None if it has none.
+        """Check that the policy fits a world's ``observation_space`` and ``action_space``, which may be None.
 
         Raises:
-            AdsFactoryError: if they differ; the message names both.
+            AdsFactoryError: if they differ; the message names the spaces of both.
         """
 
     def preload(self) -> None:
-        """Load it now; libraries take seconds to import, and processes forked after that have them, too."""
+        """Load the policy now, so that processes forked later inherit it and its libraries, which take seconds."""
         _ = self.loaded
 
     @functools.cached_property
@@ -57,15 +57,15 @@ class PolicyLoader(ABC):
 
 @functools.lru_cache(maxsize=KEPT)
 def _loaded(loader: PolicyLoader, digest: str) -> Any:
-    """Load a policy, again if a file has changed, for example in a notebook."""
+    """Load a policy, or return the loaded one; if its files have changed, as happens in a notebook, load it again."""
     return loader.load()
 
 
 def digest_of(files: Iterable[Path]) -> str:
-    """Return one hash of all files, in their order.
+    """Return one hash over all files, in the given order.
 
     Raises:
-        AdsFactoryError: for a file that cannot be read.
+        AdsFactoryError: if a file cannot be read.
     """
     hashed = hashlib.sha256()
     for path in files:
@@ -81,7 +81,7 @@ def library(name: str, extra: str) -> Any:
     """Import a library that the user may not have installed.
 
     Raises:
-        AdsFactoryError: if it is not installed, with the command that installs it.
+        AdsFactoryError: if the library is not installed; the message has the command that installs it.
     """
     try:
         return import_module(name)
@@ -93,17 +93,17 @@ def library(name: str, extra: str) -> Any:
 
 
 def argmax(values: Any) -> int:
-    """Return the index of the largest value, the first of equal ones: the action of most networks."""
+    """Return the index of the largest value, the first of equal values: this is the action of most networks."""
     return int(values.argmax())
 
 
 def refused(expected: str, received: str, fix: str) -> AdsFactoryError:
-    """Return the error for a policy that cannot drive."""
+    """Return the error for a policy that cannot drive, with these three parts in its message."""
     return AdsFactoryError(sentence("ads", expected, received, fix))
 
 
 def named(world: Any) -> str:
-    """Describe a world with its observations and actions, for an error."""
+    """Describe a world with its observations and actions, for an error message."""
     name = getattr(world, "env_id", type(world).__name__)
     if world.observation_space is None:
         return f"{name}, whose observations are pafot.Observation and whose actions are in SI units"

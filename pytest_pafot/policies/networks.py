@@ -21,10 +21,10 @@ from pytest_pafot.support.errors import BadAction
 
 Array = npt.NDArray[Any]
 Network = Callable[[Array], Array]
-"""Maps observations of shape [runs, ...] to outputs of shape [runs, ...]."""
+"""A function that maps observations of shape [runs, ...] to outputs of shape [runs, ...]."""
 
 ONNX_TYPES = {"tensor(double)": np.float64, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
-"""Types of inputs; all other inputs receive float32."""
+"""The numpy types for types of ONNX inputs; inputs of all other types receive float32."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class NetworkLoader(PolicyLoader):
 
     @abstractmethod
     def told(self) -> str:
-        """Describe the network's source or input, for an error."""
+        """Describe the file, module or input of the network, for an error message."""
 
     def __call__(self) -> NetworkAds:
         """Return a new ADS."""
@@ -52,7 +52,10 @@ class NetworkLoader(PolicyLoader):
         return ads(self.loaded, self.to_action)
 
     def check_world(self, world: Any) -> None:
-        """Try a decision on zeros of the environment's observation shape; the number of NPCs does not fix a shape."""
+        """Try a decision on an observation of zeros, in the shape of the environment's observations.
+
+        Nothing is tried in a world without such a shape, because there the number of NPCs decides the shape.
+        """
         if world.observation_space is None:
             return
         from pytest_pafot.world.driving.policy import checked_action  # noqa: PLC0415  (imports highway-env)
@@ -70,10 +73,10 @@ class NetworkLoader(PolicyLoader):
 
 
 class NetworkAds:
-    """An ADS that drives one run.
+    """An ADS that drives one run with a network.
 
     Attributes:
-        pure: True, because it decides only from its observation.
+        pure: True, because the ADS decides only from the current observation.
     """
 
     pure = True
@@ -88,7 +91,7 @@ class NetworkAds:
 
 
 class BatchingNetworkAds(NetworkAds):
-    """An ADS that drives one run, or many in lock step."""
+    """An ADS that drives one run with a network, or many runs in lock step."""
 
     def batch(self, observations: Any) -> list[Any]:
         """Return the action for each observation."""
@@ -103,7 +106,7 @@ class TorchPolicy(NetworkLoader):
 
     @functools.cached_property
     def weights_digest(self) -> str:
-        """The hash of the file, or of the names and values in the module's ``state_dict``."""
+        """A hash of the file, or of the names and values in the module's ``state_dict``."""
         if isinstance(self.module, Path):
             return digest_of([self.module])
         hashed, as_bytes = hashlib.sha256(), library("torch", "").uint8
@@ -141,7 +144,7 @@ class TorchPolicy(NetworkLoader):
         return torch.load(self.module, map_location="cpu", weights_only=False)
 
     def told(self) -> str:
-        """Return the file, or the class of the module."""
+        """Return the path of the file, or the name of the module's class, for an error message."""
         return str(self.module) if isinstance(self.module, Path) else f"the module {type(self.module).__name__}"
 
 
@@ -153,11 +156,11 @@ class OnnxPolicy(NetworkLoader):
 
     @functools.cached_property
     def weights_digest(self) -> str:
-        """The hash of the file."""
+        """A hash of the file."""
         return digest_of([self.file])
 
     def load(self) -> OnnxNetwork:
-        """Load the file into a session with one thread on the CPU."""
+        """Load the file into an onnxruntime session with one thread on the CPU."""
         digest_of([self.file])  # raises a clear error for a file that cannot be read
         onnxruntime = library("onnxruntime", "onnx")
         options = onnxruntime.SessionOptions()
@@ -169,15 +172,15 @@ class OnnxPolicy(NetworkLoader):
             raise refused("an ONNX file that onnxruntime can run", received, "export it again") from error
 
     def told(self) -> str:
-        """Return the file with its input shape."""
+        """Return the path of the file with the shape of its input, for an error message."""
         return f"{self.file} with inputs of shape {self.loaded.shape}"
 
 
 class OnnxNetwork:
-    """A session that is called with observations.
+    """An onnxruntime session as a function of observations.
 
     Attributes:
-        shape: shape of its first input; a text stands for a variable size.
+        shape: shape of the network's first input; a text stands for a variable size.
     """
 
     def __init__(self, session: Any) -> None:
@@ -187,7 +190,7 @@ class OnnxNetwork:
         self._dtype = ONNX_TYPES.get(first.type, np.float32)
 
     def __call__(self, observations: Array) -> Array:
-        """Return the first output for each observation; one by one if the file was exported for single observations."""
+        """Return the first output for each observation; a file exported for single observations runs once for each."""
         if self.shape[:1] == [1] and len(observations) > 1:
             return np.concatenate([self(each[None]) for each in observations])
         sizes = [size for size in self.shape[1:] if isinstance(size, int)]

@@ -1,4 +1,4 @@
-"""A planner as a separate program in any language: it reads a line of JSON and writes one."""
+"""A planner as a separate program in any language: it reads an observation and writes a decision, as lines of JSON."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ SEEN = (
     *("time", "decision_period", "lanes", "lane_width", "speed_limit", "lane_centres", "road_length"),
     *("acceleration", "steering", "lateral_velocities", "ids", "ego", "others", "crossing"),
 )
-"""Attributes of a :class:`pytest_pafot.Observation` that become keys of a line, in their order."""
+"""The attributes of a :class:`pytest_pafot.Observation` that are sent to the program as keys, in their order."""
 
 LONGEST_LINE = 1 << 20
-"""Longest answer [bytes]."""
+"""The longest answer that a program may write [bytes]."""
 LAST_WORDS = 2000
-"""Length of the end of stderr in the error of a program that has ended [bytes]."""
+"""The length of the end of stderr that is added to the error of a program that has ended [bytes]."""
 WORDS = 4000
-"""Length of the beginning, and of the end, of a run's stderr that the session prints [bytes]."""
+"""The number of bytes that the session prints from the beginning of a run's stderr, and also from its end."""
 GRACE = 1.0
-"""Time a program has to end after its input was closed [s]."""
+"""The time that a program has to end by itself after its input was closed [s]."""
 SLICE = 0.2
-"""Longest uninterruptible wait, for systems in which the hang limit cannot send a signal [s]."""
+"""The longest wait without a check of the time [s], for systems in which the hang limit cannot send a signal."""
 CHUNK = 1 << 16
-"""Number of bytes read from a pipe at once."""
+"""The largest number of bytes read from a pipe at once."""
 
 
 class ProgramEnded(Exception):  # noqa: N818  (findings show this name, so it names the mistake)
@@ -67,12 +67,12 @@ class ProgramLoader:
 
     @functools.cached_property
     def weights_digest(self) -> str:
-        """The hash of the files that the command names, including the program; empty if it names none."""
+        """A hash of the files that the command names, including the program; empty if it names no file."""
         files = [Path(word) for word in self.command if Path(word).is_file()]
         return digest_of(files) if files else ""
 
     def __call__(self) -> ProgramAds:
-        """Return a new ADS, with an idle program or a new one."""
+        """Return a new ADS, with an idle program of this process or with a new program."""
         idle = _idle(self)
         while idle:
             program = idle.pop()
@@ -83,12 +83,12 @@ class ProgramLoader:
 
 @functools.cache
 def _idle_in(process: int, loader: ProgramLoader) -> list[Program]:
-    """Return the list of a process: a forked process has the pipes of its parent's programs and must not use them."""
+    """Return the idle programs of a process: a forked process must not use the programs of its parent."""
     return []
 
 
 def _idle(loader: ProgramLoader) -> list[Program]:
-    """Return the programs of this process that are waiting for another run."""
+    """Return the programs of this process that are waiting for their next run."""
     return _idle_in(os.getpid(), loader)
 
 
@@ -123,7 +123,7 @@ class ProgramAds:
 
 
 def line_of(observation: Any, *, reset: bool) -> bytes:
-    """Write an observation as a line of JSON; ``reset`` says whether it is the first one of a run."""
+    """Format an observation as a line of JSON; ``reset`` is True for the first observation of a run."""
     values: dict[str, Any] = {"reset": reset}
     if isinstance(observation, Observation):
         values |= {name: getattr(observation, name) for name in SEEN}
@@ -138,10 +138,10 @@ def line_of(observation: Any, *, reset: bool) -> bytes:
 
 
 def action_of(line: bytes) -> Any:
-    """Read an answer: a pair in SI units, a :class:`pytest_pafot.Drive`, or an environment's own action.
+    """Return the action in a program's answer: a pair in SI units, a ``Drive``, or an environment's own action.
 
     Raises:
-        BadAction: if it is none of these.
+        BadAction: if the line is none of these.
     """
     answer = None
     with suppress(ValueError, RecursionError):  # not JSON, not text, 5000 digits, or 100,000 brackets
@@ -171,13 +171,13 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class Program:
-    """A running program, which ends when it is no longer needed, or with this process.
+    """A running program, which ends when it is no longer needed, or when this process ends.
 
-    It leads its own process group, and the whole group is killed once the program has ended, even if it ended by
-    itself: processes that it leaves running would keep the pipes open and the machine busy.
+    The program leads a process group. The whole group is killed once the program has ended, even if it ended by itself:
+    processes that it leaves running would keep the pipes open and the machine busy.
 
     Raises:
-        AdsFactoryError: if it cannot be started.
+        AdsFactoryError: if the program cannot be started.
     """
 
     def __init__(self, command: Sequence[str]) -> None:
@@ -202,10 +202,10 @@ class Program:
         )
         self._sources = [self._from, self._errors]
         self.end = Finalize(self, _end, (self._process,), exitpriority=0)
-        """Ends the program, once. It is also called when this object is garbage, and when this process ends normally.
+        """A function that ends the program; only its first call has an effect.
 
-        Unlike a finalizer of ``weakref`` it is also called in processes of the pool, and not in forks for their
-        parent's.
+        It is also called when this object is garbage-collected, and when this process ends normally. Unlike a
+        ``weakref`` finalizer, it is called in worker processes, too, but not in a fork for the programs of the parent.
         """
 
     @property
@@ -215,14 +215,14 @@ class Program:
 
     @property
     def is_ready(self) -> bool:
-        """True if it waits for a line: it has not ended, and has written nothing since its last answer."""
+        """True if the program waits for a line: it has not ended, and has written nothing since its last answer."""
         with suppress(ProgramEnded, BadAction):
             self._hear(0.0)
             return not self._buffer
         return False
 
     def kill(self) -> None:
-        """Kill it at once, with everything that it has started."""
+        """Kill the program at once, with all processes of its group."""
         _kill(self._process)
 
     def ask(self, line: bytes, timeout: float | None) -> bytes:
@@ -230,12 +230,12 @@ class Program:
 
         Args:
             line: the line, including its newline.
-            timeout: limit for the whole answer [s]; None for no limit.
+            timeout: longest time for the whole answer [s]; None for no limit.
 
         Raises:
-            ProgramEnded: if it ends before it has answered.
-            ProgramTimeout: if it takes longer.
-            BadAction: if it writes more than one line, or too long a one.
+            ProgramEnded: if the program ends before it has answered.
+            ProgramTimeout: if the answer takes longer than ``timeout``.
+            BadAction: if the program writes more than one line, or a line that is too long.
         """
         pending, started = memoryview(line), time.monotonic()
         self._hear(0.0)
@@ -255,9 +255,9 @@ class Program:
         return answer
 
     def _hear(self, seconds: float, *, is_asking: bool = False) -> bool:
-        """Wait up to a time [s] for output, and read it; return whether the program accepts more of its input line.
+        """Wait up to ``seconds`` for output, and read it; return whether the program accepts more of its input line.
 
-        Its stderr is read here as well, because a program that fills that pipe would stop answering.
+        The program's stderr is read as well, because a program that fills its stderr pipe would stop answering.
         """
         pipes = select.poll()  # select.select refuses descriptors from 1024 on
         for source in self._sources:
@@ -285,7 +285,7 @@ class Program:
             raise BadAction(f"expected a line of at most {LONGEST_LINE} bytes, received one that begins with {begins}")
 
     def _read_words(self) -> None:
-        """Store only the beginning and the end of its stderr: megabytes would cost memory, and no one reads them."""
+        """Read from the program's stderr, of which only the beginning and the end are stored, to save memory."""
         part = os.read(self._errors, CHUNK)
         if not part:
             self._sources.remove(self._errors)
@@ -300,7 +300,7 @@ class Program:
         return line
 
     def _gone(self, closed: str = "output") -> NoReturn:
-        """Raise the error of a program that has closed one end of a pipe, and so has ended or soon will."""
+        """Raise the error of a program that has closed its input or output, and so has ended or soon will."""
         _has_ended(self._process, GRACE)
         code = self._process.returncode
         how = f"closed its {closed}" if code is None else f"ended with exit code {code}"
@@ -342,9 +342,9 @@ def _more(line: bytes) -> BadAction:
 
 
 def _has_ended(process: subprocess.Popen[bytes], seconds: float) -> bool:
-    """Return whether a program ends within a time [s]; then the rest of its group is killed.
+    """Return whether a program ends within ``seconds``; if it has ended, the rest of its process group is killed.
 
-    The group is killed at once, because the system may reuse its number as soon as the group is empty.
+    The group is killed at once, because the system may reuse the number of the group as soon as the group is empty.
     """
     if process.returncode is None:
         with suppress(subprocess.TimeoutExpired):
@@ -354,7 +354,7 @@ def _has_ended(process: subprocess.Popen[bytes], seconds: float) -> bool:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a program that has not ended, with its group."""
+    """Kill a program with its process group, unless it has ended."""
     if process.returncode is None:
         _kill_group(process)
         process.wait()
@@ -366,7 +366,7 @@ def _kill_group(process: subprocess.Popen[bytes]) -> None:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Close a program's input and output, and kill it if it does not end soon after."""
+    """Close a program's input and output, and kill the program if it does not end within one second."""
     pipes: Any = (process.stdin, process.stdout, process.stderr)
     *both, errors = pipes
     for pipe in both:

@@ -72,7 +72,7 @@ class Weights:
     """The weights of the four risks of the default fitness. Only their ratios matter.
 
     Attributes:
-        ttc: weight of the risk 1 / (1 + TTC / tau); TTC is the smallest time until the boxes of the ego and an NPC touch.
+        ttc: weight of the risk 1 / (1 + TTC / tau); TTC is the smallest time until the ego and an NPC touch.
         gap: weight of the risk 1 / (1 + gap / 1 m); the gap is the smallest distance between the boxes.
         shortfall: weight of the larger of two risks: the largest shortfall of the safety distance, 0 to 1; and
             1 / (1 + PET / 1 s), in which PET is the post-encroachment time of a crossing NPC at its zone.

@@ -219,8 +219,8 @@ def test_statistics_missing_for_the_zip_are_reported(tmp_path):
     of_ppo, of_dqn = {"clip_range": 0.2}, {"buffer_size": 9, "exploration_fraction": 0.1}
     file = zipped(tmp_path / "model.zip", {**of_ppo, "_last_original_obs": STORED})
     assert pafot.policies.sb3(file).loading_hint == (
-        "model.zip was trained behind VecNormalize, as its content shows, but no statistics are given: unless only "
-        "rewards were normalised, it sees different numbers here than in training; give sb3(..., "
+        "model.zip was trained with VecNormalize, as its content shows, but no statistics are given: unless only "
+        "rewards were normalised, the model now sees different numbers than in training; give sb3(..., "
         "vecnormalize='statistics.pkl')"
     )
     assert pafot.policies.sb3(file, vecnormalize=tmp_path / "given.pkl").loading_hint == ""
@@ -233,8 +233,9 @@ def test_statistics_beside_the_zip_are_a_hint(tmp_path, statistics):
     (tmp_path / "buffer.pkl").write_bytes(pickle.dumps({"other": "things"}))
     file = zipped(tmp_path / "model.zip", {"buffer_size": 9, "_last_original_obs": STORED})
     assert pafot.policies.sb3(file).loading_hint == (
-        "no statistics of VecNormalize are given for model.zip, but vecnormalize.pkl next to it has some: a model that "
-        "was trained behind them sees different numbers here; give sb3(..., vecnormalize='vecnormalize.pkl')"
+        "no statistics of VecNormalize are given for model.zip, but the file vecnormalize.pkl contains some: if the "
+        "model was trained with them, it now sees different numbers than in training; "
+        "give sb3(..., vecnormalize='vecnormalize.pkl')"
     )
     below = tmp_path / "model"
     below.mkdir()

@@ -137,7 +137,7 @@ def test_only_what_remembers_nothing_is_pure(framed, tmp_path):
 def test_only_model_without_its_statistics_gets_hint(framed, tmp_path):
     file, statistics = framed
     hint = pafot.policies.sb3(file, frame_stack=3).loading_hint
-    assert hint.startswith("model.zip was trained behind VecNormalize")
+    assert hint.startswith("model.zip was trained with VecNormalize")
     assert hint.endswith("give sb3(..., vecnormalize='statistics.pkl')")
     assert pafot.policies.sb3(file, vecnormalize=statistics, frame_stack=3).loading_hint == ""
     for cls in (stable_baselines3.PPO, stable_baselines3.DQN):
