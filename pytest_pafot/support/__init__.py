@@ -1,1 +1,1 @@
-"""Tools that every room may need. They know nothing about scenarios."""
+"""Tools that every package of the plugin may need. They know nothing about scenarios."""

@@ -13,11 +13,11 @@ RESTORE = "restore the file from version control, or delete it"
 
 
 class FieldError(ValueError):
-    """A value that breaks a rule. The message is one line: values, keys and paths in it may be from a stranger's file.
+    """A value that breaks a rule. Its message is one line that is safe to print, even if a stranger's file is quoted.
 
     Attributes:
-        field: path of the value, such as ``npcs[0][2].speed``; empty if it has none.
-        expected, received: what should be there, and what is there; empty if the text already says it.
+        field: path of the value, such as ``npcs[0][2].speed``; empty if the value has no path.
+        expected, received: the expected and the actual value, in words; empty if ``text`` is given instead.
         fix: the way out; empty if it is obvious.
     """
 
@@ -29,7 +29,7 @@ class FieldError(ValueError):
 
 
 def sentence(field: str, expected: str, received: str, fix: str) -> str:
-    """Return ``field: expected this, received that; do so``, without the parts that are empty."""
+    """Return the message ``field: expected this, received that; fix``, without ``field`` or ``fix`` if it is empty."""
     place, way_out = f"{field}: " if field else "", f"; {fix}" if fix else ""
     return f"{place}expected {expected}, received {received}{way_out}"
 
@@ -47,10 +47,10 @@ def checked_number(
     most: float = math.inf,
     error: type[FieldError] = FieldError,
 ) -> float:
-    """Return a finite number within its limits as a float; numbers of other libraries, such as numpy's, are accepted.
+    """Return a value as a float if it is a finite number from ``least`` to ``most``; numpy's numbers are accepted, too.
 
     Raises:
-        FieldError: or the given subclass, unless the value is such a number.
+        FieldError: or the subclass ``error``, if the value is anything else.
     """
     number = plain_number(value)
     if number is None or not least <= number <= most:
@@ -67,10 +67,10 @@ def checked_whole(
     most: float = math.inf,
     error: type[FieldError] = FieldError,
 ) -> int:
-    """Return a whole number within its limits as an int.
+    """Return a value as an int if it is a whole number from ``least`` to ``most``.
 
     Raises:
-        FieldError: or the given subclass, unless the value is such a number.
+        FieldError: or the subclass ``error``, if the value is anything else.
     """
     number = plain_whole(value)
     if number is None or not least <= number <= most:
@@ -104,15 +104,15 @@ class WorldError(FieldError):
 
 
 class AdsFactoryError(TypeError):
-    """The given ADS factory does not make an ADS for this world."""
+    """An ADS factory does not make an ADS for the world of the search."""
 
 
 class BadAction(Exception):  # noqa: N818  (findings show this name, so it names the mistake)
-    """The ADS returned something that is no action; the message states what was expected."""
+    """The ADS returned something that is not a valid action; the message states what was expected."""
 
 
 class CorpusError(FieldError):
-    """A corpus file that cannot be used, with the line (counted from 1) and the field at fault if they are known."""
+    """A corpus file that cannot be used, with the line (from 1) and the field of the error if they are known."""
 
     def __init__(
         self, path: Path, expected: str, received: str, fix: str = RESTORE, *, field: str = "", line: int | None = None

@@ -1,7 +1,8 @@
 """Files that are written as a whole or not at all, even if other processes read or write them at the same time.
 
-The content is first written to a temporary file next to the path. Its name contains the process id, and it is locked
-while it is written, so that the next writer can remove what a killed process left behind, and nothing else.
+The content is first written to a temporary file in the same folder. The name of the temporary file contains the process
+id, and the file is locked while it is written. So the next writer can remove the files that killed processes left
+behind, and only these.
 """
 
 from __future__ import annotations
@@ -31,10 +32,11 @@ _LOCK_AT = 1 << 30  # beyond any content, because on Windows no other process ca
 
 
 def hold(descriptor: int, *, is_inherited: bool = True) -> bool:
-    """Lock a new file; return False if another session found it unlocked before that and took it for abandoned.
+    """Lock a new file; return False if a different process deleted it before, because it seemed to be abandoned.
 
     Forked processes inherit the lock and hold it even after this process has ended, unless ``is_inherited`` is False.
-    Then this process must open the file only once, because closing any of its descriptors would release the lock.
+    If it is False, this process must open the file only once, because the first descriptor that is closed releases the
+    lock.
     """
     try:
         _lock(descriptor) if is_inherited else _lock_here(descriptor)
@@ -44,7 +46,7 @@ def hold(descriptor: int, *, is_inherited: bool = True) -> bool:
 
 
 def is_held(descriptor: int, pid: int) -> bool:
-    """Return whether the process that wrote a file still holds it or, on a file system without locks, is alive."""
+    """Return whether the process that wrote a file still holds its lock; without file locks, whether it is alive."""
     try:
         _lock(descriptor)
     except OSError as error:
@@ -53,7 +55,7 @@ def is_held(descriptor: int, pid: int) -> bool:
 
 
 def pid_of(path: Path) -> int:
-    """Return the process id at the start of a file's name, after an optional dot and word; 0 if there is none."""
+    """Return the process id in a file's name, which is its first part or follows a dot and a word; 0 without an id."""
     digits = re.match(r"(?:\.[a-z]+-)?(\d{1,11})-", path.name, re.ASCII)
     return int(digits[1]) if digits else 0
 
@@ -61,7 +63,7 @@ def pid_of(path: Path) -> int:
 def _is_alive(pid: int) -> bool:
     """Return whether a process with this id is running; only needed on file systems without locks.
 
-    Windows has no harmless check (``os.kill(pid, 0)`` ends the process there), so the file counts as held.
+    Windows has no harmless check (``os.kill(pid, 0)`` ends the process there), so every process counts as alive.
     """
     if sys.platform == "win32" or pid <= 0:
         return pid > 0
@@ -96,7 +98,7 @@ else:
 T = TypeVar("T")
 
 TEMPORARY = ".pafot-"
-"""The prefix of the names of files that are being written."""
+"""The prefix of the names of temporary files, which are being written."""
 
 _WAYS_OUT: Mapping[int, str] = MappingProxyType(
     {
@@ -115,31 +117,31 @@ _WAYS_OUT: Mapping[int, str] = MappingProxyType(
         errno.EIO: "the disk or the network has failed: check it, {}",
     }
 )
-"""The way out of each error, with a gap for how to name a different folder."""
+"""The advice for each error number; ``{}`` stands for how to name a different folder."""
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file and create its folders: a reader finds the whole new content, or the content from before.
+    """Write a file and create its folders. At any time a reader finds either the whole new or the whole old content.
 
     Raises:
-        OSError: if it cannot be written; no partial file is left behind.
+        OSError: if the file cannot be written; no partial file is left behind.
     """
     _through_temporary(path, content.encode() if isinstance(content, str) else content, Path.replace)
 
 
 def write_if_free(path: Path, content: bytes) -> bool:
-    """Write a new file as :func:`write_whole` does; return False if the path is taken.
+    """Write a new file as :func:`write_whole` does; return False, without writing, if the path exists already.
 
-    If two processes try at once, the system lets one of them win.
+    If two processes try at the same time, only one of them writes the file.
 
     Raises:
-        OSError: if it cannot be written; no partial file is left behind.
+        OSError: if the file cannot be written; no partial file is left behind.
     """
     return _through_temporary(path, content, _publish)
 
 
 def way_out(error: OSError, elsewhere: str) -> str:
-    """Return what to do if a file cannot be written; ``elsewhere`` says how to name a different folder."""
+    """Return advice for a file that cannot be written; ``elsewhere`` says how to name a different folder."""
     return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
 
 
@@ -147,7 +149,7 @@ def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
     """Open a regular file in a binary mode, without following a link or touching a pipe or a device.
 
     Raises:
-        OSError: if it is something else, or cannot be opened.
+        OSError: if the path is not a regular file, or cannot be opened.
     """
     with contextlib.suppress(FileNotFoundError):  # some modes create the file
         _check_regular(path, path.lstat())  # check before opening: opening alone has effects on some devices
@@ -161,7 +163,7 @@ def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove files that killed processes left half written; files that a live process is writing stay."""
+    """Remove the temporary files of killed processes from a folder; files that a live process is writing stay."""
     for path in folder.glob(f"{TEMPORARY}*.tmp"):
         with contextlib.suppress(OSError):  # a leftover does no harm: no code reads files with such a name
             with open_regular(path, "r+b") as file:
@@ -179,7 +181,7 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _open_in_place(path: str, flags: int) -> int:
-    """Open the file with exactly this name; a pipe without a writer does not block. Windows has neither flag."""
+    """Open a file without following a link or waiting for the writer of a pipe; Windows has neither of these flags."""
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
 
 
@@ -200,7 +202,7 @@ def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path]
 
 
 def _create(folder: Path) -> tuple[Path, BinaryIO]:
-    """Create a new file, locked to mark that this process is writing it."""
+    """Create a temporary file in a folder, locked to mark that this process is writing it."""
     while True:
         temporary = folder / f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(8)}.tmp"
         file = temporary.open("xb")
@@ -211,7 +213,7 @@ def _create(folder: Path) -> tuple[Path, BinaryIO]:
 
 
 def _publish(temporary: Path, path: Path) -> bool:
-    """Give a new file its name unless that name is taken."""
+    """Give a temporary file its final name; return False if a file with that name exists already."""
     try:
         path.hardlink_to(temporary)
     except FileExistsError:

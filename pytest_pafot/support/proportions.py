@@ -1,4 +1,4 @@
-"""Shares of trials: exact intervals, and an exact test of two shares on the same trials. Pure, without libraries.
+"""Exact confidence intervals of shares of trials, and an exact test of two shares on the same trials; without numpy.
 
 Sources: Clopper, Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
 Biometrika 26(4), 1934; McNemar, "Note on the sampling error of the difference between correlated proportions or
@@ -15,16 +15,16 @@ CONFIDENCE = 0.95
 
 
 def interval(hits: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the Clopper-Pearson interval of a share, which covers the true share with at least this confidence.
+    """Return the Clopper-Pearson interval of a share: it contains the true share with at least this confidence.
 
-    It starts at 0 if there is no hit, and ends at 1 if every trial is a hit.
+    The interval starts at 0 if there is no hit, and ends at 1 if every trial is a hit.
     """
     beyond = (1 - confidence) / 2
     return 1 - upper_bound(trials - hits, trials, 1 - beyond), upper_bound(hits, trials, 1 - beyond)
 
 
 def upper_bound(hits: int, trials: int, confidence: float = CONFIDENCE) -> float:
-    """Return the upper end of an interval: the true share is above it with probability at most ``1 - confidence``."""
+    """Return the upper limit of a share: the true share is above it with probability at most ``1 - confidence``."""
     if hits >= trials:
         return 1.0
     low, high = 0.0, 1.0
@@ -38,22 +38,23 @@ def upper_bound(hits: int, trials: int, confidence: float = CONFIDENCE) -> float
 
 
 def mcnemar(first_only: int, second_only: int) -> float:
-    """Return the two-sided p-value of McNemar's test: trials that only the first hit, and that only the second hit."""
+    """Return the two-sided p-value of McNemar's test from the trials that only the first, or only the second, hit."""
     trials = first_only + second_only
     return 1.0 if trials == 0 else min(1.0, 2 * _at_most(min(first_only, second_only), trials, 0.5))
 
 
 def difference(first_only: int, second_only: int, trials: int) -> tuple[float, float]:
-    """Return an interval of the first share minus the second, which covers the true difference with at least 95 %.
+    """Return an interval of the first share minus the second share, with a confidence of at least 95 %.
 
-    The interval of each of the two discordant shares has a confidence of 97.5 %.
+    ``first_only`` and ``second_only`` are the trials that only one of the two hit. The interval of each of these two
+    shares has a confidence of 97.5 %.
     """
     one, other = (interval(hits, trials, (1 + CONFIDENCE) / 2) for hits in (first_only, second_only))
     return one[0] - other[1], one[1] - other[0]
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return Holm-adjusted p-values: the chance that any of the tests errs is as small as for a single test."""
+    """Return Holm-adjusted p-values: the chance of one or more false positives is as small as with a single test."""
     adjusted, least = [0.0] * len(p_values), 0.0
     for rank, place in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
         least = adjusted[place] = max(least, min(1.0, (len(p_values) - rank) * p_values[place]))
@@ -61,7 +62,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def _at_most(hits: int, trials: int, share: float) -> float:
-    """Return the probability of at most this many hits."""
+    """Return the probability of at most ``hits`` hits if the true share is ``share``."""
     if share <= 0.0 or share >= 1.0:
         return float(share <= 0.0)
     hit, miss = math.log(share), math.log1p(-share)
@@ -80,7 +81,7 @@ def percent(share: float) -> str:
 
 
 def interval_text(hits: int, trials: int) -> str:
-    """Return ``3.8 % (95 %: 2.7 to 5.2 %)``, or ``0 % (95 %: at most 0.37 %)`` if there is no hit."""
+    """Format a share with its interval: ``3.8 % (95 %: 2.7 to 5.2 %)``, or ``0 % (95 %: at most 0.37 %)``."""
     low, high = interval(hits, trials)
     if hits == 0:
         return f"0 % (95 %: at most {percent(high)})"

@@ -1,7 +1,7 @@
 """Values that display themselves in notebooks, with the view of the report page.
 
-This is the only place that uses a room above its own. The room that draws a run knows all others, so it is imported
-only when a notebook or a caller requests a view.
+This is the only module that uses a package above its own. The package that draws a run uses all others, so it is
+imported only when a notebook or a caller requests a view.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ VIEWS = "pytest_pafot.report.notebook"
 
 
 class Shown:
-    """A value that a notebook displays as a view if it is the last value of a cell."""
+    """A value that a notebook displays as a picture and a table, if it is the last value of a notebook cell."""
 
     __slots__ = ()
 
@@ -29,15 +29,15 @@ class Shown:
 
 
 class Drawn(Shown):
-    """A run, which can be displayed and also drawn."""
+    """A run that notebooks display, and that can be drawn as a picture or an animation."""
 
     __slots__ = ()
 
     def plot(self, times: Sequence[float] | None = None) -> PngPicture:
-        """Draw the run from above at several moments, one below the other; needs Pillow.
+        """Draw the run from above at several times, one picture below the other; needs Pillow.
 
         Args:
-            times: the moments [s]; by default the last four seconds before the moment that the run is about.
+            times: the times [s]; by default, the last four seconds up to the collision or most critical moment.
 
         Raises:
             AnimationError: without Pillow.
@@ -46,7 +46,7 @@ class Drawn(Shown):
         return PngPicture(_views().plot(self, times))
 
     def animate(self) -> PngPicture:
-        """Draw the last eight seconds of the run from above as a moving picture; needs Pillow.
+        """Draw the last eight seconds of the run from above as an animated picture; needs Pillow.
 
         Raises:
             AnimationError: without Pillow, or if the run has too many vehicles for a small picture.
@@ -56,7 +56,7 @@ class Drawn(Shown):
 
 @dataclass(frozen=True, slots=True)
 class PngPicture:
-    """The content of a PNG file, which notebooks display; several frames move there and in browsers (APNG)."""
+    """The content of a PNG file, which notebooks display; with several frames it is an animation (APNG)."""
 
     content: bytes = field(repr=False)
 
@@ -64,7 +64,7 @@ class PngPicture:
         """Write the picture to a file.
 
         Raises:
-            ValueError: if the name does not end in ``.png``.
+            ValueError: if the name of the file does not end in ``.png``.
         """
         if Path(path).suffix.lower() != ".png":
             raise ValueError(f"path: expected a name that ends in .png, received {str(path)!r}; the picture is a PNG")

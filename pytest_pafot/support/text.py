@@ -1,4 +1,4 @@
-"""Text tools for every room: text that no terminal obeys, nouns that agree with their number, and tables."""
+"""Text tools for every package: text that is safe to print, nouns that agree with their number, and tables."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from datetime import date
 from typing import Any
 
 _COMMAND = re.compile(r"(?<!\S)::|##(?=\w*\[)")
-"""Commands to CI runners: ``::`` where a line may begin, also after wrapping, and ``##[``, ``##vso[`` anywhere."""
+"""The beginnings of commands to CI runners: ``::`` at the start of a line or word, and ``##[``, ``##vso[`` anywhere."""
 
 
 def visible(text: str) -> str:
-    r"""Return a text on one line that is safe to print, whoever wrote it: whatever acts on its reader is escaped.
+    r"""Return a text on one line that is safe to print, whoever wrote it: all that acts as a command is escaped.
 
-    This covers every character that does not print, such as ``\n``, ``\x1b`` and ``\u202e``, which reorders what
-    follows, and the beginnings of commands to CI runners. Applying it twice changes nothing more.
+    Every character that does not print is escaped, such as ``\n``, ``\x1b`` and ``\u202e``, which reverses the text
+    after it, and so are the beginnings of commands to CI runners. A second application changes nothing.
     """
     if not text.isprintable():
         text = "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
@@ -26,7 +26,7 @@ def visible(text: str) -> str:
 
 
 def visible_lines(text: str) -> str:
-    """Return a text of several lines that is safe to print, with its line breaks and tabs; see :func:`visible`."""
+    """Return a text that is safe to print, see :func:`visible`, in which line breaks and tabs are not escaped."""
     return "\n".join("\t".join(map(visible, line.split("\t"))) for line in text.split("\n"))
 
 
@@ -36,7 +36,7 @@ def ascii_text(text: str) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a value's ``repr`` for an error message, cut to a line; name its class if its ``repr`` raises."""
+    """Return a value's ``repr`` for an error message, cut to one line; if the ``repr`` raises, name its class."""
     try:
         return one_line(repr(value))
     except Exception as error:  # noqa: BLE001  (the user's code may raise anything)
@@ -50,7 +50,7 @@ def one_line(text: str) -> str:
 
 
 def quiet_json(text: str) -> str:
-    """Return the same JSON without ``##``, which starts commands to CI runners; only strings can contain it."""
+    r"""Return equal JSON in which each ``##``, which can start a command to CI runners, is written as ``#\u0023``."""
     return text.replace("##", r"#\u0023")
 
 
@@ -78,7 +78,7 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
 
 
 def markdown_table(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
-    """Format rows as a Markdown table with a header. Cells are Markdown; no cell can end its cell early."""
+    """Format rows as a Markdown table with a header. Cells may contain Markdown; a ``|`` in a cell is escaped."""
     lines = [columns, ["---"] * len(columns), *rows]
     texts = ([visible(str(cell)).replace("|", r"\|") for cell in cells] for cells in lines)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in texts)
@@ -94,14 +94,14 @@ _GLUE = "\N{NO-BREAK SPACE}"
 
 
 def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
-    """Wrap lines to a width."""
+    """Wrap lines to a width [characters]; the lines of a failure's message keep their prefix."""
     return [part for line in lines for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
 
 
 def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     """Wrap a line between words, but not between a number and its unit, or between NPC and its number.
 
-    Each line has the prefix and the indentation of the first one, and is safe to print.
+    All resulting lines are safe to print, and begin with the prefix and the indentation of ``line``.
     """
     line = visible(line.expandtabs())  # before wrapping, which would turn other line breaks into spaces
     text = line.removeprefix(prefix)

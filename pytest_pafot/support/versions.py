@@ -1,4 +1,4 @@
-"""Versions of the packages that decide how a run goes."""
+"""Versions of the packages on which the result of a run depends."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ PACKAGES = ("pytest-pafot", "highway-env", "numpy")
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the installed version by package; ``unknown`` for one that is not installed as a package."""
+    """Return the installed version of each package by its name; ``unknown`` if it has no installed metadata."""
     return {package: _version_of(package) for package in PACKAGES}
 
 
