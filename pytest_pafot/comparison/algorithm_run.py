@@ -1,4 +1,4 @@
-"""The runs of a comparison: each is a campaign of one algorithm without pytest, reported as rows."""
+"""The runs of a comparison: each run is a campaign of one algorithm, without pytest, whose scenarios become rows."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from pytest_pafot.world.protocol import WorldLike, first_decision, reference_wor
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One scenario that an algorithm requested."""
+    """A row of the results: one scenario that an algorithm requested."""
 
     algorithm: str  # name of the algorithm
     run: int  # number of the algorithm's run, from 0
@@ -41,15 +41,15 @@ class Row:
     local_generation: int  # of a local search, from 1; 0 in the main search
     index: int  # index in the generation, from 0
     scenario: str  # id of the scenario
-    duplicate: bool  # whether it was not simulated, because an earlier run of this search showed the result
+    duplicate: bool  # True if the scenario was not simulated, because an earlier one of this search shows the result
     outcome: str  # how the run ended
     duration: float  # duration of the run [s]
-    clock: float  # simulated time of the search until the end of the run [s]; duplicates take none
-    failing: bool  # whether it counts as a failure, by the blame of the comparison
-    collision_time: float | None  # [s]; empty without a collision, as are the next five
-    npc: int | None  # the NPC that collided
+    clock: float  # simulated time of the search until the end of the run [s]; duplicates take no time
+    failing: bool  # whether the run counts as a failure, by the blame of the comparison
+    collision_time: float | None  # time of the collision [s]; without a collision it and the next five are empty
+    npc: int | None  # index of the NPC that collided
     cell: int | None  # cell of that NPC; empty if it crossed the ego's way
-    zone: str | None  # zone in which it crossed, such as ``crossing from the left``; else empty
+    zone: str | None  # zone in which that NPC crossed, such as ``crossing from the left``; otherwise empty
     side: str | None  # side of the ego that was hit
     closing_speed: float | None  # closing speed at the impact [m/s]
     responsibility: str  # by :func:`~pytest_pafot.attribution.responsibility.rss_rule`; ``none`` without a collision
@@ -57,7 +57,7 @@ class Row:
     signature: str | None  # identity of a collision or of an ADS error; otherwise empty
     fitness: float | None  # the number that the search maximised; empty if there is none
     genes_started: int  # started genes of all NPCs
-    genes_reached: int  # number of those that reached their cell or lane
+    genes_reached: int  # number of started genes whose cell or lane was reached
     executed: str  # the scenario as driven, in canonical text
 
 
@@ -72,12 +72,12 @@ def text_of(rows: Iterable[Row]) -> str:
 UNBOUNDED = 10**9  # generations of a run with a time budget
 
 COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
-"""The failure of a property that forbids collisions, which is used to distinguish collisions."""
+"""The failure of a test that forbids collisions; its signature tells different collisions apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunFacts:
-    """Facts on a run, in addition to its evaluation, for the rows and for the check of the set-up."""
+    """Facts about a run that its evaluation lacks; rows and the check of the set-up need them."""
 
     responsibility: str
     position_responsibility: str
@@ -87,11 +87,11 @@ class RunFacts:
 
 
 def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
-    """Run what is not finished yet; return the file with all rows, by algorithm and run in the order of the plan.
+    """Do the runs that are not finished yet; return the file with all rows, by algorithm and run as in the plan.
 
-    If algorithms have different scenarios, a warning says so before hours are spent on them.
+    If algorithms have different scenarios, a warning says so before hours are spent on the runs.
 
-    The arguments and the exceptions are those of :func:`run_job`.
+    The arguments and the exceptions are as for :func:`run_job`.
     """
     job = ResumableJob(
         command="compare",
@@ -117,10 +117,10 @@ def _text(plan: Plan, task: Task, tick: Tick) -> str:
 
 
 def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: None) -> Iterator[Row]:
-    """Simulate one run, and yield a row for each scenario after its evaluation.
+    """Run one campaign of an algorithm, and yield a row for each scenario after its evaluation.
 
     Raises:
-        PlanError: if the ADS fails for the same reason at its first decision in the whole first generation.
+        PlanError: if the ADS fails for the same reason at its first decision in all scenarios of the first generation.
     """
     (world, _), factory, chosen = plan.setting(algorithm), ads_factory(plan.ads), plan.entrant(algorithm).algorithm
     seed, name = plan.run_seed(algorithm, run), plan.fitness or chosen.fitness
@@ -161,9 +161,9 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
 
 
 def evaluated(trace: Trace, fitness: Fitness, blame: str, world: WorldLike) -> Evaluation:
-    """Evaluate a run in a world by who is responsible for it, with its :class:`RunFacts` as a note.
+    """Evaluate a run by who is responsible for its collision; the evaluation's note has its :class:`RunFacts`.
 
-    The text of a signature is readable, and equal only for equal signatures.
+    The text of a signature begins with readable words, and two texts are equal only if the signatures are equal.
     """
     run, signature, mistake = Run(trace, world=reference_world(world)), None, None
     failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
@@ -227,10 +227,10 @@ def row_of(event: Evaluated, *, algorithm: str, run: int, seed: int, clock: floa
 
 
 def check_set_up(world: WorldLike, factory: Callable[..., Any], first: Sequence[Evaluation]) -> None:
-    """Check in the first generation that the ADS drives at all: a set-up error says nothing about any algorithm.
+    """Check in the first generation that the ADS drives at all: an error of the set-up says nothing about algorithms.
 
     Raises:
-        PlanError: if it failed for one reason at its first decision in all runs.
+        PlanError: if the ADS failed for the same reason at its first decision in all runs.
     """
     error: AdsError | None = first[0].note.error
     causes = {first_decision_cause(each.note.error) for each in first}
@@ -243,13 +243,13 @@ def check_set_up(world: WorldLike, factory: Callable[..., Any], first: Sequence[
         others = (
             "A policy of a highway-env environment needs that environment, such as --env highway-v0."
             if asked.is_si
-            else "The environment has its default configuration here, without config=; a planner in SI units needs "
-            "the road without --env."
+            else "With --env the environment has its default configuration, because config= cannot be given; a planner "
+            "in SI units needs the road without --env."
         )
         given = f"{asked.text} {others}"
     raise PlanError(
         f"--ads: expected a policy that drives, received {error.kind}: {error.message}{where}\n\n"
-        f"This happened in all {len(first)} runs of the first generation, before anything else: an error of the "
+        f"This happened in all {len(first)} runs of the first generation, at the first decision: it is an error of the "
         "set-up, which says nothing about the algorithms. Correct the ADS, its factory, or the world that it drives in "
         f"(--env and the options after it), and run the command again.\n\n{given}".rstrip()
     )

@@ -34,9 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--algorithms",
         default="pafot,av-fuzzer,random-manoeuvre,random",
         metavar="A,B,...",
-        help=f"from {', '.join(ALGORITHMS)}, or your own module:Class; NAME@S makes its runs last S seconds, and "
-        "NAME@paper gives it the paper's scenarios; the first algorithm is compared with each of the others "
-        "(default: %(default)s)",
+        help=f"the algorithms: any of {', '.join(ALGORITHMS)}, or your own as module:Class; with NAME@S its runs last "
+        "S seconds, and with NAME@paper it has the paper's scenarios; the first algorithm is compared with each of the "
+        "others (default: %(default)s)",
     )
     parser.add_argument(
         "--ads",
@@ -103,7 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Run the comparison and write its report, which includes the given command; return the exit code."""
+    """Run a comparison and write its report, which quotes ``command``; return the exit code."""
     sys.path.insert(0, str(Path.cwd()))  # The policy is in the current folder, as with pytest.
     try:
         plan = checked(plan_of(arguments))
@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
         if missing:
             raise PlanError(
-                f"expected the library {missing} for the report, received an environment without it; "
+                f"expected the library {missing} for the report, received a Python without it; "
                 "run `pip install 'pytest-pafot[compare]'`"
             )
         folder = Path(arguments.out)
@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def plan_of(arguments: argparse.Namespace) -> Plan:
-    """Make the plan from parsed arguments.
+    """Make the plan of a comparison from parsed arguments.
 
     Raises:
         PlanError: for a value that no world or space accepts.
@@ -178,8 +178,8 @@ def _world(arguments: argparse.Namespace) -> Highway | World:
     for name in ("lanes", "speed_limit"):
         if name in given:
             raise PlanError(
-                f"--{name.replace('_', '-')}: expected no such option with --env, because the environment has its own "
-                f"road, received {given[name]!r}"
+                f"--{name.replace('_', '-')}: expected no such option with --env, received {given[name]!r}; leave it "
+                "out, because the environment has its own road"
             )
     world = replace(World(arguments.env), **given)
     world.check()

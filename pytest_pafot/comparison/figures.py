@@ -1,4 +1,4 @@
-"""The figures of a comparison: the paper's five, and two on distinct failures. All are readable in grey, with units."""
+"""The figures of a comparison: the paper's five, and two on distinct failures; all are readable without colours."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ POINTS = 300  # number of points on a curve over time
 
 
 class Style(NamedTuple):
-    """The appearance of an algorithm. Colours differ in lightness, and all other properties differ as well."""
+    """The appearance of an algorithm in figures. Styles differ in lightness, line, marker and hatch."""
 
     colour: str
     line: Any
@@ -46,12 +46,12 @@ class Style(NamedTuple):
 
     @property
     def bar(self) -> dict[str, Any]:
-        """Keyword arguments for bars."""
+        """The keyword arguments with which matplotlib draws bars in this style."""
         return {"color": self.colour, "hatch": self.hatch, "edgecolor": "white", "linewidth": 0}
 
     @property
     def curve(self) -> dict[str, Any]:
-        """Keyword arguments for lines with markers."""
+        """The keyword arguments with which matplotlib draws lines with markers in this style."""
         return {"color": self.colour, "linestyle": self.line, "marker": self.marker}
 
 
@@ -68,7 +68,7 @@ STYLES = (
 
 
 def _each(results: Results) -> Iterator[tuple[int, str, Style, pd.DataFrame]]:
-    """Yield place, name and style of every algorithm, and the measures of its runs."""
+    """Yield the index, name and style of every algorithm, and the measures of its runs."""
     for place, name in enumerate(results.plan.names):
         yield place, name, STYLES[place % len(STYLES)], of(name, results.whole)
 
@@ -93,7 +93,7 @@ def draw_all(results: Results, folder: Path) -> dict[str, str]:
 
 
 def _totals(axes: Axes, results: Results) -> None:
-    """Draw all scenarios in total over all runs, next to the paper's."""
+    """Draw the total number of scenarios and collisions over all runs, next to the numbers of the paper."""
     width, reported = 0.36, [name for name in results.plan.names if name in PAPER]
     for place, name, style, runs in _each(results):
         counts = int(runs["collisions"].sum()), int(runs["scenarios"].sum())
@@ -120,7 +120,7 @@ def _stacked(axes: Axes, x: float, width: float, counts: tuple[int, int], style:
 
 
 def _curves(axes: Axes, results: Results, *, label: str, counts: Callable[[pd.DataFrame], pd.Series[bool]]) -> None:
-    """Draw means over the runs up to the end of the shortest one, and the range of their middle half."""
+    """Draw the mean over the runs as a curve up to the end of the shortest run, with a band for their middle half."""
     rows = _unique(results)
     rows = rows[counts(rows)]
     for _, name, style, runs in _each(results):
@@ -225,4 +225,4 @@ FIGURES: Mapping[str, tuple[str, Callable[[Axes, Results], None], tuple[float, f
     ),
     "first-failure": ("Until the first ego-responsible failure (Kaplan-Meier)", _first_failure, (6.0, 3.6)),
 }
-"""Title, function and size [inches] of each figure, by file name."""
+"""The title, drawing function and size [inches] of each figure, by its file name without ending."""

@@ -33,14 +33,14 @@ from pytest_pafot.support.versions import installed_versions
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reported:
-    """Results of one technique over ten runs of 100 generations with two NPCs on CARLA."""
+    """The paper's results for one technique, over ten runs of 100 generations with two NPCs on CARLA."""
 
-    scenarios: int  # total over all runs, as in the next two
-    collisions: int
-    local_searches: int
+    scenarios: int  # total over all runs
+    collisions: int  # total over all runs
+    local_searches: int  # total over all runs
     per_run: tuple[int, int, int]  # collisions of a run: mean, most, least
-    time_to_collision: tuple[float, float, float]  # mean, longest, shortest, among those with a collision [s]
-    seconds_per_scenario: float  # simulated time, 60 s for a safe one [s]
+    time_to_collision: tuple[float, float, float]  # mean, longest and shortest of scenarios with a collision [s]
+    seconds_per_scenario: float  # simulated time of a scenario, 60 s for a safe one [s]
     hours: float  # total simulated time
 
 
@@ -81,7 +81,7 @@ PAPER: Mapping[str, Reported] = MappingProxyType(
 PEAKS: Mapping[str, str] = MappingProxyType(
     {"pafot": "10 to 20 s", "av-fuzzer": "20 to 30 s, none before 10 s", "random-manoeuvre": "50 to 60 s"}
 )
-"""The ten-second interval in which most collisions happen according to the paper."""
+"""The ten-second interval in which most collisions of each technique happen, according to the paper."""
 
 
 HITS = {
@@ -90,7 +90,7 @@ HITS = {
     "preventable": "collisions that the ego is responsible for and a reference driver in its place is not (`--blame "
     "preventable`)",
 }
-"""Descriptions of what counts as a failure, by the blame of the comparison."""
+"""Descriptions of the collisions that count as failures, by the blame of the comparison."""
 
 BIN_SECONDS = 10.0  # width of the paper's intervals for the times of collisions [s]
 
@@ -101,9 +101,9 @@ HOW_TO_READ = """
   world is the one above. The paper's numbers are for orientation, and no test compares with them.
 - The paper's Random "manipulates the driving behaviours of NPCs at specified intervals", and collided less often than
   its AV-Fuzzer. Its numbers are next to `random-manoeuvre`, whose NPCs use no grid either.
-- `NAME@15` is an algorithm with runs of 15 s, which its genes share. So `av-fuzzer@15` has slices of 3 s, as in its
-  release; the five slices of `av-fuzzer` last as long as all genes of the others together, as in the paper's
-  reimplementation, whose runs last 60 s.
+- `NAME@15` is the algorithm NAME with runs of 15 s, which are divided evenly among its genes. So `av-fuzzer@15` has
+  slices of 3 s, as in its release. Without `@15`, its five slices together last as long as all genes of the other
+  algorithms, as in the paper's reimplementation, whose runs last 60 s.
 - Without an `@` an algorithm has the same scenarios as in a test. `NAME@paper` has the paper's scenarios, four in each
   of its generations.
 - AV-Fuzzer simulates only scenarios that crossover or mutation changed, so its generations have fewer scenarios than
@@ -114,9 +114,10 @@ HOW_TO_READ = """
 
 
 def report(results: Results, command: Sequence[str], wall: Mapping[str, float], figures: Mapping[str, str]) -> str:
-    """Return the whole report, with the command that made it, and the titles of figures by file name without ending.
+    """Return the whole report as Markdown.
 
-    ``wall`` is the wall-clock time of all runs of each algorithm [s]; empty if unknown.
+    ``command`` is the command that made the report. ``wall`` is the wall-clock time of all runs of each algorithm [s];
+    empty if unknown. ``figures`` has the title of each figure by its file name without ending.
     """
     parts = [
         _head(results, command, wall),
@@ -234,7 +235,7 @@ include evaluating and reporting each scenario. They differ on other machines, b
 {markdown_table(header, rows)}
 
 **The time to collision is conditional**: it is the mean over the scenarios that did collide, and says nothing about the
-others. It rewards a technique that rarely collides, as long as it does so early. The columns before it do not.
+others. A technique with few but early collisions looks good in it. The columns to its left do not have this flaw.
 """
 
 
@@ -330,7 +331,7 @@ the log-rank test Kaplan-Meier medians.
 
 
 def _peak(times: pd.Series[float], longest: float) -> str:
-    """Return the interval in which most collisions happen; empty without collisions."""
+    """Return the ten-second interval in which most collisions happen; empty without collisions."""
     if times.empty:
         return ""
     last = max(math.ceil(longest / BIN_SECONDS) - 1, 0)
@@ -347,7 +348,7 @@ def _p(value: float) -> str:
 
 
 def wall_seconds(plan: Plan, folder: Path) -> dict[str, float]:
-    """Return the wall-clock time of all runs of each algorithm [s]; empty if a run has none."""
+    """Return the wall-clock time of all runs of each algorithm [s]; empty if the time of a run is not stored."""
     times = {name: [seconds_of(folder / file_name(name, run)) for run in range(plan.runs)] for name in plan.names}
     if any(seconds is None for each in times.values() for seconds in each):
         return {}

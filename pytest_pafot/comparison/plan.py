@@ -26,14 +26,14 @@ DIFFERENT = (
 )
 """The warning if :attr:`Plan.scenarios` has more than one entry."""
 PAPER, POPULATION = "paper", 4
-"""The text after the ``@`` for the paper's scenarios, and their number in a generation."""
+"""The text after the ``@`` for the paper's scenarios, and the number of these scenarios in a generation."""
 
 
 class Entrant(NamedTuple):
     """A participant of a comparison: an algorithm, the duration of its runs, and its scenarios."""
 
     algorithm: AlgorithmClass
-    seconds: float | None = None  # duration of its runs; None for the world's duration
+    seconds: float | None = None  # duration of its runs [s]; None for the world's duration
     is_papers: bool = False  # whether its scenarios are the paper's; otherwise those of a test
 
     @classmethod
@@ -59,12 +59,12 @@ class Entrant(NamedTuple):
 
     @property
     def has_papers_scenarios(self) -> bool:
-        """True if the space of its scenarios is the paper's."""
+        """True if the algorithm runs on the paper's scenarios: two NPCs, one start, no patterns."""
         return self.is_papers or self.algorithm.is_papers
 
     @property
     def name(self) -> str:
-        """The name in files, tables and figures."""
+        """The name of the entrant in files, tables and figures."""
         if self.is_papers:
             return f"{self.algorithm.name}@{PAPER}"
         return self.algorithm.name + ("" if self.seconds is None else f"@{self.seconds:g}")
@@ -72,7 +72,7 @@ class Entrant(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """A comparison. Every (algorithm, run) is a function of this value only."""
+    """The definition of a comparison. It determines the result of every run of every algorithm."""
 
     ads: str  # the policy: ``name`` of a module in example_ads, ``module:factory`` or ``module:factory:argument``
     # names, or ``module:Class``; ``@15`` makes its runs last 15 s, ``@paper`` gives it the paper's scenarios
@@ -94,14 +94,14 @@ class Plan:
 
     @property
     def question(self) -> str:
-        """Everything except the algorithms and the number of runs, as canonical text: equal ones can share results."""
+        """All but the algorithms and the number of runs, as text: comparisons with equal texts can share results."""
         plain = asdict(replace(self, algorithms=(), runs=1))
         told = {"plan": plain, "policy": identity(self.ads), "versions": installed_versions()}
         return json.dumps(told, indent=1, sort_keys=True) + "\n"
 
     @property
     def tasks(self) -> tuple[tuple[str, int], ...]:
-        """All (algorithm, run) in the order in which they start: run by run, so that a partial result is balanced."""
+        """All pairs (algorithm, run) in their starting order: run by run, so that a partial result is balanced."""
         return tuple((name, run) for run in range(self.runs) for name in self.names)
 
     @property
@@ -110,14 +110,14 @@ class Plan:
         return tuple(Entrant.of(each).name for each in self.algorithms)
 
     def entrant(self, name: str) -> Entrant:
-        """Return the entrant for one of the names, or for a name of the catalogue."""
+        """Return the entrant for one of :attr:`names`, or for a name of the catalogue of algorithms."""
         return Entrant.of(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
 
     def setting(self, name: str) -> tuple[WorldLike, SearchSpace]:
-        """Return the world of one of the names, and the space of its scenarios.
+        """Return the world and the space of scenarios of one of :attr:`names`.
 
-        If its runs have a different length, the genes share it evenly, in whole ticks, and last no longer than the
-        plan's. Sampled durations stay sampled.
+        If the entrant's runs have a different duration, all genes are equally long, in whole ticks, and not longer
+        than the genes of the plan. Sampled durations of genes stay sampled.
         """
         entrant, seconds, own = self.entrant(name), self.entrant(name).seconds, world_of(self)
         drawn = {} if entrant.has_papers_scenarios else {**self.drawn, "crossings": crossings(own)}
@@ -131,7 +131,7 @@ class Plan:
 
     @property
     def scenarios(self) -> dict[str, list[str]]:
-        """The names of the algorithms by the description of their scenarios; those in one group have the same space."""
+        """The names of the algorithms by the description of their scenarios; each group has the same scenarios."""
         found: dict[str, list[str]] = {}
         for name in self.names:
             _, space = self.setting(name)
@@ -144,7 +144,7 @@ class Plan:
         return found
 
     def made(self, name: str) -> Algorithm[Any]:
-        """Make the algorithm of one of the names, on the space of its scenarios."""
+        """Make the algorithm of one of :attr:`names`, for the space of its scenarios."""
         entrant = self.entrant(name)
         own = {"population": POPULATION} if entrant.is_papers else {}
         return entrant.algorithm.make(self.setting(name)[1], **{**own, **self.parameters})
@@ -159,7 +159,7 @@ def checked(plan: Plan) -> Plan:
     """Return the plan if it can be run.
 
     Raises:
-        PlanError: for the first error, with its name.
+        PlanError: for the first option that is wrong; the message names it.
     """
     if not plan.algorithms:
         raise PlanError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, received none")

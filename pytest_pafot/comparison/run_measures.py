@@ -1,4 +1,4 @@
-"""Measures of runs and comparisons of algorithms, from tidy results."""
+"""Measures of the runs of a comparison, and tests of the algorithms against each other, from the rows of results."""
 
 from __future__ import annotations
 
@@ -28,17 +28,18 @@ from pytest_pafot.model.grid import Cell
 SPEED_STEP = 5.0
 """Width of the steps by which closing speeds of impacts are distinguished [m/s]."""
 SIDES = {"front": (1, 0), "right": (0, 1), "rear": (-1, 0), "left": (0, -1)}
-"""Directions of the ego's sides, as rows and columns of the grid."""
+"""The direction of each side of the ego, as a row and a column of the grid."""
 ORIGINS = {"ahead": (1, 0), "right": (0, 1), "behind": (-1, 0), "left": (0, -1)}
-"""Directions of the origins of NPCs that cross, in the same form."""
+"""The direction from which a crossing NPC comes, by its origin, as a row and a column of the grid."""
 
 
 def inverted_distances(frame: pd.DataFrame, is_counted: pd.Series[bool]) -> pd.Series[float]:
     """Return the inverted distance of each run of a comparison, by algorithm and number; infinite without a failure.
 
-    0 means that the run shows everything that any run shows; 1 means that it is as far away as the whole range of a
-    feature. Equal points count once, so showing one of them often is no advantage. Rows of ``frame`` that are not
-    counted, such as those after a time, are still part of the reference set.
+    0 means that the run shows all impacts that the runs of the comparison show together. 1 means that these are as far
+    from the impacts of the run as the whole range of one feature. Equal impacts are used once, so it is no advantage to
+    show an impact often. Rows of ``frame`` that are not in ``is_counted``, such as rows after a time limit, still
+    belong to the impacts that have to be shown.
     """
     hits = frame[frame["failing"] & (frame["outcome"] == "collision") & ~frame["duplicate"]]
     places = starmap(_place, zip(hits["cell"], hits["zone"], strict=True))
@@ -58,7 +59,7 @@ def inverted_distances(frame: pd.DataFrame, is_counted: pd.Series[bool]) -> pd.S
 
 
 def _place(cell: float, zone: object) -> tuple[int, int]:
-    """Return an NPC's row and column in the grid; for one that crossed, its direction of origin next to the ego."""
+    """Return an NPC's row and column in the grid; an NPC that crossed is next to the ego, on the side of its origin."""
     if isinstance(zone, str):
         return ORIGINS[zone.rpartition(" ")[2]]
     return Cell(int(cell)).row, Cell(int(cell)).column
@@ -76,29 +77,29 @@ TESTED = {
     "distinct ego-responsible failures per simulated hour": "distinct_per_hour",
     "inverted distance to all failing impacts": "inverted_distance",
 }
-"""The tested measures, and their columns in :func:`measured`."""
+"""The measures for which algorithms are tested against each other, with their columns in :func:`measured`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Results:
-    """The data of a report."""
+    """The data of a comparison's report."""
 
     plan: Plan  # plan of the comparison
-    frame: pd.DataFrame  # the rows
-    horizon: float  # simulated time that all runs have, the limit of equal times [s]
-    whole: pd.DataFrame  # measures of the runs to their ends
-    equal: pd.DataFrame  # the same up to the horizon
+    frame: pd.DataFrame  # a row for each scenario
+    horizon: float  # simulated time that every run reached, for comparisons at equal times [s]
+    whole: pd.DataFrame  # measures of the complete runs
+    equal: pd.DataFrame  # measures of the runs up to the horizon
 
     @classmethod
     def of(cls, plan: Plan, path: Path) -> Results:
-        """Read the file with the rows of a comparison."""
+        """Read the results of a comparison from the file with its rows, and measure its runs."""
         frame = read(path)
         end = horizon(frame)
         return cls(plan=plan, frame=frame, horizon=end, whole=measured(frame), equal=measured(frame, end))
 
     @property
     def longest(self) -> float:
-        """The duration of a scenario that nothing ends early [s]."""
+        """The duration of a run that does not end early [s]."""
         return float(world_of(self.plan).longest_run)
 
 
@@ -111,24 +112,24 @@ def read(path: Path) -> pd.DataFrame:
 
 
 def horizon(frame: pd.DataFrame) -> float:
-    """Return the simulated time that every run of a comparison has [s], the limit for comparisons at equal times."""
+    """Return the simulated time of the shortest run of a comparison [s], the limit for comparisons at equal times."""
     return float(frame.groupby(["algorithm", "run"])["clock"].max().min())
 
 
 def measured(frame: pd.DataFrame, seconds: float | None = None) -> pd.DataFrame:
-    """Return a row for every run, whole or up to a simulated time [s]; scenarios that end later do not count.
+    """Return the measures of every run, a row each; with ``seconds`` only of scenarios that end before this time [s].
 
     Columns:
-        algorithm, run: name and number.
-        scenarios: requested scenarios; of these ``unique`` were simulated, and ``collisions`` collided.
-        unique_collisions, invalid: collisions of the ego and crashes between NPCs, among the unique ones.
-        by_npc, by_position_npc: unique collisions that only an NPC is responsible for, by RSS and by position.
+        algorithm, run: name of the algorithm and number of the run.
+        scenarios: number of requested scenarios; of these ``unique`` were simulated, and ``collisions`` collided.
+        unique_collisions, invalid: number of unique scenarios in which the ego collided, and in which NPCs crashed.
+        by_npc, by_position_npc: unique collisions that only an NPC is responsible for, by RSS and by the position rule.
         by_ego: unique collisions that the ego is responsible for, alone or with the NPC.
         local_searches: number of started local searches.
         distinct: number of signatures of failures that the ego is responsible for, including ADS errors.
-        first_failure: simulated time until the first of them [s]; infinite if there was none.
-        collision_time: mean time to a collision if there is one [s]; NaN without any.
-        seconds: simulated time [s].
+        first_failure: simulated time until the first failure that the ego is responsible for [s]; infinite without one.
+        collision_time: mean time to the collision, over all unique collisions [s]; NaN without a collision.
+        seconds: simulated time of the run [s].
         share: share of the unique scenarios that collide.
         seconds_per_scenario, seconds_per_collision: simulated time per unique scenario and collision [s]; infinite
             without a collision.
@@ -171,7 +172,7 @@ def measured(frame: pd.DataFrame, seconds: float | None = None) -> pd.DataFrame:
 
 
 def of(algorithm: str, runs: pd.DataFrame) -> pd.DataFrame:
-    """Select the runs, or rows, of one algorithm."""
+    """Select the rows of one algorithm."""
     return runs[runs["algorithm"] == algorithm]
 
 
@@ -181,18 +182,18 @@ def distinct_in_all(frame: pd.DataFrame, algorithm: str) -> int:
 
 
 def first_failures(runs: pd.DataFrame) -> tuple[list[float], list[bool]]:
-    """Return the times to the ego's first failure [s], and whether each is only the end of a run without one."""
+    """Return the time of each run to the ego's first failure [s], and if it is censored, as no failure occurred."""
     is_censored = np.isinf(runs["first_failure"])
     return runs["first_failure"].where(~is_censored, runs["seconds"]).tolist(), is_censored.tolist()
 
 
 class Comparison(NamedTuple):
-    """One test of one algorithm against a second one."""
+    """The result of a statistical test of one algorithm against a second algorithm."""
 
     measure: str  # name of the measure
-    at: str  # ``generations`` or ``seconds``, the budget at which it is equal for both
+    at: str  # the budget that both algorithms have, ``generations`` or ``seconds``
     first: str  # name of the first algorithm
-    second: str
+    second: str  # name of the second algorithm
     values: tuple[float, float]  # values of the two algorithms: medians, or counts of runs
     effect: Effect | None  # None for tests of counts and of censored times
     p: float  # p-value of the test
@@ -202,8 +203,8 @@ class Comparison(NamedTuple):
 def comparisons(whole: pd.DataFrame | None, equal: pd.DataFrame, algorithms: Sequence[str]) -> list[Comparison]:
     """Compare the first algorithm with each of the others, at equal generations and at equal simulated seconds.
 
-    ``whole`` has the measures of the complete runs if their generations are equal; otherwise it is None. ``equal`` has
-    those up to the time that all runs have.
+    ``whole`` has the measures of the complete runs if all have the same number of generations; otherwise it is None.
+    ``equal`` has the measures up to the simulated time of the shortest run.
     """
     first, *others = algorithms
     budgets = {"seconds": equal} if whole is None else {"generations": whole, "seconds": equal}

@@ -19,25 +19,25 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """The comparison of two samples."""
+    """The effect size of two samples, with its confidence interval and a test."""
 
-    a12: float  # probability that a value of the first is greater, counting ties as half (Vargha-Delaney)
-    low: float  # end of its 95 % confidence interval
-    high: float
-    p: float  # two-sided Mann-Whitney U test
+    a12: float  # probability that a value of the first sample is greater, counting ties as half (Vargha-Delaney)
+    low: float  # lower end of the 95 % confidence interval of A12
+    high: float  # upper end of the interval
+    p: float  # p-value of the two-sided Mann-Whitney U test
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survival:
-    """Kaplan-Meier's estimate of the share without an event so far."""
+    """Kaplan-Meier's estimate of the share of runs that are without an event at each time."""
 
-    times: FloatArray  # times at which the estimate steps down
-    shares: FloatArray  # share from each of these times on
-    median: float  # the first time at which it is at most one half; infinite if it never is
+    times: FloatArray  # times at which the estimated share decreases
+    shares: FloatArray  # the share from each of these times on
+    median: float  # the first time at which the share is at most one half; infinite if there is none
 
 
 def compared(first: Sequence[float], second: Sequence[float]) -> Effect:
-    """Return the effect size, its interval and the test of two samples; infinite values are the largest, and equal."""
+    """Return the effect size of two samples, its interval and the test; infinite values are equal, and the largest."""
     low, high = a12_interval(a12(first, second), len(first), len(second))
     is_one_value = len({*first, *second}) == 1
     p = 1.0 if is_one_value else float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
@@ -45,17 +45,21 @@ def compared(first: Sequence[float], second: Sequence[float]) -> Effect:
 
 
 def a12(first: Sequence[float], second: Sequence[float]) -> float:
-    """Return A12 (Vargha, Delaney, "A critique and improvement of the CL common language effect size", 2000)."""
+    """Return A12, the probability that a value of the first sample is greater than one of the second, ties as half.
+
+    Source: Vargha, Delaney, "A critique and improvement of the CL common language effect size", 2000.
+    """
     x, y = np.asarray(first, dtype=float)[:, None], np.asarray(second, dtype=float)[None, :]
     return float(np.mean((x > y) + 0.5 * (x == y)))
 
 
 def a12_interval(estimate: float, first: int, second: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the confidence interval of A12, which has a width even if one sample exceeds the other entirely.
+    """Return the confidence interval of an estimate of A12, which is not a point even if the estimate is 0 or 1.
 
-    Newcombe, "Confidence intervals for an effect size measure based on the Mann-Whitney statistic. Part 2", Statistics
-    in Medicine 25(4), 2006, method 5: the values whose own standard error, by Hanley and McNeil with the mean of the
-    two sizes, allows the estimate. ``first`` and ``second`` are the sizes of the samples.
+    Source: Newcombe, "Confidence intervals for an effect size measure based on the Mann-Whitney statistic. Part 2",
+    Statistics in Medicine 25(4), 2006, method 5. A value is in the interval if the estimate is within ``z`` standard
+    errors of it; the standard error is that of Hanley and McNeil, with the mean of the two sizes of the samples.
+    ``first`` and ``second`` are these sizes.
     """
     z = float(scipy.stats.norm.ppf((1 + confidence) / 2))
     others = (first + second) / 2 - 1
@@ -71,13 +75,16 @@ def a12_interval(estimate: float, first: int, second: int, confidence: float = C
 
 
 def found_in(first: tuple[int, int], second: tuple[int, int]) -> float:
-    """Return p of Fisher's exact test, two-sided, on (runs that found something, all runs) of two algorithms."""
+    """Return p of Fisher's two-sided exact test for two pairs: the number of runs with a failure, and of all runs."""
     table = np.array([[found, runs - found] for found, runs in (first, second)])
     return float(scipy.stats.fisher_exact(table).pvalue)
 
 
 def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
-    """Estimate survival from times to an event or, if censored, without one (Kaplan, Meier, JASA 53, 1958)."""
+    """Estimate the share without an event from times to an event, or without an event if censored.
+
+    Source: Kaplan, Meier, JASA 53, 1958.
+    """
     estimate = scipy.stats.ecdf(_censored(times, is_censored)).sf
     at = np.asarray(estimate.quantiles, dtype=np.float64)
     shares = np.asarray(estimate.probabilities, dtype=np.float64)
@@ -88,7 +95,7 @@ def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
 def log_rank(
     first: Sequence[float], first_censored: Sequence[bool], second: Sequence[float], second_censored: Sequence[bool]
 ) -> float:
-    """Return p of the two-sided log-rank test on times that may be censored; 1 without any event that differs."""
+    """Return p of the two-sided log-rank test on times that may be censored; 1 if no event tells the samples apart."""
     if all(first_censored) and all(second_censored):
         return 1.0
     with np.errstate(invalid="ignore"):  # If all events are at one time, it divides 0 by a variance of 0.
