@@ -1,1 +1,1 @@
-"""The commands ``search`` and ``bisect``, and what several commands share: names of policies and resumable tasks."""
+"""The commands ``search`` and ``bisect``, and what all commands share: how policies are named, and resumable work."""

@@ -23,9 +23,9 @@ from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.text import one_line, plural, visible
 
 TOLD = "PYTEST_PAFOT_BISECT"
-"""The environment variable with the paths that the session of a commit needs."""
+"""The environment variable that passes paths to the pytest session in which a commit is tried."""
 
-SHOWN = 60  # number of lines of a diff that are printed
+SHOWN = 60  # the largest number of lines of a diff that are printed
 VERDICTS = {True: "passes", False: "fails", None: "no verdict"}
 
 
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", required=True, nargs="+", metavar="PATH", help=of_policy)
     of_copy = "files and folders that the test needs and git ignores, such as weights; no other ignored file is copied"
     parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
-    of_any = "count a commit as passing, too, if its test passes because the situation of the file does not occur"
+    of_any = "let a commit also pass if its test passes because the situation of the file does not occur"
     parser.add_argument("--any-pass", action="store_true", help=of_any)
     of_timeout = "how long the replay of a commit may take [s] (default: %(default)g)"
     parser.add_argument("--timeout", type=_seconds, default=300.0, metavar="S", help=of_timeout)
@@ -57,7 +57,7 @@ def _seconds(text: str) -> float:
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Search for the commit; return the exit code: 0 if it is found, 1 if several are left."""
+    """Search for the commit that made a scenario fail; return the exit code: 0 if one commit is left, 1 if several."""
     try:
         return _bisect(arguments)
     except (HistoryError, CorpusError) as error:
@@ -86,7 +86,7 @@ def _bisect(arguments: argparse.Namespace) -> int:
         )
     dirty = [visible(name) for name in history.uncommitted() if history.is_policy(name)]
     if dirty:
-        _say(f"not committed, therefore not tried: {', '.join(dirty)}")
+        _say(f"not committed, so not tried: {', '.join(dirty)}")
     _say(f"{plural(len(commits), 'commit')} of {', '.join(map(visible, history.paths))} after {good:.10}")
     with history.worktree([*extra, file.as_posix()]) as tree:
         trials = Trials(
@@ -105,15 +105,15 @@ def _bisect(arguments: argparse.Namespace) -> int:
 
 
 def _commits(history: History, good: str, bad: str) -> list[str]:
-    """Return the commits to search.
+    """Return the commits after ``good`` up to ``bad`` that change the policy.
 
     Raises:
-        HistoryError: if there are none.
+        HistoryError: if there is no such commit.
     """
     if not history.is_ancestor(good, bad):
         raise HistoryError(
             f"expected a --good that is an ancestor of --bad, received {good:.10}, which is not an ancestor of "
-            f"{bad:.10}; give one, such as `git merge-base` prints"
+            f"{bad:.10}; give an ancestor, such as the commit that `git merge-base` prints"
         )
     lost = [
         path for path in history.paths if not any(replace(history, paths=(path,)).content(at) for at in (good, bad))
@@ -132,9 +132,9 @@ def _commits(history: History, good: str, bad: str) -> list[str]:
 
 
 def first_failing(history: History, trials: Trials, commits: Sequence[str]) -> Sequence[str]:
-    """Return the commits of which one is the first to fail.
+    """Return the commits among which the first failing commit is: one commit, or several without a verdict.
 
-    If that is a merge, and the branch that it merged fails as well, search in the branch.
+    If the first failing commit is a merge, and the merged branch fails as well, the branch is searched.
     """
     left = halved(commits, trials.passes)
     while len(left) == 1 and len(parents := history.parents(left[0])) > 1:
@@ -150,7 +150,7 @@ def first_failing(history: History, trials: Trials, commits: Sequence[str]) -> S
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Sessions that replay the file with the policy of a commit, one session for each content of the policy's paths."""
+    """Pytest sessions that replay the file with the policies of commits; equal policies share a session."""
 
     history: History
     tree: Path
@@ -161,17 +161,17 @@ class Trials:
     known: dict[str, dict[str, Any]] = field(default_factory=dict)  # results of the sessions, by the content
 
     def passes(self, commit: str) -> bool | None:
-        """Return whether a commit passes; None if it cannot be judged."""
+        """Return whether a commit passes; None if its session gave no verdict."""
         told = self.told(commit)
         verdict: bool | None = told["passes"]
         return True if self.any_pass and told.get("is_other") else verdict
 
     def why(self, commit: str) -> str:
-        """Return how the replay of a commit ended, or why there is none."""
+        """Return how the replay of a commit ended, or why there is no replay."""
         return f"{VERDICTS[self.passes(commit)]}: {self.told(commit)['why']}"
 
     def told(self, commit: str) -> dict[str, Any]:
-        """Return the result of a commit's session, or of the session of a different commit with the same policy."""
+        """Return the result of a commit's session, or of the session of another commit with the same policy."""
         content = self.history.content(commit)
         if content not in self.known:
             try:
@@ -183,7 +183,7 @@ class Trials:
         return self.known[content]
 
     def _session(self) -> dict[str, Any]:
-        """Run a session with the policy that is in the worktree; return its result, or its last line as the reason."""
+        """Run a session with the policy in the worktree; return its result, or its last line as the reason."""
         told = self.tree.parent / "told.json"
         told.unlink(missing_ok=True)
         policy = [str(self.history.root / path) for path in self.history.paths]
@@ -229,7 +229,7 @@ def _import_folders(root: Path) -> list[Path]:
 
 @contextmanager
 def _group(command: Sequence[str], folder: Path, environ: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """Run a program; at the end of the context, kill it with all processes that it started, if it still runs."""
+    """Run a program in this context. At the end, kill it and all processes that it started, if it still runs."""
     pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     session = subprocess.Popen(  # noqa: S603  (no shell)
         command, cwd=folder, env=environ, text=True, errors="replace", start_new_session=True, **pipes
@@ -244,9 +244,9 @@ def _group(command: Sequence[str], folder: Path, environ: dict[str, str]) -> Ite
 
 
 def _conclude(history: History, trials: Trials, left: Sequence[str]) -> int:
-    """Print the commit, its diff, and the first decision that differs from before; return the exit code."""
+    """Print the first failing commit, its diff, and the first decision that changed; return the exit code."""
     if len(left) > 1:
-        _say(f"one of these {len(left)} is the first that fails; those before the last have no verdict:")
+        _say(f"one of these {len(left)} commits is the first that fails; all except the last have no verdict:")
         _say("\n".join(f"  {history.described(each, '%H %s')}" for each in left))
         return 1
     before = history.parents(left[0])[0]
@@ -260,7 +260,7 @@ def _conclude(history: History, trials: Trials, left: Sequence[str]) -> int:
 
 
 def parted(before: dict[str, Any], now: dict[str, Any]) -> str:
-    """Return a sentence on the first decision in which the runs of two sessions differ."""
+    """Return a text on the first decision in which the replays of two commits differ; both are results of sessions."""
     if not (before.get("decisions") and now.get("decisions")):
         return f"decisions cannot be compared: before, {before['why']}; now, {now['why']}"
     pairs = enumerate(zip(before["decisions"], now["decisions"], strict=False))

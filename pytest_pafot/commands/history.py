@@ -1,4 +1,4 @@
-"""The commits of a policy: git lists them, and checks each out into a worktree with the present state of other files.
+"""The commits of a policy. git lists them, and checks each commit out into a worktree with the present other files.
 
 No call uses a shell or runs a hook. Nothing is written to the user's folder, index or branches.
 """
@@ -20,19 +20,19 @@ from pathlib import Path
 from pytest_pafot.support.text import visible, visible_lines
 
 OF_A_CALLER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_PREFIX", "GIT_NAMESPACE")
-"""Variables that a git hook or alias sets: with them, git would write into the user's index from any folder."""
+"""Variables that a git hook or alias sets. They are removed, since git would use the user's index because of them."""
 
 
 class HistoryError(ValueError):
-    """A history that cannot be searched; the message says what was expected and what to do."""
+    """An error for a history that cannot be searched. The message says what was expected and what to do."""
 
 
 def halved(commits: Sequence[str], passes: Callable[[str], bool | None]) -> Sequence[str]:
-    """Return the first commit to fail, together with those before it that cannot be judged.
+    """Return the first commit that fails, together with the commits directly before it that have no verdict.
 
     Args:
-        commits: the commits, oldest first; the state before all of them passes, and the last one fails.
-        passes: returns whether a commit passes; None if it cannot be judged.
+        commits: the commits, oldest first. The state before the first commit passes, and the last commit fails.
+        passes: returns whether a commit passes; None if it has no verdict.
     """
     low, high, unjudged = -1, len(commits) - 1, set[int]()
     while True:
@@ -52,7 +52,7 @@ def halved(commits: Sequence[str], passes: Callable[[str], bool | None]) -> Sequ
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """The commits of some paths, which are relative to the root of a repository."""
+    """The history of some paths in a repository. The paths are relative to the root of the repository."""
 
     root: Path
     paths: tuple[str, ...]
@@ -68,25 +68,25 @@ class History:
         return cls(root, tuple(inside(root, folder, path, "--policy").as_posix() for path in paths))
 
     def named(self, revision: str) -> str:
-        """Return the hash of the commit with a name.
+        """Return the hash of the commit that a revision such as a branch or a tag names.
 
         Raises:
-            HistoryError: if there is none.
+            HistoryError: if there is no such commit.
         """
         try:
             return self._git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}").strip()
         except HistoryError:
             raise HistoryError(
                 f"expected a commit, a branch or a tag, received {revision!a}, which does not exist in {self.root}; "
-                "`git log --oneline` lists commits, and `git fetch --unshallow` adds those that a shallow clone lacks"
+                "`git log --oneline` lists commits, and `git fetch --unshallow` adds commits that a shallow clone lacks"
             ) from None
 
     def described(self, commit: str, form: str) -> str:
-        """Return a commit in one of git's formats, on one line that is safe to display."""
+        """Return a description of a commit in a format of ``git log``, on one line that is safe to display."""
         return visible(self._git("log", "-1", "--no-show-signature", f"--format={form}", commit).strip())
 
     def is_ancestor(self, earlier: str, later: str) -> bool:
-        """Return whether a commit is an ancestor of a later one, or the same commit."""
+        """Return whether ``earlier`` is an ancestor of the commit ``later``, or the same commit."""
         return not self._git("rev-list", "-1", earlier, f"^{later}")
 
     def parents(self, commit: str) -> list[str]:
@@ -94,7 +94,7 @@ class History:
         return self._git("rev-list", "-1", "--parents", commit).split()[1:]
 
     def fork(self, one: str, other: str) -> str | None:
-        """Return the last common ancestor of two commits; None if they have none."""
+        """Return the hash of the last common ancestor of two commits; None if there is no common ancestor."""
         try:
             return self._git("merge-base", one, other).split()[0]
         except HistoryError:
@@ -103,38 +103,38 @@ class History:
     def between(self, good: str, bad: str) -> list[str]:
         """Return the hashes of the commits after ``good`` up to ``bad`` that change the paths, oldest first.
 
-        A merge counts as one commit.
+        A merge and all commits that it merged are one commit.
         """
         return self._git("rev-list", "--first-parent", "--reverse", f"{good}..{bad}", "--", *self.paths).split()
 
     def content(self, commit: str) -> str:
-        """Return a text that identifies the content of the paths: names, modes and hashes of their files."""
+        """Return a text that identifies the files of the paths in a commit: their names, modes and hashes."""
         return self._git("ls-tree", "-r", "-z", commit, "--", *self.paths)
 
     def diff(self, before: str, after: str) -> list[str]:
-        """Return the differences between the paths of two commits, in lines that are safe to display."""
+        """Return the differences between two commits in the paths, as lines that are safe to display."""
         plain = ("--no-color", "--no-ext-diff", "--no-textconv")
         return visible_lines(self._git("diff", *plain, before, after, "--", *self.paths)).splitlines()
 
     def uncommitted(self) -> list[str]:
-        """Return the files of the user's folder that differ from its commit, as paths relative to the root."""
+        """Return the files in the user's folder that are not committed as they are, as paths relative to the root."""
         changed = self._git("diff", "--name-only", "--no-renames", "-z", "HEAD")
         new = self._git("ls-files", "--others", "--exclude-standard", "-z")
         return [name for name in f"{changed}{new}".split("\0") if name]
 
     def is_policy(self, name: str) -> bool:
-        """Return whether a path is one of the policy's paths, or below one."""
+        """Return whether a path is one of the policy's paths, or in a folder among the policy's paths."""
         return any(Path(name).is_relative_to(path) for path in self.paths)
 
     @contextmanager
     def worktree(self, extra: Iterable[str]) -> Iterator[Path]:
-        """Make a copy of the user's folder, with the policy as committed, and remove the copy at the end.
+        """Provide a copy of the user's repository, with the policy as committed, and remove the copy at the end.
 
         The copy contains the files that git does not ignore, and ``extra``, which are paths relative to the root.
         """
         folder = Path(tempfile.mkdtemp(prefix="pafot-bisect-"))
         tree = folder / self.root.name  # a test may be imported by the name of this folder
-        # With an exit in place of the sudden end, the worktree is removed.
+        # A signal that ends the process becomes an exit, so that the worktree is removed.
         terminate = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
         try:
             self._git("worktree", "add", "--quiet", "--detach", str(tree), "HEAD")
@@ -159,7 +159,7 @@ class History:
         return not is_environment and not self.is_policy(name)
 
     def put(self, tree: Path, commit: str) -> None:
-        """Check the paths of a commit out into a worktree; remove those that the commit does not have.
+        """Check the policy's paths out of a commit into a worktree; remove paths that the commit does not have.
 
         Raises:
             HistoryError: if git fails.
@@ -175,10 +175,12 @@ class History:
 
 
 def inside(root: Path, folder: Path, path: str, what: str) -> Path:
-    """Return a path relative to a root; it is given relative to a folder.
+    """Convert a path that is relative to ``folder`` to a path that is relative to ``root``.
+
+    ``what`` names the option of the path in an error.
 
     Raises:
-        HistoryError: if it is outside of the root.
+        HistoryError: if the path is outside of the root.
     """
     found = Path(os.path.normpath(Path(os.path.realpath(folder)) / path))
     if not found.is_relative_to(root):
@@ -195,10 +197,10 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def _git(folder: Path, *arguments: str) -> str:
-    """Run git and return its output.
+    """Run git in a folder and return its output.
 
     Raises:
-        HistoryError: if git fails, with git's own message.
+        HistoryError: if git fails; the message is git's own.
     """
     quiet = ("--no-optional-locks", "--literal-pathspecs", "-c", f"core.hooksPath={os.devnull}")
     command = ["git", "-C", str(folder), *quiet, "-c", "core.fsmonitor=false", *arguments]

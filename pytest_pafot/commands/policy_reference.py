@@ -1,4 +1,4 @@
-"""The policy that a command receives by name, and the exit code for wrong arguments."""
+"""The names of policies on the command line, and the exit code for wrong arguments."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from pytest_pafot.support.text import one_line
 from pytest_pafot.world.driving.ads import weights_digest
 
 BAD_USE = 2
-"""The exit code for wrong arguments, the same as argparse's."""
+"""The exit code for wrong arguments, which argparse uses as well."""
 
 EXAMPLES = "example_ads"
 """The package of example policies: at the top of a clone, or inside this package if it is installed."""
 
 OF_FILE = "file:"
-"""The prefix of the identity of a policy that has no hash of its weights."""
+"""The prefix of a policy's identity if that is the hash of its module's file, not of its weights."""
 
 
 ABOUT_POLICIES = (
@@ -34,26 +34,26 @@ ABOUT_POLICIES = (
     "Steering, y and lanes grow to the right. With --world, a policy receives and returns what that environment "
     "defines."
 )
-"""What the help says of policies."""
+"""The text on policies in the help of commands."""
 
 MOST_NAMES = 8
-"""The number of names of a module that an error lists."""
+"""The largest number of a module's names that an error lists."""
 
 
 class PlanError(ValueError):
-    """Wrong arguments of a command; the message says what was expected and what to do."""
+    """An error for wrong arguments of a command. The message says what was expected and what to do."""
 
 
 def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") -> Callable[..., Any]:
-    """Return the factory with a name.
+    """Return the ADS factory that the user names on the command line.
 
     Args:
-        reference: the name.
-        option: the name of the argument, for errors.
-        what: description of the expected function, for errors.
+        reference: the name: a module of ``example_ads``, module:factory, or module:factory:argument.
+        option: the name of the option, for errors.
+        what: a description of the expected function, for errors.
 
     Raises:
-        PlanError: if there is none.
+        PlanError: if there is no such factory.
     """
     parts = reference.split(":")
     if len(parts) > 3 or not all(parts):
@@ -93,19 +93,19 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
 
 
 def check_function(reference: str) -> Callable[..., Any]:
-    """Return the function of a run that ``--check`` names.
+    """Return the function that ``--check`` names; it is called with a run.
 
     Raises:
-        PlanError: if there is none.
+        PlanError: if there is no such function.
     """
     parts = reference.split(":")
     if len(parts) != 2 or not parts[1].isidentifier() or keyword.iskeyword(parts[1]):
-        raise PlanError(f"--check: expected module:function of a function of a run, received {reference!r}")
+        raise PlanError(f"--check: expected the name module:function of a function of a run, received {reference!r}")
     return ads_factory(reference, "--check", "a function of a run")
 
 
 def described(error: BaseException) -> str:
-    """Return the kind, the message and the place of an exception of the user's code, in one line."""
+    """Describe an exception of the user's code in one line: its class, its message and its place."""
     frames = traceback.extract_tb(error.__traceback__)
     text = one_line("".join(traceback.format_exception_only(error)))
     has_place = isinstance(error, SyntaxError) or not frames  # the message of a SyntaxError names the place
@@ -113,10 +113,10 @@ def described(error: BaseException) -> str:
 
 
 def identity(reference: str) -> str:
-    """Return what identifies a version of a policy: the hash of its weights, or else of its module's file.
+    """Return a text that identifies a policy and its version: the hash of its weights, or else of its module's file.
 
     Raises:
-        PlanError: if there is no policy of this name.
+        PlanError: if there is no policy of the given name.
         AdsFactoryError: if the weights cannot be read.
     """
     told = weights_digest(ads_factory(reference))
@@ -127,18 +127,18 @@ def identity(reference: str) -> str:
 
 
 def module_of(reference: str) -> str:
-    """Return the importable name of a policy's module; :func:`ads_factory` must accept the policy's name."""
+    """Return the importable name of a policy's module, for a name that :func:`ads_factory` accepts."""
     return _imported(_module_name(reference)).__name__
 
 
 def caution(references: Iterable[str]) -> str:
-    """Return a warning about policies of which only the module's file is known to be unchanged; empty if none."""
+    """Return a warning about policies whose weights have no hash, so that changes may go unnoticed; or empty."""
     names = [each for each in references if identity(each).startswith(OF_FILE)]
     if not names:
         return ""
     return (
         f"{' and '.join(names)} provide{'s' if len(names) == 1 else ''} no hash of weights, so only the module's file "
-        "is known to be the same: if the policy was trained or changed since then, give a different --out"
+        "is known to be the same: if the policy was trained or changed since then, give another --out"
     )
 
 
@@ -148,7 +148,7 @@ def _module_name(reference: str) -> str:
 
 
 def _imported(module_name: str) -> ModuleType:
-    """Import a module; an example comes from the clone in which the command runs, or else from the installation."""
+    """Import a module. An example policy is imported from the clone in which the command runs, else as installed."""
     try:
         return importlib.import_module(module_name)
     except ModuleNotFoundError as error:

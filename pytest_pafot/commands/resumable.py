@@ -1,4 +1,4 @@
-"""Tasks of a long command, in one process or several; a command that was stopped resumes after its finished tasks."""
+"""The tasks of a long command, which run in one or several processes. After a stop, finished tasks are not repeated."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.support.files import way_out, write_whole
 
 RUNS = "runs"
-"""The folder of the results of single tasks."""
+"""The name of the folder with a file of results for each task."""
 RESULTS = "results.csv"
 TIME = ".seconds"
-"""The suffix of the file with the wall-clock time of a task, which is not reproducible, and a digest of its rows.
+"""The suffix of a task's second file, with its wall-clock time and a digest of its results.
 
-The digest detects a file that was damaged or changed later.
+The time is in a separate file because it is not reproducible. The digest shows whether results were changed later.
 """
 
 AGAIN = "then run the same command again: finished tasks are not repeated"
-"""The way out if something could not be written after work was done."""
+"""The advice to the user if something could not be written after tasks were finished."""
 
 POLL_SECONDS = 0.5
 TOLD_EVERY = 10.0  # the interval between reports of progress if a line cannot be overwritten [s]
@@ -38,20 +38,20 @@ Tick = Callable[[float], None]  # receives the finished share of a task
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResumableJob:
-    """The work of a command.
+    """The work of a command, divided into tasks.
 
     Attributes:
         command: the name of the command.
-        noun: the name of its results, such as ``comparison``.
-        units: what its progress counts, such as ``runs``.
+        noun: the word for its results, such as ``comparison``.
+        units: the word for the units that its progress counts, such as ``runs``.
         tasks: the tasks in the order in which they are started.
-        in_order: the tasks in the order of their rows.
+        in_order: the tasks in the order of their rows in the result.
         question: everything on which results depend, as canonical text; only results of equal questions are combined.
         question_file: the name of the file with the question.
-        differs: in what a different question may differ, in words.
-        text: returns the rows of a task as CSV; it must be picklable.
-        sizes: the units of each task that has more than one; progress then counts the units of running tasks, too.
-        caution: a warning that is printed if earlier results are reused; empty if there is none.
+        differs: what may be different in another question, in words for an error.
+        text: a function that returns the rows of a task as CSV; it must be picklable.
+        sizes: the number of units of each task with more than one unit, whose progress is shown while it runs.
+        caution: a warning that is printed if earlier results are reused; empty if there is nothing to warn of.
     """
 
     command: str
@@ -67,7 +67,7 @@ class ResumableJob:
     caution: str = ""
 
     def size(self, task: Task) -> int:
-        """Return the number of units of a task."""
+        """Return the number of units of a task, by default 1."""
         return self.sizes.get(task, 1)
 
     @property
@@ -82,13 +82,19 @@ def file_name(name: str, run: int) -> str:
 
 
 def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
-    """Run the tasks that are not finished; return the file with all rows.
+    """Run the tasks that are not finished; return the path of the file with the rows of all tasks.
 
-    Results in the folder are reused, unless they were changed. With one worker, the tasks run in this process. Progress
-    is written to ``told`` with the remaining time, by a clock in seconds.
+    Results in the folder are reused, unless they were changed. With one worker, the tasks run in this process.
+
+    Args:
+        job: the tasks.
+        folder: the folder for the results.
+        workers: the number of processes.
+        told: the stream for the progress and the remaining time.
+        clock: returns the seconds since some fixed moment.
 
     Raises:
-        PlanError: if the folder holds the results of a different question, or cannot be written.
+        PlanError: if the folder holds the results of another question, or cannot be written.
         ChildProcessError: if a worker is killed.
         Exception: any exception of a task.
     """
@@ -115,7 +121,7 @@ def worker_count(given: int | None) -> int:
     """Return the number of processes that ``--workers`` requests, by default one for each core.
 
     Raises:
-        PlanError: if it is less than one.
+        PlanError: if the requested number is less than one.
     """
     if given is not None and given < 1:
         raise PlanError(f"--workers: expected at least 1, received {given}")
@@ -123,10 +129,10 @@ def worker_count(given: int | None) -> int:
 
 
 def claim(job: ResumableJob, folder: Path) -> None:
-    """Reserve the folder for this job.
+    """Reserve a folder for a job, by writing the job's question into it.
 
     Raises:
-        PlanError: if it holds the results of a different job, or cannot be written.
+        PlanError: if the folder holds the results of another job, or cannot be written.
     """
     path = folder / job.question_file
     with written_into(folder):
@@ -135,18 +141,20 @@ def claim(job: ResumableJob, folder: Path) -> None:
         if holds_results and not (is_there and path.read_bytes() == job.question.encode()):
             why = f"differs in {job.differs}" if is_there else "is gone"
             raise PlanError(
-                f"--out: expected an empty folder or one of this {job.noun}, received {folder}, whose "
-                f"{job.question_file} {why}; give a different folder, or the same arguments"
+                f"--out: expected an empty folder or the folder of this {job.noun}, received {folder}, whose "
+                f"{job.question_file} {why}; give another folder, or the same arguments"
             )
         write_whole(path, job.question)
 
 
 @contextmanager
-def written_into(folder: Path, elsewhere: str = "or give a different folder") -> Iterator[None]:
-    """Report a folder that cannot be written as a wrong ``--out``; ``elsewhere`` ends the way out.
+def written_into(folder: Path, elsewhere: str = "or give another folder") -> Iterator[None]:
+    """Turn an OSError in this context into an error for ``--out``, since the folder cannot be written.
+
+    The message ends with ``elsewhere``, the advice to use another folder.
 
     Raises:
-        PlanError: instead of an OSError.
+        PlanError: in place of an OSError.
     """
     try:
         yield
@@ -161,7 +169,7 @@ def written_into(folder: Path, elsewhere: str = "or give a different folder") ->
 
 @dataclass(slots=True)
 class ProgressLine:
-    """A report of how far a command is and how long it will take."""
+    """The report of how far a command is and how long it will still take."""
 
     job: ResumableJob
     done: int  # number of finished units
@@ -175,7 +183,7 @@ class ProgressLine:
         self.started, self.first_done = self.clock(), self.done
 
     def tick(self, shares: float) -> None:
-        """Report progress, given the sum of the shares of the running tasks, unless the last report is recent."""
+        """Report progress, unless the last report is recent; ``shares`` is the sum of the running tasks' shares."""
         now = self.clock()
         is_terminal = self.told.isatty()
         if now - self.told_at < (POLL_SECONDS if is_terminal else TOLD_EVERY):
@@ -196,7 +204,7 @@ class ProgressLine:
         return f"{job.command}: {done} of {job.total} {job.units}, {share:.0%}{left}".replace("%", " %")
 
     def finished(self, task: Task) -> None:
-        """Count a finished task and report it; :meth:`tick` reports tasks of many units, except the last one."""
+        """Count a finished task and report it. Tasks of many units are reported by :meth:`tick`, except the last."""
         job = self.job
         self.done += job.size(task)
         if self.told.isatty():
@@ -218,7 +226,7 @@ class ProgressLine:
 def _done(
     job: ResumableJob, folder: Path, tasks: Sequence[Task], progress: ProgressLine, workers: int
 ) -> Iterator[Task]:
-    """Yield each task when its results are written."""
+    """Run the tasks, and yield each task as soon as its results are written."""
     work = partial(_run_task, job, folder)
     if workers == 1:
         for task in tasks:
@@ -241,7 +249,7 @@ def _done(
 
 
 def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:
-    """Run a task, then write all its rows at once, and next to them the wall-clock time."""
+    """Run a task; then write the file of its rows, and next to it the file of its wall-clock time."""
     started, told = time.perf_counter(), -1.0
 
     def tick_sparsely(share: float) -> None:  # only each hundredth, because a report costs time
@@ -259,7 +267,7 @@ def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:
 
 
 def seconds_of(results: Path) -> float | None:
-    """Return how long a task took [s]; None if its rows are missing or were changed."""
+    """Return how long the task with a file of results took [s]; None if the file is missing or was changed."""
     try:
         seconds, digest = results.with_suffix(TIME).read_text(encoding="utf-8").split()
         return float(seconds) if digest == _digest(seconds, results.read_bytes()) else None

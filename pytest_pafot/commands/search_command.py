@@ -1,7 +1,7 @@
-"""``python -m pytest_pafot search``: a search without test files, in a pytest session with temporary ones.
+"""``python -m pytest_pafot search``: a search without test files, in a pytest session with temporary test files.
 
-The session runs the same two files that ``--write-test`` writes, from a temporary folder. Findings are saved where
-these files would find them, so they become regression tests.
+The session runs the two files that ``--write-test`` writes, from a temporary folder. Findings are saved where the test
+of ``--write-test`` finds them, so they are its regression tests.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from pytest_pafot.corpus.layout import CORPUS, files_below
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
 TESTS_FAILED, USAGE_ERROR = 1, 4
-"""Exit codes of pytest, copied because importing pytest would slow down the help of commands."""
+"""Exit codes of pytest. They are copied, because importing pytest would slow down the help of commands."""
 LAST_SECONDS = 30
-"""The time that an interrupted session has for its summary [s]."""
+"""The time that an interrupted session has for its summary [s]. After that it is killed."""
 NO_TESTS = "[pytest]\n"
-"""An empty configuration, so that the project's settings do not apply to the session."""
+"""An empty configuration of pytest, so that the project's settings do not apply to the session."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Search, or write the test that does; return pytest's exit code."""
+    """Run the search, or with ``--write-test`` write the test that runs it. Return pytest's exit code."""
     here = Path.cwd()
     sys.path.insert(0, str(here))  # Import the policy from the current folder, as `python -m pytest` does.
     try:
@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def _code_of(session: Sequence[str]) -> int:
-    """Return the exit code of a pytest session, which ends with its summary and its page after Ctrl-C, too."""
+    """Run a pytest session and return its exit code. After Ctrl-C, the session can still write its summary and page."""
     with subprocess.Popen(session) as process:  # noqa: S603  (the user's own arguments)
         try:
             return process.wait()
@@ -102,8 +102,8 @@ def _written(here: Path, files: dict[str, str]) -> int:
     there = [name for name in files if (here / name).exists()]
     if there:
         raise PlanError(
-            f"--write-test: expected a folder without {' and '.join(there)}, received {here}; run the command in a "
-            "different folder, or write the test by hand"
+            f"--write-test: expected a folder without {' and '.join(there)}, received {here}; run the command in "
+            "another folder, or write the test by hand"
         )
     for name, text in files.items():
         (here / name).write_text(text, encoding="utf-8")
@@ -112,7 +112,7 @@ def _written(here: Path, files: dict[str, str]) -> int:
 
 
 def _conftest(arguments: argparse.Namespace) -> str:
-    """Return the file with the fixture of the policy."""
+    """Return the content of the conftest.py with the fixture of the policy."""
     ads_factory(arguments.ads, "ADS")
     _, name, *argument = f"{arguments.ads}{'' if ':' in arguments.ads else ':make'}".split(":")
     made = f"lambda: {name}({argument[0]!r})" if argument else name
@@ -123,7 +123,7 @@ def _conftest(arguments: argparse.Namespace) -> str:
 
 
 def _test(arguments: argparse.Namespace) -> str:
-    """Return the file with the test."""
+    """Return the content of the file with the test."""
     given = [] if arguments.blame == "any" else [f'blame="{arguments.blame}"']
     given += [] if arguments.world is None else [f"world=pafot.World({arguments.world!r})"]
     name, holds, imports = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()", ""

@@ -183,7 +183,7 @@ def test_results_without_readable_question_are_refused(tmp_path, quick, quiet):
     with pytest.raises(PlanError, match="json differs in"):
         run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
     question.unlink()
-    with pytest.raises(PlanError, match="json is gone; give a different folder"):
+    with pytest.raises(PlanError, match="json is gone; give another folder"):
         run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
 
 
@@ -198,7 +198,7 @@ def test_a_folder_of_another_comparison_is_refused(tmp_path, quick, quiet, chang
     small = {"runs": 1, "algorithms": ("random",)}
     run_all(quick(**small), tmp_path, workers=1, told=quiet, clock=clock)
     before = contents(tmp_path)
-    with pytest.raises(PlanError, match=r"--out: expected an empty folder or one of this comparison"):
+    with pytest.raises(PlanError, match=r"--out: expected an empty folder or the folder of this comparison"):
         run_all(quick(**(small | changes)), tmp_path, workers=1, told=quiet, clock=clock)
     assert contents(tmp_path) == before
 

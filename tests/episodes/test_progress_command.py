@@ -152,7 +152,10 @@ def test_same_seed_agrees_for_any_worker_count(here, capsys):
         (["Careful", "--world", "highway-v7"], "expected a registered environment, received 'highway-v7'"),
         (["Nobody"], "NEW: expected a factory in versions, received 'versions:Nobody', which is none; it has "),
         (["Unmade"], "NEW: expected a factory of a policy, received one that raises OSError: no weights ("),
-        (["Careful", "--check", "versions"], "--check: expected module:function of a function of a run, received"),
+        (
+            ["Careful", "--check", "versions"],
+            "--check: expected the name module:function of a function of a run, received",
+        ),
         (["Broken"], "NEW: expected a policy that drives, received AttributeError: "),
         (
             ["Careful", "--check", "versions:misspelt"],

@@ -177,9 +177,7 @@ def test_impossible_folder_is_reported_with_the_way_out(tmp_path, capsys, below,
     assert error.startswith(
         f"rate: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
     )
-    assert error.endswith(
-        "; there is a file where a folder should be: rename or delete it, or give a different folder\n"
-    )
+    assert error.endswith("; there is a file where a folder should be: rename or delete it, or give another folder\n")
 
 
 def test_unwritable_picture_prevents_driving_the_episode(tmp_path, capsys):

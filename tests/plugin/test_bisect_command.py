@@ -130,7 +130,7 @@ def test_untestable_commits_are_skipped_and_listed_if_suspect(commit, tried, cap
     commit(BAD, "The same again")
     assert bisect("--good", first) == 1
     told = capsys.readouterr().out
-    assert "one of these 4 is the first that fails; those before the last have no verdict:\n" in told
+    assert "one of these 4 commits is the first that fails; all except the last have no verdict:\n" in told
     assert re.findall(r"^  ([0-9a-f]{40}) ", told, re.MULTILINE) == [*hidden, last]
     assert len(tried) == len(set(tried)), "the same policy is tried once"
 
@@ -188,7 +188,7 @@ def test_uncommitted_changes_are_reported_and_not_tried(commit, tried, capsys):
     Path("planner.py").write_text(BAD)
     assert bisect("--good", first) == 2
     told = capsys.readouterr()
-    assert "not committed, therefore not tried: planner.py\n" in told.out
+    assert "not committed, so not tried: planner.py\n" in told.out
     assert "expected --bad to fail as the file says, received: passes: as it says; commit your" in told.err
     assert tried == [f"{GOOD} # more"]
     assert Path("planner.py").read_text() == BAD

@@ -122,7 +122,10 @@ def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
         (["a_planner.py:Planner"], "; give a_planner:Planner"),
         (["broken:Planner"], "received 'broken:Planner', which raises ValueError: no gpu ("),
         (["broken:Planner"], "broken.py:1); correct it"),
-        (["a_planner:Planner", "--check", "foo"], "search: --check: expected module:function of a function of a run"),
+        (
+            ["a_planner:Planner", "--check", "foo"],
+            "search: --check: expected the name module:function of a function of a run",
+        ),
         (["no_such_module:Nobody"], "search: ADS: expected a module that can be imported"),
         (
             ["a_planner:Planner", "--check", "a_planner:nothing"],
