@@ -1,1 +1,1 @@
-"""Saved scenarios as files; only this package imports yaml."""
+"""The files of saved scenarios: format, folders, reading and writing. Only this package imports yaml."""

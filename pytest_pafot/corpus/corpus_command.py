@@ -1,7 +1,7 @@
 """``python -m pytest_pafot corpus``: list the saved scenarios in folders, for people or programs.
 
-It changes files only with ``join --write``, which leaves one file of each kind in a folder, and with ``accept``, which
-writes one line of a file.
+It changes files only with ``join --write``, which leaves one file of each kind of failure in a folder, and with
+``accept``, which writes one line of a file.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import ascii_text, day_of, plural, quiet_json, visible
 
 XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)
-"""The line of a file that accepts its failure, or the hint in its place."""
+"""The line ``xfail:`` in a file, which accepts the file's failure, or the comment in its place."""
 
 NO_FOLDER = 2
-"""The exit code if a path is not a folder, the same as for wrong arguments."""
+"""The exit code if a path is not a folder, which is also the exit code for wrong arguments."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,13 +57,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """List the files in the folders, join them, or accept a failure; return the exit code.
+    """List the saved scenarios in folders, join them, or accept a failure; return the exit code.
 
     The exit code is 1 if a file cannot be read or written, or if files cannot be joined.
     """
     for folder in arguments.folders:
         if not folder.is_dir():
-            sys.stderr.write(f"corpus: expected a folder, received {visible(str(folder))}; give one that exists\n")
+            sys.stderr.write(f"corpus: expected a folder, received {visible(str(folder))}; give a folder that exists\n")
             return NO_FOLDER
         link = None if folder.is_absolute() else link_below(Path.cwd(), Path.cwd() / folder)
         if arguments.what in ("join", "accept") and link is not None:
@@ -86,14 +86,14 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def _join(folder: Path, *, write: bool) -> tuple[list[str], bool]:
-    """List the files of a folder that duplicate a different file of the same kind, and remove them if requested.
+    """List the files in a folder that fail in the same way as another file; with ``write``, remove them.
 
-    The simplest file stays, by the order of shrinking. A file whose failure is accepted goes before all others: so no
-    acceptance is lost, and none passes to a scenario for which it was not written. A flaky file stays only if there is
-    no other. Files that name different tests are not joined.
+    Of files that fail in the same way, the simplest by the order of shrinking stays. A file whose failure is accepted
+    is preferred: so no acceptance is lost, and none passes to a scenario for which it was not written. A flaky file
+    stays only if there is no other. Files that name different tests are not joined.
 
     Returns:
-        Lines, and True if something in the folder needs to be mended by hand.
+        The lines to print, and True if the user must correct something in the folder by hand.
     """
     files = [read_saved_file(path) for path in files_in(folder) if not path.is_symlink()]
     lines = [f"left as it is: {saved.error}" for saved in files if saved.finding is None]
@@ -135,7 +135,7 @@ def _day(text: str) -> date:
 
 
 def _accept(arguments: argparse.Namespace) -> int:
-    """Write the line that accepts the failure of one file; the rest of the file is unchanged."""
+    """Write the line that accepts the failure of a file, and change nothing else in it; return the exit code."""
     try:
         path = named_file(arguments.id)
         content = content_of(path)
@@ -160,16 +160,16 @@ def _accepted(reason: str | None, until: object) -> str:
 
 
 def _removed(path: Path) -> str:
-    """Remove a file; return why that is not possible, or an empty text."""
+    """Remove a file; return why it cannot be removed, or an empty text."""
     try:
-        path.unlink(missing_ok=True)  # A different command may have removed it already.
+        path.unlink(missing_ok=True)  # Another command may have removed it already.
     except OSError as error:
         return f"{error.strerror or error}; {way_out(error, 'then join again')}"
     return ""
 
 
 def _row(saved: Saved) -> dict[str, Any]:
-    """Return a file as plain data: its finding, or why it cannot be read."""
+    """Return a saved scenario as plain data: its path and its finding, or why the file cannot be read."""
     finding, file = saved.finding, saved.path.as_posix()
     if finding is None:
         return {"file": file, "id": saved.id, "error": saved.error}
@@ -208,7 +208,7 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _lines(told: list[dict[str, Any]] | dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a list or of counts, for people."""
+    """Yield the lines of a list of saved scenarios, or of counts of them, for people to read."""
     if isinstance(told, list):
         for row in told:
             marks = f", flaky: {row['flaky']}" if row.get("flaky") else ""

@@ -1,4 +1,4 @@
-"""The format of corpus files: the keys, and the text, which people read and version control compares.
+"""The format of corpus files: their keys, and their text, which people read and version control compares.
 
 Version 2 stores the whole world, so a later change of a default does not change a saved scenario. Keys that are added
 later are optional, and a file without them keeps its meaning.
@@ -22,12 +22,12 @@ from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction
 # The keys.
 
 VERSION = 2
-"""The only version that is written and read."""
+"""The version of the format that is written. No other version can be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """The keys of a mapping in a file."""
+    """The required and the optional keys of a mapping in a corpus file."""
 
     required: tuple[str, ...]
     optional: tuple[str, ...] = ()
@@ -45,23 +45,23 @@ WORLDS: Mapping[str, Keys] = MappingProxyType(
         "own": Keys(("kind",), ("class", "data")),
     }
 )
-"""The keys of worlds, by kind; the content of ``data`` is what ``to_dict`` of the user's own world returns."""
+"""The keys of ``world``, by its kind. Of the user's own world, ``data`` holds what its ``to_dict`` returns."""
 
 LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"))
 """The keys of ``limits`` in a world."""
 
 SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic"))
-"""The keys of ``scenario`` and ``original``; ``npcs`` is a list of lists of genes, each in one of three forms below."""
+"""The keys of ``scenario`` and ``original``. ``npcs`` holds a list of genes for each NPC."""
 
 EGO = Keys(("lane", "speed"))
 POSITION_INSTRUCTION = Keys(("cell", "speed"))
 LANE_INSTRUCTION = Keys(("lane", "speed"))
 CROSSING_INSTRUCTION = Keys(("zone", "slot", "speed"), ("act",))
 TRAFFIC = Keys(("style",), tuple(BOUNDS))
-"""The keys of ``traffic``, unless it is only the name of a style."""
+"""The keys of ``traffic``, if it is not just the name of a style."""
 
 XFAIL = Keys(("reason",), ("until",))
-"""The keys of ``xfail``, unless it is only a reason."""
+"""The keys of ``xfail``, if it is not just a reason."""
 
 EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
@@ -102,7 +102,7 @@ _RESOLVER: Any = yaml.resolver.Resolver()
 
 
 def text_of(finding: Finding) -> str:
-    """Return the whole text of a file, with LF line ends."""
+    """Return the text of the corpus file of a finding, with LF line ends."""
     test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
     found = {key: getattr(finding.found, key) for key in (*FOUND.required, *FOUND.optional)}
     xfail = '# xfail: "reason"'  # a hint on how to accept the failure
@@ -153,7 +153,7 @@ def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
 
 
 def _expect_lines(expect: Expect) -> Iterator[str]:
-    """Yield ``expect`` as a flow mapping, or as a block if one of its texts has several lines."""
+    """Yield the lines of ``expect``: a flow mapping in braces, or a block if one of its texts has several lines."""
     first = (
         "failure",
         "assertion",
@@ -189,9 +189,9 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
 
 
 def _fits_literal(text: str) -> bool:
-    """Return whether YAML reads a text unchanged from a literal block.
+    """Return whether a text can be written as a literal block, from which YAML reads it unchanged.
 
-    All lines must be printable, and the first and the last must not be empty or indented.
+    For that, all lines must be printable, and the first and the last line must not be empty or indented.
     """
     lines = text.removesuffix("\n").split("\n")
     is_plain = all(line.replace("\t", "").isprintable() for line in lines)
@@ -199,9 +199,10 @@ def _fits_literal(text: str) -> bool:
 
 
 def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]:
-    """Return a head, a mapping or list in flow style, and a tail, as lines that are filled up to the width.
+    """Return the lines of a mapping or list in flow style, wrapped to the width.
 
-    A value that does not fit into a line continues below its first entry. ``column`` is where the caller puts the head.
+    The text begins with ``head`` and ends with ``tail``. A value that does not fit into a line continues below its
+    first entry. ``column`` is the column at which the caller will put the head.
     """
     if not value:
         return [head + _flow(value) + tail]
@@ -228,7 +229,7 @@ def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]
 
 
 def _flow(value: object) -> str:
-    """Return a value in flow style, on one line."""
+    """Return the YAML of a value in flow style, on one line."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_scalar(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, (list, tuple)):
@@ -250,9 +251,9 @@ def _scalar(value: object) -> str:
 
 
 def _is_plain(text: str, also: str = "") -> bool:
-    """Return whether a text needs no quotes: YAML 1.1 and 1.2 read it unchanged, even inside brackets.
+    """Return whether a text needs no quotes, because YAML 1.1 and 1.2 read it unchanged, also inside brackets.
 
-    ``also`` allows characters that have a meaning only inside brackets.
+    ``also`` are more characters to allow, for a text outside of brackets.
     """
     if not _SAFE.union(also).issuperset(text) or not _BEGINS.match(text):
         return False
@@ -270,7 +271,7 @@ def _number(value: float) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Return a text in double quotes, with all characters escaped that are not printable.
+    """Return a text in double quotes for YAML. Characters that are not printable are escaped.
 
     A lone surrogate, which no text file can contain, becomes the replacement character.
     """

@@ -15,7 +15,7 @@ SUFFIX = ".pafot.yaml"
 """The suffix of a saved scenario's file; the name before it is the finding's id."""
 
 CORPUS = "pafot_corpus"
-"""The name of the folder next to a test file, unless the option ``corpus`` gives a different one."""
+"""The name of the folder next to a test file, unless the option ``corpus`` gives another name."""
 
 MAX_NAME = 80
 DIGEST = 10
@@ -26,7 +26,7 @@ _RESERVED = re.compile(r"(?:con|prn|aux|nul|com\d|lpt\d|conin|conout|clock)(?=[.
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the corpus files in a folder, sorted by name; none if it is missing or cannot be listed."""
+    """Return the corpus files in a folder, sorted by name; none if the folder is missing or cannot be listed."""
     # A folder that cannot be listed has no items, and is no error yet: writing a finding into it reports the reason.
     return [path for path in entries_of(folder) if path.name.endswith(SUFFIX)]
 
@@ -37,7 +37,7 @@ def modules_in(root: Path) -> list[Path]:
 
 
 def entries_of(folder: Path) -> list[Path]:
-    """Return everything in a folder, sorted by name; nothing if it is missing or cannot be listed."""
+    """Return all paths in a folder, sorted by name; none if the folder is missing or cannot be listed."""
     try:
         return sorted(folder.iterdir())
     except OSError:
@@ -45,7 +45,7 @@ def entries_of(folder: Path) -> list[Path]:
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether a path is a folder.
+    """Return whether a path is a folder, also for paths with which ``Path.is_dir`` raises.
 
     ``Path.is_dir`` raises if a link leads into a folder that this user may not read, or if its target is longer than a
     name may be. A pull request can contain such links, and they must not end the collection.
@@ -54,27 +54,28 @@ def is_folder(path: Path) -> bool:
 
 
 def files_below(root: Path) -> list[Path]:
-    """Return all corpus files in and below a folder, sorted; links to folders may be cyclic and are not followed."""
+    """Return all corpus files in and below a folder, sorted. Links to folders are not followed: they may be cyclic."""
     return sorted(Path(folder, name) for folder, _, names in os.walk(root) for name in names if name.endswith(SUFFIX))
 
 
 def folders_below(root: Path) -> list[Path]:
-    """Return a folder and all folders below it that contain corpus files, whatever the layout."""
+    """Return the folders with corpus files in a folder tree, whatever its layout is."""
     return sorted({path.parent for path in files_below(root)})
 
 
 def counterparts(place: Path, folders: Iterable[Path]) -> list[Path]:
-    """Return the folders of tests whose path ends like the path of a folder in a different corpus.
+    """Return the folders of this project's tests that correspond to a folder in another corpus.
 
-    ``place`` is that path: the folder of the module, then the folder of the test. If the other corpus serves several
-    folders of test files, the names of these come first.
+    ``place`` is the path of the folder in the other corpus: the folder of the module, then the folder of the test. If
+    the other corpus serves several folders of test files, their names are at the beginning of the path. A folder in
+    ``folders`` corresponds if its path ends with ``place``.
     """
     parts = place.parts
     return [folder for folder in folders if len(parts) > 1 and folder.parts[-len(parts) :] == parts]
 
 
 def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:
-    """Return the corpus of a test file: next to it, or for an absolute path in one place for all test files."""
+    """Return the corpus folder of a test file: next to the file, or below ``corpus`` if that is an absolute path."""
     folder = Path(corpus)
     if not folder.is_absolute():
         return test_file.parent / folder
@@ -85,29 +86,29 @@ def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:
 
 
 def link_below(base: Path, path: Path) -> Path | None:
-    """Return the first link on the path from a folder, itself excluded, down to a path; None if there is none."""
+    """Return the first link on the way from a folder down to a path, the folder excluded; None without a link."""
     way = [each for each in (path, *path.parents) if each != base and each.is_relative_to(base)]
     return next((each for each in reversed(way) if os.path.islink(each)), None)  # noqa: PTH114  (see is_folder)
 
 
 def chosen_folder(test_file: Path, corpus: str) -> Path:
-    """Return the folder that the user has chosen for a corpus; any link below it may come with a checkout."""
+    """Return the folder that the user has chosen for a corpus. A link below that folder may be part of a checkout."""
     return Path(corpus) if Path(corpus).is_absolute() else test_file.parent
 
 
 def link_out(base: Path, root: Path, rootpath: Path) -> Path | None:
-    """Return the link below a folder that leads a corpus out of the project, or None."""
+    """Return the link below ``base`` through which the corpus ``root`` is outside the project; None without one."""
     link = link_below(base, root)
     return None if link is None or is_inside(root, rootpath) else link
 
 
 def is_inside(path: Path, rootpath: Path) -> bool:
-    """Return whether a path is in the project after all links are followed."""
+    """Return whether a path is inside the rootdir after all links are followed."""
     return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(rootpath))
 
 
 def is_corpus(path: Path, corpus: Path) -> bool:
-    """Return whether a folder is one that a corpus option names."""
+    """Return whether a path is a folder that the option ``corpus`` names."""
     if corpus.is_absolute():
         return path == corpus
     return path.name == corpus.name and path.parts[-len(corpus.parts) :] == corpus.parts
@@ -119,12 +120,12 @@ def folder_of_module(test_file: Path, corpus: str, rootpath: Path) -> Path:
 
 
 def folder_of_test(test_file: Path, test_name: str, corpus: str, rootpath: Path) -> Path:
-    """Return the folder of a test's findings; the name has class and parameters: ``TestBraking::test_it[4-slow]``."""
+    """Return the folder of a test's findings. The name is like ``TestBraking::test_it[4-slow]``, with parameters."""
     return folder_of_module(test_file, corpus, rootpath) / safe_name(test_name)
 
 
 def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
-    """Return the test file to which a corpus file belongs by its path; None if it is outside of a corpus."""
+    """Return the test file to which a corpus file belongs by its path; None if the path is in no corpus."""
     if len(file.parents) < 3:
         return None
     root, module = file.parents[2], file.parents[1].name
@@ -137,17 +138,17 @@ def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
 
 
 def module_named(directory: Path, folder: str) -> Path:
-    """Return the test file in a directory whose corpus folder has this name; it may not exist."""
+    """Return the test file to which a module's folder in a corpus belongs; it may not exist."""
     return next((file for file in directory.glob("*.py") if safe_name(file.stem) == folder), directory / f"{folder}.py")
 
 
 def relative(path: Path, rootpath: Path) -> str:
-    """Return a path for people: relative to the rootdir if it is inside."""
+    """Return a path as it is printed: relative to the rootdir if it is inside the rootdir."""
     return path.relative_to(rootpath).as_posix() if path.is_relative_to(rootpath) else str(path)
 
 
 def safe_name(text: str) -> str:
-    """Return a folder name for any text.
+    """Return a name for a folder, made from any text such as the name of a test.
 
     ``test_it`` is unchanged. ``test_it[4-slow]`` becomes ``test_it@4-slow``, because square brackets have a meaning in
     paths for pytest and shells. A text with capitals (some file systems ignore case) or other characters, a name that
@@ -166,7 +167,7 @@ def safe_name(text: str) -> str:
 
 
 def may_be_of(folder: str, test: str) -> bool:
-    """Return whether a folder of this name can belong to a test, which is given without parameters."""
+    """Return whether a folder's name can be that of a test with some parameters; ``test`` is the name without them."""
     if "~" not in folder:
         return folder.partition("@")[0] == safe_name(test)
     # _readable strips "-" and "." from the end of the test's name, but not if parameters follow.

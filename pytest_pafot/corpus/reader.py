@@ -1,4 +1,4 @@
-"""Read a corpus file: return its finding, checked strictly, or raise one error with line, field and way out.
+"""Read a corpus file: return its strictly checked finding, or raise an error that names line, field and remedy.
 
 The format is described in docs/reference/corpus-files.md. The keys are defined in
 :mod:`pytest_pafot.corpus.file_format`.
@@ -50,7 +50,7 @@ from pytest_pafot.support.text import day_of
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A value of a document with its place; each accessor checks the type, and raises an error that names the place."""
+    """A value in a document, with its place. Each method checks the value, and raises an error that names the place."""
 
     path: Path
     lines: Lines
@@ -59,21 +59,21 @@ class Field:
 
     @property
     def name(self) -> str:
-        """The name in an error, such as ``scenario.npcs[0][3].cell``."""
+        """The name of the value in an error, such as ``scenario.npcs[0][3].cell``."""
         return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place).lstrip(".")
 
     def error(self, expected: str, fix: str = RESTORE, received: str | None = None) -> CorpusError:
-        """Return an error about the value, with the nearest known line."""
+        """Return an error about the value, with its line or the nearest line that is known."""
         places = (self.place[:end] for end in range(len(self.place), -1, -1))
         line = next(self.lines[place] for place in places if place in self.lines)
         return CorpusError(self.path, expected, received or f"{self.value!r:.80}", fix, field=self.name, line=line)
 
     def at(self, part: str | int) -> Field:
-        """Return the value under a key or at an index of this one."""
+        """Return the value under a key, or at an index, of this mapping or list."""
         return Field(self.path, self.lines, (*self.place, part), self.value[part])
 
     def mapping(self, keys: Keys) -> dict[str, Field]:
-        """Return the values of a mapping that has all required keys and no unknown ones."""
+        """Return the values of this mapping; it must have all required keys and no unknown keys."""
         fields = self.any_mapping()
         known = [*keys.required, *keys.optional]
         for key in fields:
@@ -86,37 +86,37 @@ class Field:
         return fields
 
     def any_mapping(self) -> dict[str, Field]:
-        """Return the values of a mapping with any keys."""
+        """Return the values of this mapping, which may have any keys."""
         if not isinstance(self.value, dict):
             raise self.error("a mapping (key: value)")
         return {key: self.at(key) for key in self.value}
 
     def items(self) -> list[Field]:
-        """Return the values of a list."""
+        """Return the values of this list."""
         if not isinstance(self.value, list):
             raise self.error("a list")
         return [self.at(index) for index in range(len(self.value))]
 
     def text(self) -> str:
-        """Return any text."""
+        """Return the value; it must be a text."""
         if not isinstance(self.value, str):
             raise self.error("text", "put it in quotes")
         return self.value
 
     def some_text(self, fix: str) -> str:
-        """Return a text that is not blank."""
+        """Return the value; it must be a text that is not blank. ``fix`` is the advice in the error."""
         if not isinstance(self.value, str) or not self.value.strip():
             raise self.error("some text", fix)
         return self.value
 
     def choice(self, options: Collection[str]) -> Any:
-        """Return a text that is one of the options."""
+        """Return the value; it must be a text among the options."""
         if not isinstance(self.value, str) or self.value not in options:
             raise self.error(_one_of(options), _guess(str(self.value), options))
         return self.value
 
     def whole(self, low: int = 0, high: int | None = None) -> int:
-        """Return a whole number within limits."""
+        """Return the value; it must be a whole number within limits."""
         number = plain_whole(self.value)
         if number is None or number < low or (high is not None and number > high):
             top = "" if high is None else f" to {high}"
@@ -124,20 +124,20 @@ class Field:
         return number
 
     def day(self) -> date:
-        """Return a day of the calendar, written as 2027-01-31."""
+        """Return the value as a day; it must be a text such as 2027-01-31."""
         day = day_of(self.value) if isinstance(self.value, str) else None
         if day is None:
             raise self.error("a day of the calendar, as year-month-day", "write it as 2027-01-31")
         return day
 
     def truth(self) -> bool:
-        """Return true or false."""
+        """Return the value; it must be true or false."""
         if not isinstance(self.value, bool):
             raise self.error("true or false", "correct it")
         return self.value
 
     def number(self, low: float = 0.0) -> float:
-        """Return a finite number that is not below the lower limit."""
+        """Return the value; it must be a finite number that is not below ``low``."""
         number = plain_number(self.value)
         if number is None or not low <= number <= MAX_NUMBER:
             raise self.error(f"a finite number, at least {low:g}", "correct it")
@@ -145,12 +145,12 @@ class Field:
 
 
 def _one_of(options: Collection[str]) -> str:
-    """Return the expectation in an error about a choice."""
+    """Return the words for a choice in an error, such as "one of a, b"."""
     return f"one of {', '.join(options)}"
 
 
 def _guess(word: str, options: Collection[str]) -> str:
-    """Return the way out of an unknown word."""
+    """Return the advice for an unknown word: similar words, if there are any."""
     close = difflib.get_close_matches(word, list(options), n=1)
     return f"did you mean {close[0]!r}?" if close else "correct or remove it"
 
@@ -161,17 +161,20 @@ _OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.
 
 
 def load(path: str | os.PathLike[str]) -> Finding:
-    """Return the finding in a corpus file; its id is the file's name.
+    """Read a corpus file and return its finding. The finding's id is the file's name.
 
     Raises:
-        CorpusError: for anything wrong, with the place and the way out.
+        CorpusError: if anything in the file is wrong. The message names the place and what to do.
     """
     path = Path(path)
     return parsed(path, content_of(path))
 
 
 def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Finding:
-    """Return the finding in the content of a file, as :func:`load`; :func:`yaml_document.parse` uses ``loader``."""
+    """Return the finding in the content of a file, like :func:`load`.
+
+    ``loader`` is passed to :func:`yaml_document.parse`.
+    """
     __tracebackhide__ = True  # pytest's --showlocals would print the content
     top = _top(path, content, loader)
     name = path.name.removesuffix(SUFFIX)
@@ -198,9 +201,9 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
 
 
 def located(path: Path, part: str, error: Exception) -> CorpusError:
-    """Return an error about the part ``world`` or ``scenario`` of a valid file, with its line.
+    """Return an error about a part of a valid file, with the line of the part.
 
-    ``error`` was raised when that part was built or run.
+    ``error`` was raised when the part, which is ``world`` or ``scenario``, was built or run.
     """
     try:
         return _rule_broken(_top(path, content_of(path)).at(part), error)
@@ -209,7 +212,7 @@ def located(path: Path, part: str, error: Exception) -> CorpusError:
 
 
 def content_of(path: Path) -> bytes:
-    """Return the content of a corpus file; for a file that is too large, one byte more than the limit.
+    """Return the content of a corpus file. A file that is too large is cut to one byte more than the limit.
 
     Raises:
         CorpusError: if the file cannot be read, or is a link that leads out of its corpus.
@@ -223,15 +226,15 @@ def content_of(path: Path) -> bytes:
 
 
 def _at_the_end_of_links(path: Path) -> Path:
-    """Return the path from which a file is read; it may be a link, or in a folder that is a link.
+    """Return the path from which a corpus file is read, after links are followed.
 
-    A link may lead to a different saved scenario in the same corpus, i.e. the folder above those of module and test.
-    Some tools put every file behind a link that leads elsewhere. They are accepted, because a pull request cannot place
-    files there: git-annex links to its store, which no commit can change, and build systems such as Bazel link to the
-    same place of a different tree.
+    A link may lead to another saved scenario in the same corpus, which is the folder above those of module and test.
+    Some tools put every file behind a link that leads elsewhere. Two kinds of such links are accepted, because a pull
+    request cannot place files behind them: git-annex links to its store, which no commit can change, and build systems
+    such as Bazel link to the same place in another tree.
 
     Raises:
-        CorpusError: if a link leads out of its corpus.
+        CorpusError: if any other link leads out of its corpus.
     """
     path = path.absolute()
     real, folder = Path(os.path.realpath(path)), Path(os.path.realpath(path.parent))
@@ -242,19 +245,19 @@ def _at_the_end_of_links(path: Path) -> Path:
             return real
     if any(real.is_relative_to(os.path.realpath(above / ".git" / "annex" / "objects")) for above in path.parents):
         return real
-    fix = "put the file itself in its place, or delete the link"
+    fix = "replace the link by the file itself, or delete the link"
     raise CorpusError(path, "a file of its corpus", "a link that leads out of it", fix)
 
 
 def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
-    """Return the document in the content of a file."""
+    """Return the top value of the document in a file, after its version is checked."""
     __tracebackhide__ = True
     value, lines = parse(path, content, loader)
     top = Field(path, lines, (), value)
     if not isinstance(value, dict):
         raise top.error("a mapping (key: value)", received=NOT_SHOWN)
     if "pafot" not in value:  # checked first: nothing else can be checked in a file of a newer version
-        raise top.error(f"the key 'pafot' with the version {VERSION}", received="a document without it")
+        raise top.error(f"the key 'pafot' with the version {VERSION}", received="a document without this key")
     version = top.at("pafot")
     is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
     if not is_whole or version.value != VERSION:
@@ -265,7 +268,7 @@ def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
 
 
 def _given(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
-    """Return the value of an optional key, or the default."""
+    """Return the value of an optional key, read by ``get``; the default if the key is missing."""
     return get(fields[key]) if key in fields else default
 
 
@@ -342,7 +345,7 @@ def _gene(field: Field) -> Gene:
 
 
 def _rule_broken(field: Field, error: Exception) -> CorpusError:
-    """Return the error of a scenario or a world with the place in the file that caused it."""
+    """Return an error of a scenario or a world with the place in the file that caused the error."""
     if not isinstance(error, FieldError) or not error.expected:
         return field.error(f"a {field.name} that can run", "correct it, or delete the file", str(error)[:MAX_RECEIVED])
     key, *others = re.findall(r"\w+", error.field.removeprefix(f"{field.place[-1]}.")) or [""]
@@ -398,7 +401,7 @@ def _expect(field: Field, npcs: int) -> Expect:
 
 
 def _xfail(field: Field) -> tuple[str, date | None]:
-    """Return why the failure is accepted, and the last day on which it is."""
+    """Return why the failure is accepted, and the last day on which it is accepted; None for no last day."""
     fix = 'write the reason in quotes, as in xfail: "issue 12" or xfail: {reason: "issue 12", until: 2027-01-31}'
     if not isinstance(field.value, dict):
         return field.some_text(fix), None

@@ -1,4 +1,4 @@
-"""A corpus file with its finding, or with the reason why it cannot be read."""
+"""The reading of corpus files at collection, which does not fail for a file that cannot be read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # sessions without saved scenarios do not import findings
 
 
 class Saved(NamedTuple):
-    """A corpus file as collected: its finding, or an error that says why it cannot be read."""
+    """A corpus file as collected, with its finding, or with an error that says why the file cannot be read."""
 
     path: Path
     finding: Finding | None = None
@@ -24,16 +24,16 @@ class Saved(NamedTuple):
 
     @property
     def id(self) -> str:
-        """The name of the file, which is the finding's id."""
+        """The id of the finding, which is the file's name without its suffix."""
         return self.path.name.removesuffix(SUFFIX)
 
     @property
     def xfail(self) -> str | None:
-        """The reason why the failure is accepted, or None."""
+        """The reason why the failure is accepted; None if it is not accepted."""
         return None if self.finding is None else self.finding.xfail
 
     def is_accepted(self, today: date) -> bool:
-        """Return whether the failure is accepted on a day."""
+        """Return whether the failure is accepted (``xfail``) on a day."""
         return self.finding is not None and self.finding.is_accepted(today)
 
     @property
@@ -52,7 +52,7 @@ class Saved(NamedTuple):
 
 
 def read_saved_file(path: Path) -> Saved:
-    """Read a file; if it cannot be read, its item reports the error when it runs."""
+    """Read a corpus file. If that fails, the error is stored, and the file's item reports it when it runs."""
     from pytest_pafot.corpus.reader import load  # noqa: PLC0415
     from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415  (yaml, which few sessions need)
 
@@ -63,10 +63,10 @@ def read_saved_file(path: Path) -> Saved:
 
 
 def named_file(given: str) -> Path:
-    """Return the file of a saved scenario, of its path, its id, or the name of its test as pytest prints it.
+    """Return the file of a saved scenario, given its path, its id, or the name of its item as pytest prints it.
 
     Raises:
-        CorpusError: where there is no such file below the current folder, or more than one.
+        CorpusError: if there is no such file below the current folder, or more than one.
     """
     import difflib  # noqa: PLC0415  (of a command)
 
@@ -79,7 +79,7 @@ def named_file(given: str) -> Path:
     found = [file for file, other in files.items() if other == name]
     if len(found) == 1:
         return found[0]
-    expected = "a saved scenario, by its file or the id of one below the current folder"
+    expected = "the file of a saved scenario, or the id of a saved scenario below the current folder"
     if found:
         fix = f"give one of the files: {', '.join(map(str, found))}"
         raise CorpusError(path, expected, f"an id that {len(found)} files have", fix)
@@ -89,20 +89,20 @@ def named_file(given: str) -> Path:
 
 
 def saved_in(folder: Path) -> list[Saved]:
-    """Return all files of one test, sorted by id."""
+    """Read all corpus files in a folder; return them, sorted by id."""
     return [read_saved_file(path) for path in files_in(folder)]
 
 
 def kinds_in(files: Iterable[Saved]) -> set[Signature]:
-    """Return the kinds of failures of all files that can be read."""
+    """Return the signatures of the failures in all files that can be read."""
     return {saved.finding.signature for saved in files if saved.finding is not None}
 
 
 def of_one_kind(files: Iterable[Saved]) -> list[list[Saved]]:
-    """Return the groups of two or more files that name the same test and have the same kind of failure.
+    """Return groups of files that name the same test and have the same kind of failure, if there are two or more.
 
-    A fault without a mistake is left out: such a file does not store where the other vehicle was, so it is unknown
-    whether two of them are of one kind.
+    Files with a fault but no mistake of the ego are left out. They do not store where the other vehicle was, so it is
+    unknown whether two of them are of one kind.
     """
     groups: dict[tuple[str, Signature], list[Saved]] = {}
     for saved in files:
@@ -113,13 +113,13 @@ def of_one_kind(files: Iterable[Saved]) -> list[list[Saved]]:
 
 
 def refused_in(folder: Path, link: Path) -> list[Saved]:
-    """Return the files of a folder as unreadable, because a link leads to it out of the project."""
+    """Return the files of a folder as unreadable, because the folder is behind a link that leads out of the project."""
     return [Saved(path=path, error=f"{path}: {refusal(link)}") for path in files_in(folder)]
 
 
 def refusal(link: Path) -> str:
-    """Return why nothing is read, written or removed behind a link to a folder, with the way out."""
+    """Return the message that says why nothing is read, written or removed behind a link, and what to do."""
     return (
         f"expected a folder, received the link {link}, which may lead to files of other people; "
-        "put the folder itself in its place, or give its absolute path"
+        "replace the link by the folder itself, or give the absolute path of the folder"
     )

@@ -1,4 +1,4 @@
-"""Write corpus files: a new file never replaces a different one, and a rewritten file keeps its name."""
+"""The writing of corpus files: a new file never replaces another file, and a rewritten file keeps its name."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 class CorpusWriteError(RuntimeError):
-    """A finding that could not be written to a path; no unfinished file is left."""
+    """An error for a finding that could not be written. No unfinished file is left behind."""
 
     def __init__(self, path: Path, reason: str, fix: str) -> None:
         super().__init__(f"{path}: expected to write a finding, received: {reason}; {fix}")
@@ -28,21 +28,23 @@ class CorpusWriteError(RuntimeError):
 
 
 def write(path: Path, finding: Finding) -> bool:
-    """Write a new file, all at once; return False if the file exists already, e.g. written by a different process.
+    """Write the new file of a finding, as a whole or not at all.
+
+    Return False if the file exists already, for example because another process has written it.
 
     Raises:
-        CorpusWriteError: if it cannot be written.
+        CorpusWriteError: if the file cannot be written.
     """
     return _written(path, finding, write_if_free)
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
-    """Replace a file's content, all at once; return the finding as written, with the ``xfail`` that the file had.
+    """Replace the content of a finding's file, as a whole or not at all; the file's ``xfail`` stays.
 
-    A missing file is written again; a file that cannot be read is not overwritten.
+    A missing file is written again. A file that cannot be read is not overwritten. Return the finding as written.
 
     Raises:
-        CorpusWriteError: if it cannot be written.
+        CorpusWriteError: if the file cannot be written.
     """
     kept = finding
     if finding.xfail is None and os.path.lexists(path):
@@ -56,10 +58,10 @@ def rewrite(path: Path, finding: Finding) -> Finding:
 
 
 def overwrite(path: Path, finding: Finding) -> None:
-    """Write a file, all at once, even over an existing one.
+    """Write the file of a finding, as a whole or not at all, even over an existing file.
 
     Raises:
-        CorpusWriteError: if it cannot be written.
+        CorpusWriteError: if the file cannot be written.
     """
     _written(path, finding, write_whole)
 
@@ -67,10 +69,10 @@ def overwrite(path: Path, finding: Finding) -> None:
 def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
     """Return the path for a new finding, and the finding with the id of that path.
 
-    The id gets ``-2``, ``-3`` ... appended if a file of that name holds a different scenario or failure. That happens
-    if a file was rewritten, as it keeps its name, and its first failure is found again. If a file holds this very
-    finding, shrunk or not, its path is returned, and :func:`write` leaves it unchanged. The exception is a file that
-    was shrunk from this scenario and is in ``passed``: it no longer shows the failure, but stays as a guard.
+    ``-2``, ``-3`` ... is appended to the id if a file of that name holds another scenario or failure. That happens if a
+    file was rewritten, since it keeps its name, and its first failure is found again. If a file holds this finding,
+    shrunk or not, the path of that file is returned, and :func:`write` leaves the file unchanged. The exception is a
+    file in ``passed`` that was shrunk from this scenario: it no longer shows the failure, but stays as a guard.
     """
     number = 1
     while True:
@@ -82,7 +84,7 @@ def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> 
 
 
 def _holds(path: Path, finding: Finding, *, shrunk: bool) -> bool:
-    """Return whether a file holds a finding, or with ``shrunk`` also one that was shrunk from it."""
+    """Return whether a file holds a finding, or, with ``shrunk``, a scenario that was shrunk from the finding."""
     try:
         saved = load(path)
     except CorpusError:
@@ -99,5 +101,5 @@ def _written(path: Path, finding: Finding, write: Callable[[Path, bytes], T]) ->
     try:
         return write(path, content)
     except OSError as error:
-        fix = way_out(error, "or choose a different folder with --pafot-corpus")
+        fix = way_out(error, "or choose another folder with --pafot-corpus")
         raise CorpusWriteError(path, error.strerror or str(error), fix) from error

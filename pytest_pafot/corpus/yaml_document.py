@@ -1,7 +1,8 @@
 """YAML as untrusted input: plain data with line numbers, and no other feature of YAML.
 
 Aliases, anchors, tags, merge keys, repeated keys and second documents are refused, and dates are allowed in only one
-place. Size and depth are limited. Errors quote only saved scenarios: any other file of that name may be a secret.
+place. Size and depth are limited. Errors quote only files that begin like a saved scenario: any other file with such a
+name may be a secret.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ from pytest_pafot.support.errors import CorpusError
 MAX_BYTES = 256 * 1024
 DEPTH = MAX_DEPTH + 4
 MOST_VALUES = 40_000
-"""The largest number of values in a document, each of which takes about 10 microseconds.
+"""The largest number of values in a document. Reading a value takes about 10 microseconds.
 
-A file that this plugin writes would exceed the limit of size before it has so many.
+A file of this plugin with more values would be larger than the limit of size.
 """
 
 Place = tuple[str | int, ...]
-"""The keys and indices from the top of the document to a value."""
+"""The place of a value: the keys and indices that lead from the top of the document to the value."""
 
 XFAIL, REASON = "xfail", "reason"
-"""The keys around a date without quotes: in ``xfail``, it is read as text under any key except ``reason``.
+"""The keys that decide where a date needs no quotes: in ``xfail``, under any key except ``reason``.
 
-Any key, so that the error about a misspelt ``until`` names the key, and does not ask for quotes around the date.
+Any key is allowed, so that the error about a misspelt ``until`` names the key, and not the missing quotes.
 """
 
 _PREFIX = "tag:yaml.org,2002:"
@@ -41,12 +42,12 @@ _WORD = re.compile(r"true|false|null|")
 _IS_SAVED = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:[ \t]*(?:#[^\n]*)?\r?\n)*pafot:[ \t]+[0-9]+[ \t]*(?:#[^\n]*)?\r?(?:\n|\Z)"
 )
-"""The beginning of a saved scenario after its comments, which distinguishes a faulty one from other files."""
+"""The pattern of a saved scenario's beginning, after comments. It distinguishes a faulty scenario from other files."""
 NOT_SHOWN = "a file that does not begin like a saved scenario, so its content is not printed"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 Lines = dict[Place, int]
-"""The line of every place of a document, counted from 1."""
+"""The line of every value of a document, by the value's place. Lines are counted from 1."""
 
 
 def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[Any, Lines]:
@@ -84,7 +85,7 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
     if bad is not None:
         line, received = text.count("\n", 0, bad.start()) + 1, f"the character U+{ord(bad[0]):04X}"
         raise CorpusError(path, "printable text", received, "remove it", line=line)
-    # The compiled loader accepts tabs and "?" in places where the other one does not, but all must read a file alike.
+    # The compiled loader accepts tabs and "?" where the Python loader does not, but both must read a file alike.
     is_odd = "\t" in text or "?" in text
     kind: Any = base or (yaml.SafeLoader if is_odd else getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     loader = kind(text)
@@ -105,7 +106,7 @@ def _syntax_error(path: Path, line: int | None, problem: str) -> CorpusError:
 
 
 class _Builder:
-    """A builder of plain data from a loader's events, so that refused features are never expanded."""
+    """A builder of plain data from the events of a YAML loader. Refused features such as aliases are never expanded."""
 
     def __init__(self, path: Path, loader: Any) -> None:
         self.path = path
@@ -127,7 +128,7 @@ class _Builder:
     def _next(self, kind: type[yaml.Event]) -> None:
         event = self.loader.get_event()
         if not isinstance(event, kind):
-            raise self._error(event, "exactly one document", "a second one or none", "keep one in each file")
+            raise self._error(event, "exactly one document", "none or several", "leave one document in each file")
 
     def _value(self, place: Place, event: Any) -> Any:
         self.lines[place] = _line(event)

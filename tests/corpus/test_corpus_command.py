@@ -232,8 +232,8 @@ def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, monke
     monkeypatch.chdir(folder)
     assert accept(wrong) == 1
     assert capsys.readouterr().err == (
-        f"corpus: {wrong}: expected a saved scenario, by its file or the id of one below the current folder, received "
-        f"no such file or id; {fix}\n"
+        f"corpus: {wrong}: expected the file of a saved scenario, or the id of a saved scenario below the "
+        f"current folder, received no such file or id; {fix}\n"
     )
 
 

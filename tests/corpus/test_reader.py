@@ -496,8 +496,8 @@ def refused(place):
     with pytest.raises(CorpusError) as caught:
         load(place)
     assert str(caught.value) == (
-        f"{place}: expected a file of its corpus, received a link that leads out of it; put the file itself in its "
-        "place, or delete the link"
+        f"{place}: expected a file of its corpus, received a link that leads out of it; replace the link by the "
+        "file itself, or delete the link"
     )
 
 

@@ -165,7 +165,7 @@ def test_finding_too_large_to_read_back_is_refused(path):
 @pytest.mark.parametrize(
     ("number", "way_out"),
     [
-        (errno.ENOSPC, "free some space on the disk, or choose a different folder with --pafot-corpus"),
+        (errno.ENOSPC, "free some space on the disk, or choose another folder with --pafot-corpus"),
         (errno.EDQUOT, "free some of your quota"),
         (errno.EROFS, "mount it so that it can be written"),
         (errno.EACCES, "make the folder writable"),
