@@ -1,1 +1,1 @@
-"""Runs of findings as files for other tools. Each format is a module that is imported only when it is requested."""
+"""Export of findings' runs as files for other tools. The module of a format is imported only if it is requested."""

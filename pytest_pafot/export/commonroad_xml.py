@@ -25,15 +25,15 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
 
 DECIMALS = 9
-"""Decimal places at which the library cuts numbers off; with its default of 4 a vehicle is up to 0.1 mm off."""
+"""The number of decimal places in a file. With 4, commonroad-io's default, positions would be up to 0.1 mm off."""
 PROBLEM, FIRST_LANELET = 1000, 1001
-"""Ids, which are unique in a file: the ego is 1, NPC 0 is 2, and lanes start at the second number here."""
+"""Ids of the planning problem and of the first lanelet. Ids are unique in a file: the ego has 1, NPC 0 has 2."""
 NO_DATE = b"2000-01-01"
 """The date in every file instead of today's, so that equal runs give equal files."""
 
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return one file with a time step per tick; its planning problem is to drive from the ego's start to its end."""
+    """Return a CommonRoad file with a time step per tick, and the ego's drive as its planning problem."""
     scenario = Scenario(trace.dt)
     lanelets = []
     for number, lane in enumerate(trace.lanes, FIRST_LANELET):
@@ -58,7 +58,7 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
         location=Location(),
         decimal_precision=DECIMALS,
     )
-    with tempfile.TemporaryDirectory() as folder:  # the library can write only to paths
+    with tempfile.TemporaryDirectory() as folder:  # commonroad-io can write only to paths
         path = Path(folder) / "run.xml"
         writer.write_to_file(str(path), OverwriteExistingFile.ALWAYS)
         content = re.sub(rb' date="[^"]*"', b' date="' + NO_DATE + b'"', path.read_bytes(), count=1)
@@ -70,7 +70,7 @@ def _first(state: FloatArray) -> InitialState:
 
 
 def _plain(state: FloatArray) -> dict[str, object]:
-    """Return the position [m], orientation [rad], velocity [m/s] and acceleration [m/s^2] of a row."""
+    """Return the position [m], orientation [rad], velocity [m/s] and acceleration [m/s^2] of a vehicle at a tick."""
     orientation, velocity, acceleration = state[[HEADING, SPEED, ACCELERATION]].tolist()
     position = np.array(state[[X, Y]])
     return {

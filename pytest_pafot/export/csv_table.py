@@ -10,11 +10,11 @@ from pytest_pafot.model.trace import LANE, Trace
 from pytest_pafot.support.text import csv_text
 
 COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "acceleration", "steering", "lane", "length", "width")
-"""Columns in s, m, rad, m/s and m/s^2; the lane counts from 0 at the left, and is -1 off the road."""
+"""The columns, in s, m, rad, m/s and m/s^2. Lanes are numbered from 0 at the left; -1 is off the road."""
 
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return one file with all digits: reading it gives exactly what was driven."""
+    """Return a CSV file with all digits of the numbers, so that reading it gives exactly the states of the run."""
     rows = (
         [time, name_of(number), *state[:LANE], int(state[LANE]), *size]
         for time, vehicles in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""``python -m pytest_pafot export``: the run of a finding as files for other tools."""
+"""``python -m pytest_pafot export``: it writes the run of a finding to files for other tools."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Drive the scenario of a finding and write the run in a format; return the exit code."""
+    """Drive the scenario of a finding, and write the run to files of the requested format; return the exit code."""
     sys.path.insert(0, str(Path.cwd()))  # The policy is in the current folder, as with pytest.
     try:
         export, saved = exporter(arguments.to), load(named_file(arguments.finding))
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     except (ExportError, PlanError, CorpusError, ScenarioError, WorldError, AdsFactoryError) as error:
         sys.stderr.write(f"export: {error}\n")
         return BAD_USE
-    # Without its test function a failed check cannot be compared.
+    # A failed check cannot be compared, because the test function is not called.
     if saved.expect.check is None and not saved.matches(driven):
         event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
         sys.stderr.write(

@@ -1,4 +1,4 @@
-"""The interface of exporters, and their lookup by name: one of this package, or one that a package has registered."""
+"""The interface of exporters, and the lookup of an exporter of this or another package by its format's name."""
 
 from __future__ import annotations
 
@@ -17,17 +17,20 @@ from pytest_pafot.support.errors import FieldError
 
 
 def states_of(trace: Trace) -> FloatArray:
-    """Return the states of a trace, with its columns, in these coordinates; shape [ticks + 1, vehicles, 7]."""
+    """Return the states of a trace with x ahead, y to the left and headings anticlockwise.
+
+    The columns are those of the trace; the shape is [ticks + 1, vehicles, 7].
+    """
     states = trace.states.copy()
     states[..., [Y, HEADING, STEERING]] *= -1
     return states
 
 
 def centre_line(lane: Lane) -> FloatArray:
-    """Return the points of a lane's centre line in these coordinates [m], shape [points, 2]: two for a straight lane.
+    """Return the points of a lane's centre line [m], with y to the left; shape [points, 2], two for a straight lane.
 
-    The lane of a closed track, which a run may follow for several laps, is cut to one lap: tools would treat a line
-    that passes the same place twice as a loop and remove it.
+    On a closed track, a run may follow the lane for several laps. The line is cut to one lap, because tools would treat
+    a line that passes the same place twice as a loop, and remove it.
     """
     end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
     line = np.array(lane.points or [(lane.x, lane.y), end]) * (1, -1)
@@ -39,7 +42,7 @@ def centre_line(lane: Lane) -> FloatArray:
 
 
 def tangents(line: FloatArray) -> FloatArray:
-    """Return the unit tangents of a line at its points, shape [points, 2], by second-order differences."""
+    """Return the unit tangents of a line at its points, by second-order differences; shape [points, 2]."""
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
     slopes: FloatArray = np.gradient(line, along, axis=0, edge_order=2 if len(line) > 2 else 1)
     unit: FloatArray = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
@@ -47,7 +50,7 @@ def tangents(line: FloatArray) -> FloatArray:
 
 
 def edges(lane: Lane) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a lane's left and right edges in these coordinates [m], shape [points, 2] each."""
+    """Return the points of a lane's left edge and of its right edge [m], with y to the left; shape [points, 2] each."""
     line = centre_line(lane)
     left = tangents(line) @ np.array([[0, 1], [-1, 0]]) * lane.width / 2
     return line + left, line - left
@@ -59,7 +62,7 @@ def name_of(vehicle: int) -> str:
 
 
 GROUP = "pytest_pafot.exporters"
-"""The group of entry points; each is an :class:`Exporter` under the name of its format."""
+"""The group of entry points in which packages register an :class:`Exporter` under the name of its format."""
 
 BUILT_IN = tuple(
     metadata.EntryPoint(name, f"{__package__}.{module}:export", GROUP)
@@ -70,30 +73,30 @@ BUILT_IN = tuple(
         ("xosc", "openscenario"),
     )
 )
-"""The exporters of this package; no other package can take their names."""
+"""The entry points of this package's exporters. They replace exporters of other packages with the same names."""
 
 EXTRAS: Mapping[str, str] = MappingProxyType(
     {"scenariogeneration": "export", "foxglove": "export", "commonroad": "commonroad"}
 )
-"""The extra that installs each library that a format needs."""
+"""The extra of pytest-pafot that installs a library, for each library that a format needs."""
 
 
 class Exporter(Protocol):
-    """A function that turns a run of a finding into files."""
+    """The type of a function that turns a run of a finding into files."""
 
     def __call__(self, finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-        """Return the content of each file by its name, which begins with the finding's id. Write nothing."""
+        """Return the content of each file by the file's name, which begins with the finding's id; write nothing."""
 
 
 class ExportError(FieldError):
-    """A finding that cannot be exported as requested."""
+    """An error for a finding that cannot be exported as requested."""
 
 
 def exporter(name: str) -> Exporter:
-    """Return the exporter of a format.
+    """Return the exporter for the name of a format.
 
     Raises:
-        ExportError: for an unknown name, or if the exporter, or the library that it needs, cannot be imported.
+        ExportError: if the name is unknown, or if the exporter, or the library that it needs, cannot be imported.
     """
     entries = {entry.name: entry for entry in (*metadata.entry_points(group=GROUP), *BUILT_IN)}
     if name not in entries:
@@ -106,6 +109,6 @@ def exporter(name: str) -> Exporter:
         is_missing = isinstance(error, ModuleNotFoundError) and library in EXTRAS
         fix = f"run `pip install 'pytest-pafot[{EXTRAS[library]}]'`" if is_missing else ""
         expected = f"the library {library}" if is_missing else f"that {entries[name].value} can be imported"
-        received = "an environment without it" if is_missing else f"{type(error).__name__}: {error}"
+        received = "a Python environment without it" if is_missing else f"{type(error).__name__}: {error}"
         raise ExportError(field=f"--to {name}", expected=expected, received=received, fix=fix) from error
     return made

@@ -1,4 +1,4 @@
-"""MCAP for Foxglove: the road and the vehicles as a scene, and each vehicle's numbers for plots."""
+"""MCAP files for Foxglove: the road and the vehicles as a 3D scene, and each vehicle's numbers for plots."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pytest_pafot.model.trace import Trace
 
 NANOSECONDS = 1_000_000_000
 HEIGHT = 1.5
-"""Height of a vehicle [m]."""
+"""Height of the boxes that show vehicles [m]."""
 EGO, NPC, EDGE = Color(r=0.1, g=0.5, b=0.9, a=1), Color(r=0.9, g=0.4, b=0.1, a=1), Color(r=0.6, g=0.6, b=0.6, a=1)
 NUMBERS = ("x", "y", "heading", "speed", "acceleration", "steering", "lane")
 """Names of the columns of the states, in their order."""
@@ -47,7 +47,10 @@ SCHEMA = {
 
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return one file with a clock from 0: topics ``/road`` and ``/vehicles`` for a 3D panel, ``/states`` for plots."""
+    """Return an MCAP file whose clock starts at 0.
+
+    The topics ``/road`` and ``/vehicles`` are for a 3D panel, and ``/states`` is for plots.
+    """
     content, context = io.BytesIO(), Context()
     with open_mcap(content, context=context):
         road, vehicles = (SceneUpdateChannel(topic, context=context) for topic in ("/road", "/vehicles"))
@@ -71,7 +74,7 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
 
 
 def _box(number: int, trace: Trace, state: list[float], at: int) -> SceneEntity:
-    """Return the box of a vehicle at a time [ns]."""
+    """Return the box that shows a vehicle in its state at a time [ns]."""
     x, y, heading, *_ = state
     length, width = trace.sizes[number].tolist()
     cube = CubePrimitive(

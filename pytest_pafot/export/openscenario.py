@@ -21,7 +21,7 @@ NO_DATE = "2000-01-01T00:00:00"
 
 
 def road_file(name: str, trace: Trace) -> bytes:
-    """Return one road if all lanes are straight and adjacent; otherwise a separate, unconnected road for each lane."""
+    """Return an OpenDRIVE file: one road if all lanes are straight and adjacent, else a separate road for each lane."""
     drive = xodr.OpenDrive(name)
     for number, group in enumerate([trace.lanes] if _are_one(trace.lanes) else [(lane,) for lane in trace.lanes]):
         # The reference line is the centre of the leftmost lane, which is to the right of it like all other lanes.
@@ -53,7 +53,7 @@ def _are_one(lanes: Sequence[Lane]) -> bool:
 
 
 def text_of(element: ElementTree.Element) -> bytes:
-    """Write a tree as the content of a file."""
+    """Return an XML tree as the content of a file."""
     ElementTree.indent(element)
     content: bytes = ElementTree.tostring(element, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
@@ -62,7 +62,7 @@ def text_of(element: ElementTree.Element) -> bytes:
 def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, FloatArray, float]]:
     """Yield the centre line of a lane as pieces, each with its start [m] and its heading there [rad].
 
-    Between two points of a bend, the piece is the cubic with the line's directions at both (Hermite).
+    Between two points of a bend, the piece is a cubic curve that has the line's direction at both points (Hermite).
     """
     line = centre_line(lane)
     if not lane.points:
@@ -85,11 +85,11 @@ MINOR_VERSION = 2
 REAR_AXLE = 0.3
 """Distance of the rear axle behind the centre, as a share of the length. OpenSCENARIO uses the axle's position."""
 ANY_SPEED, ANY_ACCELERATION = 100.0, 20.0
-"""Limits that no vehicle of a trace reaches [m/s], [m/s^2], so that each one can follow its trajectory."""
+"""A vehicle's limits of speed [m/s] and acceleration [m/s^2]: so high that every trajectory can be followed."""
 
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
-    """Return the scenario's file, and the file of the road that it refers to."""
+    """Return an OpenSCENARIO file, and the OpenDRIVE file of the road to which it refers."""
     road = f"{finding.id}.xodr"
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("replay", _at("begin", 0))

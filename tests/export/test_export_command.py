@@ -87,7 +87,7 @@ def test_differing_run_is_exported_with_a_warning(tmp_path, capsys):
          "received 'xslx'; a package that registers it may not be installed here"),
         (("no-such", "--to", "csv", "--ads", "constant_speed"), "received no such file or id; `python -m"),
         ((FILE, "--to", "csv", "--ads", "no_such_policy"), "--ads: expected one of "),
-        ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "one in which a process died"),
+        ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "a scenario in which a process died"),
         ((FILE, "--to", "csv", "--ads", "constant_speed", "--out", FILE), "export: "),
     ],
 )  # fmt: skip
@@ -125,7 +125,7 @@ def test_missing_library_error_names_the_extra_to_install(monkeypatch, capsys, n
         monkeypatch.delitem(sys.modules, f"pytest_pafot.export.{part}", raising=False)
     assert export(FILE, "--to", name, "--ads", "constant_speed") == 2
     assert capsys.readouterr().err == (
-        f"export: --to {name}: expected the library {library}, received an environment without it; "
+        f"export: --to {name}: expected the library {library}, received a Python environment without it; "
         f"run `pip install 'pytest-pafot[{extra}]'`\n"
     )
 
