@@ -38,13 +38,13 @@ class Find:
     """A distinct new finding, as the terminal and the summary report it."""
 
     id: str
-    node_id: str  # the node id under which it is reported
+    node_id: str  # the node id under which the finding is reported
     headline: str
     path: str = ""  # the path of its file, or empty
     problem: str = ""  # why there is no file, or empty
-    difference: str = ""  # what differed when it was run again, or empty
-    is_timed: bool = False  # True if it depends on wall-clock time
-    unshrunk: str = ""  # why it is not yet fully shrunk, or empty
+    difference: str = ""  # what differed when the scenario was run again, or empty
+    is_timed: bool = False  # True if the failure depends on wall-clock time
+    unshrunk: str = ""  # why the finding is not yet fully shrunk, or empty
     severity: Severity | None = None  # None if nothing measures it, or if there is no run
     responsible: str = "none"  # who is responsible for the collision, as in its file
     repeats: int = 0  # number of other runs that failed in the same way
@@ -79,11 +79,13 @@ class SearchSummary:
     generations: int = 0  # finished generations, of ``asked``
     asked: int | None = None  # requested generations
     budget: int | None = None  # requested runs
-    reason: str = ""  # why it ended
+    reason: str = ""  # why the search ended
     seconds: float = 0.0
     runs: int = 0  # simulated scenarios
     known_runs: int = 0  # scenarios that were not simulated, because the result of an earlier run was reused
-    invalid: int = 0  # runs that do not count as failures, of this kind and of the next five kinds
+    # number of runs that are no failures: because NPCs touched; because an NPC is at fault; because no reference driver
+    # avoids the failure; because the reference fails as well; because the test function rejected or skipped them
+    invalid: int = 0
     npc: int = 0
     unpreventable: int = 0
     common: int = 0

@@ -127,7 +127,8 @@ def request_of(given: dict[str, Any]) -> Request:
     for name in OF_TESTS:
         if name in given:
             raise RequestError(
-                f"{PLACE}({name}=...): expected no argument that only has a meaning under pytest; remove it"
+                f"{PLACE}({name}=...): expected an argument of a search without pytest, received one that only works "
+                "with pytest; remove it"
             )
     check_names(given, place=PLACE)
     values: dict[str, Any] = {each.name: each.default for each in OPTIONS if each.name in Settings.__annotations__}

@@ -234,7 +234,7 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "prune",
         "switch",
-        "List the saved scenarios whose test no longer exists in the collected files, and remove them.",
+        "Remove saved scenarios whose test no longer exists in the collected files. Without it, they are only named.",
         default=False,
         everywhere=False,
     ),

@@ -94,8 +94,8 @@ class Request:
     algorithm: AlgorithmClass
     ads: str | Callable[..., Any]  # the name of the fixture that returns the factory, or the factory itself
     arg: str = "run"  # the parameter of the test function that receives the run
-    # ``any`` calls the function for every run; ``ego`` not for collisions for which only an NPC is responsible;
-    # ``preventable`` neither, and counts its failures only if a reference driver would have prevented them
+    # ``any``: the test function is called for every run. ``ego``: not if only an NPC is responsible for the collision.
+    # ``preventable``: as ``ego``, and a failure counts only if a reference driver would have prevented it.
     blame: str = "any"
     decision_limit: float | None = None  # the longest decision of the ADS that is not a finding [s]
     fitness: str | Weights | Callable[[Trace], float] = "default"

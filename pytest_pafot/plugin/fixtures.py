@@ -64,10 +64,7 @@ class Corpus:
 
 @pytest.fixture(scope="session")
 def pafot_world() -> WorldLike:
-    """Return the world of searches whose mark names no world: a straight motorway.
-
-    Override this fixture in a conftest.py to search in another world.
-    """
+    """Return the default world of searches, a straight motorway. Override this fixture in a conftest.py."""
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
     return Highway()
@@ -75,10 +72,7 @@ def pafot_world() -> WorldLike:
 
 @pytest.fixture(scope="session")
 def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
-    """Yield the executor that runs scenarios: the workers of --pafot-dask, or None without that option.
-
-    Override this fixture in a conftest.py to use another executor.
-    """
+    """Yield the executor of scenarios: the workers of --pafot-dask, or None. Override this fixture in a conftest.py."""
     address = pytestconfig.getoption(BY_NAME["dask"].key)
     if address is None:
         yield None

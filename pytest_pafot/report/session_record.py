@@ -43,7 +43,8 @@ class FindingRecord:
         headline: how the run ended, in a few words; empty if it passes.
         sentences: sentences on the collision: who did what, what was due or what avoids it, and who is responsible.
         detail: what differs from the file, such as a situation that did not occur, or why there is no file.
-        signature: everything that makes two failures the same, in one line. It describes the failure in the file.
+        signature: everything that makes two failures the same, in one line; of a saved scenario, for the failure in its
+            file.
         kind: short name of the signature, from which ids are made.
         failure: name of the exception class.
         assertion: the failing assertion or the name of the check.

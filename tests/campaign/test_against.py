@@ -130,7 +130,10 @@ def test_test_function_error_is_raised_despite_the_reference():
         ("no_module:make", r"against: expected a module that can be imported, received 'no_module:make'"),
         ("example_ads.constant_speed:mak", r"against: expected a name in the module.*did you mean"),
         ("example_ads.constant_speed:__doc__", r"against: expected a factory such as"),
-        ("old_ads", r"pafot\.explore\(against\): expected a factory, or its name as module:factory, received 'old_ads'"),
+        (
+            "old_ads",
+            r"pafot\.explore\(against\): expected a factory, or its name as module:factory, received 'old_ads'",
+        ),
         (3, r"against: expected a factory such as .*, received 3"),
         (lambda model: model, r"^against \(the reference\): expected a factory that can be called without arguments"),
         (lambda: pytest.skip("old"), r"^against \(.*\): expected the factory of the reference to raise no skip"),

@@ -135,7 +135,9 @@ def test_a_wrong_last_day_fails_its_one_item(saved):
 def test_invalid_today_on_command_line_is_refused(saved):
     result = saved.run("--pafot-today=31.1.2027", generations=0)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["*--pafot-today: expected a day of the calendar, such as 2027-01-31, received '31.1.2027'"])
+    result.stderr.fnmatch_lines(
+        ["*--pafot-today: expected a day of the calendar, such as 2027-01-31, received '31.1.2027'"]
+    )
 
 
 def test_failure_whose_saved_files_pass_is_new_again(saved):
