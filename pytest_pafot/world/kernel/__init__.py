@@ -1,4 +1,4 @@
-"""The kernel, which steps runs: typed, plain Python that is compiled if there is a C compiler.
+"""The kernel, which simulates runs: typed, plain Python that is compiled if there is a C compiler.
 
 The types for the compiler are in the ``.pxd`` file next to each module. Without compiled modules, or if the environment
 variable ``PAFOT_KERNEL`` is ``interpreted`` at the first import, the same files run interpreted.

@@ -14,34 +14,35 @@ from pytest_pafot.support.text import shown
 from pytest_pafot.world.kernel.driver import clamped
 
 EGO_ACCELERATION = 6.0
-"""The strongest acceleration of an ego; more in a planner's action has no effect [m/s^2]."""
+"""The strongest acceleration of an ego; a higher value in a planner's action has no effect [m/s^2]."""
 EGO_BRAKING = 9.81
-"""The strongest deceleration of an ego, full braking on a dry road; more has no effect [m/s^2]."""
+"""The strongest deceleration of an ego, full braking on a dry road; a higher value in an action has no effect [m/s^2].
+"""
 EGO_STEERING = math.pi / 4
-"""The largest steering angle of an ego; more has no effect [rad]."""
+"""The largest steering angle of an ego; a larger angle in a planner's action has no effect [rad]."""
 
 KP_SPEED = 1.0 / 0.6
-"""The acceleration per speed error, the value of highway-env's ``ControlledVehicle`` [1/s]."""
+"""The acceleration per difference to the target speed, as in highway-env's ``ControlledVehicle`` [1/s]."""
 STEEPEST = math.pi / 4
 """The largest heading relative to the lane that highway-env's vehicles steer for [rad]."""
 
 LATERAL_ACCELERATION, LATERAL_JERK = 2.5, 3.0
-"""The default limits of a :class:`Drive` [m/s^2, m/s^3]. UN R79, 5.6.2.1.3, allows 3 and 5. The difference is for what
-braking and speeding up in a turn add, so that ``properties.comfort`` fails for no lane change."""
+"""The default limits of a :class:`Drive` [m/s^2, m/s^3]. UN R79, 5.6.2.1.3, allows 3 and 5; these are lower, because
+braking and speeding up in a turn add to both. So ``properties.comfort`` fails for no lane change."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
     """An action that replaces acceleration and steering: a lane, and either a speed or an acceleration.
 
-    In every physics tick until the next decision, the ego is steered towards the centre of the lane, within the limits.
-    It is driven towards the speed, or holds the acceleration.
+    In every physics tick until the next decision, the ego is steered towards the centre of the lane, within the lateral
+    limits. It accelerates or brakes towards the speed, or holds the acceleration.
 
     Attributes:
         lane: the target lane, 0 at the left, as in :class:`VehicleState`.
-        speed: the target speed [m/s], 0 or more.
-        acceleration: the acceleration [m/s^2].
-        lateral_acceleration: largest speed times turning rate of the steering [m/s^2], 0.1 to 100.
+        speed: the target speed [m/s], 0 or more; None if ``acceleration`` is given.
+        acceleration: the acceleration [m/s^2]; None if ``speed`` is given.
+        lateral_acceleration: largest product of speed and turning rate [m/s^2], 0.1 to 100.
         lateral_jerk: largest change of the lateral acceleration per second [m/s^3], 0.1 to 1000.
     """
 
@@ -87,7 +88,7 @@ def acceleration_to_speed(wanted: float, speed: float) -> float:
 def lane_steering(
     offset: float, heading: float, speed: float, length: float, kp_heading: float, kp_lateral: float
 ) -> float:
-    """Return the angle that steers to the centre of a lane, which may exceed what wheels can turn [rad].
+    """Return the steering angle towards the centre of a lane, which may be larger than wheels can turn [rad].
 
     Args:
         offset: offset from the lane's centre, positive to the right [m].
@@ -104,7 +105,7 @@ def lane_steering(
 
 
 def not_zero(value: float) -> float:
-    """Return a number moved to at least 0.01 away from zero, so that it can be a divisor."""
+    """Return a number, or 0.01 or -0.01 if it is nearer to zero, so that it can be a divisor."""
     if abs(value) > 1e-2:
         return value
     return 1e-2 if value >= 0.0 else -1e-2
@@ -189,7 +190,7 @@ def _expected(action: Any) -> str:
 
 
 def hint_at(action: Any) -> str:
-    """Return a hint at the probable cause of an invalid action; empty if there is none."""
+    """Return a hint at the probable cause of an invalid action; an empty text if no cause is known."""
     if action is None:
         return "is a `return` missing?"
     if type(action) is tuple and len(action) == 2 and (action[1] is None or isinstance(action[1], tuple)):

@@ -23,9 +23,10 @@ class Bends:
 
     Args:
         line: x, y and heading of the line's points [m, m, rad].
-        flags: for each point of each lane, lane after lane: 1 if it exists there, else 0; and its number in a trace.
-        shape: for each point of each lane, lane after lane: its distance across from the line, direction, lean, and
-            highest speed of NPCs [m, rad, rad, m/s].
+        flags: for each point of each lane, lane after lane: 1 if the lane exists there, else 0; and the lane's number
+            in a trace.
+        shape: for each point of each lane, lane after lane: the lane's distance to the right of the line [m], its
+            direction [rad], the lean of a vehicle in it [rad], and the highest speed of NPCs [m/s].
         widths: the widths of the trace's lanes [m].
         lane_width: the width of the ego's lane at the start [m].
 
@@ -65,7 +66,7 @@ class Bends:
         return Bends, (line, flags, shape, list(self._widths), self._lane_width)
 
     def point(self, along: float) -> int:
-        """Return the line's point that is nearest to a place; of two equally near, the even one, as Python rounds."""
+        """Return the number of the line's point nearest to a place; of two equally near, the even one."""
         exact = along / STEP
         below = int(math.floor(exact))  # noqa: RUF046  (a C function returns a float)
         rest = exact - below
@@ -90,7 +91,7 @@ class Bends:
         return True
 
     def _between(self, along: float) -> int:
-        """Return the point before a place, and set the share of the step to the next; beyond the ends it is linear."""
+        """Return the point before a place, and set the share of the step from this point to the next at the place."""
         index = min(max(int(along / STEP), 0), self._points - 2)
         self._share = along / STEP - index
         return index
@@ -106,7 +107,7 @@ class Bends:
         return self._value(self._across, lane, along)
 
     def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
-        """Return a lane's distance across from the line [m], its direction [rad], and a vehicle's lean in it [rad]."""
+        """Return a lane's distance to the right of the line [m], its direction, and a vehicle's lean in it [rad]."""
         return (
             self._value(self._across, lane, along),
             self._value(self._direction, lane, along),
@@ -114,11 +115,11 @@ class Bends:
         )
 
     def speed_at(self, lane: int, along: float) -> float:
-        """Return the highest speed of an NPC in a lane [m/s]."""
+        """Return the highest speed of an NPC in a lane at a place along the road [m/s]."""
         return self._value(self._speed, lane, along)
 
     def stretch(self, along: float, across: float) -> float:
-        """Return the metres driven per metre along the road: more than 1 on the outside of a bend, less inside."""
+        """Return the metres that a vehicle drives per metre of the line: above 1 on the outside of a bend."""
         index = self._between(along)
         bend = (self._heading[index + 1] - self._heading[index]) / STEP
         return max(1.0 - bend * across, 0.2)  # beyond the centre of a bend it would be zero or negative
@@ -138,7 +139,10 @@ class Bends:
         return self._x0, self._y0, self._direction0
 
     def locate(self, x: float, y: float, heading: float, near: float) -> None:
-        """Find a vehicle on the road near a place along it, because roads may cross themselves."""
+        """Find a vehicle on the road, and set ``along``, ``across``, ``angle``, ``lane`` and ``offset``.
+
+        ``near`` is a place close to the vehicle, because roads may cross themselves [m].
+        """
         along = near
         for _ in range(4):  # each step projects onto the tangent at the last place; this converges in bends, too
             self._refer(along)
@@ -169,7 +173,7 @@ class Bends:
         return lane * self._lane_width + offset * scale
 
     def part(self, lane: int, along: float, offset: float) -> int:
-        """Return the number in a trace of the way's lane that a vehicle's centre is on; -1 if it is on none."""
+        """Return the number, among a trace's lanes, of the way's lane on which a vehicle's centre is; -1 if on none."""
         if not 0.0 <= along <= self._end:
             return -1
         part = self._part[lane * self._points + self.point(along)]

@@ -89,7 +89,7 @@ def depth(a: Box, b: Box) -> float:
 
 
 def separation(a: Box, b: Box) -> tuple[float, float]:
-    """Return the gap between two boxes along the length and along the width of the first [m]; negative for overlap."""
+    """Return the gap between two boxes along the first box's length and along its width [m]; negative for overlap."""
     cos_a, sin_a = math.cos(a.heading), math.sin(a.heading)
     turn = b.heading - a.heading
     cos_t, sin_t = abs(math.cos(turn)), abs(math.sin(turn))
@@ -105,7 +105,7 @@ def separation(a: Box, b: Box) -> tuple[float, float]:
 def side_hit(ego_before: Box, other_before: Box) -> Side:
     """Return the ego's side that a vehicle hit, as determined at the last tick without contact.
 
-    The boxes met along the axis along which they were further apart at that tick.
+    The boxes met along that axis of the ego, length or width, along which they were further apart at that tick.
     """
     along, across = separation(ego_before, other_before)
     dx, dy = other_before.x - ego_before.x, other_before.y - ego_before.y

@@ -1,8 +1,9 @@
 """The control of crossing NPCs, which drive on their own ways and are timed by the ego's arrival at their zone.
 
-An NPC follows the ego's estimated arrival until some seconds before it enters its zone, and then keeps to its plan,
-because an NPC that slows down with the ego would hide the ego's failures. Apart from that it acts like a driver: it
-stops for an ego that is already in its zone, follows the vehicle ahead in its lane, and gives way to other NPCs.
+An NPC adapts its speed to the ego's estimated arrival until some seconds before it enters its own zone. From then on it
+keeps to its plan, because an NPC that slows down with the ego would hide the ego's failures. In all other respects it
+acts like a driver: it stops for an ego that is already in its zone, follows the vehicle ahead in its lane, and gives
+way to other NPCs.
 """
 
 from __future__ import annotations
@@ -17,20 +18,21 @@ from pytest_pafot.world.kernel.driver import NpcDriver, following_speed, gap_spe
 STEP = 0.5
 """The distance between neighbouring points of a way [m]."""
 FREEZE = 3.0
-"""The time before it enters its zone from which an NPC no longer follows the ego's arrival [s]."""
+"""The time before its entry into the zone from which an NPC no longer adapts to the ego's arrival [s]."""
 SLOWEST, FASTEST = 0.5, 1.3
-"""The smallest and largest share of its speed with which an NPC follows the ego's arrival. With a smaller share, the
-NPC would wait for an ego that waits."""
+"""The smallest and largest factor by which an NPC changes its speed to adapt to the ego's arrival. With a smaller
+factor, the NPC would wait for an ego that waits."""
 PASS, HOLD, STOP, LATE = range(4)
 """The acts of an NPC at its zone, in the order of ``ACTS``."""
 WAITING = 2.0
-"""The distance before its zone at which an NPC holds [m]."""
+"""The distance before its zone at which an NPC waits if its act is to hold [m]."""
 MARGIN = 1.0
 """The distance before a stretch at which an NPC waits until the ego or another NPC has left it [m]."""
 SETTING_OFF = 1.1
 """The time that a holding vehicle needs to reach its zone [s]."""
 RESPONSE, ANSWER = 1.0, 6.0
-"""The reaction time of an NPC to an ego that has entered its zone [s], and its hardest braking then [m/s^2]."""
+"""An NPC's reaction time to an ego that has entered the NPC's zone [s], and its hardest braking for that ego [m/s^2].
+"""
 BUILDING_UP, BRAKING = 0.4, 5.0
 """The time in which braking builds up [s] and the braking [m/s^2] that an NPC assumes when it may have to wait."""
 APART = 0.7
@@ -38,7 +40,7 @@ APART = 0.7
 LEAST_SPEED = 0.5
 """The least speed for predictions, because a vehicle that nearly stands may go on [m/s]."""
 ABREAST = 2.0
-"""The distance from a way within which a vehicle is in the way of others on it [m]."""
+"""The distance from a way up to which a vehicle obstructs vehicles on that way [m]."""
 NEVER = -1
 UNENDING, NOWHERE = math.inf, float("nan")
 """Infinity and NaN; unlike ``math.inf`` and ``math.nan``, they are C numbers in compiled code."""
@@ -85,9 +87,9 @@ class Track:
         return min(max(int(along / STEP + 0.5), 0), self._last)
 
     def locate(self, x: float, y: float, near: float) -> None:
-        """Find a vehicle's place along the way and to the right of it, and the direction there, near a given place.
+        """Find a vehicle on the way, and set ``along``, ``across`` and ``direction``.
 
-        Beyond its ends the way goes straight on.
+        ``near`` is a place close to the vehicle [m]. Beyond its ends, the way goes straight on.
         """
         place = near
         for _ in range(4):
@@ -115,7 +117,7 @@ class Track:
         )
 
     def value(self, values: array[float], along: float) -> float:
-        """Return the interpolated value of one of the lists at a place; beyond the ends it is constant."""
+        """Return the interpolated value of one of the track's arrays at a place; beyond the ends it is constant."""
         index = min(max(int(along / STEP), 0), self._last - 1)
         share = min(max(along / STEP - index, 0.0), 1.0)
         return values[index] + share * (values[index + 1] - values[index])
@@ -149,13 +151,13 @@ class LeaderAhead:
         self.places = places
 
     def place(self, along: float) -> float:
-        """Return the vehicle's place along the NPC's way from its place on its own [m]; NaN if it is not there."""
+        """Convert the vehicle's place along its own way to the NPC's way [m]; return NaN if it is not on that way."""
         point = int(along / STEP + 0.5)
         return self.places[point] if 0 <= point < len(self.places) else NOWHERE
 
 
 class CrossingNpc(Body):
-    """A crossing NPC; its body has the place along its own way, the distance to its right, and the angle to it.
+    """A crossing NPC; x is its place along its own way, y its distance to the right, heading its angle to the way.
 
     Args:
         track: its way.
@@ -177,7 +179,7 @@ class CrossingNpc(Body):
         speeds, times: its speed at each point [m/s], and its time there since the first point [s].
         entry: the planned time of entering its zone [s].
         entered: the tick at which it entered its zone, -1 before it.
-        stands_at: the place at which it will stand for an unknown time [m].
+        stands_at: the place at which it will stand for an unknown time [m]; infinite if there is none.
         conflicts, leaders: the vehicles that may be in its way, and those that may be ahead in its lane.
     """
 
@@ -221,7 +223,7 @@ class CrossingNpc(Body):
         self.leaders: list[LeaderAhead] = []
 
     def lasts(self, since: float, until: float) -> float:
-        """Return the time that it needs from one place to another at its own speed [s]."""
+        """Return the time that the NPC needs from one place to a later place at its planned speeds [s]."""
         track = self.track
         return track.value(self.times, until) - track.value(self.times, since)
 
@@ -269,7 +271,7 @@ class Crosser:
         self._tick = 0
 
     def ceiling(self, mine: Body, index: int, conflicts: list[SharedPlace], leaders: list[LeaderAhead]) -> float:
-        """Return the highest speed of an NPC on the grid that leaves crossing NPCs their places [m/s]."""
+        """Return the highest speed at which an NPC on the grid does not drive into crossing NPCs [m/s]."""
         return self._following(mine, leaders, self._giving_way(mine, index, conflicts, UNENDING))
 
     def command(self, ego: Body) -> None:
@@ -313,7 +315,7 @@ class Crosser:
         return wanted
 
     def _share(self, npc: CrossingNpc, ego: Body) -> float:
-        """Return the share of its speed with which an NPC enters its zone at the planned time."""
+        """Return the factor by which an NPC changes its speed to enter its zone at the planned time."""
         left = npc.lasts(npc.x, npc.enters)
         return min(max(left / max(self._due(npc, ego), 0.1), SLOWEST), FASTEST)
 
@@ -350,7 +352,7 @@ class Crosser:
         return npc.noticed > self._response
 
     def _slower(self, npc: CrossingNpc) -> float:
-        """Return the ratio of an NPC's own speed at its place to its current speed."""
+        """Return the ratio of an NPC's planned speed at its place to its current speed."""
         return npc.track.value(npc.speeds, npc.x) / max(npc.speed, LEAST_SPEED)
 
     def _comes(self, vehicle: Body, place: float) -> float:
@@ -365,7 +367,7 @@ class Crosser:
     def _giving_way(self, mine: Body, index: int, conflicts: list[SharedPlace], wanted: float) -> float:
         """Limit a desired speed so that an NPC gives way at places that others reach at the same time [m/s].
 
-        If both can wait, the one with the higher index does. If one can no longer wait, the other one does.
+        If both NPCs can wait, the NPC with the higher index does. If one of them can no longer wait, the other waits.
         """
         for conflict in conflicts:
             theirs = self._vehicles[conflict.other]

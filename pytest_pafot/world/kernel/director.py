@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 ARRIVED_LATERAL = 0.5
 """The distance to a cell's centre, across the lane, at which an NPC has arrived [m]; along it, half an NPC's length."""
 CREEP_SPEED = 3.0
-"""The speed of an NPC ahead of a standing ego during a lane change, because it cannot move sideways [m/s]."""
+"""The least speed of an NPC that changes lanes ahead of a standing ego, because a car cannot move sideways [m/s]."""
 BESIDE = 0.6
 """The least room between NPCs side by side; with less, each is in the other's way [m]."""
 NO_LANE = -1
@@ -40,13 +40,13 @@ NO_LANE = -1
 # The following numbers are for attentive traffic. The verdicts require no more of an NPC when the ego moves in ahead of
 # it, or brakes there for nothing.
 TRACK = 0.3
-"""The distance next to the ego's side within which an NPC still counts as behind or ahead of it [m]."""
+"""The sideways gap to the ego's box up to which an NPC is still directly behind or ahead of the ego [m]."""
 REACTION = 1.0
 """The reaction time of an NPC to unexpected behaviour of the ego [s]."""
 ANSWER = 6.0
-"""The hardest braking with which an NPC reacts to it [m/s^2]."""
+"""The hardest braking with which an NPC reacts to unexpected behaviour of the ego [m/s^2]."""
 ENTRY_TIME, ENTRY_BRAKING = 0.35, 6.0
-"""The time, and then the braking, with which the ego can adapt to an NPC that moves in ahead of it [s, m/s^2]."""
+"""The reaction time and the braking of the ego for which an NPC leaves room when it moves in ahead [s, m/s^2]."""
 ENTRY_GAP = 1.5
 """The gap to an ego of equal speed at which an NPC moves in behind it [m]."""
 NOT_BEHIND = -1
@@ -59,18 +59,19 @@ class Npc(Body):
         index: its index in the scenario.
         chain: its instructions.
         executed: the cells of the genes that have begun.
-        arrivals: the tick of arrival for each gene that has begun, None before it.
+        arrivals: for each gene that has begun, the tick at which the NPC arrived; None if it has not.
         row, column: the row and column of the current cell.
-        target: the cell's centre along the road, from the ego [m].
+        target: the distance from the ego to the cell's centre along the road [m].
         target_speed: the target speed of the current gene [m/s].
-        kept_lane: the lane to keep until the gene ends, after arriving, or because the target's lane does not exist.
-        kept_speed: the speed in that lane [m/s].
-        shift_lane: the target lane of a Lane-Instruction, at ``kept_speed``; none under Position-Instructions.
-        heading_for: the lane steered to in the previous tick.
+        kept_lane: the lane that the NPC keeps until the gene ends, because it has arrived or its target lane does not
+            exist; -1 if it keeps none.
+        kept_speed: the speed in the kept lane or the shift lane [m/s].
+        shift_lane: the target lane of the current Lane-Instruction; -1 under Position-Instructions.
+        heading_for: the lane to which the NPC steered in the previous tick.
         asked: the acceleration in the previous tick [m/s^2].
         course: the direction of motion after the previous tick's steering [rad].
-        behind: the number of ticks for which it has been behind the ego in its track. It starts at the reaction time
-            if the NPC itself moved in, so that the NPC reacts at once.
+        behind: the number of ticks for which the NPC has been directly behind the ego. It starts at the reaction time
+            if the NPC itself moved in, so that the NPC reacts at once; -1 if the NPC is not behind the ego.
     """
 
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
@@ -156,7 +157,7 @@ class Director:
 
     @property
     def executed(self) -> Scenario:
-        """The scenario with the genes so far as driven, and the later ones as requested."""
+        """The scenario with the genes that have begun as driven, and the later genes as requested."""
         if all(
             cell == gene.cell
             for npc, chain in zip(self.npcs, self._positions, strict=False)
@@ -173,7 +174,7 @@ class Director:
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
-        """The tick at which each NPC reached the cell of each started gene, None before it."""
+        """The tick at which each NPC reached the cell of each started gene; None if it has not."""
         return tuple([tuple(npc.arrivals) for npc in self.npcs])
 
     def first_cells(self) -> tuple[Cell, ...]:
@@ -202,7 +203,7 @@ class Director:
         self._tick += 1
 
     def _is_led(self, ego: Body) -> bool:
-        """Return whether an NPC is ahead of the ego in its track, at any distance."""
+        """Return whether any NPC is directly ahead of the ego, at any distance."""
         for npc in self.npcs:  # noqa: SIM110  (any() makes a closure, which cannot be compiled)
             if npc.x > ego.x and abs(npc.y - ego.y) < (npc.width + ego.width) / 2.0 + TRACK:
                 return True
@@ -396,7 +397,7 @@ class Director:
         return step
 
     def _clear_of(self, mine: Npc, theirs: Npc, lane: int) -> bool:
-        """Return whether one other NPC leaves room for an NPC to enter a lane."""
+        """Return whether the NPC ``theirs`` leaves room for the NPC ``mine`` to enter a lane."""
         reach = (self._lane_width + self._width) / 2.0
         in_lane = abs(theirs.y - lane * self._lane_width) < reach
         claims = theirs.heading_for == lane and theirs.index < mine.index

@@ -11,23 +11,25 @@ import math
 from pytest_pafot.world.limits import NpcLimits
 
 SPEED_GAIN = 1.5
-"""The acceleration per speed error [1/s]."""
+"""The acceleration per difference to the desired speed [1/s]."""
 GAP_GAIN = 0.7
-"""The relative speed per distance to the cell's centre [1/s]."""
+"""The speed relative to the ego, per metre of distance to the cell's centre [1/s]."""
 GAP_BRAKING = 2.5
-"""The planned deceleration when a far cell is approached, so that the NPC does not overshoot [m/s^2]."""
+"""The deceleration with which an NPC plans to stop relative to the ego at a far cell, without overshoot [m/s^2]."""
 LATERAL_GAIN = 1.4
-"""The lateral speed per distance to the lane's centre [1/s]."""
+"""The lateral speed per metre of distance to the lane's centre [1/s]."""
 HEADING_GAIN = 5.0
-"""The turning rate per heading error [1/s]; it is lower if a tick is too long for it to be stable."""
+"""The turning rate per difference to the desired heading [1/s]; it is lower if ticks are too long for a stable control.
+"""
 LATERAL_SHARE = 0.7
 """The share of the lateral acceleration planned for the end of a lane change; the rest is reserved for control."""
 TURNED_SHARE = 0.65
-"""The share of the lateral acceleration for speeding up while turned; the rest straightens the vehicle."""
+"""The share of the lateral acceleration that speeding up at an angle to the lane may use; the rest straightens the
+vehicle."""
 MARGIN = 0.97
-"""The used share of a lateral limit, so that rounding and changes of speed do not exceed the limit."""
+"""The share of a lateral limit that the control uses, so that rounding and changes of speed do not exceed the limit."""
 FOLLOWING_GAP = 2.0
-"""The gap to a standing leader [m]."""
+"""The gap that an NPC keeps to a standing vehicle ahead [m]."""
 FOLLOWING_TIME = 0.4
 """The time in which braking builds up [s]."""
 FOLLOWING_BRAKING = 5.0
@@ -51,8 +53,8 @@ CLOSEST_GAIN = 3.0
 SPEEDING_UP = 6.0
 """The acceleration along the road that is possible during a lane change: the highest of an ego [m/s^2]."""
 USEFUL_WIDTH = 2.5
-"""A length that limits the planned acceleration to the cube root of the length times the jerk squared [m]. A higher
-acceleration would take so long to build up that the lane change became slower; found by trial on lanes of 4 m."""
+"""A length that limits the planned lateral acceleration to cbrt(length * jerk^2) [m]. A higher acceleration would take
+so long to build up that the lane change became slower. The length was found by trial on lanes of 4 m."""
 HALF_TURN = math.pi
 """Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
 
@@ -80,7 +82,7 @@ def following_gap(speed: float) -> float:
 
 
 def speed_asking_for(braking: float, speed: float) -> float:
-    """Return the desired speed with which an NPC at a speed brakes with the given deceleration [m/s]."""
+    """Return the desired speed that makes an NPC at its current ``speed`` brake with a given deceleration [m/s]."""
     return speed - braking / SPEED_GAIN
 
 
@@ -100,7 +102,7 @@ def clear_to_enter(gap: float, closing_speed: float) -> bool:
 
 
 def closing_room(gap: float, closing_speed: float) -> float:
-    """Return the gap in which a vehicle loses a closing speed without hard braking; ``gap`` is for equal speeds [m]."""
+    """Return the gap that suffices to lose a closing speed without hard braking; at equal speeds it is ``gap`` [m]."""
     closing = max(closing_speed, 0.0)
     return gap + 0.5 * closing + closing * closing / (2.0 * 3.0)
 
@@ -144,11 +146,11 @@ class NpcDriver:
         self.course = 0.0
 
     def acceleration(self, wanted_speed: float, previous: float, speed: float) -> float:
-        """Return the acceleration towards a speed, as near to the desired one as all limits allow [m/s^2].
+        """Return the acceleration towards a speed, as near to the desired acceleration as all limits allow [m/s^2].
 
-        The limit for the top speed leaves room to release the accelerator under the limit of jerk. Accelerations
-        ``a, a - j dt, a - 2 j dt, ...`` add at most ``(a + j dt / 2)^2 / (2 j)`` to the speed. So a limit that holds at
-        one tick also holds at the next.
+        Near the top speed, the acceleration stays so low that the accelerator can still be released in time under the
+        limit of jerk. Accelerations ``a, a - j dt, a - 2 j dt, ...`` add at most ``(a + j dt / 2)^2 / (2 j)`` to the
+        speed. So a limit that holds at one tick also holds at the next.
         """
         acceleration = SPEED_GAIN * (wanted_speed - speed)
         before = 0.0 if speed <= 0.0 and previous < 0.0 else previous
@@ -174,7 +176,7 @@ class NpcDriver:
         return release if acceleration > release else acceleration
 
     def steering(self, offset: float, heading: float, course: float, speed: float) -> float:
-        """Return the angle that steers to the centre of a lane, for highway-env's bicycle model [rad].
+        """Return the steering angle towards the centre of a lane, for highway-env's bicycle model [rad].
 
         The cascade controls the lateral position, the heading and the turning rate. Neither the course (heading plus
         slip) nor the heading turns faster than the lateral acceleration allows.
@@ -193,17 +195,17 @@ class NpcDriver:
     def steering_in_bend(
         self, offset: float, heading: float, course: float, speed: float, lean: float, turn: float, sharpest: float
     ) -> float:
-        """Return the angle that steers to the centre of a bent lane, for highway-env's bicycle model [rad].
+        """Return the steering angle towards the centre of a bent lane, for highway-env's bicycle model [rad].
 
-        The heading of a vehicle that follows a bend differs from its course by the lean, which reduces the largest
-        angle for the course. The reason is that the steering returns only slowly in a bend, because following the lane
-        already uses some lateral acceleration, and meanwhile the heading approaches the course.
+        In a bend, the lean reduces the largest angle that the course may have to the lane. The reason: steering back
+        takes longer in a bend, because following the lane already uses some lateral acceleration. Meanwhile the heading
+        approaches the course, and must not exceed its own limit.
 
         Args:
             offset, heading, course, speed: as for :meth:`steering`; angles are relative to the lane's direction here.
             lean: angle to the lane of a vehicle that follows it exactly [rad]. In a bend, a car's heading is turned
                 inwards less than its course.
-            turn: the change of such a vehicle's heading in the coming tick [rad].
+            turn: the change of heading in the coming tick of a vehicle that follows the lane exactly [rad].
             sharpest: largest curvature of the lane from here to the end of a possible lane change [1/m].
         """
         self.course = heading
@@ -236,7 +238,7 @@ class LaneTracker:
     """A controller that steers a car along lanes and between them, under limits of lateral acceleration and jerk.
 
     It plans a lateral speed from which the car can still stop at the lane's centre, and turns the course (heading plus
-    slip) towards it. The heading follows the course like that of a bicycle, and turns no faster.
+    slip) towards that plan. The heading follows the course as a bicycle's does, and turns no faster than the course.
 
     Args:
         length: the length of the car [m].
@@ -296,7 +298,7 @@ class LaneTracker:
         return self._angle
 
     def _towards(self, missing: float, jerk: float) -> float:
-        """Return the acceleration that makes up a missing speed under a limit of jerk, without overshoot."""
+        """Return the acceleration that gains a missing speed under a limit of jerk, without overshoot."""
         size = abs(missing)
         if size * self._gain * self._gain <= jerk:
             return self._gain * missing

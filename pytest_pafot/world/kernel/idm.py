@@ -2,7 +2,8 @@
 
 Sources: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic simulations",
 Physical Review E 62, 2000; Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models",
-Transportation Research Record 1999, 2007. NPCs are no IDM vehicles; it assumes that they desire their current speed.
+Transportation Research Record 1999, 2007. For NPCs, which are no IDM vehicles, the model assumes that each desires its
+current speed.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from pytest_pafot.world.kernel.driver import clamped
 from pytest_pafot.world.kernel.lanes import Lanes
 
 ON_LANE = 1.0
-"""The distance beyond a lane's lines within which a vehicle still counts as in the lane [m]."""
+"""The distance beyond a lane's lines up to which a vehicle is still in the lane [m]."""
 LANE_ENDS = 5.0
-"""The distance beyond a lane's ends within which a vehicle still counts as in the lane [m]."""
+"""The distance beyond a lane's ends up to which a vehicle is still in the lane [m]."""
 
 
 class IdmEgo(Body):
@@ -54,7 +55,7 @@ class IdmEgo(Body):
         self._timer = 0.0
 
     def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
-        """Begin a run as a fresh vehicle [m, m, rad, m/s]."""
+        """Begin a run at x [m], y [m], heading [rad] and speed [m/s], which becomes the desired speed."""
         self.place(x, y, heading, speed)
         self._changes_lanes = changes_lanes
         self._closest = self._goal = self._lanes.closest(x, y, heading)
@@ -62,7 +63,7 @@ class IdmEgo(Body):
         self._timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that not all vehicles decide at once
 
     def act(self, others: list[Body]) -> None:
-        """Decide on acceleration and steering."""
+        """Set acceleration and steering for the coming tick."""
         if self._changes_lanes:
             self._choose_lane(others)
         self.steering = self._steering()
@@ -93,7 +94,7 @@ class IdmEgo(Body):
         return lateral <= 2.0 * self._lanes.width and inside and abs(self.speed) >= 1.0
 
     def _gains(self, lane: int, others: list[Body]) -> bool:
-        """Return whether MOBIL advises a lane."""
+        """Return whether MOBIL advises a change to a lane."""
         ahead, behind = _ahead(others, self, lane, self._lanes), _behind(others, self, lane, self._lanes)
         behind_then = self._pulled(behind, self)
         if behind_then < -self._max_imposed:
@@ -109,7 +110,7 @@ class IdmEgo(Body):
         return own_gain + self._politeness * others_gain >= self._min_gain
 
     def _pulled(self, vehicle: Body | None, front: Body | None) -> float:
-        """Return the model's acceleration of a vehicle behind another vehicle [m/s^2]."""
+        """Return the acceleration of a vehicle behind ``front`` by the IDM [m/s^2]; 0 if ``vehicle`` is None."""
         if vehicle is None:
             return 0.0
         liked = min(max(self._liked(vehicle), 0.0), self._speed_limit)
@@ -139,7 +140,7 @@ class IdmEgo(Body):
 
 
 def _ahead(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | None:
-    """Return the nearest other vehicle ahead in a lane; of several at one place the last."""
+    """Return the nearest vehicle ahead in a lane; if several are at the same place, the last of them."""
     found = None
     for other in others:
         if (
@@ -153,7 +154,7 @@ def _ahead(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | No
 
 
 def _behind(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | None:
-    """Return the nearest other vehicle behind in a lane; of several at one place the first."""
+    """Return the nearest vehicle behind in a lane; if several are at the same place, the first of them."""
     found = None
     for other in others:
         if other.x < mine.x and (found is None or other.x > found.x) and _is_on(other, lane, lanes):

@@ -23,7 +23,7 @@ class Lanes:
         self._right = (count - 1) * width + width / 2.0
 
     def locate(self, body: Body) -> int:
-        """Set a body's nearest lane, the left one of two at equal distance; return it, or -1 off the paved surface."""
+        """Set a body's nearest lane (of two equally near, the left lane); return the lane, or -1 off the road."""
         across = body.y
         offset = across - body.lane * self.width
         if -self._inside < offset < self._inside and 0.0 <= body.x <= self.length:
@@ -39,7 +39,7 @@ class Lanes:
         return body.lane if self._left <= across <= self._right and 0.0 <= body.x <= self.length else -1
 
     def closest(self, along: float, across: float, heading: float) -> int:
-        """Return the lane that highway-env finds: the least lateral distance plus angle, the first of equals."""
+        """Return the lane that highway-env finds: the first with the least sum of lateral distance and angle."""
         near = int(across / self.width + 0.5) if across > 0.0 else 0
         if near < self.count and abs(across - near * self.width) < self._inside:
             return near  # the other terms are equal for all lanes

@@ -86,7 +86,7 @@ class GivenPilot(Pilot):
         self.slowest = 0.0
 
     def take(self, action: Any, seconds: float) -> None:
-        """Check and apply a decision, which took some seconds.
+        """Check and apply a decision that took ``seconds``.
 
         Raises:
             BadAction: if the action is not valid.
@@ -195,7 +195,8 @@ class Loop:
 
     Attributes:
         tick: the current tick of the run.
-        ego_touched, npcs_touched: true if the run ended by a contact of the ego, or else by a contact of two NPCs.
+        ego_touched: true if the run ended by a contact of the ego.
+        npcs_touched: true if the run ended by a contact of two NPCs.
     """
 
     def __init__(self, ego: Body, director: Director, lanes: Lanes, record: array[float], dt: float) -> None:
@@ -216,7 +217,7 @@ class Loop:
         self._note()
 
     def run(self, pilot: Pilot, ticks: int) -> AdsError | None:
-        """Drive until two vehicles touch, the ticks are over, or the ADS fails, whose error is returned."""
+        """Drive until two vehicles touch, ``ticks`` is reached, or the ADS fails; return the ADS's error, or None."""
         due = 0
         while self.tick < ticks:
             if due == 0:
@@ -250,7 +251,7 @@ class Loop:
         self._row = row
 
     def _contact(self) -> bool:
-        """Return whether two vehicles touch, and set which; a contact of the ego is found before others."""
+        """Return whether two vehicles touch, and set which; a contact of the ego is found before contacts of NPCs."""
         record, columns, reach, count = self._record, self._columns, self._reach, len(self._bodies)
         start = self._row - count * columns
         for first in range(count - 1):

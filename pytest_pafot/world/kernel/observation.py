@@ -14,11 +14,11 @@ from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.world.kernel.lanes import Lanes
 
 COLUMNS = 7
-"""The number of columns per vehicle in a record: x, y, heading, speed, acceleration, steering, lane."""
+"""The number of values per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane."""
 
 
 class VehicleState(NamedTuple):
-    """The state of a vehicle that any observer could measure.
+    """The state of a vehicle, as far as an observer outside the vehicle could measure it.
 
     Attributes:
         x, y: centre [m]; x along the road, y to the right, 0 on the centre of the leftmost lane.
@@ -130,18 +130,18 @@ class Observation:
     Attributes:
         time: time since the start [s].
         ego: the vehicle that the ADS drives.
-        others: all other vehicles, the NPCs; on crossing ways, only the vehicles on the ego's way.
+        others: the NPCs; at a junction, only the NPCs on the ego's way.
         lanes: number of lanes.
         lane_width: width of every lane [m].
         speed_limit: speed limit of the fastest lane [m/s].
         decision_period: time between decisions [s].
         acceleration, steering: the ego's controls in the last tick [m/s^2, rad]; 0 at the start.
-        lateral_velocities: speeds to the right [m/s] of the ego and then of the others, including the slip of turned
-            wheels.
-        ids: the id of each of the others, constant during the run: the NPC's index in ``run.npcs``.
+        lateral_velocities: speeds to the right of the ego and then of the others, including the slip of turned wheels
+            [m/s].
+        ids: the id of each vehicle in ``others``, constant during the run: the NPC's index in ``run.npcs``.
         lane_centres: y of the centre line of each lane, from the left [m].
-        road_length: the lanes' end; they begin at x = 0 [m].
-        crossing: all vehicles on ways that cross the ego's way; see :class:`pytest_pafot.CrossingVehicle`. ``ids`` and
+        road_length: the x at which the lanes end [m]; they begin at x = 0.
+        crossing: the NPCs on ways that cross the ego's way; see :class:`pytest_pafot.CrossingVehicle`. ``ids`` and
             ``array`` do not include them.
     """
 
@@ -192,7 +192,7 @@ class Observation:
 
     @property
     def others(self) -> tuple[VehicleState, ...]:
-        """All other vehicles, the NPCs; on crossing ways, only the vehicles on the ego's way."""
+        """The NPCs; at a junction, only the NPCs on the ego's way."""
         if self._others is None:
             count = len(self._observer.sizes)
             self._others = tuple([self._observer.vehicle(self._tick, index) for index in range(1, count)])
@@ -230,7 +230,7 @@ class Observation:
 
     @property
     def lateral_velocities(self) -> tuple[float, ...]:
-        """The speeds to the right [m/s] of the ego and then of the others."""
+        """The speeds to the right of the ego and then of the others, including the slip of turned wheels [m/s]."""
         if self._lateral is None and self._observer is not None:
             self._lateral = self._observer.lateral_velocities(self._tick)
         elif self._lateral is None:  # the steering is not known
@@ -240,7 +240,7 @@ class Observation:
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """The ids of the others, which are constant during the run."""
+        """The id of each vehicle in ``others``, constant during the run: the NPC's index in ``run.npcs``."""
         return self._detailed()[3]
 
     @property
@@ -250,17 +250,17 @@ class Observation:
 
     @property
     def road_length(self) -> float:
-        """The end of the lanes, which begin at x = 0 [m]."""
+        """The x at which the lanes end [m]; they begin at x = 0."""
         return self._detailed()[4]
 
     @property
     def crossing(self) -> tuple[CrossingVehicle, ...]:
-        """All vehicles on ways that cross the ego's way."""
+        """The NPCs on ways that cross the ego's way; ``others`` does not include them."""
         return self._detailed()[5]
 
     @property
     def array(self) -> FloatArray:
-        """The ego and the others as float64, shape [vehicles, 7]; columns as in :class:`VehicleState`."""
+        """The ego and then the others as float64 of shape [vehicles, 7]; columns as in :class:`VehicleState`."""
         values: FloatArray = stacked([self])[0]
         return values
 
@@ -308,7 +308,7 @@ class Observation:
 def stacked(observations: Sequence[Observation]) -> FloatArray:
     """Stack observations to a float64 array of shape [observations, vehicles, 7]; see :attr:`Observation.array`.
 
-    If an observation has fewer vehicles than another, its last rows are NaN.
+    In an observation with fewer vehicles than the largest has, the missing rows are NaN.
     """
     most = max([seen._count() for seen in observations])
     made = np.full((len(observations), most, len(VehicleState._fields)), np.nan)

@@ -18,15 +18,15 @@ from pytest_pafot.world.kernel.observation import COLUMNS
 
 
 class TrafficVehicle(IdmEgo):
-    """A vehicle of the traffic, or the ego in it.
+    """A vehicle of highway-env's ordinary traffic, or the ego in that traffic.
 
     Args:
         constants: the constants of the vehicle class, by name.
         lanes: the road's lanes.
         speed_limit: the speed limit of every lane [m/s].
-        has_goal: true if it steers for a lane and a speed; else its controls are set from outside and held.
+        has_goal: true if it steers for a lane and a speed, its goal; else its controls are set from outside and held.
         drives_itself: true if it finds its goal and its acceleration by MOBIL and IDM; else the goal is set from
-            outside, for instance by meta-actions. A vehicle that is led does neither.
+            outside, for instance by meta-actions.
         taken_for: the desired speed that others assume [m/s]. NaN stands for the speed of its goal, or without a goal
             for its current speed.
 
@@ -58,9 +58,9 @@ class TrafficVehicle(IdmEgo):
         self._diagonal = math.hypot(self.length, self.width)
 
     def begin(self, goal: int, wanted: float, timer: float) -> None:
-        """Set the lane and speed of its goal [m/s], and the time since its last decision on lanes [s]; after ``start``.
+        """Set the lane and speed of its goal [m/s], and the time since its last decision on lanes [s].
 
-        Without this, ``start`` derives the timer from the position.
+        Call it after ``start``, which sets all three from the vehicle's position and speed.
         """
         self.aim(goal, wanted)
         self._timer = timer
@@ -71,7 +71,7 @@ class TrafficVehicle(IdmEgo):
         self._target_speed = wanted
 
     def lead(self, x: float, y: float, heading: float, speed: float) -> None:
-        """Take this state in the next tick, whatever the controls are [m, m, rad, m/s]."""
+        """Move to the given state in the next tick, whatever the controls are [m, m, rad, m/s]."""
         self._is_led = True
         self._next_x = x
         self._next_y = y
@@ -83,7 +83,7 @@ class TrafficVehicle(IdmEgo):
         return self.x, self.y, self.heading, self.speed, self._closest, self._goal
 
     def act(self, others: list[Any]) -> None:
-        """Decide on acceleration and steering, unless they are set from outside."""
+        """Set acceleration and steering for the coming tick, unless they are set from outside."""
         if self._drives_itself and not self.crashed:
             IdmEgo.act(self, others)
         elif self._has_goal and not self._drives_itself and not self._is_led:
@@ -91,7 +91,7 @@ class TrafficVehicle(IdmEgo):
             self.acceleration = self._kp_speed * (self._target_speed - self.speed)
 
     def step(self, dt: float) -> None:
-        """Move for one time step [s]; a crashed vehicle stops, and a pushed one is moved apart from the other."""
+        """Move for one time step [s]; a crashed vehicle stops, and a vehicle in a contact is pushed aside."""
         if self.crashed:
             self.steering = 0.0
             self.acceleration = -self.speed
@@ -187,7 +187,7 @@ class OrdinaryTraffic:
 
 
 def _meet(a: TrafficVehicle, b: TrafficVehicle, dt: float) -> None:
-    """Flag two vehicles that overlap as crashed, and push two apart that will overlap within the next tick.
+    """Flag two vehicles as crashed if they overlap, and push them apart if they will overlap within the next tick.
 
     The boxes are compared along the normals of their sides, in highway-env's order. If one box contains the other along
     a normal, the depth depends on the direction of the normal, as in highway-env.
