@@ -203,7 +203,7 @@ class GymEnvironment:
 
     @property
     def _given_config(self) -> dict[str, Any]:
-        """The configuration that overrides the defaults: the user's, or else the registered one, as in gymnasium."""
+        """The configuration that overrides the defaults, as in gymnasium: the user's, or else the registered one's."""
         registered: dict[str, Any] = gymnasium.registry[self.env_id].kwargs.get("config") or {}
         return registered if self.config is None else self.config
 

@@ -111,7 +111,7 @@ class Highway(BuiltInWorld):
             return selection.rollout_planner(self, self.rules, scenario, ads, decisions)
 
     def runs_in_kernel(self, ads: Any) -> bool:
-        """Return whether an ADS is a vehicle class that the kernel drives in this world."""
+        """Return whether ``ads`` is a vehicle class that the kernel can drive in this world."""
         return selection.kernel_model(self, ads) is not None
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:

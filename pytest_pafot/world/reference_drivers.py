@@ -144,7 +144,7 @@ class ReferenceDriver(ABC):
     drifts: tuple[float, ...] = ()
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Return acceleration [m/s^2] and steering [rad]."""
+        """Return the driver's acceleration [m/s^2] and steering [rad]."""
         ego, speeds = observation.ego, tuple(_along(other) for other in observation.others)
         if self.wanted is None:
             self.lane, self.wanted, self.now = ego.lane, min(ego.speed, observation.speed_limit), observation.time
@@ -310,8 +310,8 @@ class FuzzySafety(ReferenceDriver):
     MARGIN = 2.0
     """The safety margin of PFS [m]."""
     ROUNDING = 0.5
-    """The safety margin of CFS [m]. The published model has none and stops exactly at the other's bumper. In discrete
-    time that is a contact at 0.1 m/s."""
+    """The safety margin of CFS [m]. The published model has no such margin and stops exactly at the other vehicle's
+    bumper. In discrete time that is a contact at 0.1 m/s."""
 
     def wish(self, observation: Observation) -> float:
         """Return the acceleration that the driver wants now [m/s^2]."""
@@ -403,7 +403,7 @@ class IdmAeb(ReferenceDriver):
         return -self.HARDEST if self.braking else self.idm(ego.speed, leaders)
 
     def idm(self, speed: float, leaders: list[Leader]) -> float:
-        """Return the model's acceleration behind the leader that allows the least [m/s^2]."""
+        """Return the model's acceleration behind the leader that allows the lowest acceleration [m/s^2]."""
         free = 1 - (speed / max(self.wanted or 0.0, 0.1)) ** 4
         comfort = 2 * math.sqrt(GENTLE_ACCELERATION * self.BRAKING)
         pressing = 0.0

@@ -18,7 +18,7 @@ MOST_TICKS = 400_000
 
 
 def number_within(name: str, value: object, low: float, high: float, why: str = "") -> float:
-    """Return ``value`` as a float if it is from ``low`` to ``high``; else raise an error that adds ``why`` to both."""
+    """Return ``value`` as a float if it is from ``low`` to ``high``; else raise an error with both and ``why``."""
     expected = f"a number from {low:g} to {high:g}{why}"
     return checked_number(value, name, expected, least=low, most=high, error=WorldError)
 

@@ -21,7 +21,7 @@ _RELATIVE = ("x", "y", "vx", "vy")
 
 
 def observer(env: Any) -> Any:
-    """Return a function that returns an environment's observation: a faster function than its own if possible."""
+    """Return a function for an environment's observation, faster than the environment's own function if possible."""
     stock = env.observation_type
     is_supported = (
         type(stock) is observation.KinematicObservation

@@ -102,12 +102,12 @@ class Perception:
 
 
 def sight_of(factory: Any) -> Sight | None:
-    """Return the sight of a factory's ADSs; None if it is perfect."""
+    """Return the sight of a factory's ADSs; None for perfect sight."""
     factory = inspect.unwrap(factory, stop=lambda each: isinstance(each, Perception))
     sight = factory.sight if isinstance(factory, Perception) else None
     return sight if sight is not None and sight.imperfections else None
 
 
 def ads_and_sight(ads: Any) -> tuple[Any, Sight | None]:
-    """Return the ADS that receives observations, and its sight; None as the sight if it is perfect."""
+    """Return the ADS that receives observations, and its sight, which is None for perfect sight."""
     return (ads.ads, ads.sight) if isinstance(ads, SeeingAds) else (ads, None)

@@ -103,7 +103,7 @@ def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
 
 
 def _hint_at_choice(array: Any, space: Any) -> str:
-    """Return a hint for an array in place of the number of an action; empty if its meaning is not clear."""
+    """Return a hint for an array that an ADS returned in place of an action's number; empty if none fits."""
     if array.dtype.kind == "f" and array.shape == (2,) and space.n != 2:
         return "planners in SI units drive without world=, or in a pafot.World(..., planner_hz=5)"
     if array.dtype.kind == "f" and array.size == space.n:

@@ -91,7 +91,7 @@ class PlannerSight:
         return self.seen(now, observer.observation(max(0, self.tick(now) - self.delay)))
 
     def seen(self, now: Observation, then: Observation) -> Observation:
-        """Return the imperfect observation at the time of ``now``, if ``then`` is exact at the time of measurement."""
+        """Make an imperfect observation from the exact observations now and at the time of measurement (``then``)."""
         others, ids, lateral = [], [], [now.lateral_velocities[0]]
         for glimpse in self.sight.glimpses(then.array, self.seed, self.tick(now)):
             was = then.others[glimpse.other]

@@ -45,7 +45,7 @@ class Record:
     frame: NetworkFrame | None = None
 
     def trace(self, ended: Outcome | None = None, error: AdsError | None = None) -> Trace:
-        """Return the trace of the run, which ``ended`` early or by an ``error`` of the ADS, or lasted to its end."""
+        """Return the trace of the run, given the outcome or the ADS's error that ended the run early, if any did."""
         shape = (self.tick + 1, len(self.sizes), COLUMNS)
         rows = np.frombuffer(self.rows, count=shape[0] * shape[1] * COLUMNS)
         # Read-only, and without a copy if the run has filled the whole buffer.

@@ -33,7 +33,7 @@ def run_planner(
     decisions: Sequence[Any] = (),
     body: Body | None = None,
 ) -> Trace:
-    """Simulate a scenario that fits the rules in the kernel, with a callable from an observation to its action.
+    """Simulate a scenario that fits the rules in the kernel, with a callable from an observation to an action.
 
     The road must be straight and start at the origin. ``decisions`` are the first decisions of the run and replace
     calls of the ADS. ``body`` replaces the ego's usual body.
@@ -140,7 +140,7 @@ class SiWorld(Protocol):
 
 
 def rollout_vehicle(world: SiWorld, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
-    """Run a scenario that fits the world, with an ego of a vehicle class that drives itself, on a straight road."""
+    """Simulate a scenario that fits the world, on a straight road, with an ego of a self-driving vehicle class."""
     if decisions:
         raise WorldError(
             f"decisions: expected none for {ads!r}, a vehicle class, which drives itself and returns no actions, "
@@ -171,7 +171,7 @@ def rollout_planner(
     decisions: Sequence[Any] = (),
     body: Body | None = None,
 ) -> Trace:
-    """Run a scenario on a world's road by the given rules, with a callable from an observation to an action.
+    """Simulate a scenario on a world's road by the given rules, with a callable from an observation to an action.
 
     The kernel runs it if the road is straight and starts at the origin. ``body`` replaces the ego's usual body.
     """

@@ -55,7 +55,7 @@ def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
 
 
 def let_through(error: BaseException) -> None:
-    """Raise an interruption again; called wherever all exceptions of an ADS are caught."""
+    """Raise an exception again if it is an interruption; call this wherever all exceptions of an ADS are caught."""
     if is_interruption(error, is_of_ads=True):
         raise error
 

@@ -163,7 +163,7 @@ class HangGuard:
         self.settle()
 
     def settle(self) -> None:
-        """Wait for the arrival of an interruption that was sent; ``started`` must be cleared before."""
+        """Wait for the arrival of an interruption that was sent; the caller must have set ``started`` to None."""
         with self._lock:
             sent, self._sent = self._sent, False
         if sent:

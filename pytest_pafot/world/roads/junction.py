@@ -49,20 +49,20 @@ OPPOSITE, ALONGSIDE = 0.85 * math.pi, 0.25 * math.pi
 directions; below the second, they come side by side. In a roundabout the angle is three quarters of pi, and a
 circulating vehicle comes from the left."""
 OFF_WAY = (math.nan, math.nan, math.nan, math.nan, math.nan)
-"""The row in the track for a vehicle that is not on the ego's way."""
+"""The row of ``Trace.track`` for a vehicle that is not on the ego's way."""
 NOT_ON_WAY = 0.5
 """The angle to the ego's way above which a vehicle is not on it [rad]."""
 STRAIGHTER = 0.2
 """The difference of the turning angles of two merging ways above which the way that turns less is the main lane [rad].
 """
 LEAD = 6.0
-"""The time before its first zone at which an ego of constant speed starts, if its lane is long enough [s]."""
+"""The time that an ego of constant speed needs from its start to its first zone, if its lane is long enough [s]."""
 MOST_WAYS = 64
-"""The largest number of ways of a network; the shortest ones are used. A city of blocks has countless paths."""
+"""The largest number of ways of a network that are used, the shortest first. A network of city blocks has countless."""
 COARSE = 4
 """The number of points that are first treated as one when two ways are compared, which is faster."""
 DRAWN = 4
-"""The step from one point of a way that is stored for pictures to the next."""
+"""The number of points after which a point of a way is stored for pictures."""
 
 
 class Course(NamedTuple):
@@ -276,7 +276,7 @@ def _course(line: Line, column: Column) -> Course:
 
 
 def near_pairs(a: Course, b: Course) -> tuple[IntArray, IntArray]:
-    """Return all pairs of points of two courses at which wide boxes might touch, in the order of the second."""
+    """Return all pairs of points of two courses at which widened boxes might touch, in the order of course ``b``."""
     reach = math.hypot(NPC_LENGTH, NPC_WIDTH + WIDER)
     wide = reach + 2 * STEP * COARSE
     x = a.x[::COARSE, None] - b.x[::COARSE]

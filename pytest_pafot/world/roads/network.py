@@ -160,7 +160,7 @@ class NetworkRoad:
 
     @cached_property
     def end(self) -> float:
-        """The end of the road [m]."""
+        """The place along the road at which it ends [m]."""
         return (len(self.line.x) - 1) * STEP
 
     @property

@@ -26,7 +26,7 @@ WIDEST_GAP = 10.0
 """The largest gap over which a vehicle drives on from a lane's end to the next lane [m]; in highway-env's roundabouts
 it is 6 m."""
 SHARPEST_BEND = 1.3
-"""The largest angle between the directions of two consecutive lanes [rad]; a larger one cannot be driven."""
+"""The largest angle between the directions of two consecutive lanes [rad]; no vehicle can follow a larger angle."""
 DECIDED_BEFORE = 2.5
 """The distance before a lane's end at which highway-env's vehicles choose the next lane [m]."""
 ROUGH = 0.06

@@ -21,7 +21,7 @@ from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, line_of
 TIGHTEST = 1 / 6.5
 """The curvature of the tightest bend that an NPC can follow [1/m]."""
 SHORTEST_LANE = 10.0
-"""The least length of a lane next to the way; the grid ignores shorter ones [m]."""
+"""The least length of a lane next to the way; the grid ignores shorter lanes [m]."""
 BEYOND_ENDS = 0.5
 """The distance beyond a lane's ends up to which the lane is still next to the way [m]."""
 SAME_DIRECTION = 0.5
@@ -218,7 +218,7 @@ def _parts(exists: Flags) -> list[npt.NDArray[np.intp]]:
 def _course(
     line: Line, across: FloatArray, part: npt.NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return x, y, direction and length along it of a part of a lane; the direction has no jumps, like the line's."""
+    """Return x, y, direction and length at each point of a part of a lane; the direction has no jumps of 2 pi."""
     heading = line.heading[part]
     x = line.x[part] - np.sin(heading) * across[part]
     y = line.y[part] + np.cos(heading) * across[part]
