@@ -242,7 +242,7 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
             ["--ads", "constant_speedd"],
             "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, "
             "intersection_policy, junctions, ppo, roundabout_policy, sumo, or module:factory "
-            "for a policy of your own, received 'constant_speedd'; did you mean 'constant_speed'",
+            "for your own policy, received 'constant_speedd'; did you mean 'constant_speed'",
         ),
         (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
         (["--ads", "example_ads.ppo:train_me"], "--ads: expected a factory in example_ads.ppo"),
@@ -282,7 +282,9 @@ def test_impossible_folder_is_reported_with_the_way_out(tmp_path, capsys, below)
     assert error.startswith(
         f"compare: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
     )
-    assert error.endswith("; there is a file where a folder should be: rename or delete it, or give another folder\n")
+    assert error.endswith(
+        "; there is a file where a folder should be: rename or delete it, or give a different folder\n"
+    )
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
@@ -295,7 +297,7 @@ def test_unwritable_result_is_reported_and_command_can_continue(tmp_path, capsys
     assert compare(tmp_path, *arguments) == command.BAD_USE
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.startswith(f"compare: --out: expected a folder that can be written, received {taken}: ")
-    assert told.endswith(": rename or delete it, then give the same command again: what is finished is kept")
+    assert told.endswith(": rename or delete it, then run the same command again: finished tasks are not repeated")
     taken.unlink() if name == "runs" else taken.rmdir()
     assert compare(tmp_path, *arguments) == 0
 
@@ -340,7 +342,7 @@ def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
     for part in (
         "received ValueError: unexpected shape ()\n",
         'raise ValueError(f"unexpected shape {shape}")\n',
-        "So it was in all 4 runs of the first generation",
+        "This happened in all 4 runs of the first generation",
         "The ADS was given a pafot.Observation (time, ego,",
         "must return (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive. "
         "A policy of a highway-env environment needs that environment, such as --env highway-v0.\n",
