@@ -452,7 +452,7 @@ def _small_ones(targets: Sequence[Any], length: int) -> Sequence[Sized]:
 
 
 def _two_steps(scenario: Scenario) -> Candidates:
-    """Apply two simplifications at once, as neither may fail alone; begin with those that simplify least."""
+    """Apply two simplifications at once, if neither works alone; begin with the smallest simplifications."""
     firsts = dict.fromkeys(each for simplified in STRUCTURE for each in simplified(scenario) if each is not None)
     for first in sorted(firsts, key=sort_key, reverse=True)[:MOST_FIRST_STEPS]:
         for simplified in STRUCTURE:

@@ -98,7 +98,7 @@ def argmax(values: Any) -> int:
 
 
 def refused(expected: str, received: str, fix: str) -> AdsFactoryError:
-    """Return the error for a policy that cannot drive, with these three parts in its message."""
+    """Return the error for a policy that cannot drive; its message has all three arguments."""
     return AdsFactoryError(sentence("ads", expected, received, fix))
 
 

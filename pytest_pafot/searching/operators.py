@@ -24,7 +24,7 @@ STARTS, PATTERNS = 0.1, 0.35
 SPEEDS = 0.7
 """Share of the new starts that differ in the first speed; the others differ in the ego's first lane."""
 SIZES = 0.1
-"""Share of the mutations that add or remove an NPC, or change the duration of genes, if the space samples these."""
+"""Share of the mutations that add or remove an NPC, or change the duration of genes, if the space varies this."""
 
 
 def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
@@ -64,7 +64,7 @@ def _taken(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
 
 
 def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Replace one random Position-Instruction by a new one that is repaired to fit in (section 3.4.2).
+    """Replace a random Position-Instruction by a new instruction, which is repaired to fit in (section 3.4.2).
 
     The repair changes only the new instruction, not its neighbours in the chain. Repairing what follows it instead
     would rewrite the rest of the chain and lose what the parent was selected for.

@@ -279,7 +279,7 @@ FAULTS = {
     ),
     "settings": (changed(lambda data: data.update(settings=3)), "expected settings: a mapping, received 3"),
     "sums": (changed(lambda data: data["sums"].__setitem__(2, "many")), r"expected sums\[2\]: a whole number, rec"),
-    "algorithm": (changed(lambda data: data.update(algorithm={})), "expected algorithm: a list of 9, received"),
+    "algorithm": (changed(lambda data: data.update(algorithm={})), "expected algorithm: a list of 9 values, received"),
     "scenario": (
         changed(lambda data: data["remembered"][0][0][0][0][0][0].__setitem__(0, 12)),
         r"expected remembered\[0\]\[0\]\[0\].*cell: a whole number from 1",
