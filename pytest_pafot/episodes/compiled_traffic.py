@@ -1,7 +1,7 @@
-"""An episode on a straight road among highway-env's IDM and MOBIL vehicles, with the traffic compiled.
+"""Episodes on a straight road among highway-env's IDM and MOBIL vehicles, whose motion is computed by compiled code.
 
 The environment still creates the start and the observations, interprets actions, and decides when the episode is over.
-Before each of these, its vehicles are moved to the places of the compiled ones.
+Before each of these steps, the environment's vehicles are moved to the places that the compiled code has computed.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pytest_pafot.world.roads.straight import StraightRoad
 
 
 def why_not(start: Start) -> str:
-    """Return why the traffic of an episode cannot be compiled; empty if it can."""
+    """Return the reason why compiled code cannot drive the traffic of an episode; empty if it can."""
     return next(chain(_of_the_environment(start), _of_the_vehicles(start)), "")
 
 
@@ -67,7 +67,7 @@ def _of_the_vehicles(start: Start) -> Iterator[str]:
 
 
 def compiled(start: Start, seed: int, *, is_recorded: bool) -> Episode:
-    """Drive the episode from its start with compiled traffic, after :func:`why_not` has found nothing against it."""
+    """Drive an episode with compiled traffic; :func:`why_not` must have returned an empty text for its start."""
     road, record = start.straight, start.record()
     traffic, mirror = _compiled(start, record)
     pilot: Pilot
@@ -90,9 +90,10 @@ def compiled(start: Start, seed: int, *, is_recorded: bool) -> Episode:
 
 
 class CompiledSteps:
-    """An episode that receives its actions one by one, as ``env.step`` does; for starts that can be compiled.
+    """An episode with compiled traffic that receives its actions one by one, as ``env.step`` does.
 
-    It ends at the tick at which the ego is flagged as crashed.
+    :func:`why_not` must have returned an empty text for its start. The episode ends at the tick at which the ego is
+    flagged as crashed.
     """
 
     def __init__(self, start: Start) -> None:
@@ -101,7 +102,7 @@ class CompiledSteps:
         self._pilot = _PolicyPilot(start, self._mirror)
 
     def step(self, action: Any) -> Step:
-        """Take one step with an action of the environment, and return what ``env.step`` would."""
+        """Take one step with an action, and return the same values as ``env.step`` of the environment."""
         start, env, traffic = self._start, self._start.env, self._traffic
         env.time += 1 / env.config["policy_frequency"]
         self._pilot.apply(action)
@@ -116,7 +117,7 @@ class CompiledSteps:
 
 
 def _compiled(start: Start, record: array[float]) -> tuple[OrdinaryTraffic, _Mirror]:
-    """Return the compiled traffic of an episode, which fills the record, and its mirror in the environment."""
+    """Return the compiled traffic of an episode and its mirror; the traffic writes all states into ``record``."""
     bodies = [_body(each, start.straight) for each in start.vehicles]
     return OrdinaryTraffic(bodies, record, 1 / start.physics_hz), _Mirror(start, bodies, start.straight)
 
@@ -143,7 +144,7 @@ def _drive(start: Start, traffic: OrdinaryTraffic, pilot: Pilot, mirror: _Mirror
 
 
 class _Mirror:
-    """A mirror of the compiled vehicles in the environment's vehicles."""
+    """A mirror, which copies the state of the compiled vehicles into the environment's vehicles."""
 
     def __init__(self, start: Start, bodies: list[TrafficVehicle], road: StraightRoad) -> None:
         self.ego = bodies[0]
@@ -153,7 +154,7 @@ class _Mirror:
         self._x, self._y, _ = road.position(0.0, 0)
 
     def show(self) -> None:
-        """Move the environment's vehicles to the places of the compiled ones."""
+        """Copy the state of the compiled vehicles into the environment's vehicles."""
         for vehicle, body in self._pairs:
             x, y, vehicle.heading, vehicle.speed, lane, goal = body.seen()
             vehicle.position = np.array([x + self._x, y + self._y])
@@ -165,7 +166,7 @@ class _Mirror:
 
 
 class _PolicyPilot(Pilot):
-    """A policy that receives the environment's observation; the environment interprets its actions."""
+    """The driver of an ego by a policy, which receives the environment's observations and returns its actions."""
 
     def __init__(self, start: Start, mirror: _Mirror) -> None:
         super().__init__(start.every)
@@ -174,7 +175,7 @@ class _PolicyPilot(Pilot):
         self.observe = observer(start.env) if start.eyes is None else start.env.observation_type.observe
 
     def decide(self, tick: int) -> AdsError | None:
-        """Observe, call the policy under guard, check and apply its action; return the error, if any."""
+        """Observe, call the policy under guard, and apply its action; return the policy's error, or None."""
         start = self._start
         start.env.steps = tick
         seen = start.seen if tick == 0 else self.observe()
@@ -196,14 +197,14 @@ class _PolicyPilot(Pilot):
             body.acceleration, body.steering = float(ego.action["acceleration"]), float(ego.action["steering"])
 
     def actuate(self) -> None:
-        """Hold the last action; if the policy sees with a delay, record the places of all vehicles."""
+        """Keep the last action; if the policy has an imperfect sight, record the places of all vehicles for it."""
         if self._start.eyes is not None:
             self._mirror.show()
             self._start.eyes.note()
 
 
 class _VehiclePilot(Pilot):
-    """An ego of a class with its own code, which acts and moves among the environment's vehicles."""
+    """The driver of an ego whose vehicle class has its own code to act and move."""
 
     def __init__(self, start: Start, mirror: _Mirror) -> None:
         super().__init__(1)
@@ -212,7 +213,7 @@ class _VehiclePilot(Pilot):
         self._ego = start.env.vehicle
 
     def decide(self, tick: int) -> AdsError | None:
-        """Act and move under guard; return the error, if any."""
+        """Let the ego act and move under guard; return its error, or None."""
         start, ego, body = self._start, self._ego, self._mirror.ego
         self._mirror.show()
         start.env.steps = tick
@@ -230,7 +231,7 @@ class _VehiclePilot(Pilot):
 
 
 def _body(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
-    """Return the compiled form of one of the environment's vehicles."""
+    """Return the compiled vehicle with the state of one of the environment's vehicles."""
     constants = {name: getattr(vehicle, name, getattr(IDMVehicle, name)) for name in (*CONSTANTS, "KP_A")}
     body = TrafficVehicle(
         constants,

@@ -30,14 +30,15 @@ POINT_STEP = 2.0
 LONGEST = 3600.0
 """The longest episode of an environment that does not specify a duration [s]."""
 PLANNER_HZ = 5
-"""The decisions of a planner per second, as in a Highway; one per tick if there are fewer ticks."""
+"""The number of decisions of a planner per second, as on a Highway. With fewer ticks per second, a planner decides at
+every tick."""
 
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
 """The result of ``env.step``: observation, reward, terminated, truncated, info."""
 
 Kind = Literal["policy", "vehicle", "planner"]
-"""The kinds of an ADS: with the environment's observations and actions, a vehicle class that drives itself, or in SI
-units."""
+"""The kinds of an ADS. A policy uses the environment's observations and actions. A vehicle is a vehicle class that
+drives itself. A planner uses observations and actions in SI units."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,10 +46,10 @@ class EpisodeRecording:
     """The recorded places of all vehicles in an episode.
 
     Attributes:
-        states: x [m], y [m], heading [rad] and speed [m/s], shape [ticks + 1, vehicles, 4], the ego first; NaN if a
-            vehicle was not there.
-        sizes: length and width [m], shape [vehicles, 2].
-        lanes: lanes of the road; those that are not straight have points.
+        states: x [m], y [m], heading [rad] and speed [m/s] of each vehicle, the ego first; shape [ticks + 1, vehicles,
+            4]. NaN at ticks at which a vehicle was not on the road.
+        sizes: length and width of each vehicle [m], shape [vehicles, 2].
+        lanes: lanes of the road; lanes that are not straight have points.
         physics_hz: ticks per second.
     """
 
@@ -66,10 +67,10 @@ class Episode:
         seed: seed of the episode.
         outcome: ``collision`` if highway-env flagged the ego as crashed, ``ads_error`` or ``hang`` if the ADS did not
             decide, else ``safe``.
-        seconds: time driven until the flag, the error or the end [s].
-        error: error of the ADS, if it did not decide.
-        steps: why the environment took its own steps; empty if the traffic was compiled.
-        recording: recording, if requested.
+        seconds: time driven until the crash, the error or the end of the episode [s].
+        error: error of the ADS, if it did not decide, else None.
+        steps: reason why the environment took its own steps; empty if the traffic was compiled.
+        recording: recording of the episode, if requested, else None.
     """
 
     seed: int
@@ -82,22 +83,22 @@ class Episode:
 
 @dataclass(eq=False, kw_only=True)
 class Start:
-    """An environment after its reset, with an ADS for its ego.
+    """The start of an episode: an environment after its reset, with an ADS that will drive its ego.
 
     Attributes:
-        outer: environment in its wrappers.
+        outer: environment with its wrappers.
         seen: observation that the reset returned.
         ads: ADS that drives the ego.
         kind: kind of the ADS.
-        guard: guard of its decisions.
-        view: view of the environment for a planner that simulates inside it.
-        seed: seed of the episode, also for the errors of an imperfect sight.
-        sight: sight of the ADS, if imperfect.
-        eyes: imperfect observations of a policy with a sight.
+        guard: guard that interrupts the ADS's decisions if they take too long.
+        view: copy of the environment that an ADS may simulate in; None if the ADS does not request it.
+        seed: seed of the episode and of the errors of an imperfect sight.
+        sight: sight of the ADS; None if it is perfect.
+        eyes: maker of the imperfect observations of a policy with a sight; None without a sight.
         physics_hz: ticks per second.
-        ticks: ticks after which an episode ends at the latest.
+        ticks: largest number of ticks of the episode.
         every: ticks per step of the environment.
-        road: road; None if it is not straight.
+        road: straight road; None if the road is not straight.
     """
 
     outer: Any
@@ -146,7 +147,7 @@ class Start:
 
     @property
     def straight(self) -> StraightRoad:
-        """The straight road.
+        """The straight road of the environment.
 
         Raises:
             WorldError: if the road is not straight, so that no planner can drive on it.
@@ -160,7 +161,7 @@ class Start:
         return self.road
 
     def unfit(self, error: Exception) -> WorldError:
-        """Return the error for an environment that raises by itself, as it may with a different vehicle class."""
+        """Return the error for an environment that raised an exception, as it may with an ego of a different class."""
         name, ego = type(self.env).__name__, type(self.env.vehicle).__name__
         return WorldError(
             f"world: expected an environment whose steps work with an ego of the class {ego}, received {name}, "
@@ -195,18 +196,22 @@ class Start:
             self.guard.decision_ends()
 
     def action(self, seen: Any, tick: int) -> Any:
-        """Return a policy's action; raise what the policy raises, and :class:`BadAction` if it returns no action."""
+        """Return the policy's action for an observation.
+
+        Raises:
+            BadAction: if the policy returns no valid action. Exceptions of the policy are raised unchanged.
+        """
         if self.view is not None:
             with nullcontext() if self.eyes is None else self.eyes.shown():
                 self.view.show(tick)
         return checked_action(self.guarded(self.ads, seen), self.outer.action_space)
 
     def record(self) -> array[float]:
-        """Return an empty record for all vehicles at all ticks."""
+        """Return an empty array for the states of all vehicles at all ticks."""
         return array("d", bytes(8 * (self.ticks + 1) * len(self.vehicles) * COLUMNS))
 
     def pilot(self, body: Body, record: array[float]) -> PlannerPilot:
-        """Return the pilot that shows a planner the record and applies its decisions to a body."""
+        """Return the pilot that makes a planner's observations from a record and applies its decisions to a body."""
         road = self.straight
         sizes = [(each.LENGTH, each.WIDTH) for each in self.vehicles]
         every = max(1, self.physics_hz // PLANNER_HZ)
@@ -225,7 +230,7 @@ class Start:
         steps: str = "",
         recording: EpisodeRecording | None = None,
     ) -> Episode:
-        """Return the result of an episode that ended at a tick; a flagged ego has crashed."""
+        """Return the result of an episode that ended at a tick; the ego crashed if the environment has flagged it."""
         outcome = Outcome.COLLISION if self.env.vehicle.crashed else Outcome.SAFE
         if error is not None:
             outcome = Outcome.HANG if error.interrupted else Outcome.ADS_ERROR

@@ -1,7 +1,8 @@
 """Episodes of an unchanged environment: its own start, its own random traffic, and its own flag for crashes.
 
-The start is the result of ``env.reset`` with the seed. From there the traffic is compiled if possible; else the
-environment takes its own steps. Both agree on the tick and the outcome, and on positions within 1e-9 m.
+The start of an episode is the result of ``env.reset`` with its seed. Compiled code then drives the traffic if possible;
+otherwise the environment takes its own steps. Both give the same outcome at the same tick, and positions that differ by
+less than 1e-9 m.
 """
 
 from __future__ import annotations
@@ -31,7 +32,10 @@ from pytest_pafot.world.kernel.observation import COLUMNS
 
 
 def stepped(start: Start, seed: int, reason: str, *, is_recorded: bool) -> Episode:
-    """Drive the episode from its start by the environment's own steps, for a reason that its result states."""
+    """Drive an episode by the environment's own steps.
+
+    ``reason`` says why its traffic is not compiled, and is stored in the result.
+    """
     steps = _Steps(start, is_recorded=is_recorded)
     try:
         steps.run()
@@ -45,12 +49,13 @@ def stepped(start: Start, seed: int, reason: str, *, is_recorded: bool) -> Episo
 
 
 class _Steps:
-    """The steps of an environment whose road reports each tick.
+    """The environment's own steps in an episode; the ``step`` of its road is replaced to notice each tick.
 
     Attributes:
         tick: current tick of the episode.
-        crashed_at: tick at which the ego was flagged; the environment continues to the end of its step.
-        error: error of the ADS, if it did not decide.
+        crashed_at: tick at which the ego was flagged as crashed, else None; the environment continues to the end of its
+            step.
+        error: error of the ADS, if it did not decide, else None.
     """
 
     def __init__(self, start: Start, *, is_recorded: bool) -> None:
@@ -144,7 +149,7 @@ class _Steps:
             self._frames.append(poses)
 
     def recording(self) -> EpisodeRecording:
-        """Return what was recorded."""
+        """Return the recording of the ticks so far."""
         frames = self._frames or []
         vehicles, gone = list(dict.fromkeys(each for frame in frames for each in frame)), (math.nan,) * 4
         return EpisodeRecording(
@@ -165,20 +170,20 @@ def drive(
     may_compile: bool = True,
     is_recorded: bool = False,
 ) -> Episode:
-    """Drive one episode with a fresh ADS.
+    """Drive one episode with a new ADS.
 
     Args:
         environment: environment, which is reset with the seed.
         factory: factory of an ADS of any kind.
         seed: seed of the episode.
-        hang_limit: longest decision [s].
+        hang_limit: time after which a decision of the ADS is interrupted and counts as a hang [s].
         is_planner: whether the ADS receives an :class:`pytest_pafot.Observation` and returns acceleration and steering.
-        may_compile: whether the traffic may be compiled; else the environment takes its own steps.
+        may_compile: whether compiled code may drive the traffic; otherwise the environment takes its own steps.
         is_recorded: whether to record the episode.
 
     Raises:
-        AdsFactoryError: if the factory returns nothing that drives.
-        WorldError: if the environment cannot be used, or has no road for a planner.
+        AdsFactoryError: if the factory returns an object that cannot drive.
+        WorldError: if the environment cannot be used, or its road is not straight and the ADS is a planner.
     """
     with vehicle_classes_kept(), HangGuard(hang_limit) as guard:
         outer = environment.with_traffic()

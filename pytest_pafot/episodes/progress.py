@@ -1,4 +1,4 @@
-"""Comparison of two versions of a policy: what both did in the same situations, as values and in words."""
+"""Comparison of two versions of a policy in the same situations, as values and in words."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from pytest_pafot.support.proportions import difference, holm, mcnemar
 from pytest_pafot.support.text import ascii_text, markdown_table, plural
 
 LEVEL = 0.01
-"""The largest adjusted p with which a line claims a difference. Policies are compared after each change: with 0.05, one
-of twenty changes without an effect might be called better or worse."""
+"""The largest adjusted p-value with which a line of the table claims a difference. Policies are compared after each
+change: with 0.05, one of twenty changes without an effect might be called better or worse."""
 APART = "not told apart"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """The result of one policy in a situation."""
+    """The result of one policy in one situation."""
 
     failed: bool | None = None  # None if unknown
     impact: float | None = None  # closing speed of the collision that made it fail [m/s]
@@ -32,7 +32,7 @@ class Result:
 
     @classmethod
     def of(cls, run: Run, verdict: Verdict) -> Self:
-        """Return the result of a run by its verdict."""
+        """Return the result of a policy from a run and its verdict."""
         bounded = {each.name for each in verdict.checks if set(each.bounds.values()) != {None}}
         is_whole = run.collision is None and run.ads_error is None and run.outcome != "off_road"  # nothing cut it short
         margins = {name: worst for name, worst in worst_margins(verdict) if name in bounded and math.isfinite(worst)}
@@ -43,7 +43,7 @@ class Result:
 
 
 MEANINGS = {"common": " (both fail)", "introduced": " (only the new fails)", "fixed": " (only the old fails)"}
-"""What the summary adds to labels of saved scenarios."""
+"""The explanation that the summary adds to the labels of saved scenarios."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +65,7 @@ class PairRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparedLine:
-    """A line of the table: numbers of both policies, compared pair by pair."""
+    """A line of the table, which compares both policies in one quantity, pair by pair."""
 
     what: str  # quantity that is compared
     words: tuple[str, str]  # words for it if the new policy is better, and if it is worse
@@ -84,13 +84,13 @@ class ComparedLine:
 
     @property
     def interval(self) -> str:
-        """The 95 % interval of how many points more pairs count for the new policy; empty for medians."""
+        """The 95 % interval of the new policy's share minus the old policy's, in words; empty for medians."""
         low, high = difference(self.worse, self.better, self.pairs)
         return f"{100 * low:+.1f} to {100 * high:+.1f} points" if self.unit is None else ""
 
     @property
     def sentence(self) -> str:
-        """The claim of the line, or the numbers between which it claims nothing."""
+        """The difference that the line claims, or the numbers of both policies if it claims no difference."""
         of = f" of {self.pairs}" if self.unit is None else f"{self.unit} in the median of {self.pairs}"
         old, new = (f"{value:.4g}" if self.unit is not None else str(value) for value in (self.old, self.new))
         if self.verdict == APART:
@@ -103,7 +103,10 @@ class ComparedLine:
 def _line(
     what: str, words: tuple[str, str], pairs: Iterable[tuple[float, float]], by: float = 0.0, unit: str | None = None
 ) -> ComparedLine:
-    """Compare old and new numbers that differ by more than ``by``. Higher is worse, unless ``larger`` is better."""
+    """Compare pairs (old, new) of numbers, where a difference of at most ``by`` counts as no difference.
+
+    Higher numbers are worse, unless the first of the ``words`` is ``larger``.
+    """
     pairs = list(pairs)
     rises, falls = (sum(sign * (new - old) > by for old, new in pairs) for sign in (1, -1))
     worse, better = (falls, rises) if words[0] == "larger" else (rises, falls)
@@ -115,9 +118,10 @@ def _line(
 
 
 def lines_of(rows: Iterable[PairRow]) -> list[ComparedLine]:
-    """Compare two policies in all quantities of which there are pairs.
+    """Compare two policies in all quantities for which there are pairs of results.
 
-    Saved scenarios, and those that a search found, do not count: they were chosen because one of the two fails.
+    Saved scenarios and scenarios that a search found are not included, because they were chosen for the failure of one
+    of the two policies.
     """
     both = [row for row in rows if row.old.failed is not None and row.new.failed is not None]
     drawn = [row for row in both if row.part == "scenarios"]
@@ -142,12 +146,12 @@ def lines_of(rows: Iterable[PairRow]) -> list[ComparedLine]:
 
 
 def verdict_of(lines: Iterable[ComparedLine]) -> str:
-    """Return ``better``, ``worse``, ``better and worse`` or ``not told apart``."""
+    """Return the verdict on the new policy: ``better``, ``worse``, ``better and worse`` or ``not told apart``."""
     return " and ".join(sorted({line.verdict for line in lines} - {APART})) or APART
 
 
 def sentence_of(old: str, new: str, lines: Sequence[ComparedLine]) -> str:
-    """Return a sentence on which of two policies is better and in what, and in what they do not differ measurably."""
+    """Return a sentence that says in which quantities the new policy is better or worse, and in which neither."""
     claims = [line.sentence for line in lines if line.verdict != APART]
     others = ", ".join(line.sentence for line in lines if line.verdict == APART)
     if not claims:

@@ -52,7 +52,7 @@ from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import first_decision, reference_world, road_start
 
 FIRST = 10
-"""The number of scenarios after which a policy that failed in all of them is said not to drive at all."""
+"""The number of first scenarios: a policy that fails in all of them is refused, because it does not drive at all."""
 HOW_TO_READ = f"""
 A line compares both policies in the same situations, pair by pair, and claims a difference where p, adjusted for the
 number of lines, is at most {LEVEL:g}. Policies that are not told apart may still differ: compare more situations to
@@ -63,17 +63,17 @@ that a search found, were chosen because one of the two fails in them, so they d
 
 
 OTHER_VERSION = "run `git show main:planner.py > planner_before.py` and give planner_before:Planner"
-"""How to get another version of a policy."""
+"""The way out in messages for a user who has no second version of a policy."""
 
 
 def never_at_fault_in_a_collision(run: Run) -> None:
-    """Assert what the command ``search`` asserts if no check is given."""
+    """Assert that there is no collision, as the command ``search`` does if it receives no check."""
     assert not run.collision, run.explain()  # noqa: S101  (the function of a test)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProgressPlan:
-    """The policies to compare, and the situations. Every row depends only on this value and its name."""
+    """The policies to compare, and the situations. A row of the results depends only on the plan and the row's name."""
 
     old: str  # as in ``rate``; a planner in SI units with an environment has ``@planner`` after its name
     new: str
@@ -97,12 +97,12 @@ class ProgressPlan:
 
     @property
     def holds(self) -> Callable[[Run], Any]:
-        """The function that checks runs."""
+        """The function that checks each run."""
         return never_at_fault_in_a_collision if self.check is None else check_function(self.check)
 
     @property
     def test(self) -> str:
-        """The node id of the test that ``search`` would run, so that the same seed finds the same failures."""
+        """The node id of the test that the command ``search`` would run, so that a seed finds the same failures."""
         name = never_at_fault_in_a_collision.__name__ if self.check is None else self.check.split(":")[-1]
         return f"test_safety.py::{name if name.startswith('test') else f'test_{name}'}"
 
@@ -123,7 +123,7 @@ class ProgressPlan:
 
     @property
     def job(self) -> ResumableJob:
-        """The tasks, each with its part, its number of situations and the first of them."""
+        """The job with its tasks; a task's name has its part and its number of situations, then the first situation."""
         sizes = {
             (f"{part}-{min(CHUNK, total - first)}", first): 2 * min(CHUNK, total - first)
             for part, total in (("scenarios", self.scenarios), ("episodes", self.episodes if self.env_id else 0))
@@ -163,7 +163,7 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
 
 
 def _check_set_up(plan: ProgressPlan, side: str) -> None:
-    """Refuse a policy that never drives, and a check that fails whatever happens in a run."""
+    """Raise for a policy that never drives, and for a check that fails in all of the first runs."""
     first = FirstGeneration()
     try:
         for each in plan.judged(side, range(min(FIRST, plan.scenarios))):
@@ -233,7 +233,10 @@ def _saved(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
 
 
 def _alone(side: str, plan: ProgressPlan, _: range, tick: Tick) -> Iterator[PairRow]:
-    """Yield the scenarios of a search that one of the two policies fails and the other passes."""
+    """Yield the scenarios that a search has found in which only the policy of one side fails.
+
+    ``side`` is ``old`` or ``new``.
+    """
     runs = count(1)
     found = explore(
         plan.factory(side), against=plan.factory("new" if side == "old" else "old"), holds=plan.holds, world=plan.world,
@@ -328,7 +331,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def _hint(plan: ProgressPlan, rows: Sequence[PairRow]) -> str:
-    """Return the command that saves and explains what only the new policy fails; empty if there is nothing."""
+    """Return the command that saves and explains failures that only the new policy has; empty without them."""
     if not any(row.part == "alone" and row.new.failed for row in rows) or plan.config is not None:
         return ""
     old, new = (name.removesuffix(PLANNER) for name in (plan.old, plan.new))

@@ -1,4 +1,4 @@
-"""Results of episodes: crashes per episode and per hour, and two policies on the same seeds."""
+"""Results of episodes: crashes per episode and per hour, and a comparison of two policies on the same seeds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SECONDS_PER_HOUR = 3600.0
 UNDECIDED = (Outcome.ADS_ERROR, Outcome.HANG)
 """The outcomes of episodes in which the ADS did not decide."""
 SHOWN = 10
-"""The most seeds in a line."""
+"""The largest number of seeds in a line of text."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +39,7 @@ class Rate:
 
     Attributes:
         ads: policy, as it was given.
-        rows: results of all episodes, by seed.
+        rows: results of all episodes, sorted by seed.
     """
 
     ads: str
@@ -50,7 +50,7 @@ class Rate:
 
     @property
     def episodes(self) -> int:
-        """The number of episodes that were driven, without those in which the ADS did not decide."""
+        """The number of episodes in which the ADS decided until the end; episodes with an error are not included."""
         return len(self.rows) - len(self.failed)
 
     @property
@@ -60,7 +60,7 @@ class Rate:
 
     @property
     def failed(self) -> tuple[EpisodeRow, ...]:
-        """The episodes in which the ADS raised, hung or returned no action, which are neither crashes nor drives."""
+        """The episodes in which the ADS raised, hung or returned no action; the rate does not include them."""
         return tuple(row for row in self.rows if row.outcome in UNDECIDED)
 
     @property
@@ -70,25 +70,25 @@ class Rate:
 
     @property
     def hours(self) -> float:
-        """The hours of driving, in the episodes that were driven."""
+        """The hours of driving in all episodes without an error of the ADS."""
         return sum(row.seconds for row in self.rows if row.outcome not in UNDECIDED) / SECONDS_PER_HOUR
 
     @property
     def per_hour(self) -> float:
-        """The crashes per hour of driving."""
+        """The crashes per hour of driving; NaN if no episode was driven."""
         return len(self.crashed) / self.hours if self.hours else float("nan")
 
     def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """Return the Clopper-Pearson interval of the share of crashes."""
+        """Return the Clopper-Pearson interval of the crashes per episode, as (low, high)."""
         return interval(len(self.crashed), self.episodes, confidence)
 
     def upper_bound(self, confidence: float = CONFIDENCE) -> float:
-        """Return the bound that the true share of crashes exceeds with a probability of at most ``1 - confidence``."""
+        """Return the upper limit of the true crashes per episode, which holds with a probability of ``confidence``."""
         return upper_bound(len(self.crashed), self.episodes, confidence)
 
     @property
     def sentence(self) -> str:
-        """The sentence ``38 of 1000 episodes crashed, 3.8 % (95 %: 2.7 to 5.2 %); 4.9 an hour in 7.8 h of driving``."""
+        """The rate: ``38 of 1000 episodes crashed, 3.8 % (95 %: 2.7 to 5.2 %); 4.9 an hour in 7.8 h of driving``."""
         if not self.episodes:
             return f"no episode of {len(self.rows)} was driven to its end"
         share = interval_text(len(self.crashed), self.episodes)
@@ -100,7 +100,7 @@ class Rate:
 
     @property
     def notes(self) -> list[str]:
-        """Notes, one per line: seeds of crashes, failures of the ADS, and why traffic was not compiled."""
+        """The notes on the rate, one per line: seeds of crashes, errors of the ADS, why traffic was not compiled."""
         lines = []
         if self.crashed:
             lines.append(f"seeds of the crashes: {shown(self.crashed)}")
@@ -118,11 +118,11 @@ class Rate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """Two policies on the same seeds; only seeds that both drove count.
+    """A comparison of two policies on the seeds on which neither had an error.
 
     Attributes:
-        first, second: policies.
-        both, first_only, second_only, neither: seeds at which they crashed.
+        first, second: names of the policies.
+        both, first_only, second_only, neither: seeds on which both policies, only one of them, or neither crashed.
     """
 
     first: str
@@ -154,7 +154,7 @@ class Pair:
 
     @property
     def sentence(self) -> str:
-        """A sentence on how many seeds separate the two, and how likely that is if both crash equally often."""
+        """A sentence with the numbers of seeds on which only one policy crashed, both or neither, and the p-value."""
         return (
             f"on the same seeds {len(self.first_only)} crashed only with {self.first}, {len(self.second_only)} only "
             f"with {self.second}, {len(self.both)} with both, {len(self.neither)} with neither: p {p_text(self.p)} "
@@ -168,12 +168,12 @@ def number(value: float) -> str:
 
 
 def p_text(p: float) -> str:
-    """Return a p-value with its relation."""
+    """Return a p-value with its relation sign, such as ``= 0.03`` or ``< 0.0001``."""
     return "< 0.0001" if p < 1e-4 else f"= {p:.2g}"
 
 
 def shown(seeds: Sequence[int]) -> str:
-    """Return the first seeds in a line."""
+    """Return the first seeds as a text, with the number of the others."""
     more = f" and {len(seeds) - SHOWN} more" if len(seeds) > SHOWN else ""
     return ", ".join(map(str, seeds[:SHOWN])) + more
 

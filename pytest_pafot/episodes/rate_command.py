@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, str]:
-    """Draw the first crash of each policy and return the names of the pictures; warn if the library is missing."""
+    """Draw the first crash of each policy and return the file names by policy; warn if a needed package is missing."""
     try:
         return {
             rate.ads: _drawn(_episode(plan, rate.ads, rate.crashed[0]), rate.ads, folder, AGAIN)
@@ -105,10 +105,10 @@ def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, 
 
 
 def config_of(text: str | None) -> dict[str, Any] | None:
-    """Return the options of an environment that ``--config`` gives.
+    """Return the environment's options from the text of ``--config``; None without a text.
 
     Raises:
-        PlanError: if the text is no JSON of options.
+        PlanError: if the text is not a JSON object.
     """
     if text is None:
         return None
@@ -151,7 +151,7 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
 
 
 def _replay(plan: RatePlan, seed: int, folder: Path) -> int:
-    """Drive one episode of each policy again and draw its end."""
+    """Drive the episode with a seed again, with each policy, and draw its end into a folder."""
     with written_into(folder):  # before anything is driven
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()

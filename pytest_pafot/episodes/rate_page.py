@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # it imports highway-env
 # The end of an episode as an animated picture, in the style of the pictures of findings.
 
 NEAREST = 7
-"""The number of other vehicles in a picture: those nearest to the ego at the end."""
+"""The number of other vehicles in a picture, which are the nearest to the ego at the end of the episode."""
 CELLS = 8
 
 
@@ -32,7 +32,7 @@ def picture(episode: Episode, headline: str) -> bytes:
     """Return an APNG of the last seconds of a recorded episode.
 
     Raises:
-        AnimationError: without Pillow.
+        AnimationError: if Pillow is not installed.
     """
     if episode.recording is None:
         raise ValueError("episode: expected one with a recording")
@@ -100,7 +100,10 @@ HOW_TO_READ = """
 
 
 def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures: Mapping[str, str]) -> str:
-    """Return the page, with the command that made it and, by policy, the file name of the picture of a crash."""
+    """Return the page of a rate as Markdown.
+
+    ``command`` is the command that made it, and ``pictures`` has the file name of the picture of each policy's crash.
+    """
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
     config = "" if plan.config is None else f" with `{json.dumps(dict(plan.config))}`"
     rows = []

@@ -1,4 +1,4 @@
-"""The plan of a rate: one policy or two, an environment, and the seeds of the episodes."""
+"""The plan of a crash rate: one or two policies, an environment, and the seeds of the episodes."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ from pytest_pafot.world.driving.ads import AdsFactory
 
 QUESTION = "rate.json"
 CHUNK = 25
-"""The number of episodes in a task; finished tasks are saved when the command is interrupted."""
+"""The number of episodes in a task; if the command is interrupted, finished tasks are saved."""
 PLANNER = "@planner"
-"""The suffix of the name of a planner in SI units."""
+"""The suffix that a user adds to the name of a policy that is a planner in SI units."""
 SIDES = ("ads", "against")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RatePlan:
-    """A plan for one rate or two. Every episode depends only on this value and its seed.
+    """A plan for the crash rates of one or two policies. Every episode depends only on this plan and its seed.
 
     Attributes:
-        ads: policy, in the form of the command ``compare``, with ``@planner`` after it for a planner in SI units.
-        against: second policy on the same seeds, or None.
+        ads: name of the policy, in the form of the command ``compare``; with ``@planner`` at its end for a planner in
+            SI units.
+        against: name of a second policy that drives on the same seeds, or None.
         env_id, config: environment, as in :class:`pytest_pafot.World`.
-        episodes: number of episodes, with the seeds from ``seed`` on.
+        episodes: number of episodes; their seeds are ``seed``, ``seed + 1`` and so on.
         seed: seed of the first episode.
     """
 
@@ -50,13 +51,13 @@ class RatePlan:
 
     @property
     def policies(self) -> dict[str, str]:
-        """The name of the policy of each side."""
+        """The names of the policies by side, ``ads`` or ``against``."""
         given = (self.ads, self.against)
         return {side: name for side, name in zip(SIDES, given, strict=True) if name is not None}
 
     @property
     def job(self) -> ResumableJob:
-        """The job, whose tasks are a side with a number of episodes, and the first seed."""
+        """The job with its tasks; each task is a side with a number of episodes, and the seed of the first episode."""
         firsts = range(self.seed, self.seed + self.episodes, CHUNK)
         sizes = {
             (f"{side}-{count}", first): count
@@ -102,7 +103,7 @@ def checked(plan: RatePlan) -> RatePlan:
 
 
 def factory_of(name: str) -> tuple[AdsFactory, bool]:
-    """Return the factory with a name, and whether it makes a planner in SI units.
+    """Return the factory with a name, and whether its policy is a planner in SI units.
 
     Raises:
         PlanError: if there is no such factory.
@@ -111,7 +112,7 @@ def factory_of(name: str) -> tuple[AdsFactory, bool]:
 
 
 def driven(world: World, name: str, factory: AdsFactory, seed: int, *, is_planner: bool) -> EpisodeRow:
-    """Drive one episode and return its row."""
+    """Drive one episode and return its row of the results."""
     from pytest_pafot.episodes.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
 
     episode = drive(world.environment, factory, seed, hang_limit=world.hang_limit, is_planner=is_planner)
@@ -126,7 +127,7 @@ def driven(world: World, name: str, factory: AdsFactory, seed: int, *, is_planne
 
 
 def told(error: AdsError) -> str:
-    """Return the error of an ADS in a line."""
+    """Return the error of an ADS as one line."""
     prefix = "" if error.message.startswith(error.kind) else f"{error.kind}: "
     return f"{prefix}{error.message}"
 

@@ -1,4 +1,4 @@
-"""The checked request of ``@pafot.rate``, the episodes that it drives, and whether their crashes are few enough."""
+"""The checked arguments of ``@pafot.rate``, the drives that they request, and the decision on the crash rate."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EPISODES = 300
 
 
 class RateArguments(TypedDict, total=False):
-    """The arguments of :func:`pytest_pafot.rate`, for type checkers and for the check of names."""
+    """The arguments of :func:`pytest_pafot.rate`, for type checkers and to find misspelled names."""
 
     at_most: Required[float]
     world: Required[World | str]
@@ -37,16 +37,16 @@ class RateArguments(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RateRequest:
-    """A checked request for a rate.
+    """The checked arguments of a test that limits a crash rate.
 
     Attributes:
         at_most: largest allowed number of crashes per episode.
-        world: world whose own traffic is used.
-        ads: factory, or the name of the fixture that returns it.
-        episodes: number of episodes, with the seeds from ``seed`` on.
+        world: environment in whose own traffic the policy drives.
+        ads: factory of the policy, or the name of the fixture that returns the factory.
+        episodes: number of episodes; their seeds are ``seed``, ``seed + 1`` and so on.
         seed: seed of the first episode.
-        confidence: confidence with which the rate must be shown to be at most ``at_most``; None to compare only the
-            counted crashes with it.
+        confidence: confidence with which the true rate must be at most ``at_most``; None to compare only the counted
+            crashes per episode with ``at_most``.
         planner: whether the ADS is a planner in SI units.
     """
 
@@ -59,11 +59,13 @@ class RateRequest:
     planner: bool = False
 
     def measured(self, factory: Callable[..., Any], workers: int = 1, *, isolate: bool = False) -> Rate:
-        """Drive the episodes, in several processes if they can be forked; with ``isolate`` none in this process.
+        """Drive the episodes and return the rate; use several processes if they can be forked.
+
+        With ``isolate``, no episode is driven in this process.
 
         Raises:
-            ProcessLostError: if a process does not return.
-            RequestError: with ``isolate``, if processes cannot be forked and the factory cannot be pickled.
+            ProcessLostError: if a process dies or hangs.
+            RequestError: if ``isolate`` is set, processes cannot be forked, and the factory cannot be pickled.
         """
         name = self.ads if isinstance(self.ads, str) else getattr(factory, "__name__", repr(factory))
         seeds, work = range(self.seed, self.seed + self.episodes), partial(_row, self, name, factory)
@@ -86,7 +88,7 @@ class RateRequest:
         return Rate(ads=name, rows=tuple(rows))
 
     def objection(self, rate: Rate) -> str:
-        """Return why the rate is too high, in lines; empty if it is not."""
+        """Return the message that the rate is too high or that the ADS failed; empty if the rate is accepted."""
         told = "\n".join([rate.sentence, *rate.notes])
         if rate.failed:
             speaks = "" if rate.episodes or self.planner else "; planner=True says that it is a planner in SI units"
@@ -104,15 +106,15 @@ class RateRequest:
 
 
 def _row(request: RateRequest, name: str, factory: Callable[..., Any], seed: int, *_: object) -> EpisodeRow:
-    """Drive one episode; the pool passes more arguments than are needed."""
+    """Drive one episode and return its row; further arguments of the pool are ignored."""
     return driven(request.world, name, factory, seed, is_planner=request.planner)
 
 
 def checked_rate(arguments: Mapping[str, Any], positional: Sequence[object] = ()) -> RateRequest:
-    """Return the request of a mark's arguments; positional arguments are refused.
+    """Return the request from the arguments of ``@pafot.rate``, which must all be keyword arguments.
 
     Raises:
-        RequestError: for the first wrong argument.
+        RequestError: for the first argument that is not valid.
         WorldError: if the environment cannot be used.
     """
     _check_names(arguments, positional)
@@ -154,7 +156,7 @@ def _check_names(arguments: Mapping[str, Any], positional: Sequence[object]) -> 
 
 
 def _problems(given: Mapping[str, Any]) -> Mapping[str, str]:
-    """Return the problem of each argument; empty if there is none."""
+    """Return the problem of each argument by its name; a text is empty if the argument is valid."""
     ads, confidence = given.get("ads"), given.get("confidence")
     share, likely = plain_number(given["at_most"]), plain_number(confidence)
     episodes, seed = plain_whole(given.get("episodes", 1)), plain_whole(given.get("seed", 0))
