@@ -1,6 +1,6 @@
-"""The output of code in a different process: printed text, log records and warnings, which are repeated in this one.
+"""Capture of the output of code in a different process: printed text, log records and warnings.
 
-pytest captures all three in the memory of the process that runs the item, so it would miss them otherwise.
+The process of the test repeats the captured output, because pytest captures only the output of that process.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from queue import SimpleQueue
 
 @dataclass(slots=True, kw_only=True)
 class CapturedOutput:
-    """The captured output, each kind in its order.
+    """The captured output: printed text, log records and warnings, each in the order in which they occurred.
 
-    Warnings that pass the filters are stored as text, category, file and line, without the objects that they refer to.
+    A warning that passes the filters is stored as text, category, file and line, without the objects that it refers to.
     """
 
     out: str = ""
@@ -29,7 +29,7 @@ class CapturedOutput:
     warned: list[tuple[str, type[Warning], str, int]] = field(default_factory=list)
 
     def repeat(self) -> None:
-        """Repeat the output in this process."""
+        """Print the texts, handle the log records and issue the warnings in this process."""
         for stream, text in ((sys.stdout, self.out), (sys.stderr, self.err)):
             if text:
                 stream.write(text)
@@ -43,7 +43,7 @@ class CapturedOutput:
 
 @contextmanager
 def capture_output() -> Iterator[CapturedOutput]:
-    """Capture the output inside the context; it is complete at the end."""
+    """Capture the output of the code in the ``with`` block; it is complete when the block ends."""
     captured, out, err = CapturedOutput(), _Stream(), _Stream()
     root, queue = logging.getLogger(), SimpleQueue[logging.LogRecord]()
     handlers, root.handlers = root.handlers, [QueueHandler(queue)]

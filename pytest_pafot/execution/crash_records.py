@@ -1,8 +1,8 @@
 """Crash records: each scenario is on disk before it runs, so that a crash of the whole process can be explained.
 
-Each process writes its own file and locks it. The system releases the lock when the process ends, however it ends, so
-a file without a lock was left by a process that died. Process ids alone do not suffice: in containers each session may
-have the same one.
+Each process writes its own file and locks it. The system releases the lock when the process ends, however it ends, so a
+file without a lock was left by a process that died. Process ids do not suffice to detect that, because in containers
+each session may have the same process id.
 
 A record is signed for its folder with a key of this user on this machine. A record from a pull request, a different
 project or a different machine has no valid signature, and no search uses it.
@@ -29,19 +29,22 @@ from pytest_pafot.support.files import hold, is_held, open_regular, pid_of, writ
 
 SUFFIX = ".inflight"
 TRIED = ".tried"
-"""The part before the suffix of a record whose scenario was run again without a crash."""
+"""The part of a record's file name, before the suffix, after its scenario was run again without a crash."""
 MAX_BYTES = 1 << 20
 KEY_BYTES = 32
 _SIGNATURE = b', "signature": "'
-"""The text before the last value of a record: the signature of everything before this text."""
+"""The text in a record between the signed text and the signature."""
 
 
 class KeyFolderError(OSError):
-    """A key for signing records that cannot be used."""
+    """Error for a key that cannot be used to sign crash records."""
 
 
 class CrashRecordError(Exception):
-    """A folder that cannot be read or written; the search goes on, but a crash of the process cannot be explained."""
+    """Error for a folder of crash records that cannot be read or written.
+
+    The search goes on, but a crash of the process cannot be explained.
+    """
 
     def __init__(self, folder: Path, error: OSError) -> None:
         way_out = "make the folder readable and writable"
@@ -58,15 +61,15 @@ class CrashRecordError(Exception):
 
 
 class CrashRecord:
-    """A process's record of the scenario that it runs now; errors are stored, and never raised into the search."""
+    """A process's record of the scenario that it runs now; errors are stored in ``error`` and never raised."""
 
     def __init__(self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None) -> None:
-        """Prepare a record; it can be sent to a different process, since no file exists before the first scenario.
+        """Prepare a record in the folder of all records, which is created if it is missing.
 
-        The folder contains the records of all processes, and is created if it is missing.
+        The record can be sent to a different process, because its file is created only for the first scenario.
         """
         self.error: CrashRecordError | None = None
-        """Why nothing can be recorded, to be reported once, or None."""
+        """The error because of which nothing can be recorded, or None; the search reports it once."""
         self._folder = folder
         self._descriptor: int | None = None
         self._path = folder
@@ -75,9 +78,10 @@ class CrashRecord:
         self._world = json.dumps(dict(world) if world is not None else None)
 
     def write(self, *scenarios: Scenario, reference: str = "") -> None:
-        """Write a scenario to disk, which is then the cause of a crash; of several scenarios, one of them is.
+        """Write the scenario that is about to run to disk, or all scenarios that are about to run in lock step.
 
-        ``reference`` is the name of a policy that drives instead of the ADS, or empty.
+        If the process then crashes, one of these scenarios is the cause. ``reference`` is the name of a policy that
+        drives instead of the ADS, or empty.
         """
         alone = scenarios[0].canonical() if len(scenarios) == 1 else "null"
         together = "" if alone != "null" else f', "together": [{", ".join(each.canonical() for each in scenarios)}]'
@@ -140,7 +144,7 @@ def _refuse_link(folder: Path) -> None:
 
 
 def _seal(folder: Path) -> hashlib.blake2b:
-    """Return the hash that signs the records of a folder, before any record is added."""
+    """Return the keyed hash of a folder's path, to which the text of a record is added to sign that record."""
     return hashlib.blake2b(os.fsencode(os.path.realpath(folder)) + b"\0", key=_key(), digest_size=16)
 
 
@@ -151,13 +155,13 @@ def _signature(seal: hashlib.blake2b, record: bytes) -> bytes:
 
 
 def _key() -> bytes:
-    """Return the key of this user on this machine; create it if it is missing.
+    """Return the key with which this user signs records on this machine; create the key if it is missing.
 
-    It is in the folder for temporary files, in which no repository can place files. If it is lost, for example when the
-    machine restarts, older records are ignored.
+    The key is in the folder for temporary files, in which no repository can place files. If the key is lost, for
+    example when the machine restarts, older records are ignored.
 
     Raises:
-        KeyFolderError: if it cannot be created, or if other users could have written it.
+        KeyFolderError: if the key cannot be created, or if other users could have written it.
     """
     # On Windows each user has their own folder for temporary files.
     name = "pytest-pafot" if sys.platform == "win32" else f"pytest-pafot-{os.getuid()}"
@@ -191,11 +195,11 @@ class Leftover:
         path: the path of the record.
         pid: the id of the process.
         owner: the node id of the test; empty if the record cannot be read.
-        scenarios: the running scenarios: one, or several in lock step, one of which is the cause; empty if the record
-            cannot be read.
-        world: the world in which they ran, as plain data, or None.
+        scenarios: the scenario that was running, or several that ran in lock step; one of them caused the death. Empty
+            if the record cannot be read.
+        world: the world in which the scenarios ran, as plain data, or None.
         reference: the name of the policy that drove instead of the ADS; empty if the ADS drove.
-        is_own: True if a session of this user wrote it in this folder; any other record may be forged.
+        is_own: True if a session of this user wrote the record in this folder; any other record may be forged.
     """
 
     path: Path
@@ -208,21 +212,21 @@ class Leftover:
 
     @property
     def scenario(self) -> Scenario | None:
-        """The only running scenario; None if there were several or none."""
+        """The scenario that was running; None if several were running or if the record cannot be read."""
         return self.scenarios[0] if len(self.scenarios) == 1 else None
 
     @property
     def is_lock_step(self) -> bool:
-        """True if several scenarios were running at once."""
+        """True if several scenarios were running in lock step."""
         return len(self.scenarios) > 1
 
     @property
     def is_tried(self) -> bool:
-        """True if an earlier session ran it again without a crash, but died later in its search."""
+        """True if an earlier session ran the scenario again without a crash, but then died later in its search."""
         return self.path.name.endswith(TRIED + SUFFIX)
 
     def tried(self) -> Leftover:
-        """Mark the record as run again, until the session has finished its search; return the marked record."""
+        """Mark that this session has run the scenario again without a crash; return the marked record."""
         marked = self.path.with_name(self.path.name.removesuffix(SUFFIX) + TRIED + SUFFIX)
         with suppress(OSError):  # if it cannot be renamed, it is only run again
             self.path.rename(marked)
@@ -230,13 +234,13 @@ class Leftover:
         return self
 
     def discard(self) -> None:
-        """Remove the record after it was reported; a different process may have removed it already."""
+        """Remove the record's file, if it still exists."""
         with suppress(OSError):  # if it cannot be removed, it is only reported again
             self.path.unlink(missing_ok=True)
 
 
 def leftovers(folder: Path) -> tuple[Leftover, ...]:
-    """Return the records of processes that died, sorted by name; records of running processes are left out.
+    """Return the records of processes that died, sorted by file name.
 
     Records of processes that ended between two scenarios are removed. A missing folder has no records.
 
@@ -257,9 +261,9 @@ def leftovers(folder: Path) -> tuple[Leftover, ...]:
 
 
 def left_by(owner: str, folder: Path) -> list[Leftover]:
-    """Return the records of one owner that a session of this user wrote.
+    """Return the records of processes that died in the test ``owner``, if a session of this user wrote them.
 
-    There are none in a folder that cannot be read: writing a record there fails as well, and reports the reason.
+    The list is empty if the folder cannot be read. Writing a record there then fails as well, and reports the reason.
     """
     try:
         return [leftover for leftover in leftovers(folder) if leftover.is_own and leftover.owner == owner]

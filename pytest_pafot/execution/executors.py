@@ -1,9 +1,10 @@
-"""Runs by any executor, on any number of machines: each task is a few scenarios, run in a child process of a worker.
+"""Runs by any executor, on any number of machines; each task is a few scenarios.
 
-A worker passes its scenarios to a child process, which it reuses for later tasks, for two reasons: a hanging decision
-can be interrupted only in a main thread, in which tasks do not run; and an ADS that ends its process must not end the
-worker. World and ADS are sent as bytes, by value if workers cannot import them, and only until the workers have them. A
-task is an object that runs when it is unpickled, so a scheduler, which only passes it on, does not need this package.
+A worker runs its scenarios in a child process, which it reuses for later tasks. There are two reasons. A hanging
+decision can be interrupted only in a main thread, in which workers do not run tasks. And an ADS that ends its process
+must not end the worker. World and ADS are sent as bytes, only until the workers have them; code that workers cannot
+import is part of the bytes. A task is an object that runs when it is unpickled. So a scheduler, which only passes tasks
+on, does not need this package.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ INSTALL = "pip install 'pytest-pafot[dask]'"
 TASK_SECONDS = 0.02
 """The target duration of a task, which is long compared with its overhead of a few milliseconds [s]."""
 MOST = 20
-"""The largest number of scenarios in a task; one that takes longer than :data:`TASK_SECONDS` is a task by itself."""
+"""The largest number of scenarios in a task. If a run takes longer than :data:`TASK_SECONDS`, each task has one
+scenario.
+"""
 
 IDLE = 60.0
 """The time without a task after which the child process of a worker ends [s]."""
@@ -44,7 +47,7 @@ IDLE = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Parcel:
-    """Everything that workers need to run scenarios; parcels of the same digest are equal, even without content."""
+    """Everything that workers need to run scenarios; parcels with the same digest are equal, even without content."""
 
     digest: str
     content: bytes | None = field(compare=False)  # world, ADS factory and the function that reads from runs
@@ -53,15 +56,15 @@ class Parcel:
 
 
 Done = tuple[list[Timed | Exception], list[LostRun]]
-"""The answers to the scenarios of a task, and the processes that died in runs that succeeded in a second attempt."""
+"""The answers to the scenarios of a task, and the deaths of processes in runs that succeeded in a second attempt."""
 
 
 class ExecutorPool:
     """A pool that runs scenarios by an executor, as :class:`pytest_pafot.execution.pool.WorkerPool` does by processes.
 
-    If a task is lost with its worker, the cause may be any of its scenarios, so each is run again by itself. If it is
-    lost again, its answer is a ``ProcessLostError``. If the connection to the workers fails twice, the executor is not
-    used any more.
+    If a worker dies in a task, any of the task's scenarios may be the cause, so each scenario is run again by itself.
+    If a worker dies again, the answer to that scenario is a ``ProcessLostError``. If the connection to the workers
+    fails twice, the executor is not used any more.
 
     Raises:
         ExecutionError: if world and ADS cannot be packed; :meth:`fetch` raises it if workers cannot unpack them.
@@ -69,11 +72,11 @@ class ExecutorPool:
 
     def __init__(self, job: Job, executor: Executor) -> None:
         self.recovered: list[LostRun] = []
-        """The processes and workers that died in runs that succeeded in a second attempt."""
+        """The deaths of processes and workers in runs that succeeded in a second attempt."""
         self.failure = ""
-        """Why the executor cannot be used any more, so that no task has a result; or empty."""
+        """The reason why the executor cannot be used any more, so that tasks have no results; else empty."""
         self.unable: list[Exception] = []
-        """The exceptions of workers for scenarios that only the session can run, such as an error of the factory."""
+        """The exceptions of workers for scenarios that this process has to run, such as an error of the factory."""
         self._executor = executor
         self._parcel = packed(job)
         self._is_known = False  # True if some worker has the content of the parcel
@@ -84,7 +87,7 @@ class ExecutorPool:
 
     @property
     def notes(self) -> list[str]:
-        """Notes on the executor, and on runs that it could not make."""
+        """Notes for the user on the executor, and on runs that it could not make."""
         notes = [f"pafot_executor: {type(self._executor).__name__} made the runs of the generations"]
         if self.unable:
             first = f"{type(self.unable[0]).__name__}: {self.unable[0]}"
@@ -94,7 +97,7 @@ class ExecutorPool:
         return notes + list(map(recovery_note, self.recovered))
 
     def expect(self, scenarios: Iterable[Scenario]) -> None:
-        """Start these scenarios; earlier ones that were not fetched are dropped."""
+        """Start to run some scenarios; earlier scenarios that were not fetched are dropped."""
         self.close()
         size = max(1, min(MOST, round(self._runs * TASK_SECONDS / self._seconds))) if self._runs else 1
         to_come = iter(scenarios)
@@ -102,10 +105,10 @@ class ExecutorPool:
             self._submit(task)
 
     def fetch(self, scenario: Scenario) -> Answer:
-        """Wait for the answer to a scenario and return it, once.
+        """Wait for the answer to a scenario and return it; each answer can be fetched once.
 
         Raises:
-            ExecutionError: if no worker can run any scenario as it is run here.
+            ExecutionError: if workers cannot run scenarios as this process does, for example with other versions.
         """
         if scenario not in self._under_way and scenario not in self._answers:
             self._submit([scenario])
@@ -122,7 +125,7 @@ class ExecutorPool:
         return RuntimeError(self.failure) if self.failure else self._answers.pop(scenario)
 
     def close(self, *, at_once: bool = False) -> None:
-        """Cancel the current tasks, but do not shut the executor down, since it belongs to the user."""
+        """Cancel the current tasks, but do not shut down the executor, because it belongs to the user."""
         for _, future in self._under_way.values():
             future.cancel()
         self._under_way, self._answers = {}, {}
@@ -143,7 +146,7 @@ class ExecutorPool:
             self._under_way |= dict.fromkeys(scenarios, (scenarios, future))
 
     def _gather(self, scenario: Scenario) -> Exception | None:
-        """Wait for the answers to a scenario's task; return the error by which they were lost, or None."""
+        """Wait for the answers to the task of a scenario; return the error if there are none because of it, or None."""
         while scenario in self._under_way:
             scenarios, future = self._under_way[scenario]
             try:
@@ -208,7 +211,7 @@ def versions_here() -> dict[str, str]:
 
 
 def packed(job: Job) -> Parcel:
-    """Pack world and ADS of a job for workers on other machines, with the modules of the user's project by value."""
+    """Pack world and ADS of a job for workers on other machines, together with the modules of the user's project."""
     try:
         import cloudpickle  # noqa: PLC0415  (an optional dependency)
     except ImportError:
@@ -230,7 +233,7 @@ def packed(job: Job) -> Parcel:
 
 
 class _Call:
-    """A call that is made when this object is unpickled, which gives the result of the call."""
+    """A call that is made when this object is unpickled; the result of the unpickling is the result of the call."""
 
     def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
         self._call = function, arguments
@@ -240,7 +243,7 @@ class _Call:
 
 
 class _Bench:
-    """The child processes of a worker for one parcel, one for each simultaneous task."""
+    """The child processes of a worker for one parcel; there is one for each simultaneous task."""
 
     def __init__(self, parcel: Parcel) -> None:
         self.parcel = parcel
@@ -264,7 +267,10 @@ class _Bench:
 
 
 def _run_task(parcel: Parcel, scenarios: Sequence[Scenario]) -> Done | str | None:
-    """Run scenarios in a worker; return why it cannot run any, or None if it lacks the content of the parcel."""
+    """Run scenarios in a worker and return the answers.
+
+    Return a text with the reason if the worker cannot run any scenario, or None if it needs the content of the parcel.
+    """
     difference = _difference(parcel.versions)
     if difference:
         return difference
@@ -301,7 +307,7 @@ def _unpacked(parcel: Parcel) -> Any:
 
 
 def _difference(session: dict[str, str]) -> str:
-    """Return why this worker would not run a scenario as the session does, or an empty text."""
+    """Return a message with the packages whose versions in this worker differ from the session's; empty if none do."""
     here = versions_here()
     other = [f"{name} {version} in this session, {here.get(name)} there" for name, version in session.items()
              if here.get(name) != version]  # fmt: skip

@@ -1,9 +1,9 @@
-"""A pool of processes that run one task each at a time; it identifies the task in which a process dies or hangs.
+"""A pool of processes, each of which runs one task at a time; it identifies the task in which a process dies or hangs.
 
-Why not an existing pool: with loky 3.7.0 all running tasks fail if one process dies, and the guilty one is unknown.
-pebble 5.2.3 identifies it, but forks the next process in a thread, while a different thread may hold a lock. It can
-limit only the duration of a task, so it cannot tell a slow task from one that never returns to Python. Here each
-process has its own pipe, and the calling thread serves all of them.
+Existing pools do not suffice. With loky 3.7.0 all running tasks fail if one process dies, and the task that caused it
+is unknown. pebble 5.2.3 identifies that task, but forks the next process in a thread, while a different thread may hold
+a lock. pebble can limit only the duration of a task, so it cannot distinguish a slow task from a task that never
+returns to Python. Here each process has its own pipe, and the calling thread serves all pipes.
 """
 
 from __future__ import annotations
@@ -34,19 +34,21 @@ TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")
 
 GRACE = 5.0
-"""The time beyond its limit after which a decision or a silent process is ended [s]."""
+"""The additional time after which a decision that exceeds its limit, or a process that does not answer, is ended
+[s]."""
 
 IGNORED = 0.5
-"""The same for a decision in a separate process that ignores its interrupt; shorter, as only that process ends [s]."""
+"""The additional time after which a process of the pool is ended if a decision in it ignores its interrupt [s]. It is
+shorter than :data:`GRACE`, because only that process ends and not the session."""
 
 FAREWELL = 2.0
 """The time that a process gets to end by itself, together with the processes that its libraries started [s]."""
 
 OUT_OF_MEMORY = "ran out of the memory that it may use (--pafot-memory)"
-"""The end of a process in which an allocation failed, in words."""
+"""The words for the end of a process in which an allocation of memory failed."""
 
 STUCK, EXHAUSTED = 1, 2
-"""The reasons for which a process ends itself: a decision that does not end, or no more memory."""
+"""The two reasons for which a process ends itself: a decision that does not end, or no more memory."""
 
 POLL = 0.5
 """The longest time to wait for answers before checking that the busy processes are still alive [s]."""
@@ -54,20 +56,20 @@ POLL = 0.5
 LARGEST = 0x2020_2020 - 1
 """The largest size of an answer [bytes].
 
-A message begins with its length. If an ADS prints into the pipe, whose descriptor it has found by chance, its text
-reads as a larger length, and without a limit the session would wait forever for so many bytes.
+A message begins with its length. If an ADS prints into the pipe, whose descriptor it has found by chance, the session
+takes the first bytes of the text for a very large length. Without a limit it would wait forever for that many bytes.
 """
 
 Work: TypeAlias = Callable[..., ResultT]
-"""A function that runs a task in a process of the pool: its arguments are the task and a function that it may call with
-the finished share of the task."""
+"""The function that runs a task in a process of the pool. Its arguments are the task, and a function that reports the
+finished share of the task."""
 
 
 class ProcessLostError(Exception, Generic[TaskT]):
-    """A task without a result, because its process died or hung.
+    """Error for a task without a result, because the process that ran it died or hung.
 
-    ``how`` describes in a few words how the process ended. ``is_hang`` is True if it hung and was killed. A ``pid`` of
-    0 stands for an executor's worker, about which nothing else is known.
+    ``how`` describes in a few words how the process ended. ``is_hang`` is True if the process hung and was killed. A
+    ``pid`` of 0 stands for an executor's worker, whose process id is unknown.
     """
 
     def __init__(self, task: TaskT, *, pid: int, how: str, is_hang: bool = False) -> None:
@@ -86,20 +88,21 @@ class ProcessLostError(Exception, Generic[TaskT]):
 class WorkerPool(Generic[TaskT, ResultT]):
     """A pool of up to ``size`` processes, which are started when they are needed. Use it in a ``with`` statement.
 
-    The answer to a task is its result or an exception: the exception of the task, the reason why the result cannot be
-    sent, the reason why no process can run it, or ``ProcessLostError``.
+    The answer to a task is its result or an exception: the exception of the task, an error if the result cannot be sent
+    or no process can run the task, or a ``ProcessLostError``.
 
     Args:
         work: the function that runs a task. Tasks and results must be picklable, and ``work`` as well if processes are
             not forked.
         size: the largest number of processes.
         method: the start method of processes, see :mod:`multiprocessing`.
-        patience: how long a process may run without answering a signal, as Python does between two instructions [s].
-        grace: how much longer than its limit a decision of an ADS may take that ignores its interrupt [s].
-        memory: how many bytes a process may use in addition to those with which it starts, or None for no limit. Beyond
-            it, allocations fail, also in processes that it starts, which have the same limit. Only on Linux.
-        idle: how long a process may wait for a task before it ends by itself [s], or None for no limit.
-        ended: is called with the id of each process of the pool that has ended.
+        patience: the longest time for which a process may not answer a signal before it is killed [s]. Python answers
+            signals between two instructions.
+        grace: the additional time after which a process is ended if a decision of an ADS ignores its interrupt [s].
+        memory: the memory that a process may use in addition to the memory with which it starts [bytes], or None for no
+            limit. Beyond the limit, allocations fail. Processes that it starts have the same limit. Only on Linux.
+        idle: the longest time that a process waits for a task before it ends by itself [s], or None for no limit.
+        ended: a function that is called with the id of each process of the pool that has ended.
         clock: a monotonic clock [s].
     """
 
@@ -116,9 +119,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def __post_init__(self) -> None:
         self.recovered: list[ProcessLostError[TaskT]] = []
-        """The processes that died in tasks that succeeded when they were tried alone."""
+        """The deaths of processes in tasks that succeeded when they were tried a second time."""
         self.failure = ""
-        """Why no process could be started, so that no task has a result; or empty."""
+        """The reason why no process can be started, so that tasks have no results; else empty."""
         self._context: Any = multiprocessing.get_context(self.method)
         self._workers: list[_Worker[TaskT]] = []
         self._looked_at = -math.inf  # when all processes, including silent ones, were last checked
@@ -134,9 +137,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self.close(at_once=kind is not None)
 
     def expect(self, tasks: Iterable[TaskT]) -> None:
-        """Start these tasks in this order; earlier ones that were not fetched are dropped.
+        """Start some tasks in their order; earlier tasks that were not fetched are dropped.
 
-        ``tasks`` may be a generator: each task starts as soon as it is made.
+        ``tasks`` may be a generator: each task starts as soon as the generator yields it, if a process is free.
         """
         self._pending, self._wanted = deque(), set()
         self._answers, self._suspects = {}, {}
@@ -146,10 +149,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._send()
 
     def fetch(self, task: TaskT) -> ResultT | Exception:
-        """Wait for the answer to a task and return it, once; a task that was not expected is run next.
+        """Wait for the answer to a task and return it; a task that was not started before is run next.
 
-        A task in which a process died is tried once more while nothing else runs: there may have been too little
-        memory for all processes, or the process was killed from outside.
+        Each answer can be fetched once. A task in which a process died is tried once more while nothing else runs,
+        because there may have been too little memory for all processes, or the process was killed from outside.
         """
         if task not in self._wanted:
             self._wanted.add(task)
@@ -180,7 +183,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 yield task, answer
 
     def close(self, *, at_once: bool = False) -> None:
-        """End all processes; busy ones are killed, and with ``at_once`` all of them."""
+        """End all processes; busy processes are killed, and with ``at_once`` idle ones, too."""
         idle = [] if at_once else [worker for worker in self._workers if worker.task is None]
         deadline = self.clock() + FAREWELL
         for worker in [worker for worker in idle if worker.send(None)]:
@@ -225,12 +228,12 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._fail(task, str(error))
 
     def _fail(self, task: TaskT, reason: str) -> None:
-        """Record that there can be no processes, and answer a task with the reason."""
+        """Record the reason why no process can be started, and answer a task with it."""
         self.failure = reason
         self._answers[task] = RuntimeError(reason)
 
     def _receive(self) -> None:
-        """Receive available answers, waiting for a limited time; check silent processes now and then."""
+        """Wait for a limited time and receive all available answers; sometimes check processes that do not answer."""
         busy, now_and_then = self._busy, min(POLL, self.patience / 4)
         ready = wait([worker.connection for worker in busy], timeout=now_and_then)
         is_time = not ready or self.clock() - self._looked_at >= now_and_then
@@ -275,7 +278,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
             (self._answers if is_hang else self._suspects)[task] = lost
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
-        """End a process, and on Linux also the processes that it has started."""
+        """Kill a process of the pool, and on Linux also the processes that it has started."""
         _end_children(worker.pid)
         worker.process.kill()
         worker.process.join()
@@ -285,7 +288,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
 
 class _Worker(Generic[TaskT]):
-    """One process of the pool; ``share`` is the finished share of its task that it has reported."""
+    """One process of the pool; ``share`` is the finished share of its task, as the process has reported it."""
 
     def __init__(
         self,
@@ -316,17 +319,17 @@ class _Worker(Generic[TaskT]):
 
     @property
     def has_begun(self) -> bool:
-        """True if it has started so far that it waits for tasks."""
+        """True if the process has started and waits for tasks, or has already run some."""
         return bool(self._beats.value)
 
     def take(self, task: TaskT, now: float) -> bool:
-        """Give it a task; return False if the process has ended."""
+        """Send a task to the process and remember it; return False if the process has ended."""
         self.share, self._asked_at = 0.0, None if self.has_begun else now
         self.task = task if self.send(task) else None
         return self.task is not None
 
     def send(self, task: TaskT | None) -> bool:
-        """Send a task, or None to end it; return False if the process has ended."""
+        """Send a task to the process, or None to end the process; return False if the process has ended."""
         try:
             self.connection.send_bytes(pickle.dumps(task))
         except OSError:
@@ -334,7 +337,7 @@ class _Worker(Generic[TaskT]):
         return True
 
     def hear(self) -> tuple[bool, Any] | None:
-        """Receive a message: True and the result of its task, or False and the finished share; None if it has ended."""
+        """Receive a message of the process: (True, result) or (False, finished share); None if the process has ended."""
         try:
             is_done, said = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
         except (EOFError, OSError):
@@ -362,7 +365,7 @@ class _Worker(Generic[TaskT]):
 
 
 def ending(code: int | None) -> str:
-    """Describe how a process ended, by its exit code."""
+    """Return the words for the end of a process with an exit code, such as ``was ended by SIGKILL``."""
     if code is not None and code < 0:
         with suppress(ValueError):
             return f"was ended by {signal.Signals(-code).name}"
@@ -440,7 +443,7 @@ def _ignore_interrupts() -> None:
 
 @contextmanager
 def _no_interrupts(method: str) -> Iterator[None]:
-    """Block SIGINT for a process that starts: it inherits this; without, it could end before it has a handler."""
+    """Block SIGINT while a process starts, because an interrupt could end that process before it has a handler."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -466,10 +469,10 @@ def _sendable(result: object) -> bytes:
 
 
 def _limit_memory(more: int) -> None:
-    """Make allocations of this process fail when it uses ``more`` bytes more than now.
+    """Make allocations of this process fail if it uses ``more`` bytes more than now.
 
-    Only private, writable memory counts: not the address space that CUDA and allocators reserve, nor the code of
-    libraries. Only Linux has such a limit.
+    The limit is only for private, writable memory. The address space that CUDA and allocators reserve, and the code of
+    libraries, are not included. Only Linux has such a limit.
     """
     if sys.platform != "linux":
         return

@@ -1,4 +1,4 @@
-"""Runs that are made before a search requests them: in lock step, or in other processes.
+"""Simulation of runs before a search requests them: many at once in lock step, or in other processes.
 
 :meth:`pytest_pafot.execution.runner.Runner.run` documents the exceptions of ``take``.
 """
@@ -25,24 +25,24 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.world import Highway
 
 DEAR = 0.010
-"""The mean duration of a run from which on processes pay off [s].
+"""The mean duration of a run from which on a search is faster with other processes [s].
 
-A run in a different process takes half a millisecond more, and starting a process takes as long as several runs.
+A run in a different process takes half a millisecond longer, and starting a process takes as long as several runs.
 """
 
 WARM_RUNS = 2
-"""The number of runs after the first that decide for good whether processes pay off.
+"""The number of runs, after the first run of a search, that decide whether other processes are used.
 
-The first run of a search is slower, since it loads libraries. Processes start after it if it was slow, and are ended if
-these runs turn out to be fast.
+The first run is slower, because it loads libraries. If it was slow, processes are started after it. If the next runs
+turn out to be fast, the processes are ended.
 """
 
 
 class LockStep:
     """A maker of runs in lock step: it runs all announced scenarios in one batch when the first of them is requested.
 
-    On a Highway, all scenarios of a batch have the same number of NPCs: a planner sees all of them, and a network that
-    receives rows of NaN for missing NPCs would decide on NaN without an error. The world of the job must have
+    On a Highway, all scenarios of a batch have the same number of NPCs. Otherwise the observations would have rows of
+    NaN for missing NPCs, and a network would decide on NaN without an error. The world of the job must have
     ``rollout_batch``. ``workers`` is the number of processes that the user requested.
     """
 
@@ -55,16 +55,19 @@ class LockStep:
 
     @property
     def notes(self) -> list[str]:
-        """A note on why processes were not used, if they were requested."""
+        """The note on why processes were not used although the user requested them; empty if not requested."""
         why = "since the ADS decides for many runs at once, by its `batch`"
         return [] if self._workers == 1 else [f"--pafot-workers={self._workers}: not in use, {why}"]
 
     def announce(self, scenarios: Iterable[Scenario]) -> None:
-        """Announce the next scenarios; earlier runs are dropped."""
+        """Announce the next scenarios; runs of earlier announcements that were not taken are dropped."""
         self._announced, self._made = list(scenarios), {}
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """Return the trace of an announced run, once; None if it must be run by itself."""
+        """Return the trace of an announced scenario; None if the scenario must be run by itself.
+
+        Each trace can be taken once. With ``afresh`` the result is always None.
+        """
         __tracebackhide__ = True
         if afresh:
             return None
@@ -80,9 +83,9 @@ class LockStep:
 
 
 class Processes:
-    """A maker of announced runs in other processes, which are started when runs turn out to be slow.
+    """A maker of announced runs in other processes, which are started if runs turn out to be slow.
 
-    With one worker, no process is ever started. With an executor, it makes all announced runs, from the first on.
+    With one worker, no process is ever started. If there is an executor, it makes all announced runs.
     """
 
     def __init__(self, job: Job, *, workers: int, executor: Executor | None = None) -> None:
@@ -99,7 +102,7 @@ class Processes:
 
     @property
     def notes(self) -> list[str]:
-        """Notes on whether processes were used, if they were requested; complete after the processes have ended."""
+        """Notes on the use of processes if the user requested them; complete after the processes have ended."""
         if self._failure:
             return [f"--pafot-workers is 1: {self._failure}"]
         if isinstance(self._pool, ExecutorPool):
@@ -116,7 +119,7 @@ class Processes:
         return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays off from {dear:g} ms on"]
 
     def announce(self, scenarios: Iterable[Scenario]) -> None:
-        """Announce the next scenarios, and start them if processes are in use."""
+        """Announce the next scenarios, and start to run them if processes are in use."""
         self.announced = []
         if self._pool is not None:
             self._pool.expect(self._noted(scenarios))
@@ -129,7 +132,10 @@ class Processes:
             yield scenario
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """Return the trace of an announced run, once; None if it must be run in this process."""
+        """Return the trace of an announced scenario; None if the scenario must be run in this process.
+
+        Each trace can be taken once. With ``afresh`` the result is always None.
+        """
         __tracebackhide__ = True
         if afresh or scenario not in self.announced:
             return None
@@ -145,7 +151,7 @@ class Processes:
         return trace_from(answer)
 
     def ran_here(self, seconds: float) -> None:
-        """Record how long the last run took in this process; runs that were not announced are not measured."""
+        """Record the duration of the last run in this process [s]; only announced runs are used."""
         if self._is_measured:
             self._is_measured = False
             self._learn(seconds)
@@ -165,7 +171,7 @@ class Processes:
                 self._failure = str(error)
 
     def close(self, *, at_once: bool) -> None:
-        """End the processes; with ``at_once`` do not wait for any of them."""
+        """End the processes; with ``at_once`` kill all of them without waiting."""
         if self._pool is not None:
             self._pool.close(at_once=at_once)
 
@@ -177,19 +183,20 @@ class Processes:
 
 
 class Isolated(Processes):
-    """A maker of all runs in other processes, announced or not: the ADS is never called in this one."""
+    """A maker of all runs, announced or not, in other processes, so that the ADS is never called in this process."""
 
     @property
     def notes(self) -> list[str]:
-        """Notes on processes that died in runs that succeeded later, and on an executor that made all runs."""
+        """Notes on processes that died in runs that later succeeded, and on an executor that made all runs."""
         if isinstance(self._pool, ExecutorPool):
             return [] if self._pool.failure or self._pool.unable else self._pool.notes
         return [] if self._pool is None else [recovery_note(each) for each in self._pool.recovered]
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace:
-        """Return the trace of a run; an exception in the other process is raised here, and no run is repeated here.
+        """Return the trace of a scenario from a different process, and raise the exceptions of that process.
 
-        If an executor's worker raises, it may lack something that the run needs, so the run is refused.
+        No run is repeated in this process. So if a worker of an executor raises, for example because it lacks a
+        package, the result is an ``ExecutionError``.
         """
         __tracebackhide__ = True
         try:

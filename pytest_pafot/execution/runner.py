@@ -1,7 +1,8 @@
-"""The runner of a search, which announces the next scenarios and requests one run after the other.
+"""The runner of a search, which receives the next scenarios in advance and returns one run after the other.
 
-Where a run is made depends on the ADS and on the duration of a run: in this process, in lock step with other runs, or
-in a different process. Only the time depends on it. :func:`runner_for` combines the parts.
+A run is made in this process, in lock step with other runs, or in a different process. The choice depends on the ADS
+and on the duration of a run. It affects only the time of the search, not its results. :func:`runner_for` combines the
+parts.
 """
 
 from __future__ import annotations
@@ -28,19 +29,20 @@ from pytest_pafot.world.protocol import WorldLike, lock_stepping, resumable
 # The decisions of an ADS in earlier runs, for runs that begin in the same way.
 
 DECISIONS = 100_000
-"""The largest number of cached decisions: about 300 runs of a minute at 5 Hz, which take about 15 MB."""
+"""The largest number of cached decisions, which are about 300 runs of a minute at 5 Hz and take about 15 MB."""
 
 _Key = tuple[object, ...]
 _Actions = tuple[Any, ...]
 
 
 class DecisionCache:
-    """A cache of the decisions in the last runs of one ADS in one world, by the genes on which they depended.
+    """A cache of the decisions in the last runs of one ADS in one world, by the genes on which the decisions depended.
 
-    Until the end of gene ``g``, a run depends only on the start and on the first ``g`` genes of each NPC. The last such
-    decision is the one at the tick at which the next gene begins. For what two scenarios must have in common see
-    :class:`~pytest_pafot.searching.evaluation_cache.EvaluationCache`: the chains as driven, or the requested chains and
-    the seed. The seed is always included with Lane-Instructions, since the start of these NPCs may depend on it.
+    Until the end of gene ``g``, a run depends only on the start and on the first ``g`` genes of each NPC. The last
+    decision that depends only on these genes is at the tick at which the next gene begins. Two scenarios share
+    decisions if their chains as driven are the same, or if their requested chains and their seeds are the same (see
+    :class:`~pytest_pafot.searching.evaluation_cache.EvaluationCache`). With Lane-Instructions, the seeds must always be
+    the same, because the start of these NPCs may depend on the seed.
 
     The cache is valid only for an ADS that decides only from its observation.
 
@@ -55,7 +57,7 @@ class DecisionCache:
         self._runs: deque[tuple[_Actions, list[_Key]]] = deque()
 
     def remember(self, trace: Trace) -> None:
-        """Cache the decisions of a run; they replace older ones with the same key."""
+        """Cache the decisions of a run; they replace older decisions after the same genes."""
         actions, scenario = trace.actions, trace.scenario
         if not actions or len(actions) > self._room:
             return
@@ -79,7 +81,7 @@ class DecisionCache:
                     del self._known[key]
 
     def recall(self, scenario: Scenario) -> _Actions:
-        """Return the first decisions in a run of the scenario, as far as they are cached; often none."""
+        """Return the cached decisions with which a run of a scenario begins; empty if there are none."""
         chains = plain_chains(scenario)
         for genes in range(scenario.genes, 0, -1):
             for seed in (None, scenario.seed):
@@ -110,15 +112,16 @@ def runner_for(
     Args:
         job: everything that a run needs.
         record: the open crash record of this process; the caller clears it after each verdict, and closes it.
-        workers: the largest number of other processes; with 1, all runs are made in this one unless ``isolate`` is set.
+        workers: the largest number of other processes; with 1, all runs are made in this process, unless ``isolate`` is
+            set.
         isolate: True if the ADS must never run in this process.
-        executor: makes the announced runs if it is given, and with ``isolate`` all runs.
-        times_decisions: True if the duration of each decision matters; then no decisions are cached or made for many
-            runs at once.
+        executor: an executor that makes the announced runs, and with ``isolate`` all runs; None for no executor.
+        times_decisions: True if the duration of each decision matters. No decision is then cached or made for many runs
+            at once.
         clock: a monotonic clock [s].
 
     Raises:
-        WorldError: if a world finds out only now that it cannot be used.
+        WorldError: if the world cannot be used.
     """
     if isolate:
         return Runner(job=job, record=record, processes=Isolated(job, workers=workers, executor=executor), clock=clock)
@@ -139,7 +142,7 @@ def runner_for(
 
 @contextmanager
 def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
-    """Provide a runner in this process for a command, with temporary crash records that no later command reads."""
+    """Provide a runner for a command, which makes all runs in this process and writes only temporary crash records."""
     with tempfile.TemporaryDirectory(prefix="pafot-") as records:
         job = Job(world=world, ads=ads, records=Path(records), owner="command")
         with job.crash_record() as record, runner_for(job, record) as runner:
@@ -148,16 +151,17 @@ def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
 
 @dataclass(eq=False, kw_only=True)
 class Runner:
-    """A runner, which returns runs that were made ahead, and makes all others in this process.
+    """A runner, which returns runs that were made in advance, and makes all other runs in this process.
 
-    The end of a ``with`` statement ends the processes that it has started, at once after an exception, and drops the
-    announced scenarios. The runner can still be used after that, also in a second ``with`` statement.
+    The end of a ``with`` statement ends the processes that the runner has started, at once after an exception, and
+    drops the announced scenarios. The runner can still be used after that, also in a second ``with`` statement.
 
-    For runs that begin in the same way, a pure ADS decides only once. Physics is always stepped, so a trace is the same
-    to the last bit. ``pure`` is only a promise of the user's, so every run that counts is made from scratch.
+    If runs begin with the same situations, a pure ADS decides in them only once. Physics is always simulated, so a
+    trace is the same to the last bit. That the ADS is pure is only a promise of the user, so the runs that decide on a
+    finding are made without cached decisions.
 
-    ``processes`` make announced runs ahead, or ``lock_step`` instead as soon as the ADS shows that it has ``batch``.
-    With ``can_resume``, decisions are cached as soon as the ADS shows that it is pure.
+    ``processes`` makes announced runs in advance. As soon as the ADS shows that it has ``batch``, ``lock_step`` makes
+    them instead. With ``can_resume``, decisions are cached as soon as the ADS shows that it is pure.
     """
 
     job: Job
@@ -167,7 +171,7 @@ class Runner:
     can_resume: bool = False
     clock: Callable[[], float]
     is_alone: bool = field(default=True, init=False)
-    """True if the last trace was made by itself, and not in lock step with others."""
+    """True if the last run was made by itself, and not in lock step with other runs."""
 
     def __post_init__(self) -> None:
         self._prefetching: Processes | LockStep = self.processes
@@ -193,19 +197,21 @@ class Runner:
         self.processes.close(at_once=kind is not None)
 
     def announce(self, scenarios: Iterable[Scenario]) -> None:
-        """Announce the next scenarios in their order; earlier announcements are dropped."""
+        """Announce the next scenarios in the order in which they will be requested; earlier ones are dropped."""
         self._prefetching.announce(scenarios)
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
-        """Return the trace of a run. The crash record stays written, since the verdict may end the process, too.
+        """Return the trace of a run of a scenario.
+
+        The crash record of the scenario stays on disk, because the evaluation of the run may end the process, too.
 
         Args:
             scenario: the scenario to run, announced or not.
-            afresh: True if the ADS must make every decision again, only for this run.
+            afresh: True if the ADS must make every decision of this run, without cached or common decisions.
 
         Raises:
             ProcessLostError: if the run was in a different process, which died or hung.
-            ExecutionError: if it must be in a different process, and none can be started.
+            ExecutionError: if the run must be in a different process, and none can be started.
             Exception: any exception of the world, the factory or the ADS's ``batch``.
         """
         __tracebackhide__ = True
@@ -224,7 +230,7 @@ class Runner:
         return trace
 
     def _showing(self, factory: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap the factory to inspect its first ADS, because the factory must not be called except for runs."""
+        """Return a factory that inspects its first ADS, because the user's factory must be called only for runs."""
 
         def make(*arguments: Any, **named: Any) -> Any:
             __tracebackhide__ = True

@@ -1,4 +1,4 @@
-"""Processes that run the scenarios of a job, and the handling of their answers in this one."""
+"""Processes that run the scenarios of a job, and the handling of their answers in the process of the session."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pytest_pafot.world import protocol
 METHOD = "fork" if sys.platform == "linux" else "spawn"
 """The start method of processes. Forked processes have the factory and the fixtures that it uses.
 
-System libraries of other platforms do not survive a fork. There the factory must be picklable.
+On other platforms than Linux, system libraries do not survive a fork, so the factory must be picklable there.
 """
 
 NOT_REPEATED = (
@@ -39,53 +39,54 @@ LEAST_MEMORY = 2 << 30
 
 LostRun: TypeAlias = ProcessLostError[Scenario]
 Timed: TypeAlias = tuple[Trace, CapturedOutput, float]
-"""A run, its output, and how long it took [s]."""
+"""A run, its captured output, and its duration in wall-clock time [s]."""
 Answer: TypeAlias = Timed | Exception
-"""The answer to a scenario; for any exception except a lost process, this process may repeat the run."""
+"""The answer to a scenario: a run, or an exception. This process may repeat the run after any exception, except after a
+:class:`~pytest_pafot.execution.pool.ProcessLostError`."""
 ScenarioPool: TypeAlias = WorkerPool[Scenario, Timed]
 
 
 def _read_nothing(trace: Trace) -> None:
-    """Read nothing from a trace, for runs outside of a search."""
+    """Do nothing with a trace; the default of ``Job.read`` for runs outside of a search."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
     """Everything that a run of any scenario needs, in this process or in a different one.
 
-    Crash records use the folder ``records``, the ``owner``, which is a node id, and ``world_data``, the world as plain
-    data.
+    ``records`` is the folder of crash records. ``owner``, the node id of the test, and ``world_data``, the world as
+    plain data, are written into them.
     """
 
     world: Any
     ads: Callable[..., Any]
-    """The factory, called once for each run."""
+    """The factory of the ADS, which is called once for each run."""
     records: Path
     owner: str
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()
     """The folder of the project, whose modules are sent with the ADS to other machines."""
     read: Callable[[Trace], None] = _read_nothing
-    """Computes values from a run in the process that made it; the trace stores them."""
+    """A function that computes values from a trace in the process that made the run; the trace stores these values."""
     memory: int | None = None
-    """The memory that a process may use in addition to what it starts with [MB]; 0: no limit, None: its share."""
+    """The additional memory that a process may use after its start [MB]; 0 for no limit, None for an equal share."""
     reference: str = ""
     """The name of the ADS if it is the reference of a search; empty for the tested one."""
 
     def crash_record(self) -> CrashRecord:
-        """Return a crash record for the calling process; nothing is on disk before its first scenario."""
+        """Return a crash record for the calling process; its file is created only for the first scenario."""
         return CrashRecord(self.records, self.owner, world=self.world_data)
 
 
 class ExecutionError(Exception):
-    """A run that must be in a different process, if there can be none; the message gives the reason and the way out."""
+    """Error for a run that must be made in a different process if no such process can be started or used."""
 
 
 def pool_for(job: Job, size: int) -> ScenarioPool:
-    """Return a pool of up to ``size`` processes.
+    """Return a pool of up to ``size`` processes that run the scenarios of a job.
 
     Raises:
-        ExecutionError: if world and ADS cannot be passed to them.
+        ExecutionError: if world and ADS cannot be passed to the processes.
     """
     work = partial(_run_recorded, job, job.crash_record())
     check_can_be_given(work)
@@ -102,10 +103,10 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
 
 
 def check_can_be_given(work: Callable[..., Any]) -> None:
-    """Check that work can be passed to processes.
+    """Check that a function can be passed to other processes.
 
     Raises:
-        ExecutionError: if they cannot be forked, and the work cannot be pickled.
+        ExecutionError: if processes cannot be forked, and the function cannot be pickled.
     """
     if METHOD == "fork":
         return
@@ -119,7 +120,10 @@ def check_can_be_given(work: Callable[..., Any]) -> None:
 
 
 def _memory(job: Job, size: int) -> int | None:
-    """Return how many bytes each of ``size`` processes may use in addition to those with which it starts."""
+    """Return the memory [bytes] that each of ``size`` processes may use in addition to the memory with which it starts.
+
+    None for no limit.
+    """
     if job.memory is not None:
         return job.memory << 20 or None
     if METHOD != "fork":
@@ -131,7 +135,7 @@ def _memory(job: Job, size: int) -> int | None:
 
 
 def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object) -> Timed:
-    """Run a scenario in a process of the pool, with its crash record on disk meanwhile."""
+    """Run a scenario in a process of the pool; its crash record is on disk during the run."""
     with record, capture_output() as output:  # closed after each run, since nothing would remove it after the session
         record.write(scenario, reference=job.reference)
         trace, seconds = timed(job.world, scenario, job.ads)
@@ -141,21 +145,21 @@ def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: objec
 
 
 def timed(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> tuple[Trace, float]:
-    """Run a scenario; return the trace and how long it took [s]."""
+    """Run a scenario; return the trace and the duration of the run in wall-clock time [s]."""
     started = time.perf_counter()
     trace = world.rollout(scenario, ads)
     return trace, time.perf_counter() - started
 
 
 def _forget(job: Job, pid: int) -> None:
-    """Remove the record of a process that has ended, because this session knows about it already."""
+    """Remove the crash record of a process that has ended, because this session knows about its end already."""
     for leftover in left_by(job.owner, job.records):
         if leftover.pid == pid:
             leftover.discard()
 
 
 def trace_from(answer: Answer) -> Trace | None:
-    """Return the trace of an answer and repeat its output here; None if the scenario must run here.
+    """Return the trace of an answer and repeat its output in this process; None if the scenario must be run here.
 
     Raises:
         ProcessLostError: if the process died or hung.
@@ -171,10 +175,10 @@ def trace_from(answer: Answer) -> Trace | None:
 
 
 def trace_apart(answer: Answer) -> Trace:
-    """Return the trace of an answer, if the ADS must not run in this process.
+    """Return the trace of an answer; raise if there is none, because the ADS must not run in this process.
 
     Raises:
-        Exception: the exception of the other process; running the scenario here could end this process.
+        Exception: the exception of the other process.
     """
     __tracebackhide__ = True
     trace = trace_from(answer)
@@ -187,14 +191,17 @@ def trace_apart(answer: Answer) -> Trace:
 
 
 def expectation(lost: LostRun) -> Expect:
-    """Return what a run of a scenario is expected to show whose process died or hung; the ADS is taken as the cause."""
+    """Return the expectation that a saved scenario stores if the process that ran it died or hung.
+
+    The ADS is assumed to be the cause.
+    """
     outcome = Outcome.HANG if lost.is_hang else Outcome.ADS_ERROR
     message = f"the process that ran this scenario {lost.how}"
     return Expect(failure=PROCESS_CRASH, outcome=outcome, time=0.0, message=message)
 
 
 def recovery_note(lost: LostRun) -> str:
-    """Return a note on a process that died in a run that succeeded when it was tried again."""
+    """Return a note for the user on a process that died in a run that succeeded when it was tried again."""
     return (
         f"a {lost.who} {lost.how} while it ran {lost.task!r}, which ran to its end when it was tried "
         "alone: there may be too little memory for so many workers, or the process was killed from outside"

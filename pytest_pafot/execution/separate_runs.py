@@ -1,4 +1,4 @@
-"""Single runs in a separate process, because the run or its verdict may end this one."""
+"""Single runs in a separate process, for scenarios in which the run or its evaluation may end this process."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pytest_pafot.world import protocol
 
 @dataclass(frozen=True, slots=True)
 class _OtherRuns:
-    """A stand-in for a world with a different ``rollout``."""
+    """A stand-in for a world, with a different ``rollout``."""
 
     hang_limit: float
     rollout: Callable[[Scenario, Callable[..., Any]], Trace]
@@ -37,19 +37,20 @@ class _OtherRuns:
 def answers_apart(
     job: Job, scenarios: Sequence[Scenario], judge: Callable[[Trace], object], *, isolate: bool
 ) -> dict[Scenario, Answer] | None:
-    """Run and judge each scenario by itself in a separate process; return the answers, or None if that is impossible.
+    """Run and evaluate each scenario by itself in a separate process; return the answers, or None if impossible.
 
-    A death counts even if a second attempt succeeds, because a process has died in this scenario before.
+    If a process dies, the answer is a ``ProcessLostError`` even if a second attempt succeeds, because a process has
+    already died in this scenario before.
 
     Args:
         job: everything that a run needs.
         scenarios: the scenarios, run one after the other.
-        judge: judges a trace. It needs the fixtures of the test function, so only forked processes have it. Its output
-            and its exceptions are ignored here, since the session judges the run again.
-        isolate: True if a process without the judge is good enough if none can be forked.
+        judge: evaluates a trace. It needs the fixtures of the test function, which only forked processes have. Its
+            output and its exceptions are ignored, because the session evaluates the run again.
+        isolate: True if the run must be in a separate process, without the evaluation if processes cannot be forked.
 
     Raises:
-        ExecutionError: with ``isolate``, if there can be no other process.
+        ExecutionError: with ``isolate``, if no other process can be started.
     """
     world = job.world
 
@@ -79,15 +80,16 @@ def run_apart(
     isolate: bool,
     in_own_session: Callable[[], object],
 ) -> Trace | None:
-    """Return the trace of a scenario that was run and judged in a separate process, to be judged again in this one.
+    """Return the trace of a scenario that was run and evaluated in a separate process.
 
-    Return None if it must be run in this process: there can be no other one, and ``in_own_session``, which replays it
-    in a separate session, has survived. For the other arguments see :func:`answers_apart`.
+    The session then evaluates the trace again. Return None if the scenario must be run in this process, because no
+    other process can be started. In that case, ``in_own_session`` has first replayed the scenario in a separate
+    session, which has survived. For the other arguments see :func:`answers_apart`.
 
     Raises:
-        ProcessLostError: if that process died or hung.
-        ExecutionError: with ``isolate`` if there can be no other process; without if the ADS works in no other one.
-        Exception: with ``isolate``, any exception of that process.
+        ProcessLostError: if the separate process died or hung.
+        ExecutionError: with ``isolate``, if no other process can be started; without, if the ADS does not work in one.
+        Exception: with ``isolate``, any exception of the separate process.
     """
     __tracebackhide__ = True
     answers = answers_apart(job, [scenario], judge, isolate=isolate)
@@ -111,9 +113,9 @@ def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Tr
     """Run a scenario with ``env.step`` of highway-env's own environment in a separate process.
 
     Raises:
-        ProcessLostError: if that process died or hung.
-        ExecutionError: if there can be no other process.
-        Exception: any exception of that process.
+        ProcessLostError: if the separate process died or hung.
+        ExecutionError: if no other process can be started.
+        Exception: any exception of the separate process.
     """
     __tracebackhide__ = True
     in_gym = replace(job, world=_OtherRuns(protocol.hang_limit(job.world), job.world.rollout_in_gym))
@@ -130,12 +132,12 @@ def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Tr
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Retried:
-    """The result of running the scenarios of a process that died again."""
+    """The result of a second attempt to run the scenarios of a process that died."""
 
     notes: tuple[str, ...] = ()
-    """Notes on scenarios that are not the cause."""
+    """Notes for the user on scenarios that did not cause the death of the process."""
     pending: Leftover | None = None
-    """The record to discard at the end of the search; until then this session may die as well."""
+    """The crash record to remove at the end of the search, or None. Until then this session may die as well."""
 
 
 def retry(
@@ -147,18 +149,19 @@ def retry(
     keep: Callable[[Leftover, Scenario, LostRun | None], object],
     run_here: Callable[[Leftover], object],
 ) -> Retried:
-    """Run the scenarios of a process that died again, and save those that caused its death.
+    """Try the scenarios of a process that died a second time, and save the scenarios that caused its death.
 
-    If a reference was driving when the process died, the reference is the cause, and nothing is run again. One death is
-    enough for a scenario that ran alone, if there can be no separate process, or if the session that ran it again died
-    as well.
+    If a reference was driving when the process died, the reference is the cause, and nothing is run again. A scenario
+    that ran by itself is saved after one death, without a second attempt, in two cases: no separate process can be
+    started, or the session that ran it again died as well.
 
     Args:
-        leftover: the record of the process; it is removed unless it is pending.
-        job: what the process ran.
+        leftover: the crash record of the process; it is removed unless the result contains it as ``pending``.
+        job: everything that a run of the scenarios needs.
         judge, isolate: see :func:`answers_apart`.
-        keep: saves a scenario in which a process died; its last argument is the second death, if it is known.
-        run_here: runs the scenarios of a batch in this process, one by one with a record on disk, for the next session.
+        keep: saves a scenario in which a process died; its last argument is the second death, or None if unknown.
+        run_here: runs the scenarios of a batch in this process, one by one, each with a crash record on disk. If this
+            process dies, the next session reads that record.
     """
     if leftover.reference:
         note = (
@@ -194,5 +197,5 @@ def retry(
 
 
 def _came_to_its_end(answer: Answer) -> bool:
-    """Return whether a run succeeded; not if the ADS failed, since it may have failed only in the separate process."""
+    """Return whether a run succeeded, without an error of the ADS, which may occur only in the separate process."""
     return not isinstance(answer, Exception) and answer[0].outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
