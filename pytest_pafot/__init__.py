@@ -1,7 +1,7 @@
 """Search for traffic that makes a driving policy crash, as a pytest plugin.
 
-All public names can be imported from here. Each is loaded when it is first used, so importing the package is fast
-(PEP 562).
+All public names can be imported from this package. The module of a name is loaded when the name is first used, so
+importing the package is fast (PEP 562).
 """
 
 from __future__ import annotations

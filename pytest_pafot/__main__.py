@@ -1,4 +1,4 @@
-"""Commands that do not need pytest on the command line, such as ``python -m pytest_pafot search``."""
+"""Commands that are run without ``pytest``, such as ``python -m pytest_pafot search``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from contextlib import suppress
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command with the given command-line arguments, without the program's name; return its exit code."""
+    """Run the command of some command-line arguments and return its exit code.
+
+    The arguments do not include the program's name; by default they are those of this process.
+    """
     from pytest_pafot.commands import bisect_command as bisecting  # noqa: PLC0415
     from pytest_pafot.commands import search_command as searching  # noqa: PLC0415
     from pytest_pafot.comparison import command as comparison  # noqa: PLC0415
@@ -98,7 +101,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _without_output(command: str, error: OSError) -> int:
-    """Report that the standard output cannot be written; return the exit code."""
+    """Report that a command cannot write to the standard output; return the command's exit code."""
     from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
     with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:  # noqa: PTH123  (a device, not a path)

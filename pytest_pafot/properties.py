@@ -1,4 +1,4 @@
-"""Ready properties: common requirements for a driving policy, each one line of a test function.
+"""Ready properties: common requirements for a driving policy, each of which is one call in a test function.
 
 For example::
 
@@ -6,9 +6,10 @@ For example::
     def test_drives_well(run):
         pafot.properties.comfort(run)
 
-Each property is a check with its own name and a margin that steers the search; only :func:`no_fault` has no margin. If
-a run has nothing to judge, it makes no check. Each property names its source and how reliable that is: *read* means
-that the source itself was read; *second hand* means that others quote it. All other numbers are choices, and arguments.
+Each property except :func:`no_fault` is a check with a name and a margin, and the margin steers the search. If a
+property does not apply to a run, it makes no check. Each docstring names the source and how reliable that is: *read*
+means that the source itself was read; *second hand* means that it is quoted from others. All other numbers are choices,
+and they are arguments.
 """
 
 from __future__ import annotations
@@ -52,34 +53,37 @@ __all__ = [
 __tracebackhide__ = True  # pytest hides these frames, so a traceback ends in the test function
 
 NEAR = 10.0
-"""The scale by which gaps to other vehicles are divided to get margins [m]."""
+"""The scale of gaps to other vehicles: a margin is the gap's distance from its bound divided by this scale [m]."""
 INTRUSION = 0.3
-"""The distance over the line of the ego's lane at which an NPC has cut in; UN R157, 5.2.5.2: of its tyre [m]."""
+"""The distance over the line of the ego's lane at which an NPC has cut in [m]; UN R157, 5.2.5.2, defines it for the
+NPC's tyre."""
 VISIBLE = 0.72
-"""The time for which an NPC's motion must have been visible before it cuts in; UN R157, 5.2.5.2 [s]."""
+"""The time for which an NPC's sideways motion must have been visible before the NPC has cut in [s]; UN R157,
+5.2.5.2."""
 CONTACT = 0.1
-"""The gap below which boxes touch [m]."""
+"""The gap below which two boxes count as touching [m]."""
 
 
 def no_fault(run: Run) -> None:
-    """Assert that the ego is at fault in no collision, neither alone nor with the NPC; without a margin.
+    """Assert that the ego is not responsible for a collision, neither alone nor with the NPC; without a margin.
 
-    The rules are those of ``run.attribution``, whose sources are listed in docs/explanation/verdicts.md.
+    ``run.attribution`` decides the responsibility; docs/explanation/verdicts.md has its rules and their sources.
     """
     assert run.responsibility not in ("ego", "both"), run.explain()  # noqa: S101
 
 
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
-    """Check that NPCs ahead and side by side are at the safe distance of Responsibility-Sensitive Safety.
+    """Check that the ego keeps the safe distance of Responsibility-Sensitive Safety to NPCs ahead and side by side.
 
-    The value is the gap minus the safe distance [m] of the worst NPC, at least 0: across the road for an NPC side by
-    side, along the road if the gap across is too small, otherwise the larger of the two. An NPC behind is not judged,
-    since it must keep the distance itself; :func:`lane_change_gaps` judges a lane change in front of it. A crossing NPC
-    is not judged before it is on the ego's way; see :func:`gives_way`.
+    The value is the gap minus the safe distance [m] of the worst NPC, and must be at least 0. For an NPC side by side
+    it is measured across the road. For an NPC ahead it is measured along the road; if the gap across the road is safe,
+    too, the larger of both values is used. An NPC behind is not checked, because it must keep the distance itself;
+    :func:`lane_change_gaps` checks a lane change in front of it. A crossing NPC is not checked before it is on the
+    ego's way; see :func:`gives_way`.
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). The default parameters are those of attribution,
-    a choice for which two seconds are always enough; ``pytest_pafot.criticality.RssRules()`` has those that Intel
-    suggests (read).
+    a choice with which a headway of two seconds is always enough. ``pytest_pafot.criticality.RssRules()`` has the
+    parameters that Intel suggests (read).
     """
     if not isinstance(rules, RssRules):
         raise TypeError(f"rss_distance: expected rules= as criticality.RssRules(...), received {rules!r:.80}")
@@ -100,11 +104,11 @@ def comfort(
 ) -> None:
     """Check that the ride is comfortable: the ego's acceleration and jerk, along and across its way, are limited.
 
-    The values are the jerk, a mean over 1 s [m/s^3]; the deceleration, a mean over 2 s [m/s^2]; and
-    ``run.ego.lateral_acceleration`` to either side [m/s^2] and its change [m/s^3], each a mean over 0.5 s. None
-    disables a limit. The lateral acceleration in a bend of the road counts, because passengers feel it and the policy
-    chooses the speed. Braking for other vehicles counts, too. The ego is assumed to have driven before the run as at
-    its first tick. Means are used so that a policy is not penalised for deciding only a few times a second.
+    Four values are limited: the jerk, a mean over 1 s [m/s^3]; the deceleration, a mean over 2 s [m/s^2]; the size of
+    ``run.ego.lateral_acceleration``, a mean over 0.5 s [m/s^2]; and its change per second, a mean over 0.5 s [m/s^3].
+    None disables a limit. The limits also hold in bends of the road, because passengers feel them and the policy
+    chooses the speed, and for braking because of other vehicles. Before the run, the ego is assumed to have driven as
+    at its first tick. Means are used so that a policy is not penalised for deciding only a few times per second.
 
     Source: along, ISO 15622:2018, adaptive cruise control above 20 m/s (second hand: its limit of jerk is only for
     braking); across, UN R79, 5.6.2.1.3, automatically commanded steering (second hand: only its jerk is a mean).
@@ -131,11 +135,11 @@ def comfort(
 
 
 def gives_way(run: Run, *, seconds: float = 1.0) -> None:
-    """Check that the ego goes first through a zone in which an NPC has priority only with a gap of ``seconds`` [s].
+    """Check that the ego drives into a zone ahead of an NPC with priority only if it leaves a gap of ``seconds`` [s].
 
     The value is the NPC's ``time_advantage`` at the tick at which the ego enters the zone: the time from the ego's exit
-    to the NPC's arrival, if both keep their speed. So an NPC that sets off only then does not count. Neither does an
-    NPC that entered before the ego; for a collision with it see :func:`no_fault`.
+    to the NPC's arrival, if both keep their speed. So there is no failure if the NPC stands at that tick and sets off
+    later. An NPC that entered the zone before the ego is not checked; for a collision with it see :func:`no_fault`.
 
     Source: Laureshyn and others 2010 for the measure (second hand); 1 s is a choice.
     """
@@ -150,8 +154,8 @@ def gives_way(run: Run, *, seconds: float = 1.0) -> None:
 def stays_on_road(run: Run) -> None:
     """Check that the ego's centre stays on the road: its distance to the nearer edge [m] is at least 0.
 
-    It fails for the same runs as ``run.off_road``. On roads that bend, the edge is unknown while the ego is on the
-    road, so half the width of its lane is used instead. No source.
+    It fails for the runs with ``run.off_road``. On roads that bend, the distance to the edge is unknown while the ego
+    is on the road, so half the width of its lane is used instead. No source.
     """
     trace, lane = run.trace, run.trace.ego[:, LANE].astype(np.intp)
     half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
@@ -174,12 +178,13 @@ def keeps_up(
     headway: float = 3.0,
     seconds: float = 10.0,
 ) -> None:
-    """Check that the ego reaches a share of a speed in any ``seconds`` [s] during which no vehicle is ahead.
+    """Check that the ego, with no vehicle ahead for ``seconds`` [s], drives at ``share`` times a speed or faster.
 
-    The value is the ego's highest speed in the last ``seconds`` divided by ``speed`` [m/s], which is a number or one
-    number per tick; the default is the speed limit of its lane. A vehicle is ahead if the gap to the leader in the
-    ego's lane is less than the required speed times ``headway`` [s], or if both the ego and a crossing NPC still have
-    to pass their zone. Ticks with a ``speed`` of 0 and runs shorter than ``seconds`` are not judged.
+    The value is the ego's highest speed in the last ``seconds`` divided by ``speed`` [m/s], and must be at least
+    ``share``. ``speed`` is one number or one number per tick; by default it is the speed limit of the ego's lane. A
+    vehicle is ahead if the gap to the leader in the ego's lane is less than the required speed times ``headway`` [s],
+    or if the ego and a crossing NPC both still have to pass the zone of their ways. Ticks with a ``speed`` of 0 and
+    runs shorter than ``seconds`` are not checked.
 
     Raises:
         ValueError: for an argument that is not a finite number of at least 0, or speeds that are not one per tick.
@@ -209,13 +214,13 @@ def keeps_up(
 
 
 def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> None:
-    """Check that the ego changes lanes only into gaps of at least so many seconds [s].
+    """Check that the ego changes lanes only into gaps of at least ``ahead`` and ``behind`` [s].
 
-    The value is taken when the ego's centre enters the new lane. Ahead, it is the gap to each NPC in that lane divided
-    by the ego's speed; behind, divided by the NPC's speed; side by side, it is 0. A run without a lane change is not
-    judged, and neither is a crossing NPC.
+    The gaps to NPCs in the new lane are measured when the ego's centre enters that lane. For an NPC ahead, the value is
+    the gap divided by the ego's speed. For an NPC behind, it is the gap divided by the NPC's speed. For an NPC side by
+    side, it is 0. Runs without a lane change and crossing NPCs are not checked.
 
-    Source: for ``behind``, 1 s is what UN R79, 5.6.4.7, requires (formula read); 1 s for ``ahead`` is a choice.
+    Source: for ``behind``, UN R79, 5.6.4.7, requires 1 s (formula read); 1 s for ``ahead`` is a choice.
     """
     _refuse_odd("lane_change_gaps", ahead=ahead, behind=behind)
     gaps, is_on_way = longitudinal_gap(run.trace), Encounters(run.trace).is_on_way
@@ -233,11 +238,12 @@ def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> No
 
 
 def brakes_for_a_reason(run: Run) -> None:
-    """Check that the ego never brakes hard, more than 5 m/s^2 for 0.4 s, without a reason, even if nothing hits it.
+    """Check that the ego never brakes hard, more than 5 m/s^2 for 0.4 s, without a reason, even without a collision.
 
-    The value is the deceleration that lasts for 0.4 s from a tick on [m/s^2], at most 5; it is 0 if there is a reason.
-    A reason of docs/explanation/verdicts.md, rule 7, must exist between 1.6 s before the braking began and 0.4 s after
-    it. A crossing NPC that would be in its zone together with the ego within four seconds is a reason, too.
+    The value is the deceleration that lasts for 0.4 s from a tick on [m/s^2], and must be at most 5. It is 0 if there
+    is a reason to brake between 1.6 s before the braking began and 0.4 s after that. docs/explanation/verdicts.md,
+    rule 7, lists the reasons. A further reason is a crossing NPC that would miss the ego in their zone by less than
+    four seconds.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """
@@ -262,17 +268,17 @@ def brakes_for_a_reason(run: Run) -> None:
 
 
 def answers_cut_ins(run: Run) -> None:
-    """Check that no collision follows a cut-in that an automated vehicle must avoid by UN R157.
+    """Check that no collision follows a cut-in after which an automated vehicle must avoid a collision by UN R157.
 
-    A cut-in counts if a slower NPC ahead is 0.3 m over the line of the ego's lane, its motion has been visible for
-    0.72 s, and the time to collision is more than v / (2 * 6 m/s^2) + 0.35 s, where v is the difference of speeds. The
-    value is the gap between the boxes from then on [m], at least 0.1. It is checked until the ego is not faster any
-    more, until one of the two leaves the lane, or until the NPC is so slow that the cut-in would not have counted at
-    this speed. Later events are not due to the cut-in. A run without such a cut-in is not judged.
+    These are cut-ins in which a slower NPC ahead is 0.3 m over the line of the ego's lane, its sideways motion has been
+    visible for 0.72 s, and the time to collision is more than v / (2 * 6 m/s^2) + 0.35 s, where v is the difference of
+    speeds. The value is the gap between the boxes after the cut-in [m], and must be at least 0.1. It is checked until
+    the ego is no longer faster, until one of the vehicles leaves the lane, or until the NPC is so slow that the time to
+    collision at the cut-in would have been too short at this speed. A run without such a cut-in is not checked.
 
-    Source: UN R157, 5.2.5.2 (formula read), for an NPC that keeps its speed. Choices are: the end at that lower speed,
-    half the NPC's width next to its centre instead of the tyre, visibility from a lateral speed of 0.3 m/s on, and the
-    gap of 0.1 m. An NPC that merges from its own way, as at a junction, does not cut in.
+    Source: UN R157, 5.2.5.2 (formula read), for an NPC that keeps its speed. Four choices are not from the source: the
+    end of the check when the NPC is too slow, the side of the NPC's box instead of its tyre, visibility from a lateral
+    speed of 0.3 m/s on, and the gap of 0.1 m. An NPC that merges from its own way, as at a junction, does not cut in.
     """
     trace, frame = run.trace, RoadFrame(run.trace)
     lane = trace.ego[:, LANE].astype(np.intp)
@@ -298,13 +304,16 @@ def answers_cut_ins(run: Run) -> None:
 
 
 def _refuse_odd(name: str, **given: object) -> None:
-    """Refuse arguments that are not finite numbers of at least 0."""
+    """Raise for an argument of a property that is not a finite number of at least 0."""
     for each, value in given.items():
         checked_number(value, name, f"{each}= as a finite number of at least 0", least=0.0)
 
 
 def _check_worst(run: Run, values: FloatArray, *, name: str, at_least: float) -> None:
-    """Check the smallest of all NPCs' values [m] at each tick; the shape is [NPCs, ticks + 1], inf is not judged."""
+    """Check the smallest of all NPCs' values at each tick [m]; ``values`` has the shape [NPCs, ticks + 1].
+
+    Infinite values are not checked.
+    """
     if values.size and not np.isposinf(values).all():
         npc = int(np.where(np.isnan(values), -np.inf, values).min(axis=1).argmin())
         least = Signal(values.min(axis=0), hz=run.trace.physics_hz, unit="m")
@@ -312,7 +321,10 @@ def _check_worst(run: Run, values: FloatArray, *, name: str, at_least: float) ->
 
 
 def _change(signal: Signal, seconds: float) -> Signal:
-    """Return the mean change per second in the ``seconds`` before each tick, constant before the first one."""
+    """Return the mean change of a signal per second, in the ``seconds`` before each tick.
+
+    Before its first tick, the signal is assumed to be constant.
+    """
     hz = signal.hz or 1
     ticks = round(seconds * hz)
     before = np.concatenate((np.full(ticks, signal[0]), signal))[: len(signal)]

@@ -1,7 +1,8 @@
 """Hypothesis strategies for valid Position-Instructions, chromosomes and scenarios.
 
-Examples are valid by construction: a chain is a start cell and steps along the ring, so nothing is filtered. They
-shrink towards few NPCs, short chains, "stay" and low round speeds; crossing NPCs shrink towards a slot of 0.
+Examples are valid by construction: a chain is a start cell and steps along the ring, so hypothesis need not filter
+them. They shrink towards few NPCs, short chains, no change of the cell, and low round speeds; crossing NPCs shrink
+towards a slot of 0.
 
     from hypothesis import given
     import pytest_pafot as pafot
@@ -33,9 +34,10 @@ from pytest_pafot.model.scenario import (
 
 
 def _register() -> None:
-    """Register strategies for types, so that hypothesis can infer them; hypothesis calls this when it is imported.
+    """Register strategies for the types ``PositionInstruction`` and ``Scenario``, so that hypothesis can infer them.
 
-    It is defined before the import of hypothesis below, because that import may already call it.
+    Hypothesis calls this function when it is imported. The function is defined before the import of hypothesis below,
+    because that import may already call it.
     """
     from hypothesis import strategies  # noqa: PLC0415
 
@@ -52,20 +54,20 @@ _STEPS = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
 _SLOTS = [
     step / SLOT_STEPS_PER_SECOND for step in sorted(range(-_STEPS, _STEPS + 1), key=lambda step: (abs(step), -step))
 ]
-"""All slots, sorted by distance to the ego, since examples shrink towards the beginning of a list."""
+"""All slots, sorted by their absolute value, because examples shrink towards the beginning of a list."""
 
 
 def position_instructions(
     *, cells: Iterable[int] = tuple(Cell), min_speed: float = 0.0, max_speed: float = PAPER_SPEED_LIMIT
 ) -> SearchStrategy[PositionInstruction]:
-    """Return a strategy for single genes.
+    """Return a strategy for single Position-Instructions, each with a target cell and a target speed.
 
     Args:
         cells: the cells to choose from, 1 to 8.
         min_speed, max_speed: bounds of the target speed [m/s]; speeds are multiples of 0.1.
 
     Raises:
-        ValueError: for a cell outside 1 to 8, or bounds that leave no speed.
+        ValueError: if a cell is outside 1 to 8, or if no speed is within the bounds.
     """
     return st.builds(PositionInstruction, st.sampled_from(_cells(cells)), _speeds(min_speed, max_speed))
 
@@ -83,10 +85,10 @@ def chromosomes(
     Args:
         cells: the cells that the chain may visit.
         min_speed, max_speed: bounds of the target speeds [m/s].
-        min_genes, max_genes: bounds of the length.
+        min_genes, max_genes: bounds of the number of genes in the chain.
 
     Raises:
-        ValueError: for bounds that leave no chain.
+        ValueError: if no chain is within the bounds.
     """
     allowed, speeds, lengths = _cells(cells), _speeds(min_speed, max_speed), _bounds("genes", min_genes, max_genes)
 
@@ -112,22 +114,22 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     gene_seconds: float = GENE_SECONDS,
     traffic: str | Traffic = "hostile",
 ) -> SearchStrategy[Scenario]:
-    """Return a strategy for whole scenarios: no two NPCs are in the same cell in the same gene.
+    """Return a strategy for whole scenarios on a straight road, in which NPCs never share a cell in the same gene.
 
     Args:
         cells: the cells that the chains may visit.
         min_speed, max_speed: bounds of the target speeds [m/s].
-        min_genes, max_genes: bounds of the length of the chains, which is the same for all chains.
+        min_genes, max_genes: bounds of the number of genes in a chain; all chains of a scenario have the same length.
         min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8.
-        lanes: the number of lanes; every NPC starts in a cell whose lane exists.
+        lanes: the number of lanes of the road; every NPC starts in a cell whose lane exists.
         ego_lane: the ego's first lane, 0 at the left; None for a random one.
         ego_speed: the first speed of all vehicles [m/s].
         gene_seconds: the duration of one gene [s].
-        traffic: how the NPCs drive apart from their instructions, as a style or a whole
-            :class:`~pytest_pafot.Traffic`; target speeds are at least its share of the highest one.
+        traffic: the driving style of the NPCs, as its name or as a :class:`~pytest_pafot.Traffic`. Target speeds are at
+            least its ``least_speed_share`` times ``max_speed``.
 
     Raises:
-        ValueError: for bounds that leave no scenario.
+        ValueError: if no scenario is within the bounds.
     """
     style = Traffic.of(traffic)
     allowed, speeds = _cells(cells), _speeds(max(min_speed, style.least_speed(max_speed)), max_speed)
@@ -169,15 +171,15 @@ def scenarios_in(
 
     Args:
         world: the world, such as ``pafot.World("intersection-v0")``.
-        min_genes, max_genes: bounds of the length of the chains on the grid.
-        min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8; if two crossing NPCs would be in the same place at the
-            same time, one of them is left out.
-        acts: the acts of crossing NPCs to choose from: ``pass``, ``hold``, ``stop`` and ``late``.
-        traffic: how the NPCs drive apart from their instructions.
+        min_genes, max_genes: bounds of the number of genes in the chain of an NPC on the grid.
+        min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8. If there is no room for a crossing NPC, the scenario
+            has fewer NPCs.
+        acts: the acts of crossing NPCs to choose from, of ``pass``, ``hold``, ``stop`` and ``late``.
+        traffic: the driving style of the NPCs, as its name or as a :class:`~pytest_pafot.Traffic`.
 
     Raises:
-        ValueError: for bounds that leave no scenario.
-        WorldError: for a world that cannot be built.
+        ValueError: if no scenario is within the bounds.
+        WorldError: if the world cannot be built.
     """
     from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and rarely needed)
     from pytest_pafot.world.protocol import crossings, most_on_grid, road_start  # noqa: PLC0415
@@ -220,7 +222,10 @@ def scenarios_in(
 
 
 def _starts(world: Any, ego_lane: int) -> dict[int, list[Cell]]:
-    """Return the cells in which NPCs may start, by the ego's first lane; on a bent road, the repair moves them."""
+    """Return the cells in which NPCs may start, by the ego's first lane.
+
+    On a road that bends, these are all cells, and the repair replaces the cells that do not exist.
+    """
     from pytest_pafot.world.protocol import straight_road  # noqa: PLC0415  (slow to import, and rarely needed)
 
     road = straight_road(world)
@@ -239,10 +244,10 @@ def _chains(
     allowed: list[Cell],
     speeds: SearchStrategy[float],
 ) -> tuple[Chromosome, ...]:
-    """Draw chains that start in and stay within given cells.
+    """Draw the chains of some NPCs, which start in the cells ``starts`` and stay within the cells ``allowed``.
 
-    This is a plain function because hypothesis reads the source of a strategy when it is made, which would be slow at
-    each draw.
+    This is a plain function and not a strategy, because hypothesis reads the source of each strategy when the strategy
+    is made, which would be slow at each draw.
     """
     held: list[Cell] = []
     for _ in range(npcs):

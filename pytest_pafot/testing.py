@@ -1,4 +1,4 @@
-"""Checks of the requirements that a search has for a world, for the tests of a user's own world."""
+"""A check that a user's own world meets the requirements of a search, for use in the user's tests."""
 
 from __future__ import annotations
 
@@ -32,24 +32,27 @@ def check_world(
     """Check with random scenarios that a world meets the requirements of a search.
 
     - It has all attributes that a search needs, and plain data that a file can store.
-    - Traces have the form that oracles and reports expect, also for crossing NPCs if the world has ways for them.
+    - Traces have the form that test functions and reports expect, also for crossing NPCs if the world has ways for
+      them.
     - The same scenario gives the same trace to the last bit, whatever ran before.
-    - The scenario as executed gives the same trace.
-    - NPCs stay within its ``limits``, if these are a :class:`pytest_pafot.NpcLimits`.
-    - An ADS that raises, returns no action or hangs ends its own run and does not affect others; hanging is tried only
-      if the world's ``hang_limit`` is at most one second.
-    - ``from_dict`` gives the same world again, if its class has that method or if a file can describe the world.
+    - The scenario as executed, ``trace.executed``, gives the same trace.
+    - NPCs stay within the world's ``limits``, if these are a :class:`pytest_pafot.NpcLimits`.
+    - An ADS that raises, returns no action or hangs ends its own run and does not affect other runs. An ADS that hangs
+      is tried only if the world's ``hang_limit`` is at most one second.
+    - ``from_dict`` gives the same world again, if the world's class has that method or if a file can describe the
+      world.
 
     Args:
         world: the world to check.
         seed: the seed of the scenarios.
         runs: the number of scenarios.
-        ads: the factory of an ADS that drives in this world without errors and does not depend on earlier runs; the
-            default answers in SI units and neither accelerates nor steers.
-        space: properties of all scenarios, as in :func:`pytest_pafot.search`: ``npcs``, ``genes``, ``ego_lane`` ...
+        ads: the factory of an ADS that drives in this world without errors and does not depend on earlier runs. The
+            default returns an acceleration and a steering of 0 in SI units.
+        space: properties of all scenarios, such as ``npcs``, ``genes`` and ``ego_lane``, as in
+            :func:`pytest_pafot.search`.
 
     Raises:
-        AssertionError: names the requirement that is not met.
+        AssertionError: if a requirement is not met; the message names it.
     """
     _promise(not (lacking := missing(world)), "a world has all that a search needs", f"no {', '.join(lacking)}")
     ways = {} if (found := crossings(world)) is None else {"crossings": found}
@@ -104,7 +107,7 @@ def _is_same(first: Any, second: Any) -> bool:
 
 
 def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
-    """Check the parts of a trace that oracles, measures and pages read."""
+    """Check the parts of a trace that test functions, measures and report pages read."""
     _promise(trace.error is None, "the ADS of the check drives in this world", f"{trace.error}; give a different ads=")
     states, start = trace.states, trace.states[0]
     _promise(states.shape[1] == len(scenario.npcs) + 1, "states contain the ego and each NPC", f"shape {states.shape}")
@@ -173,7 +176,7 @@ def _check_faults(world: Any, scenario: Scenario, healthy: Trace, ads: Ads) -> N
 
 
 def _failing_ads(factory: Ads, fault: Callable[[], Any]) -> Callable[[Any], Any]:
-    """Return an ADS that fails in its second decision."""
+    """Return an ADS that makes its first decision with the ADS of a factory, and fails from its second decision on."""
     decisions: Iterator[Callable[[Any], Any]] = chain([factory()], repeat(lambda observation: fault()))
 
     def decide(observation: Any) -> Any:

@@ -1,4 +1,4 @@
-"""A training environment whose episodes are scenarios, such as failures, mixed with ordinary traffic.
+"""A training environment, in which some episodes are scenarios, such as saved failures, and others ordinary traffic.
 
 Importing this module registers the environment with gymnasium as ``pafot/Scenarios-v0``.
 """
@@ -38,7 +38,10 @@ from pytest_pafot.world.run_config import Rules
 
 
 class ScenarioSteps:
-    """The steps of one scenario, which must fit the rules, in an environment without its own ``step``."""
+    """The steps of one scenario, in an environment whose class does not override highway-env's ``step``.
+
+    The scenario must fit the rules of the world.
+    """
 
     def __init__(self, environment: GymEnvironment, rules: Rules, scenario: Scenario) -> None:
         self._run = begin(environment, rules, scenario, HangGuard(rules.hang_limit), None)
@@ -47,7 +50,7 @@ class ScenarioSteps:
 
     @property
     def trace(self) -> Trace | None:
-        """The trace of the run; None until it is over."""
+        """The trace of the run; None until the run is over."""
         return self._run.trace
 
     def reset(self) -> tuple[Any, dict[str, Any]]:
@@ -56,10 +59,11 @@ class ScenarioSteps:
         return seen, self._env._info(seen, self._env.action_space.sample())
 
     def step(self, action: Any) -> Step:
-        """Drive with an action of the action space; return the same as the environment's ``step``.
+        """Drive with an action of the action space; return the same values as the environment's ``step``.
 
         The run ends at the tick of first contact. The ego is then marked as crashed for the reward, because highway-env
-        does not check for contact here. A run that ends in a different way is truncated.
+        does not check for contact in a scenario. A run that ends for a different reason is truncated, unless the
+        environment reports that it is terminated.
         """
         run, env = self._run, self._env
         run.take(action, 0.0)
@@ -80,7 +84,7 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
     """The training environment of :func:`training_env`, which has the same arguments.
 
     Attributes:
-        trace: the trace of the last scenario after its run is over; None during an episode, and in ordinary traffic.
+        trace: the trace of the last episode if it was a scenario; None during an episode and after ordinary traffic.
     """
 
     def __init__(self, world: World, scenarios: Scenarios = None, share: float = 0.5) -> None:
@@ -106,7 +110,7 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         self._steps: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin a scenario or an episode of ordinary traffic; all random choices follow from the given seeds.
+        """Begin an episode, a scenario or ordinary traffic; the seeds given so far determine all random choices.
 
         Raises:
             ScenarioError: if the sampler returns a scenario that does not fit the world.
@@ -154,34 +158,36 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
 
     Observations, actions and reward are those of the world's environment. An episode is either a scenario or ordinary
     traffic. A scenario is the same run, to the last bit, as the world's ``rollout`` with the same actions, and ends at
-    the first contact of the ego. Ordinary traffic is the environment's own random traffic as without this package, but
-    compiled if :mod:`pytest_pafot.episodes.compiled_traffic` supports it.
+    the ego's first contact. Ordinary traffic is the environment's own random traffic as without this package. Compiled
+    code drives it if :mod:`pytest_pafot.episodes.compiled_traffic` supports the environment.
 
     In addition to the environment's own values, ``info`` has ``is_scenario``, ``scenario`` (the id; empty in ordinary
     traffic) and ``responsible`` (``ego``, ``npc``, ``both`` or ``none`` after a crash in a scenario; otherwise empty).
 
     Args:
-        world: the world. Its environment must not have its own ``step``, nor wrappers: put these around the result.
-        scenarios: a folder, in or below which there are saved scenarios; a sequence of scenarios; or a function that
-            samples one with a numpy ``Generator``. By default random ones, like the first ones of a search.
+        world: the world. Its environment must not have its own ``step``. It must not have wrappers; put them around the
+            returned environment.
+        scenarios: a folder with saved scenarios in it or below it; a sequence of scenarios; or a function that samples
+            a scenario with a numpy ``Generator``. By default scenarios are random, like the first scenarios of a
+            search.
         share: the share of scenarios among the episodes, 0 to 1.
 
     Raises:
-        WorldError: if the world has no environment for training.
+        WorldError: if the environment of the world cannot be used for training.
         ValueError: if the share is out of range, there is no scenario, or an object is not a scenario.
         ScenarioError: if a scenario does not fit the world.
-        CorpusError: if a file cannot be used.
+        CorpusError: if the file of a saved scenario cannot be used.
     """
     return TrainingEnv(world, scenarios, share)
 
 
 def random_scenarios(world: Any) -> Sampler:
-    """Return a sampler of scenarios like the first ones of a search in a world with default settings."""
+    """Return a sampler of random scenarios, like the first scenarios of a search with default settings in a world."""
     return partial(sample, space_on(world, drawn_space(world, {}), road_start(world)))
 
 
 def _sampler(world: World, scenarios: Scenarios) -> Sampler:
-    """Return a function that samples a scenario."""
+    """Return a function that samples a scenario from what the user gave as ``scenarios``."""
     if scenarios is None:
         return random_scenarios(world)
     if isinstance(scenarios, str | os.PathLike):

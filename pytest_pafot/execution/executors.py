@@ -38,8 +38,7 @@ TASK_SECONDS = 0.02
 """The target duration of a task, which is long compared with its overhead of a few milliseconds [s]."""
 MOST = 20
 """The largest number of scenarios in a task. If a run takes longer than :data:`TASK_SECONDS`, each task has one
-scenario.
-"""
+scenario."""
 
 IDLE = 60.0
 """The time without a task after which the child process of a worker ends [s]."""

@@ -337,7 +337,7 @@ class _Worker(Generic[TaskT]):
         return True
 
     def hear(self) -> tuple[bool, Any] | None:
-        """Receive a message of the process: (True, result) or (False, finished share); None if the process has ended."""
+        """Receive a message of the process: (True, result) or (False, finished share); None if the process ended."""
         try:
             is_done, said = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
         except (EOFError, OSError):

@@ -159,9 +159,9 @@ class CrossingInstruction:
 
     Attributes:
         zone: entry and exit of the NPC's way, such as ``"o1>o3"``; the zone is where that way first meets the ego's.
-        slot: time between the two vehicles at the zone [s], from -5 to 5 in steps of 0.1. If positive, it passes from
-            the ego's exit from the zone to the NPC's entry. If negative, it passes from the NPC's exit to the ego's
-            entry. If 0, both are in the zone at the same time.
+        slot: time between the two vehicles at the zone [s], from -5 to 5 in steps of 0.1. Positive: from the ego's exit
+            until the NPC's entry. Negative: from the NPC's exit until the ego's entry. 0: both are in the zone at the
+            same time.
         speed: speed of the NPC up to the zone and in it, lower if a bend requires it [m/s], more than 0, in steps of
             0.1.
         act: what the NPC does at the zone.
