@@ -116,7 +116,8 @@ SITUATIONS = {
     "One follows the other": (
         Situation(
             "slow-leader-ignored",
-            "The ego, at 20 m/s, runs into a vehicle that has driven 10 m/s all the time. It does not brake.",
+            "A vehicle ahead of the ego has driven 10 m/s all the time. The ego runs into it with 20 m/s and does not "
+            "brake.",
             lambda: hit(driven(0.0), driven(100.0, speed=10.0)),
             "ego", "leader-unanswered", "4b", "(safe: 47.1 m)",
         ),
@@ -134,26 +135,27 @@ SITUATIONS = {
         ),
         Situation(
             "braked-too-gently",
-            "The same, but the ego brakes a second later, with 3 m/s^2.",
+            "A vehicle two seconds ahead of the ego brakes with 8 m/s^2 to a standstill. The ego brakes a second "
+            "later, with only 3 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(3.0, 3.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "up to 3.0 m/s^2 from",
         ),
         Situation(
             "braked-too-late",
-            "The same, but the ego brakes three seconds later, with 8 m/s^2.",
+            "A vehicle two seconds ahead of the ego brakes with 8 m/s^2 to a standstill. The ego brakes with 8 m/s^2, "
+            "too, but three seconds later.",
             lambda: hit(driven(0.0, brakes=[(5.0, 8.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "up to 8.0 m/s^2 from 5.0 s on",
         ),
         Situation(
             "leader-stops-dead",
-            "The ego follows a vehicle at 1.5 s, which stops within 7 m. The ego brakes with 6 m/s^2 from 1.0 s later "
-            "on.",
+            "A vehicle 1.5 s ahead of the ego stops within 7 m. The ego brakes a second later, with 6 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(3.0, 6.0, 0.0)]), driven(35.0, brakes=[(2.0, 30.0, 0.0)])),
             "npc", None, "4b", "too little time to respond",
         ),
         Situation(
             "began-too-close",
-            "The run begins 7 m behind a vehicle that brakes with 8 m/s^2 at once.",
+            "The run begins with the ego 7 m behind a vehicle that brakes with 8 m/s^2 at once.",
             lambda: hit(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])),
             "npc", None, "4b", "too little time to respond",
         ),
@@ -171,13 +173,13 @@ SITUATIONS = {
         ),
         Situation(
             "hit-from-behind",
-            "The ego keeps 20 m/s, and an NPC with 26 m/s runs into it from behind.",
+            "The ego keeps its speed of 20 m/s. An NPC with 26 m/s runs into it from behind.",
             lambda: hit(driven(0.0), driven(-60.0, speed=26.0)),
             "npc", None, "4b", "(safe: ",
         ),
         Situation(
             "ego-speeds-up-behind-a-close-leader",
-            "The run begins 8 m behind a vehicle of equal speed. After 3 s the ego speeds up.",
+            "The run begins with the ego 8 m behind a vehicle of equal speed. After 3 s the ego speeds up.",
             lambda: hit(driven(0.0, brakes=[(3.0, -2.0, 26.0)]), driven(13.0)),
             "ego", "leader-unanswered", "4b", "sped up to",
         ),
@@ -185,14 +187,14 @@ SITUATIONS = {
     "Braking hard": (
         Situation(
             "braked-for-nothing",
-            "On a free road the ego brakes with 9 m/s^2. The NPC behind follows at 2 s and does not brake.",
+            "On a free road the ego brakes with 9 m/s^2. An NPC 2 s behind it does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 0.0)]), driven(-45.0)),
             "both", "braked-for-nothing", "7", "The ego braked at up to 9.0 m/s^2 from 4.0 s on",
         ),
         Situation(
             "braked-for-nothing-unavoidable",
-            "The same with 9.8 m/s^2, and the NPC behind has exactly the distance that RSS requires, which assumes 8 "
-            "m/s^2.",
+            "On a free road the ego brakes with 9.8 m/s^2. The NPC behind has exactly the distance that RSS requires "
+            "for braking with 8 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.8, 0.0)]), driven(-34.0, brakes=[(5.0, 6.0, 0.0)])),
             "ego", "braked-for-nothing", "7", "NPC 0 had too little time to respond",
         ),
@@ -210,7 +212,7 @@ SITUATIONS = {
         ),
         Situation(
             "braked-after-the-leader-had-left",
-            "The slower vehicle ahead left the lane 3 s before the ego brakes with 9 m/s^2.",
+            "A slower vehicle ahead leaves the lane. 3 s later the ego brakes with 9 m/s^2.",
             lambda: hit(
                 driven(0.0, brakes=[(8.0, 9.0, 5.0)]),
                 driven(-45.0),
@@ -226,8 +228,8 @@ SITUATIONS = {
         ),
         Situation(
             "braked-for-a-leader-that-brakes",
-            "A vehicle 60 m ahead brakes with 8 m/s^2, and the ego does so 0.5 s later. The NPC 2 s behind does not "
-            "brake.",
+            "A vehicle 60 m ahead brakes with 8 m/s^2, and 0.5 s later the ego brakes as hard. The NPC 2 s behind does"
+            " not brake.",
             lambda: hit(
                 driven(0.0, brakes=[(4.5, 8.0, 2.0)]), driven(-45.0), driven(65.0, brakes=[(4.0, 8.0, 2.0)])
             ),
@@ -275,21 +277,22 @@ SITUATIONS = {
         ),
         Situation(
             "leader-brakes-for-nothing-half-a-second-ahead",
-            "The ego follows a vehicle at 0.5 s, which brakes with 8 m/s^2 on a free road. The ego brakes with 6 m/s^2 "
-            "a second later.",
+            "A vehicle half a second ahead of the ego brakes with 8 m/s^2 on a free road. The ego brakes a second "
+            "later, with 6 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)])),
             "both", "leader-unanswered", "5", "NPC 0 braked at up to 8.0 m/s^2",
         ),
         Situation(
             "leader-brakes-for-nothing-1.8-s-ahead",
-            "The same at 1.8 s, but the ego brakes two seconds later, with 4 m/s^2.",
+            "A vehicle 1.8 s ahead of the ego brakes with 8 m/s^2 on a free road. The ego brakes two seconds later, "
+            "with 4 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(7.0, 4.0, 0.0)]), driven(41.0, brakes=[(5.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "up to 4.0 m/s^2 from",
         ),
         Situation(
             "leader-brakes-for-a-standing-vehicle",
-            "The ego follows a vehicle at 0.5 s, which brakes with 8 m/s^2 for a vehicle that stands in its lane. The "
-            "ego brakes with 6 m/s^2 a second later.",
+            "A vehicle half a second ahead of the ego brakes with 8 m/s^2 for a vehicle that stands in its lane. The "
+            "ego brakes a second later, with 6 m/s^2.",
             lambda: hit(
                 driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)]), driven(148.0, speed=0.0)
             ),
@@ -305,13 +308,13 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-for-nothing",
-            "On a free road the ego brakes gently to a standstill. After 5 s an NPC runs into it.",
+            "On a free road the ego brakes gently to a standstill. 5 s later an NPC runs into it.",
             lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0)),
             "both", "stopped-for-nothing", "7", "The ego began to stop at",
         ),
         Situation(
             "stopped-in-a-queue",
-            "The same behind a vehicle that stands.",
+            "The ego brakes gently to a standstill behind a vehicle that stands. 5 s later an NPC runs into the ego.",
             lambda: hit(
                 driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0),
                 driven(-172.0, seconds=25.0),
@@ -321,7 +324,7 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-at-the-end-of-the-lane",
-            "The same at the end of the ego's lane.",
+            "The ego brakes gently to a standstill at the end of its lane. 5 s later an NPC runs into it.",
             lambda: at_lane_end(
                 driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0), end=112.0
             ),
@@ -329,7 +332,7 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-for-a-moment",
-            "On a free road the ego brakes gently to a standstill. An NPC runs into it 2 s later.",
+            "On a free road the ego brakes gently to a standstill. 2 s later an NPC runs into it.",
             lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-111.0, seconds=25.0)),
             "npc", None, "7", "The ego was standing",
         ),
@@ -345,7 +348,8 @@ SITUATIONS = {
         ),
         Situation(
             "stopped-askew-behind-another",
-            "The same behind a vehicle that stands in the ego's lane.",
+            "The ego comes to a standstill askew, half in the next lane, behind a vehicle that stands in the ego's "
+            "lane. An NPC in the next lane hits the ego 5 s later.",
             lambda: hit(
                 turned(driven(0.0, speed=10.0, brakes=[(2.0, 2.5, 0.0)], shifts=[(2.0, 2.2, 3.0)]), -0.4),
                 driven(-180.0, LEFT),
@@ -367,25 +371,25 @@ SITUATIONS = {
     "An NPC comes into the ego's lane": (
         Situation(
             "cut-in-3-m-and-brakes",
-            "An NPC of equal speed moves in 3 m ahead and brakes with 8 m/s^2 at once.",
+            "An NPC of equal speed moves in 3 m ahead of the ego and brakes with 8 m/s^2 at once.",
             lambda: cut_in(3.0, slower=0.0, brakes=[(3.0, 8.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "cut-in-4-m-slower",
-            "An NPC that is 4 m/s slower moves in 4 m ahead.",
+            "An NPC that is 4 m/s slower moves in 4 m ahead of the ego.",
             lambda: cut_in(4.0, slower=4.0),
             "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "cut-in-10-m-slower",
-            "An NPC that is 10 m/s slower moves in 10 m ahead, which nobody can answer.",
+            "An NPC that is 10 m/s slower moves in 10 m ahead of the ego. No driver could avoid it.",
             lambda: cut_in(10.0, slower=10.0),
             "npc", None, "5", "10.0 m/s faster",
         ),
         Situation(
             "cut-in-20-m-slower",
-            "An NPC that is 10 m/s slower moves in 20 m ahead, which nobody can answer either.",
+            "An NPC that is 10 m/s slower moves in 20 m ahead of the ego. No driver could avoid it.",
             lambda: cut_in(20.0, slower=10.0),
             "npc", None, "5", "too little time to respond",
         ),
@@ -403,21 +407,21 @@ SITUATIONS = {
         ),
         Situation(
             "cut-in-answered-too-gently",
-            "The same, but the ego brakes soon, with 1.5 m/s^2.",
+            "An NPC that is 10 m/s slower moves in 30 m ahead. The ego brakes soon, but with only 1.5 m/s^2.",
             lambda: cut_in(30.0, slower=10.0, ego_brakes=[(2.7, 1.5, 0.0)]),
             "ego", "cut-in-unanswered", "5", "up to 1.5 m/s^2 from",
         ),
         Situation(
             "cut-in-answered-in-vain",
-            "An NPC that is 10 m/s slower moves in 30 m ahead and brakes with 8 m/s^2. The ego brakes with 6 m/s^2 "
-            "from 1.4 s later on.",
+            "An NPC that is 10 m/s slower moves in 30 m ahead and brakes with 8 m/s^2. The ego brakes 1.4 s later, "
+            "with 6 m/s^2.",
             lambda: cut_in(30.0, slower=10.0, brakes=[(2.6, 8.0, 0.0)], ego_brakes=[(3.6, 6.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "braked-before-its-answer-was-due",
-            "An NPC that is 4 m/s slower moves in 12 m ahead and brakes with 8 m/s^2. The ego brakes with 9 m/s^2 "
-            "after 0.7 s.",
+            "An NPC that is 4 m/s slower moves in 12 m ahead and brakes with 8 m/s^2. The ego already brakes 0.7 s "
+            "later, with 9 m/s^2.",
             lambda: cut_in(12.0, slower=4.0, brakes=[(2.4, 8.0, 0.0)], ego_brakes=[(2.9, 9.0, 0.0)]),
             "npc", None, "1", "too little time to respond",
         ),
@@ -429,26 +433,27 @@ SITUATIONS = {
         ),
         Situation(
             "cut-in-far-ahead-and-slow",
-            "An NPC of 5 m/s moves in 80 m ahead. The ego does not brake.",
+            "An NPC that drives 5 m/s moves in 80 m ahead. The ego does not brake.",
             lambda: cut_in(80.0, slower=15.0),
             "ego", "leader-unanswered", "4b", "(safe: 51.8 m)",
         ),
         Situation(
             "cut-in-45-m-and-slow",
-            "An NPC of 8 m/s moves in 45 m ahead. The ego does not brake.",
+            "An NPC that drives 8 m/s moves in 45 m ahead. The ego does not brake.",
             lambda: cut_in(45.0, slower=12.0),
             "ego", "cut-in-unanswered", "5", "12.0 m/s faster",
         ),
         Situation(
             "leader-since-a-close-cut-in",
-            "An NPC that is 4 m/s slower moves in 5 m ahead, too close for an answer, but speeds up and draws away to "
-            "12 m. 5 s later it slows down with 3 m/s^2. The ego does not brake.",
+            "An NPC that is 4 m/s slower moves in 5 m ahead, too close for a response. It speeds up and draws away to "
+            "12 m. 5 s later it slows down with 3 m/s^2, and the ego does not brake.",
             lambda: cut_in(5.0, slower=4.0, brakes=[(2.4, -4.0, 22.0), (9.0, 3.0, 8.0)]),
             "ego", "leader-unanswered", "4a", "s but did not",
         ),
         Situation(
             "npc-brake-checks",
-            "An NPC overtakes with 5 m/s more and moves in 2 m ahead. 1.5 s later, 10 m ahead, it brakes with 8 m/s^2.",
+            "An NPC that is 5 m/s faster overtakes the ego and moves in 2 m ahead. 1.5 s later, 10 m ahead, it brakes "
+            "with 8 m/s^2.",
             lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
@@ -467,7 +472,7 @@ SITUATIONS = {
         ),
         Situation(
             "npc-swipes-the-ego",
-            "An NPC next to the ego moves into it.",
+            "An NPC next to the ego moves sideways into it.",
             lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 3.0)])),
             "npc", None, "3", "next to ",
         ),
@@ -485,15 +490,15 @@ SITUATIONS = {
         ),
         Situation(
             "sped-up-after-it-had-survived-a-cut-in",
-            "An NPC that is 4 m/s slower comes over slowly, close ahead. The ego brakes until it is slower than the "
-            "NPC, and a second later speeds up into it.",
+            "An NPC that is 4 m/s slower moves in slowly, close ahead. The ego brakes until it is slower than the NPC."
+            " A second later it speeds up into the NPC.",
             lambda: cut_in(4.0, slower=4.0, lasts=4.0, ego_brakes=[(2.6, 8.0, 15.0), (4.4, -3.0, 24.0)]),
             "both", "leader-unanswered", "4c", "The ego should have braked from",
         ),
         Situation(
             "cut-in-answered-with-nothing-to-spare",
-            "An NPC that is 8 m/s slower moves in 16 m ahead. The ego brakes with 6 m/s^2 when an answer is due, and "
-            "hits it.",
+            "An NPC that is 8 m/s slower moves in 16 m ahead. The ego brakes with 6 m/s^2 just when a response is due,"
+            " and still hits the NPC.",
             lambda: cut_in(16.0, slower=8.0, ego_brakes=[(3.7, 6.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
@@ -513,7 +518,8 @@ SITUATIONS = {
         ),
         Situation(
             "creeps-into-one-that-had-cut-in",
-            "The same, but the ego brakes until it is 0.5 m/s faster, and creeps into the NPC 15 s later.",
+            "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes with 8 m/s^2 until it is only 0.5 m/s "
+            "faster, and creeps into the NPC 15 s later.",
             lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 10.5)]),
             "ego", "leader-unanswered", "4a", "NPC 0 kept its lane",
         ),
@@ -530,7 +536,7 @@ SITUATIONS = {
         Situation(
             "speeds-up-behind-one-half-in-its-lane",
             "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and stays there. The ego brakes "
-            "to its speed, follows it for 4 s and speeds up into it.",
+            "to the NPC's speed, follows it for 4 s and speeds up into it.",
             lambda: hit(
                 driven(0.0, brakes=[(2.9, 8.0, 10.0), (8.0, -2.0, 20.0)]),
                 driven(48.3, LEFT, speed=10.0, shifts=[(2.0, 2.2, 1.1)]),
@@ -566,26 +572,26 @@ SITUATIONS = {
         ),
         Situation(
             "lane-change-28-m-ahead",
-            "The ego changes lanes 28 m ahead of an NPC that is 8 m/s faster. When the ego has come to keep its lane, "
-            "the NPC has less than a second left.",
+            "The ego changes lanes 28 m ahead of an NPC that is 8 m/s faster. By the time when the ego has kept its "
+            "new lane for long enough, the NPC has less than a second left.",
             lambda: lane_change(28.0, faster=8.0),
             "ego", "entered-lane", "4a", "should have left NPC 0 a gap of 33.9 m",
         ),
         Situation(
             "lane-change-40-m-ahead",
-            "The ego changes lanes 40 m ahead of an NPC that is 8 m/s faster, which never brakes.",
+            "The ego changes lanes 40 m ahead of an NPC that is 8 m/s faster. The NPC never brakes.",
             lambda: lane_change(40.0, faster=8.0),
             "npc", None, "3", "more than the required 33.9 m",
         ),
         Situation(
             "lane-change-80-m-ahead",
-            "The ego changes lanes 80 m ahead of an NPC that is 8 m/s faster, which never brakes.",
+            "The ego changes lanes 80 m ahead of an NPC that is 8 m/s faster. The NPC never brakes.",
             lambda: lane_change(80.0, faster=8.0),
             "npc", None, "4b", "(safe: 68.3 m)",
         ),
         Situation(
             "lane-change-15-m-ahead-settled",
-            "The ego changes lanes 15 m ahead of an NPC that is 2 m/s faster, which does not brake in the next 7 s.",
+            "The ego changes lanes 15 m ahead of an NPC that is 2 m/s faster. The NPC does not brake in the next 7 s.",
             lambda: lane_change(15.0, faster=2.0),
             "npc", None, "4a", "kept its lane from 3.9 s on",
         ),
@@ -610,32 +616,35 @@ SITUATIONS = {
         ),
         Situation(
             "brake-check-after-cutting-in",
-            "The ego changes lanes 5 m ahead of an NPC of equal speed and brakes with 9 m/s^2 as soon as it is there.",
+            "The ego changes lanes 5 m ahead of an NPC of equal speed and brakes with 9 m/s^2 as soon as it is in the "
+            "new lane.",
             lambda: lane_change(5.0, faster=0.0, brakes=[(4.0, 9.0, 0.0)]),
             "ego", "entered-lane", "4a", "should have left NPC 0 a gap of 20.0 m",
         ),
         Situation(
             "brake-check-long-after-cutting-in",
-            "The ego changes lanes 5 m ahead of an NPC of equal speed, keeps the lane for 4 s and brakes with 9 m/s^2.",
+            "The ego changes lanes 5 m ahead of an NPC of equal speed, keeps the new lane for 4 s and brakes with 9 "
+            "m/s^2.",
             lambda: lane_change(5.0, faster=0.0, brakes=[(8.0, 9.0, 0.0)]),
             "ego", "braked-for-nothing", "3", "The ego braked at up to 9.0 m/s^2 from 8.0 s on",
         ),
         Situation(
             "follower-floors-it",
-            "The ego changes lanes 6 m ahead of an NPC that drives only 4.5 m/s and at once speeds up with 5 m/s^2.",
+            "The ego changes lanes 6 m ahead of an NPC that drives only 4.5 m/s. The NPC at once speeds up with 5 "
+            "m/s^2.",
             lambda: lane_change(6.9, faster=-1.5, speed=6.0, npc_brakes=[(2.1, -5.0, 20.0)]),
             "npc", None, "3", "NPC 0 sped up to",
         ),
         Situation(
             "follower-floors-it-behind-a-close-lane-change",
-            "The ego changes lanes 6 m ahead of an NPC of equal speed, which at once speeds up with 4 m/s^2.",
+            "The ego changes lanes 6 m ahead of an NPC of equal speed. The NPC at once speeds up with 4 m/s^2.",
             lambda: lane_change(6.0, faster=0.0, npc_brakes=[(2.6, -4.0, 30.0)]),
             "both", "entered-lane", "3", "NPC 0 sped up to",
         ),
         Situation(
             "npc-moves-in-behind-an-ego-over-the-line",
-            "The ego reaches 0.3 m over the line and goes back. An NPC that is 6 m/s faster comes into the ego's lane "
-            "behind it.",
+            "The ego reaches 0.3 m over its lane line and goes back. An NPC that is 6 m/s faster comes into the ego's "
+            "lane behind it.",
             lambda: hit(
                 driven(0.0, LEFT, speed=10.0, shifts=[(2.0, 1.3, 1.0), (3.4, LEFT, 1.0)]),
                 driven(-33.0, speed=16.0, shifts=[(2.6, LEFT, 1.6)]),
@@ -644,7 +653,8 @@ SITUATIONS = {
         ),
         Situation(
             "follower-entered-later",
-            "The ego changes lanes. 4 s later a faster NPC moves into the same lane 20 m behind it and runs into it.",
+            "The ego changes lanes. 4 s later a faster NPC moves into the same lane, 20 m behind the ego, and runs "
+            "into it.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-49.0, RIGHT, speed=24.0, shifts=[(6.0, OWN, 2.0)])
             ),
@@ -652,7 +662,7 @@ SITUATIONS = {
         ),
         Situation(
             "ego-swipes",
-            "The ego moves into an NPC next to it.",
+            "The ego moves sideways into an NPC next to it.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 3.0)]), driven(1.0, LEFT)),
             "ego", "entered-lane", "3", "next to ",
         ),
@@ -676,13 +686,13 @@ SITUATIONS = {
         ),
         Situation(
             "ego-overtakes-into-oncoming-traffic",
-            "The ego moves into the lane of an NPC that comes towards it, 80 m away.",
+            "The ego moves into the lane of an oncoming NPC, which is 80 m away.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 2.0)]), oncoming(180.0, LEFT)),
             "ego", "entered-lane", "3", "40.0 m/s slower",
         ),
         Situation(
             "npc-on-the-wrong-side",
-            "An NPC comes towards the ego in its lane. The ego brakes with 5 m/s^2 when the NPC is 200 m away.",
+            "An NPC comes towards the ego in the ego's lane. The ego brakes with 5 m/s^2 when the NPC is 200 m away.",
             lambda: hit(driven(0.0, brakes=[(3.0, 5.0, 0.0)]), oncoming(325.0, OWN)),
             "npc", None, "4b", "",
         ),
@@ -694,7 +704,8 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-ego-10-m-ahead",
-            "The same with the ego 10 m ahead of the NPC, which is 6 m/s faster.",
+            "The ego from the left and an NPC from the right move into the lane between them. The ego is 10 m ahead, "
+            "and the NPC is 6 m/s faster.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-30.0, RIGHT, speed=26.0, shifts=[(2.2, OWN, 2.0)])
             ),
@@ -702,7 +713,8 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-ego-with-room",
-            "The same with the ego 45 m ahead of the NPC, which is 6 m/s faster and never brakes.",
+            "The ego from the left and an NPC from the right move into the lane between them. The ego is 45 m ahead. "
+            "The NPC is 6 m/s faster and never brakes.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-65.0, RIGHT, speed=26.0, shifts=[(2.2, OWN, 2.0)])
             ),
@@ -710,7 +722,7 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-and-follow-for-long",
-            "Both move into the lane between them, the ego 12 m ahead. 13 s later the NPC speeds up.",
+            "The ego and an NPC move into the lane between them, the ego 12 m ahead. 13 s later the NPC speeds up.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)], seconds=30.0),
                 driven(-17.0, RIGHT, shifts=[(2.2, OWN, 2.0)], brakes=[(15.0, -3.0, 30.0)], seconds=30.0),
@@ -719,8 +731,8 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-and-the-one-behind-floors-it",
-            "Both move into the lane between them, the ego 6 m ahead, with 8 m/s. The NPC at once speeds up with 5 "
-            "m/s^2.",
+            "The ego, with 8 m/s, and an NPC move into the lane between them, the ego 6 m ahead. The NPC at once "
+            "speeds up with 5 m/s^2.",
             lambda: hit(
                 driven(0.0, LEFT, speed=8.0, shifts=[(2.0, OWN, 2.0)]),
                 driven(-11.0, RIGHT, speed=8.0, shifts=[(2.2, OWN, 2.0)], brakes=[(2.7, -5.0, 20.0)]),
@@ -729,7 +741,8 @@ SITUATIONS = {
         ),
         Situation(
             "both-enter-behind-a-slower-one",
-            "Both move into the lane between them, the NPC 30 m ahead and 5 m/s slower. The ego never brakes.",
+            "The ego and an NPC that is 5 m/s slower move into the lane between them, the NPC 30 m ahead. The ego "
+            "never brakes.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(47.0, RIGHT, speed=15.0, shifts=[(2.2, OWN, 2.0)])
             ),
@@ -737,13 +750,14 @@ SITUATIONS = {
         ),
         Situation(
             "ego-enters-where-one-has-just-entered",
-            "An NPC moved into the lane between them 2 s ago. Now the ego moves into it next to the NPC.",
+            "An NPC moves into the lane between it and the ego. 2 s later the ego moves into the same lane, next to "
+            "the NPC.",
             lambda: hit(driven(0.0, LEFT, shifts=[(4.5, OWN, 2.0)]), driven(1.0, RIGHT, shifts=[(2.0, OWN, 2.0)])),
             "ego", "entered-lane", "3", "The ego crossed",
         ),
         Situation(
             "ego-given-up-its-lane-change",
-            "The ego moves 0.8 m to the left and back. 3 s later an NPC next to it moves into it.",
+            "The ego moves 0.8 m to the left and back. 3 s later an NPC next to it moves into the ego.",
             lambda: hit(
                 driven(0.0, shifts=[(1.0, 3.2, 1.0), (2.0, OWN, 1.0)]), driven(1.0, LEFT, shifts=[(6.0, OWN, 2.0)])
             ),
@@ -751,8 +765,8 @@ SITUATIONS = {
         ),
         Situation(
             "ego-moved-two-lanes-away",
-            "The ego changes to a lane that is two lanes away from an NPC's. 5 s later the NPC moves into the side of "
-            "the ego.",
+            "The ego changes to a lane that is two lanes away from an NPC's lane. 5 s later the NPC moves into the "
+            "side of the ego.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(1.0, OWN, 2.0)]),
                 driven(1.0, FAR, shifts=[(3.0, RIGHT, 2.0), (8.0, OWN, 2.0)]),
@@ -763,25 +777,25 @@ SITUATIONS = {
     "Bends and ramps": (
         Situation(
             "bend-brake-ahead-ignored",
-            "In a bend the vehicle 2 s ahead brakes with 6 m/s^2. The ego does not brake.",
+            "In a bend the vehicle 2 s ahead of the ego brakes with 6 m/s^2. The ego does not brake.",
             lambda: in_bend(driven(0.0), driven(45.0, brakes=[(2.0, 6.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "s but did not",
         ),
         Situation(
             "bend-cut-in",
-            "In a bend an NPC that is 6 m/s slower moves in 5 m ahead.",
+            "In a bend an NPC that is 6 m/s slower moves in 5 m ahead of the ego.",
             lambda: in_bend(driven(0.0), driven(10.0 + 6 * 2.4, LEFT, speed=14.0, shifts=[(2.0, OWN, 2.0)])),
             "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "bend-npc-runs-wide",
-            "In a bend the NPC on the inside runs wide, into the ego next to it.",
+            "In a bend an NPC on the inside drifts outwards, into the ego next to it.",
             lambda: in_bend(driven(0.0), driven(1.0, RIGHT, shifts=[(2.0, OWN, 4.0)])),
             "npc", None, "3", "next to ",
         ),
         Situation(
             "bend-ego-runs-wide",
-            "In a bend the ego runs wide, into an NPC next to it.",
+            "In a bend the ego drifts outwards, into an NPC next to it.",
             lambda: in_bend(driven(0.0, shifts=[(2.0, LEFT, 4.0)]), driven(1.0, LEFT)),
             "ego", "entered-lane", "3", "next to ",
         ),
@@ -793,7 +807,7 @@ SITUATIONS = {
         ),
         Situation(
             "ramp-npc-merges-35-m-ahead",
-            "An NPC that is 6 m/s slower merges from a ramp 35 m ahead of the ego, which does not brake.",
+            "An NPC that is 6 m/s slower merges from a ramp 35 m ahead of the ego. The ego does not brake.",
             lambda: at_ramp(driven(-83.0), driven(0.0, speed=14.0), on_ramp=1),
             "ego", "cut-in-unanswered", "5", "NPC 0 crossed a lane line at 7.2 s",
         ),
@@ -807,19 +821,21 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-from-the-right-ignored",
-            "The same 0.3 s after an NPC from the right.",
+            "The ego drives with 8 m/s into a crossing, 0.3 s after an NPC from the right that has priority.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("south straight", 5.7, 8)),
             "ego", "did-not-give-way", "9", "0.3 s after NPC 0 from the right. NPC 0 had priority",
         ),
         Situation(
             "crossing-braked-too-little",
-            "The same from the left, but the ego brakes two seconds before it would enter, with 2 m/s^2.",
+            "An NPC from the left that has priority drives into a crossing. The ego brakes two seconds before it would"
+            " enter, but with only 2 m/s^2.",
             lambda: junctions.hit(plan("west straight", 6, 8, (4.0, -2.0, 3.0)), plan("north straight", 7, 8)),
             "ego", "did-not-give-way", "9", "It braked too little: up to 2.0 m/s^2 from",
         ),
         Situation(
             "crossing-sets-off-in-front",
-            "The ego stops at the line. It sets off a second before an NPC from the left arrives that has priority.",
+            "The ego stops at the line before a crossing. It sets off a second before an NPC from the left arrives, "
+            "which has priority.",
             lambda: junctions.hit(
                 plan("west straight", 4, 8, (2.0, -3.5, 0.0), (8.0, 2.5, 8.0)), plan("north straight", 10.5, 8)
             ),
@@ -833,7 +849,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-has-no-priority-and-is-slow",
-            "The same two seconds before the ego, with 3 m/s. The ego never brakes.",
+            "An NPC from the left that has no priority drives into the crossing with 3 m/s, two seconds before the "
+            "ego. The ego never brakes.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 4, 3), priority="ego"),
             "both", "entered-taken-zone", "9", "The ego should have braked from 5.4 s but did not",
         ),
@@ -848,7 +865,7 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-one-stands-in-it-npc-has-priority",
-            "The same, but the NPC has priority.",
+            "An NPC from the left that has priority has stood in the crossing for four seconds. The ego never brakes.",
             lambda: junctions.hit(plan("west straight", 9, 8), plan("north straight", 3, 5, (3.3, -5.0, 0.0))),
             "ego", "did-not-give-way", "9", "6.0 s after NPC 0 from the left. NPC 0 had priority",
         ),
@@ -865,7 +882,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-stopped-in-it-near-ahead",
-            "The same with an NPC that arrives 2.5 seconds after the ego, with 10 m/s.",
+            "The ego stops in a crossing behind a queue. An NPC from the left, with priority and 10 m/s, arrives 2.5 "
+            "seconds later and never brakes.",
             lambda: junctions.hit(
                 plan("west straight", 7, 5, (7.4, -5.0, 0.0)),
                 plan("north straight", 9.5, 10),
@@ -875,7 +893,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-waits-and-drives-in-late",
-            "An NPC from the left that has priority waits at the line. When the ego has driven in, it sets off.",
+            "An NPC from the left that has priority waits at the line. It sets off when the ego has driven into the "
+            "crossing.",
             lambda: junctions.hit(
                 plan("west straight", 8, 5), plan("north straight", 4.75, 8, (3.5, -4.0, 0.0), (7.9, 5.0, 8.0))
             ),
@@ -883,7 +902,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-npc-waits-and-sets-off-with-the-ego",
-            "The same, but the NPC sets off a second before the ego drives in, when the ego could no longer stop.",
+            "An NPC from the left that has priority waits at the line. It sets off a second before the ego drives into"
+            " the crossing, when the ego can no longer stop.",
             lambda: junctions.hit(
                 plan("west straight", 8, 5), plan("north straight", 4.75, 8, (3.5, -4.0, 0.0), (7.1, 3.0, 8.0))
             ),
@@ -909,20 +929,21 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-without-priorities",
-            "Neither has priority. The ego and an NPC from the right drive in together.",
+            "Neither vehicle has priority. The ego and an NPC from the right drive into the crossing together.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("south straight", 6, 8), priority="none"),
             "both", "did-not-give-way", "9", "together with NPC 0 from the right. Neither had priority",
         ),
         Situation(
             "crossing-without-priorities-npc-first",
-            "The same, but the NPC has been in the crossing for three seconds, with 1.5 m/s.",
+            "Neither vehicle has priority. An NPC from the right has been in the crossing for three seconds, with 1.5 "
+            "m/s, when the ego drives in.",
             lambda: junctions.hit(plan("west straight", 8, 8), plan("south straight", 4.5, 1.5), priority="none"),
             "ego", "did-not-give-way", "9", "NPC 0 from the right. Neither had priority",
         ),
         Situation(
             "crossing-waits-and-is-hit-from-behind",
-            "The ego stops before the crossing, because an NPC comes from the left. Two seconds later an NPC that "
-            "follows runs into the ego.",
+            "The ego stops before the crossing, because an NPC comes from the left. Two seconds later a following NPC "
+            "runs into the ego.",
             lambda: junctions.hit(
                 plan("west straight", 4, 8, (2.0, -3.5, 0.0)),
                 plan("grid", 8.0, 8),
@@ -932,8 +953,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-brakes-hard-for-one-and-is-hit",
-            "The ego brakes with 7 m/s^2 for an NPC from the right that has priority. An NPC that follows 0.8 s behind "
-            "runs into the ego.",
+            "The ego brakes with 7 m/s^2 for an NPC from the right that has priority. An NPC 0.8 s behind the ego runs"
+            " into it.",
             lambda: junctions.hit(
                 plan("west straight", 6, 12, (4.8, -7.0, 2.0)),
                 plan("grid", 7.2, 12),
@@ -943,7 +964,8 @@ SITUATIONS = {
         ),
         Situation(
             "crossing-brakes-hard-for-none-and-is-hit",
-            "The same, but no vehicle comes except one that has already passed.",
+            "The ego brakes with 7 m/s^2 before a crossing, although the only crossing NPC has already passed. An NPC "
+            "0.8 s behind the ego runs into it.",
             lambda: junctions.hit(
                 plan("west straight", 6, 12, (4.8, -7.0, 2.0)),
                 plan("grid", 7.2, 12),
@@ -955,25 +977,27 @@ SITUATIONS = {
     "Where ways turn across": (
         Situation(
             "turns-left-across-oncoming",
-            "The ego turns left in front of an NPC that comes towards it and has priority.",
+            "The ego turns left in front of an oncoming NPC that has priority.",
             lambda: junctions.hit(plan("west left", 6, 6), plan("east straight", 6.5, 10)),
             "ego", "did-not-give-way", "9", "from ahead. NPC 0 had priority",
         ),
         Situation(
             "oncoming-turns-left-across",
-            "An NPC that comes towards the ego turns left in front of it. The ego has priority.",
+            "An oncoming NPC turns left in front of the ego, which has priority.",
             lambda: junctions.hit(plan("west straight", 6, 9), plan("east left", 5.2, 6), priority="ego"),
             "npc", None, "9", "NPC 0 entered the crossing from ahead",
         ),
         Situation(
             "oncoming-turns-left-across-slowly",
-            "The same, two seconds before the ego and with 4 m/s. The ego never brakes.",
+            "An oncoming NPC turns left with 4 m/s, two seconds before the ego arrives, which has priority. The ego "
+            "never brakes.",
             lambda: junctions.hit(plan("west straight", 6, 9), plan("east left", 3.9, 4), priority="ego"),
             "both", "entered-taken-zone", "9", "The ego should have braked",
         ),
         Situation(
             "turns-left-into-one-from-the-left",
-            "The ego turns left and drives into an NPC from the left, which has priority and is there first.",
+            "The ego turns left and drives into an NPC from the left, which has priority and is already in the "
+            "crossing.",
             lambda: junctions.hit(plan("west left", 6, 6), plan("north straight", 5.4, 6)),
             "ego", "did-not-give-way", "9", "0.6 s after NPC 0 from the left. NPC 0 had priority",
         ),
@@ -981,21 +1005,22 @@ SITUATIONS = {
     "Where ways merge": (
         Situation(
             "turns-right-in-front",
-            "The ego turns right with 4 m/s, a second before an NPC from the left arrives with 12 m/s, which has "
-            "priority.",
+            "The ego turns right with 4 m/s. A second later an NPC from the left, which has priority, arrives with 12 "
+            "m/s.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.1, 12)),
             "ego", "did-not-give-way", "9", "The ego entered the merge",
         ),
         Situation(
             "turns-right-four-seconds-in-front",
-            "The same four seconds before an NPC that arrives with 6 m/s and speeds up to 12 m/s behind the ego.",
+            "The ego turns right. Four seconds later an NPC from the left, which has priority, arrives with 6 m/s and "
+            "speeds up to 12 m/s behind the ego.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 10.5, 6, (10.0, 3.0, 12.0))),
             "npc", None, "4b", "NPC 0 should have",
         ),
         Situation(
             "turns-right-in-front-and-is-hit-later",
-            "The ego turns right with 4 m/s in front of an NPC that arrives with 12 m/s and has priority. The NPC "
-            "brakes hard to 5 m/s, keeps that speed, and runs into the ego behind the zone.",
+            "The ego turns right with 4 m/s in front of an NPC with 12 m/s that has priority. The NPC brakes hard to 5"
+            " m/s, keeps that speed, and runs into the ego after both have left the zone.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.3, 12, (6.5, -6.0, 5.0))),
             "both", "did-not-give-way", "9", "NPC 0 should have braked from",
         ),
@@ -1007,32 +1032,34 @@ SITUATIONS = {
         ),
         Situation(
             "npc-turns-right-three-seconds-in-front",
-            "The same three seconds before the ego. The ego, with 8 m/s, runs into the NPC and never brakes.",
+            "An NPC from the right turns right three seconds before the ego arrives, which has priority. The ego, with"
+            " 8 m/s, never brakes and runs into the NPC.",
             lambda: junctions.hit(plan("west straight", 8, 8), plan("south right", 3.5, 4), priority="ego"),
             "ego", "leader-unanswered", "4b", "The ego should have braked",
         ),
         Situation(
             "joins-the-circle-in-front",
-            "The ego joins a circle with 6 m/s, 0.7 s before an NPC that circulates with 10 m/s.",
+            "The ego joins a circle with 6 m/s. 0.7 s later an NPC in the circle arrives with 10 m/s.",
             lambda: junctions.hit(plan("join", 6, 6), plan("circle", 6.7, 10)),
             "ego", "did-not-give-way", "9", "0.7 s before NPC 0 from the left. NPC 0 had priority",
         ),
         Situation(
             "joins-the-circle-beside",
-            "The ego joins a circle and drives into the side of an NPC that circulates at the same speed, just ahead "
-            "of it.",
+            "The ego joins a circle and drives into the side of an NPC in the circle, which is just ahead and has the "
+            "same speed.",
             lambda: junctions.hit(plan("join", 6, 8), plan("circle", 5.7, 8)),
             "ego", "did-not-give-way", "9", "0.3 s after NPC 0",
         ),
         Situation(
             "joins-the-circle-behind-one-that-stops",
-            "The ego joins a circle two seconds behind an NPC that then stops with 3 m/s^2. The ego never brakes.",
+            "The ego joins a circle two seconds behind an NPC. The NPC then stops with 3 m/s^2, and the ego never "
+            "brakes.",
             lambda: junctions.hit(plan("join", 8, 8), plan("circle", 6.0, 8, (8.0, -3.0, 0.0))),
             "ego", "leader-unanswered", "4b", "The ego should have braked",
         ),
         Situation(
             "npc-joins-the-circle-in-front",
-            "An NPC joins the circle 0.7 s before the ego arrives on it. The ego has priority.",
+            "An NPC joins a circle 0.7 s before the ego, which is in the circle and has priority, arrives there.",
             lambda: junctions.hit(plan("circle", 4.7, 10), plan("join", 4, 5), priority="ego"),
             "npc", None, "9", "NPC 0 entered the merge",
         ),
