@@ -96,8 +96,8 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
             raise WorldError(field="world.wrappers", expected=expected, received=f"{world.wrappers!r:.200}", fix=fix)
         world.check()
         if not world.environment.has_ordinary_steps:
-            expected = "an environment that highway-env steps, so that the NPCs can replace its traffic"
-            received = f"{world.env_id!r}, whose class has its own step"
+            expected = "an environment that uses highway-env's `step`, so that the NPCs can replace its traffic"
+            received = f"{world.env_id!r}, whose class overrides it"
             raise WorldError(field="world", expected=expected, received=received)
         share = checked_number(share, "share", "the share of scenarios among the episodes, 0 to 1", least=0.0, most=1.0)
         self.trace: Trace | None = None
@@ -200,7 +200,7 @@ def _sampler(world: World, scenarios: Scenarios) -> Sampler:
             "a folder with saved scenarios, several pafot.Scenario, or a function of a numpy Generator that samples"
         )
         raise ValueError(
-            f"scenarios: expected {expected} one, received {scenarios!r:.200}; leave it out for random ones"
+            f"scenarios: expected {expected} one, received {scenarios!r:.200}; without this argument they are random"
         )
     if not known:
         raise ValueError("scenarios: expected at least one, received none")

@@ -157,11 +157,11 @@ NOWHERE = Scenario(npcs=BRAKING.npcs, ego_lane=5)
     [
         ({"world": pafot.Highway()}, pafot.WorldError, "an environment with a reward"),
         ({"world": pafot.World("highway-v0", wrappers=[])}, pafot.WorldError, "around the training environment"),
-        ({"world": pafot.World("intersection-v0")}, pafot.WorldError, "'intersection-v0', whose class has its own"),
+        ({"world": pafot.World("intersection-v0")}, pafot.WorldError, "'intersection-v0', whose class overrides it"),
         ({"share": 1.5}, ValueError, "share: .* 0 to 1, received 1.5"),
         ({"share": True}, ValueError, "share: .* received True"),
         ({"scenarios": []}, ValueError, "scenarios: expected at least one, received none"),
-        ({"scenarios": 3}, ValueError, "scenarios: expected a folder .* received 3; leave it out for random ones"),
+        ({"scenarios": 3}, ValueError, "scenarios: expected a folder .* received 3; without this argument they"),
         ({"scenarios": [BRAKING, "x"]}, ValueError, "scenarios: expected a folder .*'x'"),
         ({"scenarios": "nowhere"}, ValueError, "received nowhere, which is not a folder; a search saves them"),
         ({"scenarios": [NOWHERE]}, ScenarioError, "ego_lane"),

@@ -295,17 +295,19 @@ MEASURES = (
             "leader, or if the ego stands", headway),
     Measure("npcs.speed", "m/s", "neither", "as recorded", partial(_of_npcs, _speed)),
     Measure("npcs.acceleration", "m/s^2", "neither", "as recorded", partial(_of_npcs, _acceleration)),
-    Measure("npcs.lane", "", "neither", "as the ego's", partial(_of_npcs, _lane)),
+    Measure("npcs.lane", "", "neither", "the lane of its centre, from 0 at the left; -1 off the road",
+            partial(_of_npcs, _lane)),
     Measure("npcs.ahead", "m", "neither", f"distance ahead of the ego {_ROAD}; negative behind, NaN while it "
             "crosses", partial(_encounter, "ahead")),
     Measure("npcs.right", "m", "neither", "distance to the right of the ego across the road, between the centres; "
             "NaN while it crosses", partial(_encounter, "right")),
-    Measure("npcs.gap", "m", "low", "distance between its box and the ego's; 0 at contact", partial(_encounter, "gap")),
+    Measure("npcs.gap", "m", "low", "distance between the NPC's box and the ego's; 0 at contact",
+            partial(_encounter, "gap")),
     Measure("npcs.ttc", "s", "low", "time to contact with the ego at constant velocity, of the boxes; inf if there is "
             "none (Hayward 1972)", partial(_encounter, "ttc")),
-    Measure("npcs.time_advantage", "s", "low", "time from when one of it and the ego will leave the zone where their "
-            "ways meet until the other arrives, if both keep their speed; 0 if both will be there at once, inf if one "
-            "never arrives, and without a zone (Laureshyn and others 2010)", _time_advantage),
+    Measure("npcs.time_advantage", "s", "low", "time between the exit of ego or NPC from the zone where their ways "
+            "meet and the entry of the other, if both keep their speed; 0 if both would be there at the same time, inf "
+            "if one would never arrive, and without a zone (Laureshyn and others 2010)", _time_advantage),
 )  # fmt: skip
 """The measures of every run, named like the attributes ``run.headway``, ``run.ego.jerk`` and ``run.npcs[0].ttc``.
 

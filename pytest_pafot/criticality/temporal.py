@@ -257,7 +257,7 @@ def _window(margin: Margin, within: Within | None) -> tuple[int, int]:
         return 0, len(margin) - 1
     if margin.hz is None:
         raise ValueError(
-            f"within={within}: expected a margin of a signal with known ticks a second, received one without; "
+            f"within={within}: expected a margin whose ticks per second are known, received a margin without; "
             "make it of a signal of the run, or of pafot.Signal(values, hz=run.trace.physics_hz)"
         )
     if np.shape(within) != (2,) or not 0 <= within[0] <= within[1] or math.isinf(within[0]):

@@ -111,7 +111,7 @@ class _Steps:
             is_over = bool(is_terminated or is_truncated)
             if self.tick == before:
                 raise WorldError(
-                    "wrappers: expected a step through them to step the environment, received one that did not, at "
+                    "wrappers: expected their step to step the environment, received a step that did not, at "
                     f"{before / start.physics_hz:.1f} s of an episode"
                 )
 

@@ -35,7 +35,7 @@ def picture(episode: Episode, headline: str) -> bytes:
         AnimationError: if Pillow is not installed.
     """
     if episode.recording is None:
-        raise ValueError("episode: expected one with a recording")
+        raise ValueError("episode: expected an episode with a recording; drive it with is_recorded=True")
     recording = episode.recording
     states, hz, lanes = recording.states, recording.physics_hz, recording.lanes
     is_bent = bool(lanes[0].points)

@@ -26,7 +26,7 @@ class Rejected(BaseException):
 
 def reject() -> NoReturn:
     """Discard the current scenario: it counts neither as passed nor as failed."""
-    raise Rejected("pafot.reject() discards a scenario of a @pafot.search test; nothing else catches it")
+    raise Rejected("pafot.reject() discards a scenario of a @pafot.search test; do not call it in any other code")
 
 
 LONGEST_NAME = 60
@@ -164,7 +164,9 @@ def check(
     if is_margin and at_most is None and at_least is None:
         at_least = 0.0
     if at_most is None and at_least is None:
-        raise ValueError(f"{what}: expected at_most=, at_least= or both, received neither; see pafot.target")
+        raise ValueError(
+            f"{what}: expected at_most=, at_least= or both, received neither; without bounds use pafot.target"
+        )
     values = _values(value, name)
     signed = [(bound, sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
     bounds = [(checked_number(bound, what, "a finite bound"), sign) for bound, sign in signed]
@@ -219,7 +221,7 @@ def _values(value: Any, name: str) -> FloatArray:
         raise ValueError(f"check {name!r}: expected a number or an array of them, received {value!r:.80}") from error
     if values.ndim != 1 or not values.size:
         raise ValueError(
-            f"check {name!r}: expected a number, or an array with one value a tick, received one of shape "
+            f"check {name!r}: expected a number, or an array with one value per tick, received an array of shape "
             f"{values.shape}; check each NPC by itself"
         )
     return values

@@ -129,7 +129,7 @@ def test_a_failure_travels_between_processes():
         (1.0, {}, "expected at_most=, at_least= or both"),
         ("fast", {"at_most": 1.0}, "expected a number or an array of them, received 'fast'"),
         (np.zeros((2, 3)), {"at_most": 1.0}, "shape (2, 3); check each NPC by itself"),
-        (np.array([]), {"at_most": 1.0}, "one value a tick"),
+        (np.array([]), {"at_most": 1.0}, "one value per tick"),
         (1.0, {"at_most": math.nan}, "expected a finite bound"),
         (1.0, {"at_least": "2"}, "expected a finite bound, received '2'"),
         (1.0, {"at_most": True}, "expected a finite bound, received True"),
