@@ -217,7 +217,7 @@ class Found:
     """The origin of a finding: the search that found it and the versions it ran with.
 
     Attributes:
-        seed: seed of the search.
+        seed: seed of the search, derived from the base seed and the node id of the test; no value for ``--pafot-seed``.
         generation: generation of the search that found it, counted from 0.
         algorithm: name of the search.
         versions: versions of the packages that the run depends on.

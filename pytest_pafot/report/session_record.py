@@ -55,7 +55,7 @@ class FindingRecord:
         size: size of the scenario, in words.
         traffic: how the NPCs drive, in words; empty for the paper's traffic.
         runs: number of runs of this session's searches that failed in this way.
-        seed: seed of the search that found it.
+        seed: seed of the search that found it, derived from its base seed.
         algorithm: algorithm that found it.
         against: the reference that passes in this scenario; empty without a reference.
         flaky: what differed when it was run again; null if nothing did.
