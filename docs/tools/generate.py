@@ -75,8 +75,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "blame": '`"any"`: the function is called for every run. `"ego"`: it is called only if the ego is responsible for '
     'the collision, alone or together with an NPC, or if there is no collision. `"preventable"`: like '
     '`"ego"`, and a failed assertion is a failure only if a reference driver would have prevented it.',
-    "traffic": '[How the others drive](../explanation/traffic.md): a style, such as `"everyday"`, or '
-    "`pafot.Traffic(...)`.",
+    "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
+    '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Meanings of arguments that no docstring explains."""
@@ -336,7 +336,7 @@ def _option_default(option: Option) -> str:
 
 
 def _marker_table() -> str:
-    texts = {**MARKER_TEXTS, **dict(_attributes(SearchSpace)), **dict(_attributes(Highway))}
+    texts = {**dict(_attributes(SearchSpace)), **dict(_attributes(Highway)), **MARKER_TEXTS}
     defaults = {**_defaults(Request), **_defaults(Highway), **_defaults(SearchSpace), **MARKER_DEFAULTS}
     names = [name for name in SearchArguments.__annotations__ if name not in BY_NAME]
     rows = [[_code(name), defaults[name].replace("'", '"'), _capital(texts[name])] for name in names]
