@@ -268,17 +268,20 @@ def brakes_for_a_reason(run: Run) -> None:
 
 
 def answers_cut_ins(run: Run) -> None:
-    """Check that no collision follows a cut-in after which an automated vehicle must avoid a collision by UN R157.
+    """Check that the ego does not collide after a cut-in if UN R157 requires that such a collision is avoided.
 
-    These are cut-ins in which a slower NPC ahead is 0.3 m over the line of the ego's lane, its sideways motion has been
-    visible for 0.72 s, and the time to collision is more than v / (2 * 6 m/s^2) + 0.35 s, where v is the difference of
-    speeds. The value is the gap between the boxes after the cut-in [m], and must be at least 0.1. It is checked until
-    the ego is no longer faster, until one of the vehicles leaves the lane, or until the NPC is so slow that the time to
-    collision at the cut-in would have been too short at this speed. A run without such a cut-in is not checked.
+    UN R157 requires this for a cut-in by a slower NPC ahead of the ego under two conditions. At the moment when the NPC
+    is 0.3 m over the line of the ego's lane, its sideways motion has been visible for 0.72 s, and the time to collision
+    is more than v / (2 * 6 m/s^2) + 0.35 s, where v is the difference of speeds. The checked value is the gap between
+    the boxes of ego and NPC after this moment [m], which must be at least 0.1. The check ends when the ego is no longer
+    faster, or when one of the two vehicles leaves the lane. It also ends when the NPC has become so slow that the
+    time to collision at the cut-in, computed with the NPC's new speed, no longer meets the condition. A run without
+    such a cut-in is not checked.
 
-    Source: UN R157, 5.2.5.2 (formula read), for an NPC that keeps its speed. Four choices are not from the source: the
-    end of the check when the NPC is too slow, the side of the NPC's box instead of its tyre, visibility from a lateral
-    speed of 0.3 m/s on, and the gap of 0.1 m. An NPC that merges from its own way, as at a junction, does not cut in.
+    Source: UN R157, 5.2.5.2, for an NPC that keeps its speed; the formula was read in the regulation. Four choices are
+    not from the regulation: the end of the check for an NPC that becomes too slow, the side of the NPC's box instead of
+    its tyre, visibility from a lateral speed of 0.3 m/s on, and the gap of 0.1 m. An NPC that merges from its own way,
+    as at a junction, does not cut in.
     """
     trace, frame = run.trace, RoadFrame(run.trace)
     lane = trace.ego[:, LANE].astype(np.intp)

@@ -142,7 +142,7 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     usable = [lane for lane in ordered if ego_lane in (None, lane) and len(starts[lane]) >= max_npcs]
     if not usable:
         raise ValueError(
-            f"max_npcs: expected at most one NPC per cell that exists at the start, received {max_npcs} with "
+            f"max_npcs: expected no more NPCs than cells on the road in which they can start, received {max_npcs} with "
             f"cells {[int(cell) for cell in allowed]} on {lanes} lanes; use fewer NPCs, more cells or more lanes"
         )
 
@@ -189,7 +189,8 @@ def scenarios_in(
     usable = [lane for lane, cells in starts.items() if crossing is not None or min(len(cells), room) >= max_npcs]
     if not usable:
         raise ValueError(
-            f"max_npcs: expected at most one NPC per cell that exists at the start, received {max_npcs}; use fewer NPCs"
+            "max_npcs: expected no more NPCs than cells on the road in which they can start, received "
+            f"{max_npcs}; use fewer NPCs"
         )
     lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
     speeds = _speeds(space.low_step / SPEED_STEPS_PER_MPS, space.top_step / SPEED_STEPS_PER_MPS)

@@ -38,9 +38,9 @@ from pytest_pafot.world.run_config import Rules
 
 
 class ScenarioSteps:
-    """The steps of one scenario, in an environment whose class does not override highway-env's ``step``.
+    """A run of one scenario that advances by calls of ``step``.
 
-    The scenario must fit the rules of the world.
+    The class of the environment must not override highway-env's ``step``, and the scenario must fit the rules.
     """
 
     def __init__(self, environment: GymEnvironment, rules: Rules, scenario: Scenario) -> None:

@@ -158,7 +158,10 @@ class LanePlaces:
         return None
 
     def _made(self, vehicle: int, side: float, began: int, moment: int) -> LaneChange:
-        """Make a lane change at the tick ``moment``; the motion began at the tick ``began``."""
+        """Return the record of a vehicle's lane change to a side, 1 for right and -1 for left.
+
+        The sideways motion began at the tick ``began``; the lane change counts from the tick ``moment`` on.
+        """
         left = side * self._offsets[vehicle, began : moment + 1] > KEEPING
         seen = began + _run_start(left, moment - began) if left[-1] else moment
         drift = side * float(self.frame.drift[vehicle, moment])

@@ -422,7 +422,7 @@ class Conflict:
         return first_lasting(slowed > HARD_BRAKING, math.ceil(HARD_SECONDS * self._hz)) is not None
 
     def _strayed(self) -> Attribution:
-        """Attribute a contact side by side without a lane change, as by slow drift or in lanes that come together."""
+        """Decide who is responsible for a sideways contact without a lane change, as by drift or in merging lanes."""
         tick, right = self._onset, self._side
         towards = right * self._frame.drift[0, tick], -right * self._frame.drift[self._npc + 1, tick]
         ego, npc = (drift >= DRIFTING for drift in towards)
@@ -470,9 +470,9 @@ class Conflict:
         return Fact(What.SPED_UP_INTO, behind, self._at(since), other=ahead, speed_m_per_s=speed)
 
     def _gives_way(self, change: LaneChange) -> bool:
-        """Return whether the ego's lane change leaves the NPC behind enough room.
+        """Return whether the ego leaves enough room to the NPC that drives behind it when it changes lanes.
 
-        The room is measured when the ego crosses the line, and when both have come into one track.
+        The gap is measured when the ego crosses the lane line, and when the NPC would touch the ego if it drove on.
         """
         entered = max(self._onset, change.tick)
         asked = (change.tick, self._lowest(change)), (entered, float(self._frame.speed[0, entered]))
@@ -585,9 +585,10 @@ class Conflict:
         return bool((braking(self._trace, vehicle)[stop.begin + 1 : stop.end + 1] > HARD_BRAKING).any())
 
     def _needless_braking(self, leader: int, moved_in: int = 0) -> Stop | None:
-        """Return the hard braking of the vehicle ahead with nothing in its way; None if there is none.
+        """Return the hard braking of the vehicle ahead for which there was no reason; None if there is none.
 
-        It must have acted in the last second before the danger began, or later.
+        The vehicle must have braked in the last second before the danger began, or later. ``leader`` is the index of
+        the vehicle ahead, and ``moved_in`` the tick at which the vehicle behind changed lanes; 0 if it did not.
         """
         first = self._start - round(AFTERMATH_SECONDS * self._hz)
         stops = (

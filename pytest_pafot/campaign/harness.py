@@ -78,7 +78,7 @@ class Harness:
     """Everything that is needed to run and judge scenarios for one test with its parameters."""
 
     request: Request
-    world: Any  # the world of new scenarios
+    world: Any  # the world of the search; a saved scenario may have a different one
     ads: Callable[..., Any]
     test: Test
     test_file: str
@@ -93,9 +93,10 @@ class Harness:
     states: Path | None = None  # the folder of states for searches that are resumed in other sessions, if any
 
     def job(self, world: Any = None, owner: str = "") -> Job:
-        """Return everything that a process needs to run scenarios with the ADS.
+        """Return the job for a worker process: everything that it needs to run scenarios with the ADS.
 
-        ``world`` is by default the world of new scenarios, and ``owner`` of crash records is by default this test.
+        ``world`` is by default the world of the search. ``owner`` is the node id under which crashes of the process are
+        recorded, by default the id of this test.
 
         Raises:
             RequestError: if the world cannot be used, or the ADS cannot be loaded.
@@ -117,7 +118,7 @@ class Harness:
         )
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
-        """Return a trace as the test function sees it; ``world`` is by default the world of new scenarios."""
+        """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
         world = self.world if world is None else world
         known, take_over = protocol.reference_world(world), protocol.taking_over(world)
         return Run(trace, decision_limit=self.request.decision_limit, world=known, take_over=take_over)

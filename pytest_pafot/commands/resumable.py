@@ -46,9 +46,9 @@ class ResumableJob:
         units: the word for the units that its progress counts, such as ``runs``.
         tasks: the tasks in the order in which they are started.
         in_order: the tasks in the order of their rows in the result.
-        question: everything on which results depend, as canonical text; only results of equal questions are combined.
-        question_file: the name of the file with the question.
-        differs: what may be different in another question, in words for an error.
+        question: everything on which results depend, as canonical text; only results with equal texts are combined.
+        question_file: the name of the file with the text of ``question``.
+        differs: what may be different in the ``question`` of a different job, in words for an error.
         text: a function that returns the rows of a task as CSV; it must be picklable.
         sizes: the number of units of each task with more than one unit, whose progress is shown while it runs.
         caution: a warning that is printed if earlier results are reused; empty if there is nothing to warn of.
@@ -94,7 +94,7 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
         clock: returns the seconds since some fixed moment.
 
     Raises:
-        PlanError: if the folder holds the results of another question, or cannot be written.
+        PlanError: if the folder holds the results of a different job, or cannot be written.
         ChildProcessError: if a worker is killed.
         Exception: any exception of a task.
     """
@@ -129,10 +129,10 @@ def worker_count(given: int | None) -> int:
 
 
 def claim(job: ResumableJob, folder: Path) -> None:
-    """Reserve a folder for a job, by writing the job's question into it.
+    """Reserve a folder for a job, by writing a file into it that states what the job's results depend on.
 
     Raises:
-        PlanError: if the folder holds the results of another job, or cannot be written.
+        PlanError: if the folder holds the results of a different job, or cannot be written.
     """
     path = folder / job.question_file
     with written_into(folder):

@@ -490,6 +490,6 @@ def _shrunk(field: Field, scenario: Scenario) -> Shrunk:
         npc, low = interval["npc"].whole(0, len(scenario.npcs) - 1), interval["low"].number()
         gene, high = interval["gene"].whole(0, len(scenario.npcs[npc]) - 1), interval["high"].number()
         if low > high:
-            raise interval["high"].error(f"at least the low end, {low:g}", "restore the two from version control")
+            raise interval["high"].error(f"at least the low end, {low:g}", "restore the file from version control")
         speeds.append(SpeedInterval(npc=npc, gene=gene, low=low, high=high))
     return Shrunk(rollouts=fields["rollouts"].whole(), is_minimal=fields["is_minimal"].truth(), speeds=tuple(speeds))

@@ -69,10 +69,11 @@ def overwrite(path: Path, finding: Finding) -> None:
 def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
     """Return the path for a new finding, and the finding with the id of that path.
 
-    ``-2``, ``-3`` ... is appended to the id if a file of that name holds another scenario or failure. That happens if a
-    file was rewritten, since it keeps its name, and its first failure is found again. If a file holds this finding,
-    shrunk or not, the path of that file is returned, and :func:`write` leaves the file unchanged. The exception is a
-    file in ``passed`` that was shrunk from this scenario: it no longer shows the failure, but stays as a guard.
+    If a file already holds this finding, shrunk or not, its path is returned, and :func:`write` leaves the file
+    unchanged. If a file with the finding's id as its name holds a different scenario or failure, ``-2``, ``-3`` ...
+    is appended to the id. This is necessary if the failure in a file was replaced by a different failure under the same
+    file name, and the first failure is found again. ``passed`` are files whose replays do not show a failure. If such a
+    file was shrunk from the new finding's scenario, it stays as a guard, and the finding is written into a new file.
     """
     number = 1
     while True:

@@ -79,13 +79,14 @@ def rss_longitudinal(trace: Trace, rules: RssRules | None = None) -> FloatArray:
 
 
 def rss_lateral(trace: Trace, rules: RssRules | None = None) -> FloatArray:
-    """Return the lateral distance that RSS requires of ego and NPC [m], shape [ticks + 1, NPCs]; at least mu.
+    """Return the lateral distance that RSS requires between ego and NPC [m], shape [ticks + 1, NPCs].
 
-    A :func:`lateral_gap` below this distance is not safe. Both vehicles may accelerate towards each other for their
-    response times and then brake with at least a_lat,min,brake until they no longer move sideways. The distance is mu
-    plus the metres by which they come closer in that time, if any. If a vehicle still moves away after its response
-    time, its stopping distance is subtracted. The published formula squares the speed without its sign, because it
-    assumes vehicles that come closer.
+    A :func:`lateral_gap` below this distance is not safe. RSS assumes that both vehicles accelerate towards each other
+    for their response times, and then brake with ``rules.lateral_braking`` until they no longer move sideways. The
+    distance is ``rules.fluctuation`` plus the metres by which the vehicles come closer until then, if they do. A
+    vehicle that still moves away from the other vehicle after its response time increases the gap while it brakes, so
+    its stopping distance is subtracted. In the published formula, which assumes vehicles that come closer, every
+    stopping distance is added.
     """
     return RoadFrame(trace).safe_across(rules or RssRules())
 

@@ -36,10 +36,11 @@ class Signal(_Array):
     """A numpy array with one value per tick of a run, and with the tick that each value belongs to.
 
     A numpy operation that works value by value, such as ``abs(signal)``, ``signal / 2`` or
-    ``np.where(..., signal, 0)``, returns a signal over the same ticks. The new signal has no name, and it has a unit
-    only after ``abs`` or a change of sign. In an operation on two signals, the first one determines the ticks. A slice
-    such as ``signal[30:150]`` begins 30 ticks later. The ticks of any other selection are unknown. Comparisons and sums
-    return plain arrays and numbers.
+    ``np.where(..., signal, 0)``, returns a signal over the same ticks. The new signal has no name. ``abs(signal)`` and
+    ``-signal`` keep the unit; all other operations drop it. In an operation on two signals, the first signal determines
+    the ticks. A slice such as ``signal[30:150]`` begins 30 ticks later. Any other selection, such as
+    ``signal[signal > 1]`` or ``signal[::2]``, returns a signal whose ticks are unknown. Comparisons and sums return
+    plain arrays and numbers.
 
     Args:
         values: one value per tick; the signal stores a read-only copy.
@@ -49,7 +50,7 @@ class Signal(_Array):
         unit: unit, such as ``m/s``.
 
     Raises:
-        ValueError: if the values have a different shape.
+        ValueError: if ``values`` is not one-dimensional.
     """
 
     hz: float | None = None

@@ -257,8 +257,9 @@ def _window(margin: Margin, within: Within | None) -> tuple[int, int]:
         return 0, len(margin) - 1
     if margin.hz is None:
         raise ValueError(
-            f"within={within}: expected a margin whose ticks per second are known, received a margin without; "
-            "make it of a signal of the run, or of pafot.Signal(values, hz=run.trace.physics_hz)"
+            f"within={within}: expected a margin with a known number of ticks per second, received a margin without "
+            "that number; compute the margin from a signal of the run, or from pafot.Signal(values, "
+            "hz=run.trace.physics_hz)"
         )
     if np.shape(within) != (2,) or not 0 <= within[0] <= within[1] or math.isinf(within[0]):
         raise ValueError(f"within: expected seconds (from, to) with 0 <= from <= to, received {within!r}")

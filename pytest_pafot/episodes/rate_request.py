@@ -131,11 +131,12 @@ def checked_rate(arguments: Mapping[str, Any], positional: Sequence[object] = ()
     if request.confidence is not None:
         needed = math.ceil(math.log(1 - request.confidence) / math.log1p(-request.at_most)) if request.at_most else None
         if needed is None or request.episodes < needed:
-            least = "no number of episodes shows" if needed is None else f"{needed} or more, as without any crash show"
+            fewer = f"{needed} or more: even without a crash, fewer episodes do not show"
+            least = "at_most= above 0: no number of episodes shows" if needed is None else fewer
             raise _error(
                 "episodes=...",
-                f"expected {least} that crashes are at most {percent(request.at_most)} with a confidence of "
-                f"{100 * request.confidence:g} %, received {request.episodes}",
+                f"expected {least} with a confidence of {100 * request.confidence:g} % that at most "
+                f"{percent(request.at_most)} of episodes crash, received {request.episodes}",
             )
     request.world.environment.with_traffic()
     return request

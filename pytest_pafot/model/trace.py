@@ -259,7 +259,7 @@ class Trace(Drawn):
             ValueError: if no NPC crosses in the run.
         """
         if self.on_way is None:
-            raise ValueError("on_way: expected a run in which an NPC crosses the ego's way, received a run without")
+            raise ValueError("on_way: expected a run in which an NPC crosses the ego's way, received no crossing NPC")
         return self.on_way[:, npc]
 
     @property

@@ -288,7 +288,10 @@ class Run(Drawn):
 
     @property
     def second_opinion(self) -> str | None:
-        """The responsibility by the authors' position rule, ``"ego"`` or ``"npc"``; None without a collision."""
+        """The responsible side by the NPC's position at the impact, ``"ego"`` or ``"npc"``; None without a collision.
+
+        This simpler rule is from the code that the authors of the PAFOT paper released.
+        """
         verdict = position_rule(self.trace)
         return None if verdict == "none" else verdict
 

@@ -79,19 +79,19 @@ def set_properties(properties: MutableSequence[tuple[str, Any]], **values: objec
 
 
 def set_of_saved(item: pytest.Item, saved: Saved) -> None:
-    """Set the properties that identify the saved scenario of an item."""
+    """Add seed, id, signature and file of an item's saved scenario to the item's properties in pytest's reports."""
     finding, file = saved.finding, relative(saved.path, item.config.rootpath)
     seed, signature = (None, None) if finding is None else (finding.found.seed, finding.signature.text)
     set_properties(item.user_properties, seed=seed, id=saved.id, signature=signature, file=file)
 
 
 def severity_text(severity: Severity | None) -> str:
-    """Return the severity of a failure as the text of a property."""
+    """Return the severity of a failure as text for pytest's reports."""
     return "none" if severity is None else str(severity)
 
 
 def of_findings(findings: Iterable[tuple[Finding, str, Severity | None]]) -> dict[str, str]:
-    """Return the properties that describe findings. The values of several findings are separated by commas."""
+    """Return the properties that describe findings in pytest's reports; commas separate the values of the findings."""
     columns: dict[str, list[str]] = {"id": [], "signature": [], "file": [], "severity": []}
     for finding, file, severity in findings:
         texts = (finding.id, finding.signature.text, file, severity_text(severity))

@@ -92,9 +92,9 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
 def _conclude_lost(
     item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, lost: LostRun, beside: str
 ) -> NoReturn:
-    """Fail an item whose process died or hung.
+    """Report and fail the replay of a saved scenario whose process died or hung.
 
-    ``beside`` is the item's label in a comparison with a reference; empty without a reference.
+    ``beside`` is the label of the replay if it is compared with a reference ADS; empty without a reference.
     """
     __tracebackhide__ = True
     path = relative(saved.path, replays.harness.root)

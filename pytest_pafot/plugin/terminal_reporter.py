@@ -119,7 +119,7 @@ class Reporter:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> Generator[None, object, object]:
-        """Process messages; report the new findings of a search after its teardown."""
+        """Handle the message that a test report carries; after the teardown of a search, print its new findings."""
         message = received(report)
         if message is None:
             self._live.erase_progress()

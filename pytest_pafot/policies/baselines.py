@@ -63,7 +63,7 @@ class Sb3Policy(PolicyLoader):
 
     @functools.cached_property
     def loading_hint(self) -> str:
-        """A sentence on why statistics of VecNormalize seem to be missing; empty if they are given or not missed."""
+        """A sentence on why statistics of VecNormalize seem to be missing; empty if they are given or not needed."""
         try:
             return "" if self.vecnormalize is not None else _missing_statistics(self.file)
         except (OSError, AdsFactoryError):  # a missing hint must not prevent the run

@@ -159,7 +159,7 @@ def finding_article(finding: FindingView, index: int) -> str:
 
 
 def _keep_section(finding: FindingView) -> str:
-    """Return the HTML of the finding's command if it has one, the button that saves its run, and its file."""
+    """Return the HTML of a finding's command, if any, of a button that saves its run, and of the text of its file."""
     command = f"<h3>Run it again</h3>{copyable(finding.command)}" if finding.command else ""
     return (
         f'<section class="keep">{command}{SAVE_RUN if finding.drive else ""}'

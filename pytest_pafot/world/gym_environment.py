@@ -116,9 +116,9 @@ class GymEnvironment:
             raise WorldError(
                 field="env_id",
                 expected="an environment that is registered without wrappers",
-                received=f"{self.env_id!r}, which is registered with {' and '.join(added)} around it",
-                fix=f"to use these wrappers, give pafot.World({self.env_id!r}, wrappers=[]); the list is for wrappers "
-                "to add to the registered ones",
+                received=f"{self.env_id!r}, which is registered with these wrappers: {', '.join(added)}",
+                fix=f"if the run should use these registered wrappers and no others, give "
+                f"pafot.World({self.env_id!r}, wrappers=[]); the list contains only wrappers to add to them",
             )
         return _wrapped(env, self.wrappers or ())
 

@@ -86,7 +86,8 @@ class Highway(BuiltInWorld):
 
         Args:
             scenario: the scenario to run; it is checked against this world.
-            ads_factory: a callable that returns the ADS; it is called once.
+            ads_factory: a callable that returns the ADS, called once; or a highway-env vehicle class, which drives
+                itself.
             decisions: the first decisions of the run, in the form of ``Trace.actions``; the ADS is not called for
                 them. Decisions beyond the end of the run are ignored.
 
@@ -94,7 +95,7 @@ class Highway(BuiltInWorld):
             ScenarioError: if the scenario does not fit this world.
             AdsFactoryError: if the factory returns nothing that can drive here.
             BadAction: if one of the decisions is not a valid action.
-            WorldError: if ``decisions`` are given for a vehicle class, which makes none.
+            WorldError: if ``decisions`` are given together with a vehicle class, because it returns no decisions.
             Exception: any exception of the factory itself. An exception of the ADS ends the run as ``ads_error``.
         """
         self.check_fits(scenario)

@@ -277,22 +277,22 @@ SITUATIONS = {
         ),
         Situation(
             "leader-brakes-for-nothing-half-a-second-ahead",
-            "A vehicle half a second ahead of the ego brakes with 8 m/s^2 on a free road. The ego brakes a second "
-            "later, with 6 m/s^2.",
+            "At 5 s, a vehicle half a second ahead of the ego brakes with 8 m/s^2 although the road is free. The ego, "
+            "which follows too closely, brakes from 6 s on with 6 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)])),
             "both", "leader-unanswered", "5", "NPC 0 braked at up to 8.0 m/s^2",
         ),
         Situation(
             "leader-brakes-for-nothing-1.8-s-ahead",
-            "A vehicle 1.8 s ahead of the ego brakes with 8 m/s^2 on a free road. The ego brakes two seconds later, "
-            "with 4 m/s^2.",
+            "At 5 s, a vehicle 1.8 s ahead of the ego brakes with 8 m/s^2 although the road is free. The ego brakes "
+            "from 7 s on, with 4 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(7.0, 4.0, 0.0)]), driven(41.0, brakes=[(5.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "up to 4.0 m/s^2 from",
         ),
         Situation(
             "leader-brakes-for-a-standing-vehicle",
-            "A vehicle half a second ahead of the ego brakes with 8 m/s^2 for a vehicle that stands in its lane. The "
-            "ego brakes a second later, with 6 m/s^2.",
+            "At 5 s, a vehicle half a second ahead of the ego brakes with 8 m/s^2 for a vehicle that stands in its "
+            "lane. The ego brakes from 6 s on, with 6 m/s^2.",
             lambda: hit(
                 driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)]), driven(148.0, speed=0.0)
             ),
@@ -526,7 +526,7 @@ SITUATIONS = {
         Situation(
             "creeps-into-one-that-stands-half-in-its-lane",
             "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and brakes to a standstill. The "
-            "ego brakes to 1.5 m/s, releases the brakes 7 m behind the NPC and creeps into it.",
+            "ego brakes to 1.5 m/s, releases the brakes 7 m behind the NPC, creeps closer than is safe, and hits it.",
             lambda: hit(
                 driven(0.0, brakes=[(2.7, 9.5, 1.5)]),
                 driven(48.3, LEFT, speed=10.0, brakes=[(2.6, 4.0, 0.0)], shifts=[(2.0, 2.2, 1.1)]),

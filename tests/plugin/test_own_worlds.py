@@ -228,7 +228,9 @@ def test_environment_registered_with_wrapper_fails_its_item(project):
     )
     result = project.run()
     result.assert_outcomes(failed=1, passed=1)
-    result.stdout.fnmatch_lines(["*(world=...): env_id: *registered with FlattenObservation *wrappers=[[]])*"])
+    result.stdout.fnmatch_lines(
+        ["*(world=...): env_id: *registered with these wrappers: FlattenObservation; *wrappers=[[]])*"]
+    )
 
 
 def test_batch_of_ads_is_not_used_in_wrappers(project):

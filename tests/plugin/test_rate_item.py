@@ -48,7 +48,10 @@ def test_rate_with_confidence_passes_only_with_enough_evidence(project):
     result = project.run()
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(
-        ["@pafot.rate(episodes=...): expected 11 or more, as without any crash show that crashes are at most 20.0 %*"]
+        [
+            "@pafot.rate(episodes=...): expected 11 or more: even without a crash, fewer episodes do not show with a "
+            "confidence of 90 % that at most 20.0 % of episodes crash, received 10*"
+        ]
     )
 
 

@@ -54,17 +54,17 @@ class AvFuzzerSearch:
     """AV-Fuzzer's search. The defaults are the numbers of its released code, except for the length of a slice.
 
     Attributes:
-        space: space whose NPCs, speed limit and start are used. All slices together last as long as its genes, so that
-            algorithms are compared over equal times: by default five slices of 12 s, in the released code of 3 s.
+        space: space whose NPCs, speed limit and start are used. All slices together last as long as all genes of a
+            chain in this space, so that algorithms are compared over equal times. By default, each of five slices lasts
+            12 s; in the released code, it lasts 3 s.
         population: number of scenarios in a generation.
         slices: number of manoeuvres of each NPC, one per time slice.
-        crossover_rate: probability that a crossover takes place; each generation has half as many chances for one as
-            scenarios.
+        crossover_rate: probability of each crossover; a generation of four scenarios has two possible crossovers.
         mutation_rate: probability that one manoeuvre of a scenario is changed.
-        local_generations: number of generations of a local search after its first, the mutants; 0 turns local searches
-            off.
+        local_generations: number of generations of a local search, without its first generation, which consists of
+            mutants of the best scenario; 0 turns local searches off.
         local_mutation_factor: factor of the mutation rate in local searches, up to a rate of 1.
-        local_after: number of generations after a random population in which no local search starts.
+        local_after: number of generations that must follow a random population before a local search may start.
         restart_after: number of generations without progress after which the population is abandoned.
     """
 

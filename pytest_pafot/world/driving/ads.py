@@ -65,7 +65,7 @@ class EgoDriver(Protocol):
 
 
 class AskedDriver(EgoDriver, Protocol):
-    """A driver of the ego whose ADS may also be called by other code, which then passes in the actions."""
+    """A driver of the ego whose ADS may also be called by other code, which passes the actions to :meth:`apply`."""
 
     def observe(self, tick: int) -> Any:
         """Return the ADS's observation at a tick."""
@@ -176,7 +176,7 @@ def _check_sight_is_told(factory: AdsFactory, ads: SeeingAds) -> None:
 
 
 def hint_at_object(given: Any) -> str:
-    """Return a hint for an object that cannot be called but has the parts of an ADS; empty for other objects."""
+    """Return a hint for a vehicle or a model with a method such as ``predict``, which is no ADS; otherwise empty."""
     if is_vehicle_class(type(given)):
         name = type(given).__name__
         return f"Give the class itself, `{name}`, without calling it: each run makes its own vehicle"

@@ -91,9 +91,9 @@ class Perception:
         """
         if observations:
             raise AdsFactoryError(
-                "ads: expected pafot.Perception as the factory, received a pafot.Perception in the place of an ADS, "
-                "called with an observation; write `ads=pafot.Perception(MyPlanner, ...)`, or return that from the "
-                "fixture"
+                "ads: expected the pafot.Perception itself as the factory, received a factory that returns a "
+                "pafot.Perception instead of an ADS; write `ads=pafot.Perception(MyPlanner, ...)` without a function "
+                "around it, or return this object from the fixture"
             )
         ads = make_ads(self.ads, **arguments)
         if is_vehicle_class(ads):

@@ -19,11 +19,11 @@ from pytest_pafot.world.stock import Road, class_from_path
 
 
 class Policy:
-    """The driver of the ego for a policy, a callable from an environment's observation to the environment's action.
+    """A driver of the ego that passes an environment's observation to an ADS, and applies the action that it returns.
 
-    The environment ``env`` has the road and the ego of the run. ``view`` is a second environment, for a planner that
-    simulates; it is updated to the run's state before each decision. With a ``sight``, both environments contain only
-    what the policy sees.
+    The environment ``env`` contains the road and the ego of the run. ``view`` is a second environment, in which the ADS
+    may simulate ahead; ``view`` is updated to the state of the run before each decision. If ``sight`` limits what the
+    ADS sees, both environments contain only what it sees.
     """
 
     def __init__(

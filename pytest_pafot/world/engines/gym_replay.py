@@ -190,9 +190,9 @@ def replay_environment(
     if is_policy and wants_env(ads_factory):
         if environment.wrappers is not None:
             raise WorldError(
-                f"wrappers: expected none for a factory with a parameter `env`, received "
-                f"{', '.join(wrapper_names(outer)) or 'an empty list'}; a planner that simulates inside the "
-                f"environment uses its observations and actions without wrappers"
+                f"wrappers: expected no wrappers= for a factory with a parameter `env`, received "
+                f"{', '.join(wrapper_names(outer)) or 'wrappers=[]'}; leave wrappers= out, because a planner that "
+                f"simulates inside the environment uses the environment's observations and actions without wrappers"
             )
         view = View(environment.make().unwrapped, env)
     ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)

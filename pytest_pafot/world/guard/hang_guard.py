@@ -88,9 +88,9 @@ class OneProcess:
         if self._noticed[0] and kind is None:
             self._noticed[0] = 0
             raise AdsFactoryError(
-                "ads: expected an ADS that ends the processes that it forks, received an ADS that lets a copy of this "
-                "process run on; the copy was ended and has written nothing. Call os._exit() in the process in which "
-                "os.fork() returns 0, or use multiprocessing or subprocess"
+                "ads: expected an ADS that ends each child process that it forks, received an ADS whose child "
+                "process returned to the plugin's code. The plugin ended the child before it wrote anything. Call "
+                "os._exit() in the child, where os.fork() returns 0, or use multiprocessing or subprocess"
             )
 
 

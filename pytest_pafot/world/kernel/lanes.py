@@ -7,7 +7,7 @@ import math
 from pytest_pafot.world.kernel.bodies import Body
 
 ALMOST = 1e-6
-"""The distance to the line between two lanes within which all lanes are compared [m]."""
+"""The distance to a lane line [m] below which rounding matters, so a vehicle's lane is found by comparing lanes."""
 
 
 class Lanes:

@@ -1,5 +1,5 @@
 # cython: auto_pickle=False
-"""The loop of a run: the ego's pilot decides, the director commands, all vehicles move one tick and are recorded."""
+"""The loop of a run: the ego's driver decides, the director commands, all vehicles move one tick and are recorded."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Pilot:
 
 
 class SelfPilot(Pilot):
-    """The pilot of an ego that drives itself, at every tick."""
+    """The driver of an ego whose own model sets its controls at every tick, so there is no ADS to call."""
 
     def __init__(self, ego: IdmEgo, others: list[Any]) -> None:
         super().__init__(1)
@@ -59,7 +59,7 @@ class SelfPilot(Pilot):
 
 
 class GivenPilot(Pilot):
-    """A pilot whose decisions come from outside: acceleration [m/s^2] and steering [rad], or a :class:`Drive`.
+    """A driver whose decisions are passed in: acceleration [m/s^2] and steering [rad], or a :class:`Drive`.
 
     Args:
         ego: the ego.
@@ -123,10 +123,10 @@ class GivenPilot(Pilot):
 
 
 class PlannerPilot(GivenPilot):
-    """A pilot that calls an ADS, a callable from an observation to its action.
+    """A driver of the ego that calls an ADS with an observation, and applies the decision that the ADS returns.
 
     Args:
-        ads: the callable.
+        ads: the ADS, a callable from an observation to a decision.
         ego: the ego.
         lanes: the road's lanes.
         observer: the maker of the ADS's observations.

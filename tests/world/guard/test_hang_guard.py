@@ -51,7 +51,7 @@ def forks_once(fork, when):
 @forks
 @pytest.mark.parametrize("when", ["factory", "decision"])
 def test_running_fork_of_the_process_ends_with_error(when):
-    with pytest.raises(AdsFactoryError, match="lets a copy of this process run on"):
+    with pytest.raises(AdsFactoryError, match="whose child process returned to the plugin's code"):
         Highway(duration=2.0).rollout(SCENARIO, forks_once(fork_and_go_on, when))
     assert Highway(duration=2.0).rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).error is None
 
@@ -72,7 +72,7 @@ def test_fork_that_the_ads_ends_is_allowed(when):
 def test_a_copy_that_comes_later_is_waited_for(monkeypatch):
     monkeypatch.setattr(hang_guard, "COPY_LATE", 60.0)
     pids = []
-    with pytest.raises(AdsFactoryError, match="lets a copy of this process run on"):
+    with pytest.raises(AdsFactoryError, match="whose child process returned to the plugin's code"):
         make_ads(lambda: pids.append(os.fork()))
     os.waitpid(pids[0], 0)
 
