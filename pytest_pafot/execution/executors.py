@@ -196,8 +196,8 @@ def dask_executor(address: str, *, timeout: float = 10.0) -> Iterator[Executor]:
             workers = client.run(pickle.loads, pickle.dumps(_Call(_difference, versions_here())))
         except Exception as error:  # noqa: BLE001  (any network error, or a worker without a package)
             raise ExecutionError(
-                f"--pafot-dask={address}: expected a scheduler whose workers have the packages of this session, "
-                f"received {type(error).__name__}: {error}"
+                f"--pafot-dask={address}: expected a scheduler that answers, with workers that have the "
+                f"packages of this session, received {type(error).__name__}: {error}"
             ) from None
         for difference in filter(None, workers.values()):
             raise ExecutionError(difference)
