@@ -34,8 +34,8 @@ SPED_UP = 0.3
 HARDEST = 6.0
 """The hardest braking that the rules require of any vehicle [m/s^2], from UN R157, 5.2.5.2."""
 MARGIN = 0.2
-"""A vehicle that is no faster than the reference at the impact has responded if it is at most this far ahead of the
-reference, as a time at its speed [s]."""
+"""The time at its own speed [s] by which a vehicle that has responded may be ahead of the reference at the impact, if
+the vehicle is no faster than the reference."""
 NEARLY = 0.5
 """A vehicle has responded to a cut-in if it is at most this much faster than the reference at the impact [m/s]."""
 
@@ -154,9 +154,9 @@ class Pursuit:
         return since + last_slowest(recorded)
 
     def stays_off_unless_faster(self, since: int) -> bool:
-        """Return whether the responder would have avoided the other if it had not sped up after the tick ``since``.
+        """Return whether the responder would have avoided a hit if it had not sped up after the tick ``since``.
 
-        In that case, its gap at the impact must also have sufficed to slow down to the other's speed.
+        In that case, the responder's gap must also have sufficed to slow down to the speed of the vehicle ahead.
         """
         end = len(self.ahead) - 1
         recorded = self.speeds[0][since:]

@@ -208,7 +208,7 @@ class ZoneConflict:
         return gap < float(DISTANCES.safe_along(own.speeds[enters], np.asarray(speed), FOLLOWING.delay))
 
     def _seen_taken(self, own: Passing, other: Passing) -> list[int]:
-        """Return the ticks at which a vehicle could still respond and saw that the other would remain in the zone."""
+        """Return the ticks at which a vehicle saw that the other vehicle would stay in the zone, and could respond."""
         if self._zone.kind == "merging":
             return self._could_slow_down(own, other)
         touched = self._reaches(own, other)
@@ -220,7 +220,7 @@ class ZoneConflict:
         return [tick for tick in ticks if other.foreseen(tick, max(enters, tick / own.hz))[0] < other.ends]
 
     def _reaches(self, own: Passing, other: Passing) -> int:
-        """Return the tick from which on a vehicle's box always touches the place of the other's box at the impact."""
+        """Return the tick from which on a vehicle's box touches the place where the other vehicle is hit."""
         poses = self._trace.states[:, own.vehicle], self._trace.states[-1:, other.vehicle]
         mine, others = (
             Boxes.driving(*rows[:, [X, Y, HEADING, SPEED]].T, *self._trace.sizes[each.vehicle, :, None])
@@ -231,7 +231,7 @@ class ZoneConflict:
 
     @staticmethod
     def _could_slow_down(own: Passing, other: Passing) -> list[int]:
-        """Return the ticks at which the other had merged ahead and a vehicle could still slow down to its speed."""
+        """Return the ticks at which ``other`` had merged ahead, and ``own`` could still slow down to its speed."""
         ticks = range(other.entered(), own.entered())
         leads = {tick: float(own.ends - own.places[tick] - (other.ends - other.places[tick])) for tick in ticks}
         slowest = {tick: float(other.speeds[tick:].min()) for tick in ticks}

@@ -35,7 +35,7 @@ PROFILES: Mapping[str, Mapping[str, object]] = {
 """The profiles, which are sets of defaults: ``ci`` if the environment variable CI is set, otherwise ``local``."""
 
 BUDGETS = ("runs", "generations")
-"""The options that limit a search. If one is given, the other has no default. If both are, the lower limit holds."""
+"""The options that limit a search. If one is given, the other has no default; if both are, the lower limit holds."""
 
 
 class OptionError(ArgumentTypeError):

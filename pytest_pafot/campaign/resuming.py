@@ -67,7 +67,7 @@ class RandomBeginning:
         return self._evaluated, self.runs, self.at_fault, self.otherwise
 
     def restore(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
-        """Set the counts to those of an earlier session, to continue from there."""
+        """Set the counts to the counts of an earlier session, to continue that session."""
         self._evaluated, self.runs, self.at_fault, self.otherwise = evaluated, runs, at_fault, otherwise
 
     def __call__(self, event: SearchEvent) -> None:

@@ -50,7 +50,7 @@ class Verdict:
 
     @property
     def passes(self) -> bool:
-        """True if the test passes in the run, or if the run's failure is one that ``blame`` excludes."""
+        """True if the test passes in the run, or if ``blame`` excludes the run's failure."""
         return self.kind in ("passed", "npc", "unpreventable")
 
     @property

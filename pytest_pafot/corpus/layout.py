@@ -167,7 +167,7 @@ def safe_name(text: str) -> str:
 
 
 def may_be_of(folder: str, test: str) -> bool:
-    """Return whether a folder's name can be that of a test with some parameters; ``test`` is the name without them."""
+    """Return whether a folder may belong to a test with parameters; ``test`` is the test's name without parameters."""
     if "~" not in folder:
         return folder.partition("@")[0] == safe_name(test)
     # _readable strips "-" and "." from the end of the test's name, but not if parameters follow.

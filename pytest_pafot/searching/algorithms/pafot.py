@@ -92,7 +92,7 @@ class PafotSearch:
         return PafotState(fresh=self._random_population(rng))
 
     def ask(self, state: PafotState, rng: Generator) -> tuple[PafotState, tuple[Scenario, ...]]:
-        """Return the scenarios to evaluate next: those of the generation that were not evaluated before."""
+        """Return the scenarios of the generation that were not evaluated before, to evaluate them next."""
         check_ask(state.asked)
         if not state.fresh:
             state = self._bred(state, rng)

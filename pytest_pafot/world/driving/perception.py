@@ -91,9 +91,9 @@ class Perception:
         """
         if observations:
             raise AdsFactoryError(
-                "ads: expected the pafot.Perception itself as the factory, received a factory that returns a "
-                "pafot.Perception instead of an ADS; write `ads=pafot.Perception(MyPlanner, ...)` without a function "
-                "around it, or return this object from the fixture"
+                "ads: expected a pafot.Perception that is used as the factory, received a call of it with an "
+                "observation, as if it were the ADS; write `ads=pafot.Perception(MyPlanner, ...)`, or return this "
+                "object from the fixture"
             )
         ads = make_ads(self.ads, **arguments)
         if is_vehicle_class(ads):

@@ -313,7 +313,7 @@ def test_ads_is_closed_and_gains_no_methods():
         (
             lambda: pafot.Perception(Watching)("what is seen"),
             AdsFactoryError,
-            "expected pafot.Perception as the factory",
+            "that is used as the factory, received a call of it with an observation",
         ),
         (lambda: pafot.Perception(Watching)()("what is seen"), WorldError, "expected pafot.Highway or pafot.World"),
     ],
