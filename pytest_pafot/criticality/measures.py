@@ -84,7 +84,7 @@ def min_gap(trace: Trace) -> float:
 
 
 def ego_follows(trace: Trace) -> npt.NDArray[np.bool_]:
-    """Return whether the ego follows the NPC: along the road, the NPC's centre is ahead of the ego's or level with it.
+    """Return, for each tick and NPC, whether the NPC's centre is level with the ego's or ahead of it, in any lane.
 
     The road's direction is the direction of the ego's lane (of the last lane if the ego is off the road). On roads that
     are not straight, *ahead* means later on the ego's way (:attr:`pytest_pafot.Trace.track`). False if the NPC is not

@@ -27,7 +27,7 @@ class EpisodeRow:
     outcome: str  # ``collision``, ``safe``, or, if the ADS did not decide, ``ads_error`` or ``hang``
     seconds: float  # time driven until the end
     error: str  # error of the ADS, if it did not decide; else empty
-    steps: str  # why the environment took its own steps; empty if the traffic was compiled
+    steps: str  # reason why the environment itself stepped the traffic; empty if compiled code did
 
 
 COLUMNS = tuple(field.name for field in fields(EpisodeRow))
@@ -83,7 +83,7 @@ class Rate:
         return interval(len(self.crashed), self.episodes, confidence)
 
     def upper_bound(self, confidence: float = CONFIDENCE) -> float:
-        """Return the upper limit of the true crashes per episode, which holds with a probability of ``confidence``."""
+        """Return the upper limit of the true crashes per episode at a level of confidence, by default 0.95."""
         return upper_bound(len(self.crashed), self.episodes, confidence)
 
     @property

@@ -32,8 +32,8 @@ NOTHING_DRIVEN = 1  # exit code if the ADS failed in every episode, so that ther
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    of_whom = "a module of example_ads, module:factory, or module:factory:argument, with @planner after it for a "
-    of_whom += "planner in SI units"
+    of_whom = "a module of example_ads, module:factory, or module:factory:argument; with @planner after it if it gets "
+    of_whom += "pafot.Observation and answers with acceleration and steering"
     parser.add_argument("--ads", required=True, metavar="ADS", help=f"the policy: {of_whom}")
     parser.add_argument("--against", metavar="ADS", help="a second policy, on the same seeds")
     parser.add_argument(
