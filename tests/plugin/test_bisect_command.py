@@ -330,9 +330,13 @@ def test_a_session_has_ended_when_an_interrupt_goes_on(tmp_path):
     main_thread = threading.main_thread().ident
     interrupt = threading.Timer(0.5, signal.pthread_kill, [main_thread, signal.SIGINT])
     command = [sys.executable, "-c", "import time; time.sleep(100)"]
-    with suppress(KeyboardInterrupt), _group(command, tmp_path, dict(os.environ)) as session:
-        interrupt.start()
-        session.communicate(timeout=60)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore SIGINT
+    try:
+        with suppress(KeyboardInterrupt), _group(command, tmp_path, dict(os.environ)) as session:
+            interrupt.start()
+            session.communicate(timeout=60)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert session.returncode == -signal.SIGKILL
 
 
