@@ -282,9 +282,7 @@ def test_impossible_folder_is_reported_with_the_way_out(tmp_path, capsys, below)
     assert error.startswith(
         f"compare: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
     )
-    assert error.endswith(
-        "; there is a file where a folder should be: rename or delete it, or give a different folder\n"
-    )
+    assert error.endswith("; there is a file where a folder should be: rename or delete it, or give another folder\n")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")

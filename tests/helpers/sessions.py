@@ -22,6 +22,16 @@ import pytest
 
 from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRecord, SessionRecord
 
+INTERRUPTIBLE = (
+    sys.executable,
+    "-c",
+    "import signal, sys\n"
+    "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    "from pytest_pafot.__main__ import main\n"
+    "sys.exit(main())",
+)
+"""The start of a ``python -m pytest_pafot`` command that SIGINT interrupts even in a shell's background job."""
+
 
 def read_record(text):
     """Return a session's record for programs, and check that it has no unknown keys."""

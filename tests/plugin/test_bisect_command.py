@@ -16,6 +16,7 @@ import pytest
 from pytest_pafot.__main__ import main
 from pytest_pafot.commands.bisect_command import Trials, _group, parted
 from pytest_pafot.plugin.bisect_session import TOLD
+from tests.helpers.sessions import INTERRUPTIBLE
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide" / "what-broke.md"
 FILE = "pafot_corpus/test_safety/test_never_at_fault/leader-unanswered-b5ed63.pafot.yaml"
@@ -367,7 +368,7 @@ def test_interrupt_leaves_no_processes_or_folders_behind(real, tmp_path, monkeyp
     (tmp_path / "temporary").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     before = git("status"), git("worktree", "list"), git("for-each-ref"), Path(".git/index").read_bytes()
-    command = [sys.executable, "-m", "pytest_pafot", "bisect", FILE, "--good", first, "--policy", "planner.py"]
+    command = [*INTERRUPTIBLE, "bisect", FILE, "--good", first, "--policy", "planner.py"]
     for end, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):
         pid.unlink(missing_ok=True)
         with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE) as process:

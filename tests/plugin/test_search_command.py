@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from pytest_pafot.__main__ import main
+from tests.helpers.sessions import INTERRUPTIBLE
 
 POLICY = """\
 import pytest_pafot as pafot
@@ -95,11 +96,7 @@ def test_a_wrong_option_is_told_by_its_name_here(here, capsys, arguments, told):
 @pytest.mark.processes
 @pytest.mark.skipif(os.name == "nt", reason="a group of processes has no signals there")
 def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
-    program = (  # a shell's background jobs ignore SIGINT, and so would the command
-        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "from pytest_pafot.__main__ import main\nsys.exit(main())"
-    )
-    command = [sys.executable, "-c", program, "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
+    command = [*INTERRUPTIBLE, "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
     ) as search:
