@@ -5,7 +5,7 @@ from pytest_pafot.world.kernel.driver cimport NpcDriver, following_speed, gap_sp
 
 cdef double STEP, FREEZE, SLOWEST, FASTEST
 cdef int PASS, HOLD, STOP, LATE, NEVER
-cdef double WAITING, MARGIN, SETTING_OFF, RESPONSE, ANSWER, BUILDING_UP, BRAKING, APART, LEAST_SPEED, ABREAST
+cdef double BEFORE_LINE, MARGIN, SETTING_OFF, RESPONSE, ANSWER, BUILDING_UP, BRAKING, APART, LEAST_SPEED, ABREAST
 cdef double UNENDING, NOWHERE
 
 @cython.final

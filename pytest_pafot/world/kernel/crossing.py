@@ -12,11 +12,10 @@ import math
 from array import array
 from collections.abc import Sequence
 
+from pytest_pafot.model.crossings import APART, BEFORE_LINE, STEP
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver, following_speed, gap_speed, speed_asking_for
 
-STEP = 0.5
-"""The distance between neighbouring points of a way [m]."""
 FREEZE = 3.0
 """The time before its entry into the zone from which an NPC no longer adapts to the ego's arrival [s]."""
 SLOWEST, FASTEST = 0.5, 1.3
@@ -24,8 +23,6 @@ SLOWEST, FASTEST = 0.5, 1.3
 factor, the NPC would wait for an ego that waits."""
 PASS, HOLD, STOP, LATE = range(4)
 """The acts of an NPC at its zone, in the order of ``ACTS``."""
-WAITING = 2.0
-"""The distance before its zone at which an NPC waits if its act is to hold [m]."""
 MARGIN = 1.0
 """The distance before a stretch at which an NPC waits until the ego or another NPC has left it [m]."""
 SETTING_OFF = 1.1
@@ -35,8 +32,6 @@ RESPONSE, ANSWER = 1.0, 6.0
 """
 BUILDING_UP, BRAKING = 0.4, 5.0
 """The time in which braking builds up [s] and the braking [m/s^2] that an NPC assumes when it may have to wait."""
-APART = 0.7
-"""The least time between two NPCs that drive through the same place [s]."""
 LEAST_SPEED = 0.5
 """The least speed for predictions, because a vehicle that nearly stands may go on [m/s]."""
 ABREAST = 2.0
@@ -299,13 +294,13 @@ class Crosser:
         if npc.act == STOP:
             npc.stands_at = npc.middle
         elif npc.act != PASS and not npc.is_released and npc.entered == NEVER:
-            room = npc.enters - WAITING - npc.x
+            room = npc.enters - BEFORE_LINE - npc.x
             has_passed = ego.x > npc.ego_leaves
             is_due = npc.act == LATE and self._due(npc, ego) <= SETTING_OFF
             is_late = self._tick == 0 and room < npc.speed * npc.speed / (2.0 * ANSWER)
             npc.is_released = has_passed or is_due or is_late
             if not npc.is_released:
-                npc.stands_at = npc.enters - WAITING
+                npc.stands_at = npc.enters - BEFORE_LINE
         if npc.stands_at < UNENDING:
             wanted = min(wanted, stopping_speed(npc.stands_at - npc.x, npc.speed))
         if npc.entered == NEVER and self._answers(npc, ego):
