@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from pytest_pafot.attribution.avoidance import HARDEST
 from pytest_pafot.model.crossings import Zone
+from pytest_pafot.support.text import capitalised
 
 
 class What(Enum):
@@ -121,15 +122,11 @@ def _sentence(fact: Fact) -> str:
         place=_place(fact),
         entered=_entered(fact),
     )
-    return _capitalised(text)
+    return capitalised(text)
 
 
 def _name(vehicle: int) -> str:
     return f"NPC {vehicle - 1}" if vehicle else "the ego"
-
-
-def _capitalised(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def _place(fact: Fact) -> str:
@@ -141,11 +138,11 @@ def _place(fact: Fact) -> str:
     if fact.what is What.CAME_TOO_CLOSE:
         place += f" at {fact.time_s:.1f} s" + (f" (safe: {fact.asked_m:.1f} m)" if fact.asked_m else "")
     if fact.leader_m_per_s2:
-        leader = _capitalised(_name(fact.vehicle or fact.other))
+        leader = capitalised(_name(fact.vehicle or fact.other))
         return f"{place}. {leader} braked at up to {fact.leader_m_per_s2:.1f} m/s^2"
     if abs(faster) < 0.05:
         return f"{place}. Both were equally fast"
-    return f"{place}. {_capitalised(whom)} was {abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}"
+    return f"{place}. {capitalised(whom)} was {abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}"
 
 
 def _entered(fact: Fact) -> str:
@@ -161,7 +158,7 @@ def _entered(fact: Fact) -> str:
     else:
         whom += f" {zone.whence}"
     entered = f"{_name(fact.vehicle)} entered {where} at {fact.time_s:.1f} s, {apart} {whom}"
-    return f"{entered}. {_capitalised(holders[zone.priority])} had priority."
+    return f"{entered}. {capitalised(holders[zone.priority])} had priority."
 
 
 def avoidance_sentence(time: float, braking: float) -> str:

@@ -15,7 +15,7 @@ from pytest_pafot.report.animation import animate
 from pytest_pafot.report.finding_view import FRAMES_PER_SECOND
 from pytest_pafot.report.page_data import EventView, FindingView, LaneView, RoadView, VehicleView
 from pytest_pafot.support.proportions import interval, percent
-from pytest_pafot.support.text import markdown_table
+from pytest_pafot.support.text import capitalised, markdown_table
 from pytest_pafot.support.versions import installed_versions
 
 if TYPE_CHECKING:  # it imports highway-env
@@ -122,7 +122,7 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
     ]
     if len(rates) == 2:
         pair = Pair.of(*rates)
-        sentence = f"{pair.sentence[0].upper()}{pair.sentence[1:]}."
+        sentence = f"{capitalised(pair.sentence)}."
         alone = ((pair.first, pair.first_only), (pair.second, pair.second_only))
         only = [f"Seeds of crashes only with {name}: {shown(seeds)}." for name, seeds in alone if seeds]
         parts.append(" ".join([sentence, *only]))

@@ -63,6 +63,11 @@ def day_of(text: str) -> date | None:
     return day if day.isoformat() == text else None  # rejects week dates and dates without hyphens
 
 
+def capitalised(text: str) -> str:
+    """Return a text with its first letter in upper case and all others as they are."""
+    return text[:1].upper() + text[1:]
+
+
 def plural(count: int, noun: str) -> str:
     """Return a number with its noun: ``1 run``, ``2 runs``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
