@@ -234,10 +234,10 @@ class ZoneConflict:
         """Return the ticks at which ``other`` had merged ahead, and ``own`` could still slow down to its speed."""
         ticks = range(other.entered(), own.entered())
         leads = {tick: float(own.ends - own.places[tick] - (other.ends - other.places[tick])) for tick in ticks}
-        slowest = {tick: float(other.speeds[tick:].min()) for tick in ticks}
         apart = own.half_length + other.half_length
         return [
             tick
             for tick, lead in leads.items()
-            if lead > 0 and lead - apart >= stopping(max(float(own.speeds[tick]) - slowest[tick], 0.0), HARDEST)
+            if lead > 0
+            and lead - apart >= stopping(max(float(own.speeds[tick] - other.speeds[tick:].min()), 0.0), HARDEST)
         ]

@@ -37,8 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--good", required=True, metavar="REV", help="a commit in which it passed")
     of_bad = "a later commit in which it fails (default: %(default)s)"
     parser.add_argument("--bad", default="HEAD", metavar="REV", help=of_bad)
-    of_policy = "the files and folders of the policy, taken from each commit; all other files stay "
-    of_policy += "as they are now"
+    of_policy = "the files and folders of the policy, taken from each commit; all other files stay as they are now"
     parser.add_argument("--policy", required=True, nargs="+", metavar="PATH", help=of_policy)
     of_copy = "files and folders that the test needs and git ignores, such as weights; no other ignored file is copied"
     parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
