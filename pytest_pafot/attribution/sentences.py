@@ -134,9 +134,12 @@ def _place(fact: Fact) -> str:
     whom, faster = _name(fact.other), fact.faster_m_per_s
     if not fact.gap_m:
         return f"next to {whom}"
-    place = f"{abs(fact.gap_m):.1f} m {'ahead of' if fact.gap_m > 0 else 'behind'} {whom}"
+    gap, safe = f"{abs(fact.gap_m):.1f}", f"{fact.asked_m:.1f}"
+    if fact.asked_m and gap == safe:  # "only 1.7 m (safe: 1.7 m)" would read as a mistake
+        gap, safe = f"{abs(fact.gap_m):.2f}", f"{fact.asked_m:.2f}"
+    place = f"{gap} m {'ahead of' if fact.gap_m > 0 else 'behind'} {whom}"
     if fact.what is What.CAME_TOO_CLOSE:
-        place += f" at {fact.time_s:.1f} s" + (f" (safe: {fact.asked_m:.1f} m)" if fact.asked_m else "")
+        place += f" at {fact.time_s:.1f} s" + (f" (safe: {safe} m)" if fact.asked_m else "")
     if fact.leader_m_per_s2:
         leader = capitalised(_name(fact.vehicle or fact.other))
         return f"{place}. {leader} braked at up to {fact.leader_m_per_s2:.1f} m/s^2"

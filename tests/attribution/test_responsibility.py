@@ -319,13 +319,19 @@ def test_any_collision_gets_verdict_with_reason_and_time(seed, ticks, vehicles):
 def test_every_fact_is_one_uncut_sentence(due):
     large = {name: 19.9 if "m_per_s" in name else 99.9 for name in Fact._fields if "_" in name and name != "due_s"}
     zone = Zone(way="a>b", kind="crossing", origin="left", ego=(0.0, 1.0), npc=(0.0, 1.0), priority="npc")
-    far = {What.CAME_TOO_CLOSE: {"gap_m": -99.9}, What.ENTERED: {"zone": zone, "later_s": 111.1}}
+    far = {What.CAME_TOO_CLOSE: {"gap_m": -99.9, "asked_m": 88.8}, What.ENTERED: {"zone": zone, "later_s": 111.1}}
     facts = [Fact(what, 9, other=0, due_s=due, lane=9, **large | far.get(what, {"asked_m": 0.0})) for what in What]
     told = [*sentences(facts)]
     told += [responsible_sentence(who, 9) for who in ("ego", "npc", "both", "none")] + [avoidance_sentence(99.9, 6.0)]
     assert len({*told}) == len(What) + 5
     assert not any({*text} & {*"{};"} or "because" in text for text in told)
     assert all(text[0].isupper() and text.endswith(".") and len(text) <= LINE_LENGTH - 2 for text in told)
+
+
+def test_a_gap_is_never_as_large_as_the_safe_one():
+    close = Fact(What.CAME_TOO_CLOSE, 0, 1.0, other=1, gap_m=-1.68, asked_m=1.71)
+    assert "only 1.68 m behind NPC 0 at 1.0 s (safe: 1.71 m)" in sentences((close,))[0]
+    assert "only 1.6 m behind NPC 0 at 1.0 s (safe: 1.7 m)" in sentences((close._replace(gap_m=-1.6),))[0]
 
 
 @table("angle", [0.7, np.pi / 2, np.pi])

@@ -11,7 +11,7 @@ import re
 
 from tests.helpers.pencil_and_paper import Crash, Crossing, gap, giving_way, is_behind, part_of, safe_along
 
-NUMBER = r"(-?\d+\.\d)"
+NUMBER = r"(-?\d+\.\d\d?)"
 WHO = r"(?:the ego|The ego|NPC #)"
 PACE = rf"(?:{WHO} was {NUMBER} m/s (?:faster|slower)|Both were equally fast|NPC # braked at up to {NUMBER} m/s\^2)"
 PLACE = rf"(?:next to {WHO}|{NUMBER} m (?:ahead of|behind) {WHO}\. {PACE})"
@@ -219,9 +219,18 @@ def numbers(trace, attribution):
     said, true = [], []
     for sentence in attribution.sentences:
         found, compute = known(sentence, trace.collision.npc)
-        said += [number for number in found.groups() if number is not None]
-        true += [f"{number:.1f}".replace("-0.0", "0.0") for number in compute(reading, sentence)]
+        printed = [number for number in found.groups() if number is not None]
+        values = compute(reading, sentence)
+        assert len(printed) == len(values), sentence
+        said += printed
+        true += [as_printed(*pair) for pair in zip(values, printed, strict=True)]
     return said, true
+
+
+def as_printed(value, printed):
+    """Return a value with as many decimals as a printed number."""
+    decimals = len(printed.partition(".")[2])
+    return re.sub(r"^-(0\.0+)$", r"\1", f"{value:.{decimals}f}")
 
 
 def known(sentence, npc):

@@ -531,7 +531,7 @@ SITUATIONS = {
                 driven(0.0, brakes=[(2.7, 9.5, 1.5)]),
                 driven(48.3, LEFT, speed=10.0, brakes=[(2.6, 4.0, 0.0)], shifts=[(2.0, 2.2, 1.1)]),
             ),
-            "ego", "leader-unanswered", "4b", "(safe: 1.7 m)",
+            "ego", "leader-unanswered", "4b", "(safe: 1.69 m)",
         ),
         Situation(
             "speeds-up-behind-one-half-in-its-lane",
