@@ -3,38 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, TypeVar
-
-from numpy.random import Generator
-
-from pytest_pafot.searching import DistinctSearch
-from pytest_pafot.searching.algorithms.distinct import DistinctState
-from pytest_pafot.searching.evaluation import Evaluation
+from typing import Any, TypeVar
 
 KeyT = TypeVar("KeyT")
 ResultT = TypeVar("ResultT")
-
-
-@dataclass(frozen=True, slots=True)
-class BeforeSearch(DistinctSearch):
-    """The default search before it distinguished runs by the demand on the ego, and sampled new ones throughout."""
-
-    name: ClassVar[str] = "before"
-
-    fresh: float = field(default=0.0, kw_only=True)
-
-    def learn(self, state: DistinctState, evaluations: Sequence[Evaluation], rng: Generator) -> DistinctState:
-        """Learn as the search does from runs that demanded nothing of the ego."""
-        return DistinctSearch.learn(self, state, [replace(each, demand=(0, 0, False)) for each in evaluations], rng)
-
-
-SCENARIOS_BEFORE: Mapping[str, Any] = {"traffic": "paper", "npcs": 4, "gene_seconds": 10.0}
-"""Arguments of ``pafot.explore`` for scenarios as they were before attentive NPCs and sampled sizes."""
-BEFORE: Mapping[str, Any] = {"algorithm": BeforeSearch, **SCENARIOS_BEFORE}
-"""Arguments of ``pafot.explore`` for the default search at that time."""
 
 
 def options(about: str | None, **defaults: Any) -> argparse.Namespace:

@@ -3,7 +3,7 @@
 The straight roads are for comparison.
 
     python -m tests.benchmarks.every_road [--seeds 5] [--generations 10] [--environments merge-v1 ...]
-        [--check-every 1]
+        [--check-every 1] [--workers 2]
 
 Makes a short search for each environment, ego and seed. Prints how many genes are reached, how many runs are invalid or
 end without a collision, and the collisions by signature; versions of an environment with equal results share a row.
@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from itertools import groupby, product
 from typing import Any
@@ -47,7 +48,7 @@ class Tally:
     """All searches with one ego on one environment."""
 
     world: World
-    ego: Callable[[], Any]
+    ego: str
     check_every: int
     runs: int = 0
     started: int = 0
@@ -59,7 +60,7 @@ class Tally:
 
     def evaluate(self, scenario: Scenario) -> Evaluation:
         """Simulate and evaluate a scenario."""
-        trace = self.world.rollout(scenario, self.ego)
+        trace = self.world.rollout(scenario, EGOS[self.ego])
         if self.runs % self.check_every == 0:
             self._check(trace)
         if trace.error is not None:
@@ -77,7 +78,7 @@ class Tally:
         broken = limits_broken(trace, self.world)
         if broken:
             self.faults.append(f"{trace.scenario.canonical()}: {broken}")
-        again = self.world.rollout(trace.executed, self.ego)
+        again = self.world.rollout(trace.executed, EGOS[self.ego])
         if again.executed != trace.executed or again.states.tobytes() != trace.states.tobytes():
             self.faults.append(f"{trace.scenario.canonical()}: no fixed point")
 
@@ -85,7 +86,7 @@ class Tally:
         signature = of_failure(Run(trace), NOT_RUN_COLLISION)
         name = f"{signature.slug} ({signature.responsibility})"
         self.signatures[name] += 1
-        differs = disagreement(Run(trace), Run(self.world.rollout_in_gym(trace.executed, self.ego)))
+        differs = disagreement(Run(trace), Run(self.world.rollout_in_gym(trace.executed, EGOS[self.ego])))
         self.confirmed += not differs
         if differs:
             self.faults.append(f"{trace.executed.canonical()}: not confirmed, {differs}")
@@ -108,7 +109,7 @@ def limits_broken(trace: Trace, world: World) -> list[str]:
 
 def searched(env_id: str, ego: str, arguments: argparse.Namespace) -> Tally:
     """Run all searches with one ego on one environment."""
-    tally = Tally(World(env_id), EGOS[ego], arguments.check_every)
+    tally = Tally(World(env_id), ego, arguments.check_every)
     for seed in range(arguments.seeds):
         search = PafotSearch(space_of(tally.world))
         for _ in run_campaign(search, tally.evaluate, generations=arguments.generations, seed=seed):
@@ -118,21 +119,24 @@ def searched(env_id: str, ego: str, arguments: argparse.Namespace) -> Tally:
 
 def main() -> None:
     arguments = options(
-        __doc__, environments=(*STRAIGHT, *ENVIRONMENTS), egos=EGOS, seeds=5, generations=10, check_every=1
+        __doc__, environments=(*STRAIGHT, *ENVIRONMENTS), egos=EGOS, seeds=5, generations=10, check_every=1, workers=2
     )
     print_head("environment", "ego", "runs", "genes reached", "invalid", "no collision", "collisions")
     faults: list[str] = []
     runs = confirmed = 0
-    for family, versions in groupby(arguments.environments, key=lambda env_id: env_id.rpartition("-v")[0]):
-        for ego, env_ids in product(arguments.egos, [list(versions)]):
-            alike: dict[str, list[str]] = {}
-            for env_id in env_ids:
-                tally = searched(env_id, ego, arguments)
-                alike.setdefault(tally.cells(), []).append(env_id.removeprefix(family))
-                runs, confirmed = runs + tally.runs, confirmed + tally.confirmed
-                faults += [f"{env_id} {ego}: {fault}" for fault in tally.faults]
-            for cells, named in alike.items():
-                print(f"| {family}{', '.join(named)} | {ego} | {cells} |", flush=True)
+    with ProcessPoolExecutor(arguments.workers) as pool:
+        pairs = product(arguments.environments, arguments.egos)
+        tallies = {pair: pool.submit(searched, *pair, arguments) for pair in pairs}
+        for family, versions in groupby(arguments.environments, key=lambda env_id: env_id.rpartition("-v")[0]):
+            for ego, env_ids in product(arguments.egos, [list(versions)]):
+                alike: dict[str, list[str]] = {}
+                for env_id in env_ids:
+                    tally = tallies[env_id, ego].result()
+                    alike.setdefault(tally.cells(), []).append(env_id.removeprefix(family))
+                    runs, confirmed = runs + tally.runs, confirmed + tally.confirmed
+                    faults += [f"{env_id} {ego}: {fault}" for fault in tally.faults]
+                for cells, named in alike.items():
+                    print(f"| {family}{', '.join(named)} | {ego} | {cells} |", flush=True)
     print(f"\n{runs} runs, {confirmed} collisions confirmed, {len(faults)} faults")
     if faults:
         raise SystemExit("\n".join(faults))

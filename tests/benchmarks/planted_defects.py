@@ -40,7 +40,7 @@ from pytest_pafot.campaign.events import Judged, SearchStarted
 from pytest_pafot.campaign.verdict import judge
 from pytest_pafot.comparison.figures import SETTINGS, STYLES
 from pytest_pafot.searching import PafotSearch, RandomSearch
-from tests.benchmarks.command import BEFORE, SCENARIOS_BEFORE, as_they_end, options, print_head, seeds_of
+from tests.benchmarks.command import as_they_end, options, print_head, seeds_of
 from tests.benchmarks.planted import PLANTED, SET_ASIDE, TUNING, Planted
 from tests.benchmarks.positive_controls import holds
 from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_interval
@@ -50,8 +50,6 @@ DEFAULT = "default"
 ARMS: Mapping[str, Mapping[str, Any]] = {
     DEFAULT: {},
     "random": {"algorithm": RandomSearch},
-    "before": BEFORE,
-    "random before": {"algorithm": RandomSearch, **SCENARIOS_BEFORE},
     "pafot": {"algorithm": PafotSearch},
 }
 """Further arguments of ``pafot.explore`` for each search; to add a search, add a line."""

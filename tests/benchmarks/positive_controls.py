@@ -1,7 +1,7 @@
 """Is every known defect found? The policies of ``example_ads.defects``, searched with ``blame="ego"``.
 
     python -m tests.benchmarks.positive_controls [--seeds 10] [--first-seed 0] [--runs 400] [--workers 2]
-        [--policies NAME ...] [--algorithm distinct] [--traffic hostile] [--before]
+        [--policies NAME ...] [--algorithm distinct] [--traffic hostile]
 
 The searches are those of ``pafot.explore``, with the defaults and without shrinking. Prints for each policy on how many
 seeds there was a collision for which the ego is responsible, in which run first, how many distinct signatures there are
@@ -29,7 +29,7 @@ from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.searching import ALGORITHMS
-from tests.benchmarks.command import BEFORE, in_processes, options, seeds_of
+from tests.benchmarks.command import in_processes, options, seeds_of
 
 NOT_RUN_COLLISION = Failure(kind="AssertionError", assertion="assert not run.collision")
 
@@ -119,8 +119,7 @@ def searched(policy: str, seed: int, options: argparse.Namespace) -> Searched:
 
     pafot.explore(
         factory_of(policy), holds=holds, world=pafot.Highway(), blame="ego", runs=options.runs, seed=seed,
-        shrink_rollouts=0, on_event=listen,
-        **(BEFORE if options.before else {"algorithm": options.algorithm, "traffic": options.traffic}),
+        shrink_rollouts=0, on_event=listen, algorithm=options.algorithm, traffic=options.traffic,
     )  # fmt: skip
     return Searched(tuple(finds), runs)
 
@@ -164,7 +163,7 @@ def _sentence(explanation: str) -> list[str]:
 def main() -> None:
     given = options(
         __doc__, seeds=10, first_seed=0, algorithm=ALGORITHMS[0], runs=400, workers=2, policies=defects.POLICIES,
-        before=False, traffic="hostile",
+        traffic="hostile",
     )  # fmt: skip
     every: list[Searched] = []
     for name, searches in in_processes(given.workers, searched, given.policies, seeds_of(given), given):
