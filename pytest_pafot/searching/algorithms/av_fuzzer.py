@@ -248,6 +248,8 @@ def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int
 
     The earlier scenarios, ``checkpoints``, are given by their :func:`features`, shape [scenarios, NPCs, slices, 2].
     """
+    of_all = np.ascontiguousarray(np.moveaxis(checkpoints, 0, -1))  # in memory, each number of all scenarios in a row
+    checkpoints = np.moveaxis(of_all, -1, 0)
     by_distance = sorted(candidates, key=lambda each: -float(np.mean(distance(features(each), checkpoints))))
     return tuple(by_distance[:count])
 
@@ -268,10 +270,17 @@ def features(scenario: Scenario) -> FloatArray:
 def distance(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the distance between scenarios: Euclidean per slice, summed over slices, then the mean over NPCs.
 
-    ``a`` and ``b`` are :func:`features`, whose shapes broadcast.
+    ``a`` and ``b`` are :func:`features`; ``b`` may be those of many scenarios.
     """
-    per_slice = np.sqrt(np.sum((a - b) ** 2, axis=-1))
-    mean: FloatArray = per_slice.sum(axis=-1).mean(axis=-1)
+    total = np.zeros(b.shape[:-3])
+    # A loop over few NPCs and slices is faster than numpy's sums over short axes.
+    for npc, slices in enumerate(a):
+        along = np.zeros(b.shape[:-3])
+        for index, (speed, change) in enumerate(slices):
+            faster, aside = b[..., npc, index, 0] - speed, b[..., npc, index, 1] - change
+            along += np.sqrt(faster * faster + aside * aside)
+        total += along
+    mean: FloatArray = total / len(a)
     return mean
 
 
