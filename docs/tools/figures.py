@@ -54,7 +54,8 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     ),
     "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", "docs/explanation/paper.md"),
     "planted-defects": (
-        "planted_defects --seeds {20|1} --runs {2000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
+        "planted_defects --half set-aside --seeds {10|1} --runs {2000|20} --workers WORKERS --save OUT.jsonl "
+        "--picture OUT.png",
         "docs/comparisons/planted-defects.md",
     ),
     "planted-junctions": (
@@ -182,7 +183,8 @@ def run(command: str, **variables: str) -> str:
         SystemExit: if the command fails.
     """
     print(f"$ python {command}", flush=True)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "0", **variables}
+    paths = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    environment = {**os.environ, "PYTHONPATH": paths, "PYTHONHASHSEED": "0", **variables}
     done = subprocess.run(  # noqa: S603
         [sys.executable, *shlex.split(command)],
         cwd=ROOT,
