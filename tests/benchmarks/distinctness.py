@@ -145,19 +145,23 @@ def agreement(search: Searched) -> float | None:
     return v_measure(*zip(*told, strict=True)) if told else None
 
 
-def report(subject: Subject, searches: Sequence[Searched]) -> str:
-    """Return a row of the table, and the confusion matrix if the policy has several defects."""
+def row(subject: Subject, searches: Sequence[Searched]) -> str:
+    """Return the row of a policy."""
     counts = [len(search.findings) for search in searches]
     complete = [has_each(subject.defects, [label for _, label in search.findings]) for search in searches]
     exact = sum(each and count == len(subject.defects) for each, count in zip(complete, counts, strict=True))
     values = [value for value in map(agreement, searches) if value is not None]
-    row = (
+    return (
         f"| {subject.name} | {len(subject.defects)} | {statistics.mean(counts):.2f} | {' '.join(map(str, counts))} "
         f"| {sum(complete)} | {exact} | {statistics.mean(values) if values else math.nan:.2f} |"
     )
+
+
+def confused(searches: Sequence[Searched]) -> str:
+    """Return how often findings of each kind are due to each defect."""
     found = ((signature, " or ".join(sorted(label))) for search in searches for signature, label in search.findings)
     called = Counter(f"{label or 'no single defect'}: {told(signature)}" for signature, label in found)
-    return "\n".join([row, *(f"    {count:3} x {name}" for name, count in sorted(called.items()))])
+    return "\n".join(f"    {count:3} x {name}" for name, count in sorted(called.items()))
 
 
 def has_each(wanted: Sequence[str], labels: Sequence[Label]) -> bool:
@@ -177,10 +181,13 @@ def main() -> None:
     every = subjects(given.of)
     print_head("policy", "defects", "findings", "by seed", "every defect found", "one finding each", "V-measure")
     done: dict[int, list[Searched]] = {}
+    matrix = ""
     chosen = [name for name in every if name in given.policies]
     for name, searches in in_processes(given.workers, searched, chosen, seeds_of(given), given):
         done.setdefault(len(every[name].defects), []).extend(searches)
-        print(report(every[name], searches), flush=True)
+        print(row(every[name], searches), flush=True)
+        matrix += f"{name}\n{confused(searches)}\n"
+    print(matrix, end="")
     for number, searches in sorted(done.items()):
         values = [value for value in map(agreement, searches) if value is not None]
         print(
