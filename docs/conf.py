@@ -182,7 +182,13 @@ def led(app: Sphinx, exception: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> None:
-    """Connect the functions above to the events of Sphinx."""
+    """Connect the functions above to the events of Sphinx.
+
+    Raises:
+        ExtensionError: if a page to be found by a word does not exist.
+    """
+    if gone := [page for page in _SEARCHED if not (DOCS / f"{page}.md").is_file()]:
+        raise ExtensionError(f"_SEARCHED: expected pages of {DOCS}, received {', '.join(gone)}; was a page renamed?")
     for change in (contributing, navigated, themed, indexed):
         app.connect("source-read", change)
     app.connect("autodoc-skip-member", skipped)

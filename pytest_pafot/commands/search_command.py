@@ -25,6 +25,7 @@ from pytest_pafot.commands.policy_reference import (
     module_of,
 )
 from pytest_pafot.corpus.layout import CORPUS, files_below
+from pytest_pafot.model.driving_style import STYLES
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
@@ -41,6 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_whom = "the policy: module:factory, such as planner:Planner, or module:factory:argument"
     parser.add_argument("ads", metavar="ADS", help=of_whom)
     parser.add_argument("--world", metavar="ID", help="a highway-env environment (default: a highway, in SI units)")
+    of_traffic = "how the other vehicles drive (default: hostile)"
+    parser.add_argument("--traffic", choices=STYLES, help=of_traffic)
     of_runs = "the number of runs (default: 40, or 400 if the variable CI is set)"
     parser.add_argument("--runs", type=BY_NAME["runs"].read, metavar="N", help=of_runs)
     of_seed = "the seed of the search (default: a new one, which the output names)"
@@ -126,6 +129,7 @@ def _test(arguments: argparse.Namespace) -> str:
     """Return the content of the file with the test."""
     given = [] if arguments.blame == "any" else [f'blame="{arguments.blame}"']
     given += [] if arguments.world is None else [f"world=pafot.World({arguments.world!r})"]
+    given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
     name, holds, imports = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()", ""
     if arguments.blame != "ego":
         name = "never_in_a_collision"

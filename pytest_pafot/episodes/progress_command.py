@@ -51,6 +51,8 @@ from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import first_decision, reference_world, road_start
 
+EPISODES = 300
+"""The number of episodes if the command names an environment and no number."""
 FIRST = 10
 """The number of first scenarios: a policy that fails in all of them is refused, because it does not drive at all."""
 HOW_TO_READ = f"""
@@ -270,8 +272,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_scenarios = "the number of random scenarios, and of runs of each search for what only one version fails "
     of_scenarios += "(default: %(default)s)"
     parser.add_argument("--scenarios", type=int, default=200, metavar="N", help=of_scenarios)
-    of_episodes = "the number of episodes of ordinary traffic, with --world (default: %(default)s)"
-    parser.add_argument("--episodes", type=int, default=300, metavar="N", help=of_episodes)
+    of_episodes = f"the number of episodes of ordinary traffic, with --world (default: {EPISODES})"
+    parser.add_argument("--episodes", type=int, metavar="N", help=of_episodes)
     of_corpus = f"the folder of saved scenarios to replay (default: {CORPUS}, if it exists here)"
     parser.add_argument("--corpus", type=Path, metavar="FOLDER", help=of_corpus)
     of_check = "a function of a run, which asserts what must hold (default: that there is no collision)"
@@ -297,8 +299,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
                 raise PlanError(f"expected a file in a folder that exists, received {path}; give a different one")
         if given.corpus is not None and not given.corpus.is_dir():
             raise PlanError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
+        if given.episodes is not None and not given.world:
+            raise PlanError("--episodes: expected an environment, received none; give --world")
+        episodes = EPISODES if given.episodes is None else given.episodes
         saved, config = files_below((given.corpus or Path(CORPUS)).resolve()), config_of(given.config)
-        same = {name: getattr(given, name) for name in ("old", "new", "scenarios", "episodes", "check", "seed")}
+        same = {name: getattr(given, name) for name in ("old", "new", "scenarios", "check", "seed")}
+        same["episodes"] = episodes
         plan = ProgressPlan(env_id=given.world, config=config, saved=tuple(saved), **same)
         workers, job = worker_count(given.workers), checked(plan).job
         with tempfile.TemporaryDirectory(prefix="pafot-") as folder:

@@ -144,7 +144,11 @@ def test_same_seed_agrees_for_any_worker_count(here, capsys):
     [
         (["Blind"], "NEW: expected another version than OLD, received 'versions:Blind' again"),
         (["Blind", "--scenarios", "0"], "--scenarios: expected a whole number, at least 1, received 0"),
-        (["Blind", "--episodes", "-1"], "--episodes: expected a whole number, at least 0, received -1"),
+        (["Careful", "--episodes", "9"], "--episodes: expected an environment, received none; give --world"),
+        (
+            ["Blind", "--world", "highway-fast-v0", "--episodes", "-1"],
+            "--episodes: expected a whole number, at least 0, received -1",
+        ),
         (["Blind", "--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
         (["Careful", "--workers", "0"], "--workers: expected at least 1, received 0"),
         (["Careful", "--config", "{}"], "--config: expected an environment, received none; give --world"),

@@ -60,11 +60,12 @@ def test_search_command_saves_a_finding_and_writes_tests(here):
 
 def test_search_command_uses_the_requested_world_and_check(here):
     arguments = ["search", "a_planner:make:fast", "--blame", "any", "--check", "a_planner:keeps_moving"]
-    assert main([*arguments, "--world", "highway-v0", "--write-test"]) == 0
+    assert main([*arguments, "--world", "highway-v0", "--traffic", "everyday", "--write-test"]) == 0
     test = (here / "test_safety.py").read_text()
     assert (
-        "@pafot.search(world=pafot.World('highway-v0'))\ndef test_keeps_moving(run):\n    keeps_moving(run)\n" in test
-    )
+        "@pafot.search(world=pafot.World('highway-v0'), traffic=\"everyday\")\n"
+        "def test_keeps_moving(run):\n    keeps_moving(run)\n"
+    ) in test
     assert 'return lambda: make("fast")' in (here / "conftest.py").read_text().replace("'", '"')
     code, told = python("pytest_pafot", "search", "example_ads.idm_mobil:make", "--runs", "2", "--seed", "0")
     assert code == 0, told
