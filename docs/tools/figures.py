@@ -83,7 +83,10 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     "shrinking": ("shrinking --runs {400|30} --workers WORKERS", "docs/explanation/findings.md"),
     "endings": ("endings --runs {2000|100} --workers WORKERS", "docs/explanation/traffic.md"),
     "every-road": ("every_road --seeds {5|1} --generations {10|1} --workers WORKERS", "docs/explanation/roads.md"),
-    "distinctness": ("distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS", None),
+    "distinctness": (
+        "distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS",
+        "docs/explanation/findings.md",
+    ),
     "speed": ("speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}", None),
     "training": ("training --seconds {8|1}", "docs/reference/training.md"),
     "positive-controls": (
@@ -230,7 +233,9 @@ def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
     for name in (each for each in REPORTS if each in requested):
         measured(name, f"{COMPARE} {REPORTS[name]}", arguments, folder)
         report = root / "docs" / "comparisons" / name
-        shutil.copy(folder / name / "report.md", report)
+        text = (folder / name / "report.md").read_text(encoding="utf-8")
+        text = text.replace(os.path.relpath(folder / name, ROOT), f"comparisons/{name}")
+        (report / "report.md").write_text(text, encoding="utf-8", newline="\n")
         for picture in (folder / name / "figures").glob("*.png"):
             shutil.copy(picture, report / "figures")
     for name in (each for each in BENCHMARKS if each in requested):

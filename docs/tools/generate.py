@@ -94,8 +94,7 @@ MARKER_DEFAULTS: Mapping[str, str] = {
 """Defaults that no dataclass contains."""
 
 FILE_TEXTS: Mapping[str, str] = {
-    "pafot": "Version of the format, `2`. Files of version `1` are read by that version's rules, and become files of "
-    "version `2` when they are written again.",
+    "pafot": "Version of the format, `2`. Files of a different version are refused.",
     "test": "Node id of the test, with its parameters. The folder of the file, and not this line, decides which test "
     "replays it.",
     "world": "The world that the scenario fails in. `kind` is `highway` or `gym`; the other keys are all fields of "
@@ -111,7 +110,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.traffic": "How the NPCs drive within their instructions: `hostile`, `assertive` or `everyday` "
     "([what they "
     "mean](../explanation/traffic.md)); with separate parts, `{style: everyday, least_gap: 4.0}`. If it is "
-    "not given, as in older files, they drive as in the paper.",
+    "not given, they drive as in the paper.",
     "scenario.npcs": "One list per NPC. It has Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]. "
     "In findings of "
     "algorithms that know no grid, it has Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`. "
@@ -132,7 +131,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "on. A replay that passes is a [fix](../explanation/findings.md#what-a-replay-means) only if the "
     "situation occurs again. An NPC that crosses has, in place of `ahead` and `lane`, the times until it and "
     "the ego reach the beginning of their zone, `npc_enters` and `ego_enters` [s]. Absent if no NPC took "
-    "part, and in older files.",
+    "part.",
     "expect.last_chance": "The last time at which a reference driver in the ego's place would have stayed free "
     "of fault: `time` "
     "[s], the `driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering "
