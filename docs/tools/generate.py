@@ -72,8 +72,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or `pafot.Measure(...)`, '
     "`pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its `module:function`. By "
     'default each algorithm uses its own: `av-fuzzer` has one, all others use `"default"`.',
-    "blame": '`"any"`: the function is called for every run. `"ego"`: it is called only if the ego is responsible for '
-    'the collision, alone or together with an NPC, or if there is no collision. `"preventable"`: like '
+    "blame": '`"any"`: the function is called for every run. `"ego"`: it is not called for collisions that only an '
+    'NPC is responsible for. `"preventable"`: like '
     '`"ego"`, and a failed assertion is a failure only if a reference driver would have prevented it.',
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
@@ -86,10 +86,10 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "world": "-",
     "genes": "as many as fill the run",
     "npcs": "sampled, or `2`",
-    "gene_seconds": "sampled, or `10.0`",
+    "gene_seconds": "sampled, `10.0`, or by the length of a run",
     "traffic": '`"hostile"`, or `"paper"`',
-    "ego_lane": "sampled, or `1`",
-    "ego_speed": "sampled, or `22.0`",
+    "ego_lane": "sampled, `1`, or as in the environment",
+    "ego_speed": "sampled, `22.0`, or as in the environment",
 }
 """Defaults that no dataclass contains."""
 
@@ -105,7 +105,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "world that a package has [registered](../guide/own-world.md#a-simulator-of-your-own) has its own kind "
     "and its `data`.",
     "scenario.seed": "Seed of the repair inside the run.",
-    "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which all vehicles start.",
+    "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which the ego and "
+    "all NPCs on the grid start.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
     "scenario.traffic": "How the NPCs drive within their instructions: `hostile`, `assertive` or `everyday` "
     "([what they "
@@ -133,13 +134,13 @@ FILE_TEXTS: Mapping[str, str] = {
     "the ego reach the beginning of their zone, `npc_enters` and `ego_enters` [s]. Absent if no NPC took "
     "part.",
     "expect.last_chance": "The last time at which a reference driver in the ego's place would have stayed free "
-    "of fault: `time` "
+    "of fault, or for a failed check would have kept it: `time` "
     "[s], the `driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering "
     "[rad]. Absent if there is no such moment.",
     "expect.avoided_by": "The last decision of the ego after which braking in its lane avoids the collision, by "
     "simulation: `time` "
     "[s] and `braking` [m/s^2], with which it slows down to a standstill. Absent if no braking does, and if "
-    "the `fault` is not an unanswered leader or cut-in.",
+    "the `fault` is not an unanswered leader or cut-in, a failure to give way, or the entry into a taken zone.",
     "perception": "How the ADS saw the others, if that was not perfect: the arguments of [`pafot.Perception`](ads.md), "
     "without the perfect ones. Once it is known, also the list `needed` of the imperfections without which "
     "the test does not fail; it is empty if the test also fails with perfect sight. A replay uses the sight "
@@ -244,7 +245,11 @@ def _fields_table(cls: type[Any]) -> str:
     has_defaults = any(defaults.values())
     header = ["Name", *(["Default"] if has_defaults else []), "Meaning"]
     rows = [
-        [_code(names), *([defaults.get(names.partition(",")[0], "")] if has_defaults else []), text]
+        [
+            _code(names),
+            *([", ".join(defaults.get(name, "") for name in names.split(", "))] if has_defaults else []),
+            text,
+        ]
         for names, text in _attributes(cls)
     ]
     return _table(header, rows)

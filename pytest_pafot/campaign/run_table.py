@@ -22,7 +22,8 @@ COLUMNS: Mapping[str, str] = {
     "local_generation": "number of the generation in a local search, from 1; 0 outside of a local search",
     "scenario": "id of the scenario, six hexadecimal digits",
     "reused": "True if the result of an earlier run was reused, so the scenario was not simulated; `verdict`, "
-    "`responsibility`, `fault` and the measures are then empty",
+    "`responsibility`, `fault` and the measures are then those of the same scenario, or empty if only a different "
+    "scenario has this result",
     "ego_lane": "the ego's first lane, from 0 at the left",
     "ego_speed": "the ego's first speed [m/s]",
     "npcs": "number of NPCs",

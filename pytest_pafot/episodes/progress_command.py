@@ -317,6 +317,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if given.json is not None:
             data = {
                 **same,
+                "world": plan.env_id,
+                "config": plan.config,
                 "verdict": verdict,
                 "sentence": sentence_of(plan.old, plan.new, lines),
                 "lines": [{**asdict(line), "verdict": line.verdict} for line in lines],

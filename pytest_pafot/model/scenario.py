@@ -246,7 +246,7 @@ class Scenario:
             Position-Instructions or one Crossing-Instruction.
         seed: seed of the random choices that repair chains inside the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of all vehicles [m/s].
+        ego_speed: first speed of the ego and of all NPCs on the grid [m/s].
         gene_seconds: duration of one gene [s].
         traffic: driving style of the NPCs; the paper's by default.
 

@@ -105,7 +105,8 @@ class AdsError:
     """An error of the ADS, which did not return an action.
 
     Attributes:
-        kind: name of the exception class, or ``BadAction`` if the action was not valid.
+        kind: name of the exception class; ``BadAction`` if the action was not valid, ``Hang`` if the decision took too
+            long.
         message: message of the error, one line.
         traceback: traceback through the user's code; empty for a bad action.
         tick: physics tick of the decision.

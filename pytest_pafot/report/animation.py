@@ -78,7 +78,8 @@ def _drawing() -> ModuleType:
 def moments(finding: FindingView, rate: int) -> tuple[float, ...]:
     """Return the times of an animation's frames [s], at a rate [1/s].
 
-    They cover the last ``MAX_SECONDS`` of the run. If a check failed earlier, they end ``AFTER`` after that moment.
+    They cover ``MAX_SECONDS`` of the run, which end ``AFTER`` after the finding's moment, and not before
+    ``MAX_SECONDS``.
     """
     end = min(finding.duration, max(finding.moment + AFTER, MAX_SECONDS))
     count = int(min(MAX_SECONDS, end) * rate + 1e-9)

@@ -54,11 +54,12 @@ class FindingRecord:
         preventable_by: reference drivers that avoid it.
         size: size of the scenario, in words.
         traffic: how the NPCs drive, in words; empty for the paper's traffic.
-        runs: number of runs of this session's searches that failed in this way.
+        runs: number of runs that failed in this way, if it is a new finding; 0 for a saved scenario, whose runs are in
+            `known` of the search.
         seed: seed of the search that found it, derived from its base seed.
         algorithm: algorithm that found it.
-        against: the reference that passes in this scenario; empty without a reference.
-        flaky: what differed when it was run again; null if nothing did.
+        against: the reference that passed in this scenario when it was found; empty if there was none.
+        flaky: what differed when it was run again, as in the file; null if the file does not say so.
         unshrunk: why a new finding is not fully shrunk yet; empty if it is.
         severity: how bad this session's failure is in the scenario of the file: `kind`, which is `collision` or
             `check`; `value`, the closing speed at the impact [m/s], or by how much the check is broken [`unit`], null
@@ -172,7 +173,7 @@ class SearchRecord:
         rejected: runs that the test function declined with `pafot.reject()`.
         skipped: runs in which the test function skipped.
         no_interaction: runs in which no NPC came near the ego.
-        reached: share of instructions whose cell was reached; null if no run shows it.
+        reached: share of instructions whose cell, lane or zone was reached; null if no run shows it.
         finds: ids of its new findings.
         unsaved: number of runs by id of further findings, which were not saved because of the limit.
         known: number of failing runs by id of the saved scenario that shows the same failure.

@@ -1,4 +1,4 @@
-"""Dangerous patterns: phrases of one to three Position-Instructions, and chains made of them.
+"""Dangerous patterns: phrases of one or two Position-Instructions, and chains made of them.
 
 A pattern says what an NPC does around the ego. A scenario never starts in a dangerous state: NPCs start as in any
 scenario, and drive into it. A pattern is defined for the ego's left side, front or rear, and mirrored half of the time.

@@ -55,7 +55,7 @@ class SearchSpace:
             together last equally long.
         speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of all vehicles [m/s].
+        ego_speed: first speed of the ego and of all NPCs on the grid [m/s].
         ego_lanes: lanes from which the ego's first lane is sampled; if empty, it is always ``ego_lane``. Otherwise
             ``ego_lane`` is the lane that the shrinker prefers.
         ego_speeds: lowest and highest first speed [m/s], between which it is sampled in steps of 0.1 m/s; if None, it

@@ -46,7 +46,9 @@ class Drawn(Shown):
         return PngPicture(_views().plot(self, times))
 
     def animate(self) -> PngPicture:
-        """Draw the last eight seconds of the run from above as an animated picture; needs Pillow.
+        """Draw eight seconds of the run from above as an animated picture; needs Pillow.
+
+        They end at most two seconds after the decisive moment, and not before the eighth second.
 
         Raises:
             AnimationError: without Pillow, or if the run has too many vehicles for a small picture.

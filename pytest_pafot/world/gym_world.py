@@ -52,7 +52,8 @@ class World(BuiltInWorld):
     Attributes:
         env_id: the environment's registered id, such as ``"highway-v0"``.
         config: the environment's configuration, as for ``gymnasium.make(env_id, config=config)``.
-        duration: the longest duration of a run [s]; by default the environment's own ``duration``.
+        duration: the longest duration of a run [s]; by default the environment's own ``duration``, on a road that is
+            not straight at most 60 s.
         clearance, headway, limits, hang_limit: as in :class:`pytest_pafot.Highway`.
         wrappers: callables that take an environment and return it wrapped, such as gymnasium's wrappers. They are put
             around the result of ``gymnasium.make``, the first callable innermost, and runs call ``env.step`` of the

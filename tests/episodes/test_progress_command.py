@@ -122,12 +122,25 @@ def test_scenario_saved_for_check_uses_that_check_only(here, capsys):
 
 def test_named_environment_adds_ordinary_traffic(here, capsys):
     config = '{"vehicles_count": 8, "duration": 12}'
-    given = ["--world", "highway-fast-v0", "--config", config, "--episodes", "4", "--scenarios", "2"]
+    given = [
+        "--world",
+        "highway-fast-v0",
+        "--config",
+        config,
+        "--episodes",
+        "4",
+        "--scenarios",
+        "2",
+        "--json",
+        "p.json",
+    ]
     assert main(["progress", "versions:Careful@planner", "versions:Blind@planner", *SHORT, *given]) == 0
     out, told = capsys.readouterr()
     assert re.search(r"^\| crashes in ordinary traffic \| \d \| \d \| \d \| \d \| 4 \| ", out, re.MULTILINE)
     assert "save and see it" not in out  # The command search has no --config.
     assert "progress: 16 of 16 runs" in told
+    said = json.loads((here / "p.json").read_text())
+    assert (said["world"], said["config"]) == ("highway-fast-v0", json.loads(config))
     assert main(["progress", "versions:Careful", "idm_mobil", *SHORT, *given]) == 2
     assert "OLD: expected a policy that drives, received AttributeError: 'numpy.nd" in capsys.readouterr().err
 
