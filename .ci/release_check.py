@@ -186,7 +186,7 @@ def wheel(tools: Path, python: Path, source: Path, out: Path) -> Path:
 
 
 def contents(path: Path) -> str:
-    """Check that a wheel has every module, each with types compiled, and every asset, but no test."""
+    """Check that a wheel has every module with a .pxd file compiled, and the assets, but no test."""
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
         told = read_metadata(archive.read(next(name for name in names if name.endswith("/METADATA"))))

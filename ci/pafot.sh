@@ -8,8 +8,8 @@
 #   sh ci/pafot.sh night          a search that goes on where the last one stopped; its finds go onto a branch
 #   sh ci/pafot.sh merge          the finds of several machines into one corpus, and onto a branch
 #
-# Further arguments are options of pytest. Each session leaves pafot.json, pafot.html and pafot.xml, and ends with
-# pytest's exit code, or with 2 where pytest ends with 0 and pafot.json does not say so. The environment says the rest; what
+# Further arguments are options of pytest. Each session leaves pafot.json and pafot.xml, and pafot.html if a search or a
+# replay ran. It ends with pytest's exit code, or with 2 where pytest ends with 0 and pafot.json does not say so. The environment says the rest; what
 # is empty or not set is left out:
 #
 #   REQUIREMENTS  a file for `pip install -r`

@@ -8,8 +8,8 @@ For example::
 
 Each property except :func:`no_fault` is a check with a name and a margin, and the margin steers the search. If a
 property does not apply to a run, it makes no check. Each docstring names the source and how reliable that is: *read*
-means that the source itself was read; *second hand* means that it is quoted from others. All other numbers are choices,
-and they are arguments.
+means that the source itself was read; *second hand* means that it is quoted from others. All other numbers are choices.
+The bounds of most properties are arguments.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     ego's way; see :func:`gives_way`.
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). The default parameters are those of attribution,
-    a choice with which a headway of two seconds is always enough. ``pytest_pafot.criticality.RssRules()`` has the
-    parameters that Intel suggests (read).
+    a choice with which a headway of two seconds is always enough behind a leader of equal speed.
+    ``pytest_pafot.criticality.RssRules()`` has the parameters that Intel suggests (read).
     """
     if not isinstance(rules, RssRules):
         raise TypeError(f"rss_distance: expected rules= as criticality.RssRules(...), received {rules!r:.80}")
@@ -218,7 +218,8 @@ def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> No
 
     The gaps to NPCs in the new lane are measured when the ego's centre enters that lane. For an NPC ahead, the value is
     the gap divided by the ego's speed. For an NPC behind, it is the gap divided by the NPC's speed. For an NPC side by
-    side, it is 0. Runs without a lane change and crossing NPCs are not checked.
+    side, it is 0. Runs without a lane change are not checked, and neither are crossing NPCs that are not
+    on the ego's way.
 
     Source: for ``behind``, UN R79, 5.6.4.7, requires 1 s (formula read); 1 s for ``ahead`` is a choice.
     """

@@ -64,7 +64,7 @@ def position_instructions(
 
     Args:
         cells: the cells to choose from, 1 to 8.
-        min_speed, max_speed: bounds of the target speed [m/s]; speeds are multiples of 0.1.
+        min_speed, max_speed: bounds of the target speed [m/s], rounded to multiples of 0.1.
 
     Raises:
         ValueError: if a cell is outside 1 to 8, or if no speed is within the bounds.
@@ -134,7 +134,9 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     style = Traffic.of(traffic)
     allowed, speeds = _cells(cells), _speeds(max(min_speed, style.least_speed(max_speed)), max_speed)
     lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
-    if lanes < 1 or (ego_lane is not None and not 0 <= ego_lane < lanes):
+    if lanes < 1:
+        raise ValueError(f"lanes: expected at least 1, received {lanes}")
+    if ego_lane is not None and not 0 <= ego_lane < lanes:
         raise ValueError(f"ego_lane: expected a lane from 0 to {lanes - 1}, received {ego_lane}")
     starts = {lane: [cell for cell in allowed if 0 <= lane + cell.column < lanes] for lane in range(lanes)}
     # Examples shrink to the first lane of the list, which should be the one next to the leftmost.

@@ -94,6 +94,9 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         if world.wrappers is not None:
             expected, fix = "a world without wrappers", "put them around the training environment instead"
             raise WorldError(field="world.wrappers", expected=expected, received=f"{world.wrappers!r:.200}", fix=fix)
+        if world.planner_hz is not None:
+            fix = "leave it out: a policy learns from the environment's own observations and actions"
+            raise WorldError(field="world.planner_hz", expected="None", received=f"{world.planner_hz:g}", fix=fix)
         world.check()
         if not world.environment.has_ordinary_steps:
             expected = "an environment that uses highway-env's `step`, so that the NPCs can replace its traffic"
@@ -165,8 +168,8 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
     traffic) and ``responsible`` (``ego``, ``npc``, ``both`` or ``none`` after a crash in a scenario; otherwise empty).
 
     Args:
-        world: the world. Its environment must not have its own ``step``. It must not have wrappers; put them around the
-            returned environment.
+        world: the world. Its environment must not have its own ``step``. It must not have ``planner_hz`` or wrappers;
+            put wrappers around the returned environment.
         scenarios: a folder with saved scenarios in it or below it; a sequence of scenarios; or a function that samples
             a scenario with a numpy ``Generator``. By default scenarios are random, like the first scenarios of a
             search.

@@ -5,8 +5,9 @@ Minima are over every physics tick (15 a second by default), which is finer than
 of each measure states its unit and whether lower or higher values are worse. NaN in a trace results in NaN, never in a
 harmless number.
 
-An NPC that crosses is not on the ego's way until it has merged. Until then, measures along and across the ego's way are
-NaN for it, and extremes ignore them. Measures in the plane treat it like any other NPC.
+An NPC that crosses is not on the ego's way until it has merged. Until then, distances along and across the ego's way
+are NaN for it, measures within one lane are 0, and extremes ignore it. Measures in the plane treat it like any other
+NPC.
 
 For several measures of one run use :class:`Encounters`, which computes shared values only once.
 """

@@ -3,7 +3,8 @@
 This is signal temporal logic with its quantitative semantics (Donze and Maler, "Robust Satisfaction of Temporal Logic
 over Real-Valued Signals", FORMATS 2010), over the ticks of a run that ends. The part of a window after the last tick
 is ignored. If a whole window is after the last tick, ``always`` holds with the margin infinity, and ``eventually`` and
-``until`` fail with the margin minus infinity. A formula is NaN if any value in its window is NaN.
+``until`` fail with the margin minus infinity. A formula is NaN if any value in its window is NaN. For
+``until``, a NaN of the left property at the last tick of the window does not count.
 """
 
 from __future__ import annotations

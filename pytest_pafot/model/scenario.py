@@ -181,7 +181,7 @@ class CrossingInstruction:
         object.__setattr__(self, "zone", str(self.zone))
         object.__setattr__(self, "act", str(self.act))
         object.__setattr__(self, "slot", _checked_slot(self.slot))
-        object.__setattr__(self, "speed", _checked_speed(self.speed))
+        object.__setattr__(self, "speed", _checked_speed(self.speed, least_steps=1))
         if self.speed <= 0:
             expected, fix = "m/s, more than 0, because it has to arrive", 'act "stop" stops it in the zone'
             raise ScenarioError(field="speed", expected=expected, received=repr(self.speed), fix=fix)
@@ -244,7 +244,8 @@ class Scenario:
         npcs: chains of one to eight NPCs, one non-empty chain per NPC; lengths may differ. After its last gene an NPC
             keeps its lane and speed (paper, section 2). Either all genes are Lane-Instructions, or each NPC has
             Position-Instructions or one Crossing-Instruction.
-        seed: seed of the random choices that repair chains inside the run, 0 to 2**63 - 1.
+        seed: seed of all random choices in the run, such as those that repair chains and the noise of the sight, 0 to
+            2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: first speed of the ego and of all NPCs on the grid [m/s].
         gene_seconds: duration of one gene [s].
@@ -431,14 +432,14 @@ def _checked_slot(value: object) -> float:
     return steps / SLOT_STEPS_PER_SECOND + 0.0
 
 
-def _checked_speed(value: object) -> float:
+def _checked_speed(value: object, least_steps: int = 0) -> float:
     speed = _number("speed", value)
     if speed > MAX_SPEED:
         raise ScenarioError(field="speed", expected=f"m/s, at most {MAX_SPEED:g}", received=repr(value))
     steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)  # a value far below 0 would overflow when multiplied by 10
     if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
         expected = "m/s, at least 0 and in steps of 0.1"
-        fix = f"the nearest valid speed is {steps / SPEED_STEPS_PER_MPS:g}"
+        fix = f"the nearest valid speed is {max(steps, least_steps) / SPEED_STEPS_PER_MPS:g}"
         raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
     return steps / SPEED_STEPS_PER_MPS
 

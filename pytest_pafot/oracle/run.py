@@ -302,7 +302,7 @@ class Run(Drawn):
         They avoid the collision; if the ego is responsible for it, they may also be hit without being at fault.
 
         Raises:
-            NoReferenceDriversError: for a run that was made without its world.
+            NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
         """
         return tuple(preventing(self.reference_drivers.items(), self.responsibility))
 
@@ -314,7 +314,7 @@ class Run(Drawn):
         touched in its run.
 
         Raises:
-            NoReferenceDriversError: for a run that was made without its world.
+            NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
         """
         runs = [(name, run) for name, run in self.by_reference_drivers() if run.outcome is not Outcome.INVALID]
         return {name: reference_outcome(run, fails=run.collision is not None) for name, run in runs}
@@ -323,7 +323,7 @@ class Run(Drawn):
         """Yield the name of each reference driver, with a run of the same scenario with that driver in the ego's place.
 
         Raises:
-            NoReferenceDriversError: for a run that was made without its world.
+            NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
         """
         if self.world is None:
             raise _no_world("reference_drivers", "world=world")
@@ -338,7 +338,7 @@ class Run(Drawn):
         vehicle's lane, and if there was no such chance in the last 10 s before the impact.
 
         Raises:
-            NoReferenceDriversError: for a run that was made without its world.
+            NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
         """
         if self.take_over is None:
             raise _no_world("last_chance", "take_over=world.take_over")
@@ -388,7 +388,7 @@ class Run(Drawn):
         return None if event is None else event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
-        """Return the zone of an event's NPC, if that NPC crosses and had not left the zone; else None.
+        """Return the zone of an event's NPC, if that NPC crosses; else None, as for an NPC that has merged and left it.
 
         After an NPC has merged and left the zone, it is on the ego's way like any other NPC.
         """
@@ -499,8 +499,9 @@ class Run(Drawn):
 
 def _no_world(name: str, argument: str) -> NoReferenceDriversError:
     return NoReferenceDriversError(
-        f"run.{name}: expected a run that knows its world, as from a search or from pafot_simulate, "
-        f"received one that was made only from a trace; use Run(trace, {argument})"
+        f"run.{name}: expected a run in a world that has reference drivers, received one without; for a run that was "
+        f"made only from a trace, use Run(trace, {argument}); a world of your own needs reference_drivers, "
+        "rollout_reference and take_over"
     )
 
 

@@ -1,9 +1,10 @@
 """Policies from files, frameworks and programs, each as an ADS factory in one line.
 
-A factory is a frozen value that can be pickled. It loads its policy once, when a search begins or a run needs it, on
-the CPU and with one thread. The library that it needs is imported only then. Its ``weights_digest`` is a hash of the
-loaded files or values, which findings store. Before the first run in a :class:`pytest_pafot.World` it compares the
-world's observations and actions with those of the policy.
+A factory is a frozen value that can be pickled. A factory of a file or framework loads its policy once, when a search
+begins or a run needs it, on the CPU and with one thread. The library that it needs is imported only then. Its
+``weights_digest`` is a hash of the loaded files or values, which findings store. Before the first run in a
+:class:`pytest_pafot.World` it compares the world's observations and actions with those of the policy. A factory of a
+program starts it in each process and compares nothing.
 
 Models of Stable-Baselines3, statistics of VecNormalize and torch modules that were saved whole are pickles: loading
 them runs the code that they contain. They are your own files, named in your own test; no corpus file can name a pickle.
@@ -37,8 +38,8 @@ def sb3(
     """Make an ADS factory from a saved model of Stable-Baselines3 or sb3-contrib. Needs ``pytest-pafot[sb3]``.
 
     The ADS drives in a :class:`pytest_pafot.World` that has the observations and actions of the model's training. Its
-    decisions are exactly those of ``model.predict``. It decides for many runs at once if its actions are integers and
-    the model is not recurrent.
+    decisions are exactly those of ``model.predict``. It decides for many runs at once if it is deterministic, its
+    actions are integers and the model is not recurrent.
 
     Args:
         file: the zip file that the model's ``save`` wrote.
@@ -117,6 +118,7 @@ def process(command: Sequence[str], *, keep: bool = True, timeout: float | None 
     from pytest_pafot.policies.programs import ProgramLoader  # noqa: PLC0415
 
     if isinstance(command, (str, bytes, os.PathLike)) or not command:
-        example = f"write process([{command!r}])" if command else 'name it, as in process(["./planner"])'
+        words = command.split() if isinstance(command, str) else [command]
+        example = f"write process({words!r})" if command else 'name it, as in process(["./planner"])'
         raise refused("a program and its arguments in a list", repr(command), example)
     return ProgramLoader(command=tuple(command), keep=keep, timeout=timeout)

@@ -269,7 +269,7 @@ def _missing_statistics(file: Path) -> str:
     found = next((each for each in beside if _is_statistics(each)), None)
     zipped = _parameters(file)
     name = "statistics.pkl" if found is None else found.relative_to(file.parent).as_posix()
-    given = f"vecnormalize={name!r}"
+    given = f"vecnormalize={name if found is None else str(found)!r}"
     if "buffer_size" not in zipped and zipped.get("_last_original_obs") is not None:
         return (
             f"{file.name} was trained with VecNormalize, as its content shows, but no statistics are given: unless "

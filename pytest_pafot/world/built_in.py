@@ -117,7 +117,7 @@ class BuiltInWorld(ABC):
 
     @property
     def longest_run(self) -> float:
-        """The duration of a run that no collision or failure ends early [s]."""
+        """The longest duration of a run [s]; a run of a shorter scenario ends earlier."""
         return self.rules.duration
 
     @property

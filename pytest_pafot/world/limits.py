@@ -65,6 +65,6 @@ class NpcLimits:
             why = (
                 f"NPCs may drive {self.overspeed:g} times the limit and highway-env's vehicles reach {TOP_SPEED:g} m/s"
             )
-            expected = f"at most {TOP_SPEED / self.overspeed:.1f} m/s, because {why}"
+            expected = f"at most {math.floor(10 * TOP_SPEED / self.overspeed) / 10:.1f} m/s, because {why}"
             raise WorldError(field="speed_limit", expected=expected, received=f"{speed_limit:g}")
         return speed

@@ -65,7 +65,7 @@ class WorldLike(Protocol):
 
     @property
     def longest_run(self) -> float:
-        """The duration of a run that no collision or failure ends early [s]."""
+        """The longest duration of a run [s]; a run of a shorter scenario ends earlier."""
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, /) -> Trace:
         """Simulate a scenario with a fresh ADS from ``ads_factory()``; equal scenarios give equal traces."""

@@ -255,7 +255,8 @@ class CarefulHuman(ReferenceDriver):
     """The competent and careful human driver of UN R157, who keeps a headway of two seconds to a leader.
 
     Another vehicle matters once it is in the ego's way, or has left the centre of its lane towards the ego by more
-    than 0.375 m. Danger is a time to collision below 2 s, or a leader that brakes harder than 5 m/s^2. The driver needs
+    than 0.375 m. Danger is a time to collision below 2 s, or a leader that brakes harder than 5 m/s^2 and is nearer
+    than a headway of two seconds and 3 m. The driver needs
     0.4 s to perceive it and 0.75 s to brake. It then brakes with up to 0.774 g until no danger is left. Without danger,
     the driver needs the same times before it increases the gap to a new vehicle ahead; afterwards it reacts to that
     vehicle at once.

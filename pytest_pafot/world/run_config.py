@@ -177,7 +177,8 @@ class Rules:
         limit = self.road.speed_limit
         top = self.limits.top_speed(limit)
         if scenario.ego_speed > top:
-            expected = f"at most {top:.2f} m/s, the NPCs' top speed, because all start at the ego's speed"
+            reached = math.floor(100 * top) / 100
+            expected = f"at most {reached:.2f} m/s, the NPCs' top speed, because all start at the ego's speed"
             raise ScenarioError(field="ego_speed", expected=expected, received=f"{scenario.ego_speed:g}")
         for npc, chain in enumerate(scenario.npcs):
             for gene, instruction in enumerate(chain):

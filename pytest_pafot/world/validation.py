@@ -49,7 +49,7 @@ def plain_data(name: str, value: Any) -> Any:
 def check_ticks(duration: float, physics_hz: int) -> None:
     """Refuse a duration [s] with more than :data:`MOST_TICKS` ticks, whose record would take too much memory."""
     if duration * physics_hz > MOST_TICKS:
-        expected = f"at most {MOST_TICKS / physics_hz:g} s at {physics_hz} ticks a second"
+        expected = f"at most {MOST_TICKS // physics_hz} s at {physics_hz} ticks a second"
         raise WorldError(field="duration", expected=expected, received=f"{duration:g}")
 
 
@@ -60,5 +60,6 @@ def check_divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:
         return
     divisors = ", ".join(str(n) for n in range(1, physics_hz + 1) if physics_hz % n == 0)
     expected = f"a divisor of {physics_name}={physics_hz}, so that every decision lasts a whole number of ticks"
-    fix = f"use one of {divisors}, or {physics_name}={math.ceil(physics_hz / ads_hz) * ads_hz}"
+    higher = math.ceil(physics_hz / ads_hz) * ads_hz
+    fix = f"use one of {divisors}" + (f", or {physics_name}={higher}" if higher <= PHYSICS_HZ[1] else "")
     raise WorldError(field=ads_name, expected=expected, received=str(ads_hz), fix=fix)

@@ -224,9 +224,11 @@ class Crash:
         mine = self.unless_given_up(self.ego, LaneChange.of(self, self.ego, self.npc))
         theirs = self.npc_moved_in_behind() or self.unless_given_up(self.npc, LaneChange.of(self, self.npc, self.ego))
         over = self.came_over()
-        if over is not None and all(each is None or over[1].moment > each.moment for each in (mine, theirs)):
+        follows = self.danger > self.joined or self.joined == 0
+        is_last = over is not None and all(each is None or over[1].moment > each.moment for each in (mine, theirs))
+        if over is not None and (follows or is_last):
             return self.changed_lanes(*((over[1], None) if over[0] is self.ego else (None, over[1])))
-        if self.danger > self.joined or self.joined == 0:
+        if follows:
             return self.one_follows_the_other()
         if mine is not None and theirs is not None and self.seconds(abs(mine.moment - theirs.moment)) > 1.0:
             mine, theirs = (mine, None) if mine.moment > theirs.moment else (None, theirs)
@@ -865,7 +867,7 @@ class Response:
         while True:
             own, other = self.speeds[tick], self.others_speeds[tick]
             still_brakes = falls > ROUNDING and other > 0
-            if not still_brakes and (own <= other or (tick - self.impact) / self.hz >= self.LONGEST):
+            if (not still_brakes and own <= other) or (tick - self.impact) / self.hz >= self.LONGEST:
                 return True
             self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
             self.others_speeds[tick + 1] = max(0.0, other - falls / self.hz) if still_brakes else other

@@ -727,7 +727,7 @@ SITUATIONS = {
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)], seconds=30.0),
                 driven(-17.0, RIGHT, shifts=[(2.2, OWN, 2.0)], brakes=[(15.0, -3.0, 30.0)], seconds=30.0),
             ),
-            "npc", None, "4a", "",
+            "npc", None, "3", "",
         ),
         Situation(
             "both-enter-and-the-one-behind-floors-it",
@@ -803,7 +803,7 @@ SITUATIONS = {
             "ramp-npc-merges-close",
             "An NPC that is 6 m/s slower merges from a ramp 6 m ahead of the ego.",
             lambda: at_ramp(driven(-54.0), driven(0.0, speed=14.0), on_ramp=1),
-            "npc", None, "3", "NPC 0 crossed a lane line at 7.2 s",
+            "npc", None, "5", "NPC 0 crossed a lane line at 7.2 s",
         ),
         Situation(
             "ramp-npc-merges-35-m-ahead",
@@ -1015,7 +1015,7 @@ SITUATIONS = {
             "The ego turns right. Four seconds later an NPC from the left, which has priority, arrives with 6 m/s and "
             "speeds up to 12 m/s behind the ego.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 10.5, 6, (10.0, 3.0, 12.0))),
-            "npc", None, "4b", "NPC 0 should have",
+            "npc", None, "9", "NPC 0 should have",
         ),
         Situation(
             "turns-right-in-front-and-is-hit-later",

@@ -235,12 +235,12 @@ def test_statistics_beside_the_zip_are_a_hint(tmp_path, statistics):
     assert pafot.policies.sb3(file).loading_hint == (
         "no statistics of VecNormalize are given for model.zip, but the file vecnormalize.pkl contains some: if the "
         "model was trained with them, it now sees different numbers than in training; "
-        "give sb3(..., vecnormalize='vecnormalize.pkl')"
+        f"give sb3(..., vecnormalize='{statistics}')"
     )
     below = tmp_path / "model"
     below.mkdir()
     statistics.rename(below / statistics.name)  # RL Zoo has them here
-    assert "vecnormalize='model/vecnormalize.pkl')" in pafot.policies.sb3(file).loading_hint
+    assert f"vecnormalize='{below / statistics.name}')" in pafot.policies.sb3(file).loading_hint
     (below / statistics.name).unlink()
     assert pafot.policies.sb3(file).loading_hint == ""
 

@@ -40,7 +40,7 @@ def idle():
         ({"speed_limit": 4}, "speed_limit: expected a number from 5 to 40, received 4"),
         ({"speed_limit": math.nan}, "speed_limit: expected a number from 5 to 40, received nan"),
         ({"speed_limit": "fast"}, "speed_limit: expected a number from 5 to 40, received 'fast'"),
-        ({"speed_limit": 39}, "speed_limit: expected at most 36.4 m/s, because NPCs may drive 1.1 times the limit"),
+        ({"speed_limit": 39}, "speed_limit: expected at most 36.3 m/s, because NPCs may drive 1.1 times the limit"),
         ({"physics_hz": 4}, "physics_hz: expected a whole number from 5 to 1000, received 4"),
         ({"physics_hz": 15.0}, "physics_hz: expected a whole number from 5 to 1000, received 15.0"),
         ({"ads_hz": 0}, "ads_hz: expected a whole number from 1 to 1000, received 0"),
