@@ -108,6 +108,7 @@ def test_npcs_may_follow_each_other_around_the_ring():
         ({"max_npcs": 9}, "<= 8"),
         ({"lanes": 2, "max_npcs": 8}, "no more NPCs than cells"),
         ({"ego_lane": 7}, "from 0 to 3"),
+        ({"lanes": 0}, "lanes: expected at least 1, received 0"),
         ({"traffic": "rude"}, "one of paper, hostile, assertive, everyday, received 'rude'"),
     ],
 )

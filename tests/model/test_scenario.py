@@ -16,7 +16,14 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import MAX_SEED, LaneInstruction, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.scenario import (
+    MAX_SEED,
+    CrossingInstruction,
+    LaneInstruction,
+    PositionInstruction,
+    Scenario,
+    ScenarioError,
+)
 from tests.findings.builders import traffics
 from tests.helpers.tables import table
 
@@ -248,6 +255,10 @@ class TestLaneInstructions:
     def test_lane_speed_between_tenths_is_refused(self):
         with pytest.raises(ScenarioError, match=r"speed: expected m/s, .* the nearest valid speed is 12\.3"):
             LaneInstruction("keep", 12.34)
+
+    def test_valid_speed_of_an_npc_that_crosses_is_above_0(self):
+        with pytest.raises(ScenarioError, match=r"the nearest valid speed is 0\.1"):
+            CrossingInstruction("a>b", 0, 0.04)
 
     def test_lane_scenario_needs_no_repair_and_may_repeat(self):
         chain = (LaneInstruction("left", 10.0),) * 3

@@ -280,6 +280,7 @@ def test_program_that_cannot_start_is_a_setup_error():
             None,
             r"a program and its arguments in a list, received './planner'; write process\(\['./planner'\]\)",
         ),
+        ("python3 planner.py", None, r"write process\(\['python3', 'planner.py'\]\)"),
         ([], None, r"in a list, received \[\]; name it"),
         (["./planner"], "1", "a timeout above 0 .s., or None, received '1'"),
         (["./planner"], 0, "received 0; give it seconds"),

@@ -43,6 +43,11 @@ def idle():
         ({"speed_limit": 39}, "speed_limit: expected at most 36.3 m/s, because NPCs may drive 1.1 times the limit"),
         ({"physics_hz": 4}, "physics_hz: expected a whole number from 5 to 1000, received 4"),
         ({"physics_hz": 15.0}, "physics_hz: expected a whole number from 5 to 1000, received 15.0"),
+        (
+            {"physics_hz": 1000, "ads_hz": 600},
+            "use one of 1, 2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500, 1000",
+        ),
+        ({"physics_hz": 127, "ads_hz": 1, "duration": 3600}, "duration: expected at most 3149 s at 127 ticks a second"),
         ({"ads_hz": 0}, "ads_hz: expected a whole number from 1 to 1000, received 0"),
         ({"ads_hz": None}, "ads_hz: expected a whole number from 1 to 1000, received None"),
         ({"duration": 0}, "duration: expected a number from 0.0666667 to 3600, received 0"),
