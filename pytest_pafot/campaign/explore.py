@@ -14,7 +14,14 @@ from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent
 from pytest_pafot.campaign.harness import Harness, reference_of, source_file
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, OptionError, Settings
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import Request, RequestError, build_world, check_names, checked_request
+from pytest_pafot.campaign.request import (
+    Request,
+    RequestError,
+    SearchArguments,
+    build_world,
+    check_names,
+    checked_request,
+)
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search import Search, prepared, time_limit
@@ -39,7 +46,8 @@ class Exploration(Shown):
     Attributes:
         findings: all distinct new failures, shrunk, each with the trace of a run that shows it.
         summary: the summary of the search: runs, coverage, warnings, notes.
-        events: the events of the algorithm and of the search in their order, without the event of each single run.
+        events: the events of the algorithm and of the search in their order, without the event ``Judged`` of
+            each run.
         runs: a row for each scenario that was tried, with the columns of ``--pafot-table``, ready for
             ``pandas.DataFrame(...)``.
     """
@@ -86,11 +94,14 @@ def explore(  # noqa: PLR0913  (the arguments in which most searches differ)
         on_event: receives the events of the search as they happen; see :mod:`pytest_pafot.campaign.events`.
         executor: runs the scenarios of the generations, as the fixture ``pafot_executor`` does.
         settings: other arguments of ``@pafot.search``. With ``corpus=``, findings are saved below that folder, and
-            failures that are saved there already are known. Without ``corpus=``, nothing is written.
+            failures that are saved there already are known. Without ``corpus=``, no finding is
+            saved.
 
     Raises:
         RequestError: if an argument is wrong.
-        Exception: if every run of the first generation ends in the same error; this error is raised, with a note.
+        Exception: if every run of the first generation ends in the same error, which is no assertion. An error of
+            ``holds`` is raised with a note. For an ADS that fails at its first decision, a ``PlainFailure`` says what
+            it raised and what to do.
     """
     budget = PROFILES[LOCAL] if runs is None and generations is None else {"runs": runs, "generations": generations}
     request = request_of({"ads": ads, "world": world, "seed": seed, **budget, **settings})
@@ -124,8 +135,9 @@ def request_of(given: dict[str, Any]) -> Request:
     Raises:
         RequestError: on the first wrong argument.
     """
-    for name in OF_TESTS:
-        if name in given:
+    of_sessions = {each.name for each in OPTIONS} - SearchArguments.__annotations__.keys()
+    for name in given:
+        if name in OF_TESTS or name in of_sessions:
             raise RequestError(
                 f"{PLACE}({name}=...): expected an argument of a search without pytest, received one that only works "
                 "with pytest; remove it"

@@ -234,7 +234,8 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "prune",
         "switch",
-        "Remove saved scenarios whose test no longer exists in the collected files. Without it, they are only named.",
+        "Remove saved scenarios whose test no longer exists in the collected files. Without it, they are named, and "
+        "fail the session under CI.",
         default=False,
         everywhere=False,
     ),

@@ -129,7 +129,9 @@ class Simplification:
     runs: int = field(default=0, init=False)
 
     def run_all(self, way_on: str) -> None:
-        """Simplify the findings in the order of discovery, except flaky findings, which cannot be shrunk.
+        """Simplify the findings in the order of discovery, except those that cannot be shrunk.
+
+        These are findings that are flaky, depend on wall-clock time or are crashes.
 
         With a time limit, each finding gets an equal share of the time that is left. Unused time goes to the next
         findings, then to findings that were cut. ``way_on`` says how the user can go on with a finding that stays cut.

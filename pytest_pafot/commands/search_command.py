@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--traffic", choices=STYLES, help=of_traffic)
     of_runs = "the number of runs (default: 40, or 400 if the variable CI is set)"
     parser.add_argument("--runs", type=BY_NAME["runs"].read, metavar="N", help=of_runs)
-    of_seed = "the seed of the search (default: a new one, which the output names)"
+    of_seed = "the seed of the search (default: a new one, which the output names, or 0 if the variable CI is set)"
     parser.add_argument("--seed", type=BY_NAME["seed"].read, metavar="N", help=of_seed)
     of_blame = "which collisions are failures: any; those for which the ego is responsible; or, of these, those that a "
     of_blame += "reference driver prevents (default: %(default)s)"
@@ -57,12 +57,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", type=BY_NAME["report"].read, metavar="FILE", default=PAGE, help=of_report)
     of_test = f"do not search, but write {CONFTEST} and {TEST} here, with which `pytest` searches and replays findings"
     parser.add_argument("--write-test", action="store_true", help=of_test)
-    parser.epilog = f"{ABOUT_POLICIES} The exit code is 1 if the search has found something, else 0."
+    of_exit = "The exit code is 1 if the search has found something or failed, 2 for wrong arguments, else 0."
+    parser.epilog = f"{ABOUT_POLICIES} {of_exit}"
     parser.usage = "%(prog)s ADS [option ...] [-- option of pytest ...]"
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Run the search, or with ``--write-test`` write the test that runs it. Return pytest's exit code."""
+    """Run the search, or with ``--write-test`` write the test that runs it. Return the exit code."""
     here = Path.cwd()
     sys.path.insert(0, str(here))  # Import the policy from the current folder, as `python -m pytest` does.
     try:

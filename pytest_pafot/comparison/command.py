@@ -25,7 +25,7 @@ from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
-START = " in the paper's scenarios, otherwise sampled; on a bent road, the environment's"
+START = " in the paper's scenarios and with --env, otherwise sampled; on a bent road, the environment's"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -163,8 +163,8 @@ class Pair:
 
 
 def number(value: float) -> str:
-    """Return a number with two significant digits."""
-    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"
+    """Return a number with two significant digits, from 100 on without decimals."""
+    return f"{value:.0f}" if value >= 99.5 else f"{value:.2g}"
 
 
 def p_text(p: float) -> str:

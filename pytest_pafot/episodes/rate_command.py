@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         sys.stderr.write(f"rate: {error}\n")
         return BAD_USE
     except KeyboardInterrupt:
-        kept = "finished episodes are saved, and the same command continues with the rest"
+        kept = "finished tasks of up to 25 episodes are saved, and the same command continues with the rest"
         lost = "nothing is saved without --out"
         sys.stderr.write(f"\nrate: interrupted; {lost if arguments.out is None else kept}\n")
         return 130

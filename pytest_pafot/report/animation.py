@@ -71,7 +71,8 @@ def _drawing() -> ModuleType:
     except ImportError as error:
         raise AnimationError(
             "expected Pillow to draw pictures, received a Python environment in which it is not installed; "
-            'install it with pip install "pytest-pafot[report]", or write a page instead: --pafot-report=report.html'
+            'install it with pip install "pytest-pafot[report]", or write a page with pytest instead: '
+            "--pafot-report=report.html"
         ) from error
 
 

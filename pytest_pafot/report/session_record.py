@@ -1,7 +1,7 @@
 """The result of a session for programs, as ``--pafot-json`` writes it.
 
-The record contains no clock time and no duration, and its keys and entries are sorted. So the same seed gives the same
-text, for any number of workers.
+Apart from a note on ``--pafot-workers``, if these are used, the record contains no clock time and no duration, and its
+keys and entries are sorted. So the same seed gives the same text but for this note, for any number of workers.
 """
 
 from __future__ import annotations

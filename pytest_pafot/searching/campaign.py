@@ -99,7 +99,7 @@ def run_campaign(  # noqa: PLR0913  (each parameter is an independent choice)
             are counted. The events of both campaigns, one after the other, are those of one uninterrupted campaign,
             except for :class:`CampaignStarted` and :class:`CampaignFinished`. If the limit on runs cut a generation,
             both campaigns report it as finished.
-        border: called at the beginning of the campaign, after the events of each generation, and at the end. It
+        border: called at the beginning of a campaign that is not resumed, and after the events of each generation. It
             receives a function that makes the checkpoint and can be called until the next event is requested.
 
     Raises:

@@ -65,7 +65,7 @@ def test_interrupted_rate_continues_and_can_be_extended(tmp_path, capsys, monkey
     monkeypatch.setattr(rate_plan, "driven", driven)
     for episodes in ("50", "50", "60"):
         rate("--ads", "idm_mobil", "--episodes", episodes, "--out", str(tmp_path / "parts"))
-    assert "rate: interrupted; finished episodes are saved" in capsys.readouterr().err
+    assert "rate: interrupted; finished tasks of up to 25 episodes are saved" in capsys.readouterr().err
     assert seeds == [*range(31), *range(25, 60)]
     assert rate("--ads", "idm_mobil", "--episodes", "60", "--out", str(whole)) == 0
     assert (tmp_path / "parts" / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()

@@ -232,7 +232,7 @@ def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluati
     """Sample a population of the same size with replacement, in proportion to fitness.
 
     If a fitness is negative, all are raised so that the lowest is 0. Runs that are not eligible, such as crashes
-    between NPCs, are never selected, unless there are no others.
+    between NPCs, are never selected, unless there are no others or all others have the same negative fitness.
     """
     fitness = np.array([_weight(member) or LEAST_WEIGHT for member in population])
     finite = np.isfinite(fitness)
