@@ -135,9 +135,8 @@ def request_of(given: dict[str, Any]) -> Request:
     Raises:
         RequestError: on the first wrong argument.
     """
-    of_sessions = {each.name for each in OPTIONS} - SearchArguments.__annotations__.keys()
     for name in given:
-        if name in OF_TESTS or name in of_sessions:
+        if name in OF_TESTS or (name in BY_NAME and name not in SearchArguments.__annotations__):
             raise RequestError(
                 f"{PLACE}({name}=...): expected an argument of a search without pytest, received one that only works "
                 "with pytest; remove it"

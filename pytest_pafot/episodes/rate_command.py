@@ -16,7 +16,7 @@ from pytest_pafot.commands.policy_reference import BAD_USE, PlanError
 from pytest_pafot.commands.resumable import AGAIN, run_job, worker_count, written_into
 from pytest_pafot.episodes.rate import Pair, Rate, rows_of
 from pytest_pafot.episodes.rate_page import page, picture
-from pytest_pafot.episodes.rate_plan import RatePlan, checked, factory_of, told
+from pytest_pafot.episodes.rate_plan import CHUNK, RatePlan, checked, factory_of, told
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.support.files import write_whole
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         sys.stderr.write(f"rate: {error}\n")
         return BAD_USE
     except KeyboardInterrupt:
-        kept = "finished tasks of up to 25 episodes are saved, and the same command continues with the rest"
+        kept = f"finished tasks of up to {CHUNK} episodes are saved, and the same command continues with the rest"
         lost = "nothing is saved without --out"
         sys.stderr.write(f"\nrate: interrupted; {lost if arguments.out is None else kept}\n")
         return 130

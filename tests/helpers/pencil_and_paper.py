@@ -225,8 +225,8 @@ class Crash:
         theirs = self.npc_moved_in_behind() or self.unless_given_up(self.npc, LaneChange.of(self, self.npc, self.ego))
         over = self.came_over()
         follows = self.danger > self.joined or self.joined == 0
-        is_last = over is not None and all(each is None or over[1].moment > each.moment for each in (mine, theirs))
-        if over is not None and (follows or is_last):
+        own = [each.moment for each in (mine, theirs) if each is not None]
+        if over is not None and (follows or over[1].moment > max(own, default=-1)):
             return self.changed_lanes(*((over[1], None) if over[0] is self.ego else (None, over[1])))
         if follows:
             return self.one_follows_the_other()
