@@ -20,7 +20,7 @@ from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.execution.separate_runs import replay_in_gym_apart
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
-from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
 from pytest_pafot.searching.fitness import referred_to
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
@@ -188,7 +188,12 @@ class Harness:
             return runner_for(replace(job, ads=self.against.ads, reference=self.against.shown), record, isolate=isolate)
 
     def judge_reference(self, runner: Runner, scenario: Scenario, world: Any = None) -> Verdict:
-        """Return the verdict on the reference in a scenario. A reference that raises, hangs or dies has failed.
+        """Return the verdict on the reference in a scenario. A reference that raises, hangs or dies has failed."""
+        __tracebackhide__ = True
+        return self.run_reference(runner, scenario, world)[1]
+
+    def run_reference(self, runner: Runner, scenario: Scenario, world: Any = None) -> tuple[Run | None, Verdict]:
+        """Return the run of the reference in a scenario, None if its process died or hung, and the verdict on it.
 
         Raises:
             RequestError: if the reference's factory cannot be used, or the scenario does not fit the world.
@@ -198,11 +203,12 @@ class Harness:
             with refusals("the reference"):
                 trace = runner.run(scenario, afresh=True)
         except ProcessLostError as error:
-            return Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.how), is_ads=True)
+            return None, Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.how), is_ads=True)
         except RequestError as error:
             named = "" if self.against is None else f" ({self.against.shown})"
             raise RequestError(f"against{named}: {str(error).removeprefix('ads: ')}") from None
-        return self.judge_trace(self.world if world is None else world, trace)
+        run = self.seen(trace, world)
+        return run, self.judge(run)
 
     def fails_with(self, ads: Callable[..., Any], scenario: Scenario, record: CrashRecord) -> bool:
         """Return whether the test fails in a scenario with another ADS, such as the same ADS with perfect sight."""
@@ -347,3 +353,11 @@ def is_same_run(a: Run, b: Run) -> bool:
     """Return whether two runs are identical to the last bit."""
     first, second = a.trace.states, b.trace.states
     return a.outcome == b.outcome and first.shape == second.shape and first.tobytes() == second.tobytes()
+
+
+def begins_alike(run: Run, longer: Run) -> bool:
+    """Return whether a run that may have been driven on is identical to a run until that run's end, to the last bit."""
+    first, second = run.trace.states, longer.trace.states
+    if len(second) <= len(first) or run.outcome not in (Outcome.SAFE, Outcome.OFF_ROAD):  # nothing to drive on
+        return is_same_run(run, longer)
+    return first.tobytes() == second[: len(first)].tobytes()

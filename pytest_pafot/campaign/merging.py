@@ -165,7 +165,7 @@ def _replayed(replays: Replays, saved: Saved, owner: str) -> tuple[str, Signatur
         RequestError: if the file cannot be read or run.
     """
     try:
-        label, run, verdict = replays.labelled(saved, owner)
+        label, run, verdict, _ = replays.labelled(saved, owner)
     except ProcessLostError as error:
         observed = expectation(error).signature
         return "drifted", observed if saved.finding is not None and saved.finding.signature == observed else None

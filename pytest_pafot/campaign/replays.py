@@ -9,17 +9,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
+from pytest_pafot.campaign.harness import Harness, begins_alike, refusals
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import Job, expectation
+from pytest_pafot.execution.scenario_pool import Job, LostRun, expectation
 from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding, of_failure
-from pytest_pafot.findings.replay import HAS_EVENT, ending, replay_label, unhandled
-from pytest_pafot.findings.signature import Failure, Signature
+from pytest_pafot.findings.replay import DRIVEN_ON, HAS_EVENT, ending, is_same_failure, replay_label, unhandled
+from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
@@ -29,6 +29,9 @@ from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 
 FLAKY = "flaky"
+
+Sought = Callable[[Run, Failure], bool]
+"""Whether a failure of a run is the one that is looked for."""
 
 BESIDE = {True: "introduced", False: "common", None: ""}
 """The label of a saved scenario that fails, by whether the reference passes the same scenario."""
@@ -47,34 +50,44 @@ class Replays:
         """Replay saved scenarios; return the *known* failures, each with the id of the first file that shows it.
 
         A saved scenario, accepted or not, covers the failure that it shows now, even if it was saved for another
-        failure. If it passes, it covers nothing. So for each known failure there is an item that fails with it or
-        accepts it. A file that cannot be used covers nothing either, as its item reports the error. Nor does a file in
-        which the reference fails as well: old failures must not hide new failures.
+        failure. If it passes, also when it is driven on, it covers nothing. So for each known failure there is an item
+        that fails with it or accepts it. A file that cannot be used covers nothing either, as its item reports the
+        error. Nor does a file in which the reference fails as well: old failures must not hide new failures.
         """
         known: dict[Signature, str] = {}
         for each in saved:
             owner = self.harness.saved_node_id(each.id)
             with suppress(RequestError):
                 world = self.world_of(each)
-                shown = self._observed(each, world, owner)
-                if shown is not None and self.passes_reference(each, world, owner) is not False:
+                shown, is_later = self._observed(each, world, owner)
+                # The reference is driven on if the ADS was. Otherwise it is judged as in a search.
+                sought = partial(is_same_failure, _finding(each)) if is_later else None
+                if shown is not None and self.passes_reference(each, world, owner, sought) is not False:
                     known.setdefault(shown, each.id)
         return known
 
     def still_fails(self, saved: Saved) -> bool:
         """Return whether a process still dies in a saved scenario, even if the reference's process dies as well."""
         try:
-            shown = self._observed(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
+            shown, _ = self._observed(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
         except RequestError:
             return False
         return shown == _finding(saved).signature
 
-    def _observed(self, saved: Saved, world: Any, owner: str) -> Signature | None:
+    def _observed(self, saved: Saved, world: Any, owner: str) -> tuple[Signature | None, bool]:
+        """Return the failure that a saved scenario shows now, and whether it shows it only when it is driven on."""
         try:
             run, verdict = self.tried(saved, world, owner)
+            if verdict.failed and verdict.failure is not None:
+                return of_failure(run, verdict.failure), False
+            if verdict.discarded or protocol.lasting(world) is None:
+                return None, False
+            run, verdict, _ = self._driven_on(saved, world, owner)
         except ProcessLostError as error:
-            return expectation(error).signature
-        return of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
+            return expectation(error).signature, False
+        if not verdict.failed or verdict.failure is None or not is_same_failure(_finding(saved), run, verdict.failure):
+            return None, False
+        return of_failure(run, verdict.failure), True
 
     def world_of(self, saved: Saved) -> Any:
         """Return the world in which to replay a file, and check that the scenario fits that world.
@@ -130,31 +143,93 @@ class Replays:
         harness = self.harness
         return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
 
-    def passes_reference(self, saved: Saved, world: Any, owner: str) -> bool | None:
+    def passes_reference(self, saved: Saved, world: Any, owner: str, sought: Sought | None = None) -> bool | None:
         """Return whether the reference passes a saved scenario; None if the test has no reference."""
         __tracebackhide__ = True
-        verdict = self.of_reference(saved, world, owner)
+        verdict = self.of_reference(saved, world, owner, sought)
         return None if verdict is None else verdict.passes
 
-    def of_reference(self, saved: Saved, world: Any, owner: str) -> Verdict | None:
+    def of_reference(self, saved: Saved, world: Any, owner: str, sought: Sought | None = None) -> Verdict | None:
         """Return the verdict on the reference in a saved scenario; None if the test has no reference.
 
-        The reference runs in a separate process if the ADS does.
+        The reference runs in a separate process if the ADS does. If it passes, and a failure is ``sought``, it is
+        driven on, too, and fails if it shows that failure then.
         """
         __tracebackhide__ = True
-        harness, scenario = self.harness, _finding(saved).scenario
-        job, isolate = harness.job(world, owner), self._is_apart(saved, owner)
-        with (
-            harness.recording(job) as record,
-            harness.reference_runner(job, record, isolate=isolate) or nullcontext() as runner,
-        ):
-            return None if runner is None else harness.judge_reference(runner, scenario, world)
+        verdict, longer = None, None if sought is None else self._longer(saved, world)
+        for each in filter(None, (world, longer)):
+            job, isolate = self.harness.job(each, owner), self._is_apart(saved, owner)
+            with (
+                self.harness.recording(job) as record,
+                self.harness.reference_runner(job, record, isolate=isolate) or nullcontext() as runner,
+            ):
+                if runner is None:
+                    return None
+                run, now = self.harness.run_reference(runner, _finding(saved).scenario, each)
+            if verdict is None:
+                verdict = now
+                if not verdict.passes:
+                    break
+            elif sought is not None and run is not None and now.failure is not None and sought(run, now.failure):
+                verdict = now
+        return verdict
 
-    def labelled(self, saved: Saved, owner: str) -> tuple[str, Run, Verdict]:
-        """Replay a saved scenario; return its label, run and verdict. A replay that passes is run again.
+    def _longer(self, saved: Saved, world: Any) -> Any | None:
+        """Return the world with runs that go on after the end of a saved scenario; None if the world cannot go on."""
+        lasting = protocol.lasting(world)
+        with refusals():
+            return lasting and lasting(min(world.longest_run, _finding(saved).scenario.seconds) + DRIVEN_ON)
+
+    def _driven_on(self, saved: Saved, world: Any, owner: str) -> tuple[Run, Verdict, str]:
+        """Run a saved scenario as in :meth:`tried`, but drive on after its end if the world can.
+
+        The text says that the process died or hung in the time after the end, which is no failure of a file that is
+        about something else. The run then ends where the scenario ends.
+        """
+        __tracebackhide__ = True
+        longer = self._longer(saved, world)
+        try:
+            return *self.tried(saved, world if longer is None else longer, owner), ""
+        except ProcessLostError as error:
+            if longer is None or was_lost(_finding(saved), error):
+                raise
+            note = f"driven on past the file's end, the process {error.how}"
+        return *self.tried(saved, world, owner), note
+
+    def _repeated(
+        self, saved: Saved, world: Any, owner: str, label: str, run: Run, verdict: Verdict
+    ) -> tuple[str, Run, Verdict, str]:
+        """Run a scenario that passes again, and drive on; return label, run, verdict and text as in :meth:`labelled`.
+
+        The run is the first one, or the second one if that failed.
+        """
+        __tracebackhide__ = True
+        finding = _finding(saved)
+        again, second, note = self._driven_on(saved, world, owner)
+        is_alike = begins_alike(run, again)
+        if second.failed and second.failure is not None:
+            # The failure is in the time after the end, unless the test function or a clock decides by chance.
+            is_later = is_alike and again.trace.ticks > run.trace.ticks and not self.harness.judge(run).failed
+            is_own = is_same_failure(finding, again, second.failure)
+            if not is_later or (is_own and (finding.flaky is not None or second.failure.kind == SLOW_DECISION)):
+                return FLAKY, again, second, ""
+            what = "another failure"
+            if is_own:
+                what = "the same mistake" if of_failure(again, second.failure).mistake else "the same failure"
+            note = f"driven on past the file's end: {what}, {happened(finding, again, second.failure)}"
+            if is_own:
+                return "still failing", again, second, note
+        return (FLAKY if finding.flaky is not None or not is_alike else label), run, verdict, note
+
+    def labelled(self, saved: Saved, owner: str) -> tuple[str, Run, Verdict, str]:
+        """Replay a saved scenario; return its label, run, verdict, and a text on the time after the scenario's end.
+
+        A replay that passes is run again, and driven on for :data:`~pytest_pafot.findings.replay.DRIVEN_ON`. If it then
+        fails as the file says, it is ``still failing``. Any other failure in that time is only a text.
 
         With a reference, a failure is ``introduced`` if the reference passes, otherwise ``common``. A pass is ``fixed``
-        if the reference fails and the situation occurred; otherwise a label ``fixed`` becomes ``fixed before``.
+        if the reference fails and the situation occurred; otherwise a label ``fixed`` becomes ``fixed before``. The
+        reference is driven on as well.
 
         Raises:
             ProcessLostError: if the process that ran the scenario died or hung.
@@ -170,22 +245,23 @@ class Replays:
         if label == "fixed" and (self.world_changes(finding) or self.sight_change(finding)):
             label = "drifted"  # It passes in another world or with another sight.
         if verdict.discarded:
-            return label, run, verdict
+            return label, run, verdict, ""
+        note = ""
+        if not verdict.failed:
+            label, run, verdict, note = self._repeated(saved, world, owner, label, run, verdict)
+            if label == FLAKY:
+                return label, run, verdict, note
         if verdict.failed:
-            reference = self.of_reference(saved, world, owner)
+            shown = of_failure(run, verdict.failure) if verdict.failure is not None else None
+            reference = self.of_reference(saved, world, owner, lambda run, failure: of_failure(run, failure) == shown)
             beside = BESIDE[None if reference is None else reference.passes]
-            return beside or label, run, replace(verdict, reference=reference)
-        again, second = self.tried(saved, world, owner)
-        if second.failed:
-            return FLAKY, again, second
-        if finding.flaky is not None or not is_same_run(run, again):
-            return FLAKY, run, verdict
-        passes = self.passes_reference(saved, world, owner)
+            return beside or label, run, replace(verdict, reference=reference), note
+        passes = self.passes_reference(saved, world, owner, partial(is_same_failure, finding))
         if passes and label == "fixed":
             label = "fixed before"
         elif passes is False and not unhandled(finding, run):
             label = "fixed"
-        return label, run, verdict
+        return label, run, verdict, note
 
     def world_changes(self, finding: Finding) -> list[str]:
         """Return how the file's world differs from the test's world, or how the file's world cuts the run."""
@@ -218,6 +294,11 @@ class Replays:
             then = f"{expect.assertion} failed at {expect.time:.1f} s"
         event = [] if then == now else [f"{then} in the file, {now} now"]
         return "; ".join([*event, *changed]) or "a different run than before"
+
+
+def was_lost(finding: Finding, lost: LostRun) -> bool:
+    """Return whether a file says that a process dies or hangs in its scenario, as this process did."""
+    return finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
 
 
 def happened(finding: Finding, run: Run, failure: Failure | None) -> str:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from pytest_pafot.findings.finding import Expect, Finding, event_of
+from pytest_pafot.findings.finding import Expect, Finding, event_of, of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.situation import BEFORE, missed, seconds_after
 from pytest_pafot.model.trace import Outcome, Y
@@ -20,6 +21,12 @@ SAME_PLACE = 0.5
 
 SAME_TIME = 0.2
 """Largest difference between the times of two events that count as the same event [s]."""
+
+DRIVEN_ON = 10.0
+"""The time for which a replay that passes is driven on after the end of its file's run [s].
+
+A file ends shortly after its failure, so a policy that only drives more slowly passes before it makes the same mistake.
+"""
 
 HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
 """Outcomes that have a time, which is the run's event. For any other outcome the event is the most critical moment."""
@@ -85,6 +92,15 @@ def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> b
         return is_then and (run.outcome, now.npc, now.cell, side) == then
     check = None if failure is None else failure.check
     return check is not None and check.name == expect.assertion and (is_then or check.time is None)
+
+
+def is_same_failure(finding: Finding, run: Run, failure: Failure) -> bool:
+    """Return whether a run fails as a file says, at whatever time: by the same mistake, or in the same check."""
+    then, now = finding.signature, of_failure(run, failure)
+    if then.fault is not None and then.mistake is None:  # Of a lane change, a file names the mistake only in its id.
+        is_named = now.fault == then.fault and finding.id.startswith(f"{now.slug}-")
+        return is_named and now == replace(then, mistake=now.mistake)
+    return now == then
 
 
 def ending(run: Run) -> str:

@@ -14,8 +14,8 @@ import pytest
 from pytest_pafot.campaign.replays import FLAKY
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.commands.bisect_command import TOLD
-from pytest_pafot.findings.finding import Finding, of_failure
-from pytest_pafot.findings.replay import ending, replay_label, unhandled
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.replay import ending, is_same_failure, replay_label, unhandled
 from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.trace import ACCELERATION, SPEED, STEERING, Trace
 from pytest_pafot.oracle.run import Run
@@ -62,7 +62,7 @@ def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | Non
     found = replace(finding, found=replace(finding.found, versions={}))
     now = replay_label(found, run, failure, {})
     if failure is not None:
-        is_same = now == "still failing" or of_failure(run, failure) == finding.signature
+        is_same = now == "still failing" or is_same_failure(finding, run, failure)
         return (False if is_same else None), f"{'' if is_same else 'another failure: '}{headline(run, verdict)}"
     why = unhandled(finding, run)
     is_tested = now == "fixed" or finding.expect.is_crash or (why and not missed(finding.expect.situation, run))

@@ -11,7 +11,7 @@ from typing import NoReturn
 import pytest
 
 from pytest_pafot.campaign.recorder import cause
-from pytest_pafot.campaign.replays import BESIDE, FLAKY, Replays, happened
+from pytest_pafot.campaign.replays import BESIDE, FLAKY, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.corpus.layout import relative
@@ -21,7 +21,6 @@ from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import unhandled
 from pytest_pafot.findings.severity import worsening
-from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages
@@ -50,7 +49,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
     path, lost = relative(saved.path, harness.root), None
     try:
-        label, run, verdict = replays.labelled(saved, item.nodeid)
+        label, run, verdict, note = replays.labelled(saved, item.nodeid)
     except ProcessLostError as error:
         lost = error
     beside = ""
@@ -61,13 +60,13 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if lost is not None:
         _conclude_lost(item, replays, saved, finding, lost, beside)
     worse = _worsening(verdict) if label == BESIDE[False] else ""
-    told = [_against(replays), f"worse: {worse}" if worse else "", *replays.ads_changes(finding)]
+    told = [note, _against(replays), f"worse: {worse}" if worse else "", *replays.ads_changes(finding)]
     detail = "; ".join(filter(None, told))
     item.stash[REPLAYED] = label, run, verdict
     if label in ("drifted", FLAKY):
         detail = replays.changes(finding, happened(finding, run, verdict.failure))
     if label == "drifted" and not verdict.failed:
-        detail = "; ".join(filter(None, [unhandled(finding, run), detail]))
+        detail = "; ".join(filter(None, [unhandled(finding, run), detail, note]))
     line = headline(run, verdict) if verdict.failed else ""
     sentences = finding.expect.sentences_on(run) if verdict.failed else ()
     _tell(item, replays, saved, label, headline=line, sentences=sentences, detail=detail, verdict=verdict, worse=worse)
@@ -98,8 +97,7 @@ def _conclude_lost(
     """
     __tracebackhide__ = True
     path = relative(saved.path, replays.harness.root)
-    was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
-    label = "still failing" if was_lost else "drifted"
+    label = "still failing" if was_lost(finding, lost) else "drifted"
     item.stash[REPLAYED] = label, None, None
     label = beside or label
     detail = "; ".join(filter(None, [_against(replays), *replays.ads_changes(finding)]))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.scenario import Scenario
@@ -18,7 +19,7 @@ from pytest_pafot.world.engines.selection import rollout_planner
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
-from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
 from pytest_pafot.world.protocol import FirstDecision, decision_asked
 from pytest_pafot.world.reference_drivers import REFERENCES, TAKING_OVER, ReferenceDriver
 from pytest_pafot.world.roads.junction import Junction
@@ -118,7 +119,7 @@ class BuiltInWorld(ABC):
     @property
     def longest_run(self) -> float:
         """The longest duration of a run [s]; a run of a shorter scenario ends earlier."""
-        return self.rules.duration
+        return self.rules.duration if self.rules.lasts is None else self.rules.lasts
 
     @property
     def crossings(self) -> Crossings | None:
@@ -138,6 +139,20 @@ class BuiltInWorld(ABC):
             WorldError: if the environment cannot be used.
         """
         self.rules.check_fits(scenario)
+
+    def lasting(self, seconds: float) -> Self:
+        """Return this world with runs of ``seconds``, longer than its scenarios and its own duration allow.
+
+        The road, the environment and its configuration stay the same, so a run begins as in this world, to the last
+        bit. After their last instruction, NPCs go on with it. On a straight road, runs end before an ego at top speed
+        could reach the end of the road.
+        """
+        rules = self.rules
+        if isinstance(rules.road, StraightRoad):
+            seconds = min(seconds, (rules.road.lanes[0].length - rules.ego_start) / TOP_SPEED)
+        longer = copy.copy(self)
+        vars(longer)["rules"] = replace(rules, lasts=seconds)  # replaces the cached property of the frozen world
+        return longer
 
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
         """Simulate scenarios in lock step if this world supports it and the ADS has ``batch``, else one by one.

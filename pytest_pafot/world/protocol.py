@@ -88,6 +88,16 @@ class Resumable(WorldLike, Protocol):
         """Simulate a scenario; ``decisions``, in the form of ``Trace.actions``, replace the first calls of the ADS."""
 
 
+class Lasting(WorldLike, Protocol):
+    """A world whose runs can go on after the end of their scenario, and after the world's own longest run."""
+
+    def lasting(self, seconds: float, /) -> WorldLike:
+        """Return a world in which a run lasts ``seconds``, and begins as in this world, to the last bit.
+
+        An event such as a collision still ends a run earlier, and so may the road.
+        """
+
+
 class GymReplaying(WorldLike, Protocol):
     """A world whose runs can be repeated with ``env.step`` of a plain gymnasium environment."""
 
@@ -131,6 +141,12 @@ def resumable(world: Any) -> Resumable | None:
         return world if "decisions" in inspect.signature(world.rollout).parameters else None
     except (TypeError, ValueError):  # builtins without a signature
         return None
+
+
+def lasting(world: Any) -> Callable[[float], WorldLike] | None:
+    """Return a world's ``lasting``, which makes the same world with longer runs; None if it has none."""
+    found: Callable[[float], WorldLike] | None = getattr(world, "lasting", None)
+    return found
 
 
 def gym_replaying(world: Any) -> GymReplaying | None:

@@ -35,6 +35,7 @@ class Rules:
         road: the straight road, or the ego's way through a network.
         physics_hz, ads_hz: ticks and decisions per second.
         duration: the longest duration of a run [s].
+        lasts: the duration of each run [s], whatever its scenario and ``duration`` say; None if they decide.
         clearance: the gap between the ego and the cells ahead of it and behind it [m].
         headway: the headway with which NPCs start ahead of the ego or behind it [s].
         limits: the limits of every NPC.
@@ -51,6 +52,7 @@ class Rules:
     limits: NpcLimits
     hang_limit: float
     junction: Junction | None = None
+    lasts: float | None = None
 
     @property
     def crossings(self) -> Crossings | None:
@@ -188,7 +190,8 @@ class Rules:
 
     def ticks(self, scenario: Scenario) -> int:
         """Return the number of physics ticks of a run that no collision or failure ends early."""
-        return int(min(self.duration, scenario.seconds) * self.physics_hz + 1e-9)  # rounding must not lose a tick
+        seconds = min(self.duration, scenario.seconds) if self.lasts is None else self.lasts
+        return int(seconds * self.physics_hz + 1e-9)  # rounding must not lose a tick
 
 
 def ego_start(headway: float, clearance: float) -> float:
