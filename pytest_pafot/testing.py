@@ -19,7 +19,7 @@ from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.world.codec import OWN, described, from_dict, is_code
 from pytest_pafot.world.kernel.bodies import Box, overlap
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.protocol import crossings, hang_limit, missing, road_start
+from pytest_pafot.world.protocol import crossings, hang_limit, lasting, missing, road_start
 
 Ads = Callable[[], Callable[[Any], Any]]
 
@@ -39,6 +39,7 @@ def check_world(
     - NPCs stay within the world's ``limits``, if these are a :class:`pytest_pafot.NpcLimits`.
     - An ADS that raises, returns no action or hangs ends its own run and does not affect other runs. An ADS that hangs
       is tried only if the world's ``hang_limit`` is at most one second.
+    - If the world has ``lasting``, a run that lasts longer begins as usual, to the last bit.
     - ``from_dict`` gives the same world again, if the world's class has that method or if a file can describe the
       world.
 
@@ -64,6 +65,7 @@ def check_world(
     for scenario, trace in done[::-1]:  # in a different order than before
         _check_same(trace, _rollout(world, scenario, ads), "the same scenario gives the same trace")
         _check_same(trace, _rollout(world, trace.executed, ads), "the scenario as executed gives the same trace")
+    _check_lasting(world, *done[0], ads)
     _check_faults(world, *done[0], ads)
     _check_round_trip(world, *done[0], ads)
 
@@ -159,6 +161,17 @@ def _check_limits(world: Any, trace: Trace) -> None:
         least, most = float(np.min(values, initial=0.0)), float(np.max(values, initial=0.0))
         is_kept = low - ROUNDING <= least and most <= high + ROUNDING
         _promise(is_kept, f"the {name} of NPCs is from {low:g} to {high:g}", f"{least:g} to {most:g}")
+
+
+def _check_lasting(world: Any, scenario: Scenario, trace: Trace, ads: Ads) -> None:
+    if (make := lasting(world)) is None:
+        return
+    with _no_error("lasting returns a world"):
+        longer = _rollout(make(trace.duration + 2.0), scenario, ads)
+    begins = _is_same(trace.states, longer.states[: len(trace.states)])
+    _promise(begins, "a run that lasts longer begins as usual", f"other states for {scenario!r}")
+    is_over = trace.outcome not in (Outcome.SAFE, Outcome.OFF_ROAD) or longer.ticks > trace.ticks
+    _promise(is_over, "a run lasts longer in the world of lasting", f"{longer.duration:g} s again, for {scenario!r}")
 
 
 def _check_faults(world: Any, scenario: Scenario, healthy: Trace, ads: Ads) -> None:

@@ -47,6 +47,20 @@ class Own:
         return cls(**data)
 
 
+class Lasting(Own):
+    """A world in which runs can last longer."""
+
+    duration = None
+
+    def rollout(self, scenario, ads_factory):
+        return self.changed((ROAD.lasting(self.duration) if self.duration else ROAD).rollout(scenario, ads_factory))
+
+    def lasting(self, seconds):
+        longer = type(self)(self.number)
+        longer.duration = seconds
+        return longer
+
+
 def with_states(trace, change):
     states = trace.states.copy()
     change(states)
@@ -60,8 +74,9 @@ def with_states(trace, change):
         (Highway(duration=4.0, engine="highway-env"), {}),
         (World("highway-v0", duration=4.0, hang_limit=0.3), {"ads": lambda: lambda seen: 1}),
         (Own(), {}),
+        (Lasting(), {}),
     ],
-    ids=["Highway", "by highway-env's objects", "World", "of one's own"],
+    ids=["Highway", "by highway-env's objects", "World", "of one's own", "one that lasts"],
 )
 def test_a_world_that_keeps_its_promises_passes(world, given):
     check_world(world, runs=3, **SHORT, **given)
@@ -114,6 +129,19 @@ def test_only_crossing_npcs_must_be_recorded_as_crossing(env_id, change, promise
 
     with pytest.raises(AssertionError, match=promise):
         check_world(Recorded(environment(env_id), changed), runs=2, ads=constant_action, npcs=2)
+
+
+class LastsAlike(Lasting):
+    def lasting(self, seconds):
+        return self
+
+
+class LastsOtherwise(Lasting):
+    def changed(self, trace):
+        return with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1.0)) if self.duration else trace
+
+    def lasting(self, seconds):
+        return super().lasting(4.0)
 
 
 class Random(Own):
@@ -223,6 +251,9 @@ BROKEN = [
     (NoTrace, "rollout returns a pafot.Trace"),
     (Unwritable, "to_dict returns plain data that a file can store"),
     (Takes, "from_dict accepts the data of to_dict"),
+    (LastsAlike, "a run lasts longer in the world of lasting"),
+    (LastsOtherwise, "a run that lasts longer begins as usual"),
+    (type("LastsNot", (Lasting,), {"lasting": lambda self, seconds: 1 / 0}), "lasting returns a world"),
     (Changed, r"from_dict\(to_dict\(\)\) has the same data"),
     (Different, r"from_dict\(to_dict\(\)\) gives the same traces"),
     (type("Lost", (Own,), {"changed": lost}), "states contain the ego and each NPC"),

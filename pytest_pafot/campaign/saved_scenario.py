@@ -78,6 +78,8 @@ class SavedScenario(Shown):
     def replay(self, ads: AdsFactory, *, world: Any = None) -> Run:
         """Run the scenario once, without judging it. Pass the run to the test function or to :meth:`matches` for that.
 
+        The run ends where the scenario ends. A world's method ``lasting``, if it has one, makes a world of longer runs.
+
         Args:
             ads: the factory, or a highway-env vehicle class.
             world: a world to use in place of the file's world; required if the file's world is code.

@@ -24,6 +24,8 @@ from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, check_divides, che
 
 LANE_WIDTH = 4.0
 """The lane width of highway-env [m]."""
+MORE = 10.0
+"""The time for which a run may be driven on after the longest run of a world, with road enough for all speeds [s]."""
 ENGINES = ("auto", "kernel", "highway-env")
 """The engines that can simulate a run; ``auto`` uses the kernel if the kernel can drive the ego, else highway-env."""
 
@@ -77,8 +79,8 @@ class Highway(BuiltInWorld):
 
     @cached_property
     def road(self) -> StraightRoad:
-        """The road, which is so long that no vehicle reaches its end."""
-        length = 100.0 + 2 * ego_start(self.headway, self.clearance) + TOP_SPEED * self.duration
+        """The road, which is so long that no vehicle reaches its end, also in a run that is driven on."""
+        length = 100.0 + 2 * ego_start(self.headway, self.clearance) + TOP_SPEED * (self.duration + MORE)
         return StraightRoad.uniform(self.lanes, length, LANE_WIDTH, self.speed_limit)
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()) -> Trace:

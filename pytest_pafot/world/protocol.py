@@ -144,9 +144,9 @@ def resumable(world: Any) -> Resumable | None:
 
 
 def lasting(world: Any) -> Callable[[float], WorldLike] | None:
-    """Return a world's ``lasting``, which makes the same world with longer runs; None if it has none."""
+    """Return a world's method ``lasting``, which makes the same world with longer runs; None if it has none."""
     found: Callable[[float], WorldLike] | None = getattr(world, "lasting", None)
-    return found
+    return found if callable(found) else None
 
 
 def gym_replaying(world: Any) -> GymReplaying | None:

@@ -9,7 +9,7 @@ from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.finding import Expect, of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
@@ -26,24 +26,34 @@ HIT, LEFT = of_failure(CRASH, FAILS), of_failure(OTHER, FAILS)
 
 
 class Told(Replays):
-    """Replays with given results by id: a run with its verdict, and whether the reference passes."""
+    """Replays with given results by id: a run with its verdict, and whether the reference passes.
+
+    The world can last longer if there are results of the runs that are driven on, with the id and a plus.
+    """
 
     def world_of(self, saved):
-        return None
+        can_last = f"{saved.id}+" in self.harness.ends
+        return SimpleNamespace(longest_run=60.0, **({"lasting": lambda seconds: "longer"} if can_last else {}))
 
     def tried(self, saved, world, owner):
         if saved.finding is None:
             raise RequestError(saved.error)
-        return self.harness.ends[saved.id][:2]
+        return self.harness.ends[f"{saved.id}+" if world == "longer" else saved.id][:2]
 
-    def passes_reference(self, saved, world, owner):
+    def passes_reference(self, saved, world, owner, sought=None):
+        assert (sought is None) == self.harness.ends[saved.id][1].failed, "the reference is driven on if the ADS was"
         return (*self.harness.ends[saved.id], None)[2]
 
 
 def shown(xfail=None, **ends):
     """Return what saved scenarios with these results show, next to an unreadable file."""
     told = Told(harness=SimpleNamespace(saved_node_id=str, ends=ends), in_own_session=None)
-    files = [Saved(Path(f"{id_}.pafot.yaml"), plain_finding(id=id_, xfail=xfail)) for id_ in ends]
+    expect = Expect.of(CRASH, FAILS)
+    files = [
+        Saved(Path(f"{id_}.pafot.yaml"), plain_finding(id=id_, xfail=xfail, expect=expect))
+        for id_ in ends
+        if not id_.endswith("+")
+    ]
     return told.shown_by([Saved(Path("unreadable.pafot.yaml"), error="no file"), *files])
 
 
@@ -60,6 +70,19 @@ def test_failure_is_new_when_all_its_files_pass():
     assert shown(a=(QUIET, PASSED), b=(QUIET, Verdict(kind="npc"))) == {}
 
 
+@pytest.mark.parametrize(
+    ("later", "known"), [((CRASH, FAILED), {HIT: "a"}), ((OTHER, FAILED), {}), ((QUIET, PASSED), {})]
+)
+def test_pass_covers_its_own_failure_that_comes_later(later, known):
+    assert shown(a=(QUIET, PASSED), **{"a+": later}) == known
+
+
+@pytest.mark.parametrize("verdict", [Verdict(kind="rejected"), Verdict(kind="skipped")])
+def test_run_that_was_not_judged_is_not_driven_on(verdict):
+    assert shown(a=(QUIET, verdict), **{"a+": (CRASH, FAILED)}) == {}
+
+
 @pytest.mark.parametrize(("passes", "known"), [(True, {HIT: "a"}), (False, {})])
 def test_failure_shared_with_reference_hides_nothing_new(passes, known):
     assert shown(a=(CRASH, FAILED, passes)) == known
+    assert shown(a=(QUIET, PASSED, passes), **{"a+": (CRASH, FAILED)}) == known

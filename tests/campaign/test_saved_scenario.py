@@ -115,3 +115,9 @@ def test_saved_check_needs_its_test_function(save):
 def test_missing_file_is_reported_by_its_name(tmp_path):
     with pytest.raises(CorpusError, match=r"none.pafot.yaml: expected a file that can be read"):
         pafot.load(tmp_path / "none.pafot.yaml")
+
+
+def test_replay_in_a_lasting_world_goes_on_after_the_end(save):
+    saved = save(finding_in(pafot.Highway(lanes=3, duration=5.0)))
+    assert (saved.replay(keeps_its_speed).duration, saved.replay(keeps_its_speed).collision) == (5.0, None)
+    assert saved.replay(keeps_its_speed, world=saved.world.lasting(20.0)).collision

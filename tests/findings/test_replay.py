@@ -1,7 +1,7 @@
 import pytest
 
 from pytest_pafot.findings.finding import Finding, Found, of_failure
-from pytest_pafot.findings.replay import replay_label
+from pytest_pafot.findings.replay import is_same_failure, replay_label
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
@@ -130,3 +130,33 @@ def test_other_property_is_compared_at_its_worst_moment():
     assert label(run_of(), finding=finding) == "still failing"
     assert label(run_of(), None, finding=finding) == "fixed"
     assert label(crash(), finding=finding) == "drifted"
+
+
+@table(
+    ("finding", "run", "failure", "expected"),
+    [
+        (saved(), crash(20), FAILS, True),  # at another time
+        (saved(), crash(20, npc=0, cell=Cell.FRONT), Failure(kind="TypeError", message="no"), False),
+        (saved(), run_of(outcome=Outcome.OFF_ROAD), FAILS, False),
+        (saved(), Run(HIT_STANDING), FAILS, False),  # by the NPC's fault
+        (saved(lane_change(2.0, faster=4.0)), lane_change(10.0, faster=8.0), FAILS, True),
+        (saved(lane_change(2.0, faster=4.0)), crash(), FAILS, False),
+        (saved(run_of(), jerk()), run_of(), jerk(2.0), True),
+        (saved(run_of(), jerk()), run_of(), jerk(name="headway"), False),
+    ],
+)
+def test_same_failure_is_known_at_any_time(finding, run, failure, expected):
+    assert is_same_failure(finding, run, failure) is expected
+
+
+def test_lane_change_behind_another_is_its_own_failure():
+    behind = next(
+        Run(each.trace())
+        for group in situations.SITUATIONS.values()
+        for each in group
+        if each.name == "ego-enters-behind-a-slower-one"
+    )
+    ahead = lane_change(2.0, faster=4.0)
+    assert behind.attribution.fault == ahead.attribution.fault == "entered-lane"
+    for one, other, expected in ((behind, behind, True), (behind, ahead, False), (ahead, behind, False)):
+        assert is_same_failure(saved(one), other, FAILS) is expected

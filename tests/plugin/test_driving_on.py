@@ -1,0 +1,169 @@
+"""Replays that pass are driven on for ten seconds after the end of their file."""
+
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.corpus.writer import write
+from pytest_pafot.findings.finding import Finding, Found
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.support.versions import installed_versions
+from tests.helpers.sessions import section
+
+SCENARIO = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 5.0)]], gene_seconds=6.0)
+"""An NPC slows down ahead. An ego that never brakes hits it after 5.6 s at 30 m/s, and after 6.5 s at 20 m/s, half a
+second after the end."""
+POLICIES = """
+import os
+import pytest_pafot as pafot
+
+def cruising(top):
+    return lambda: lambda seen: (min(max(top - seen.ego.speed, -1.0), 1.0), 0.0)
+
+fast, slow = cruising(30.0), cruising(20.0)
+
+def braking():
+    return lambda seen: (-4.0 if seen.ego.speed > 4.0 else 0.0, 0.0)
+
+def raising():
+    drive = braking()
+    return lambda seen: drive(seen) if seen.time < 8.0 else 1 / 0
+
+def dying():
+    drive = braking()
+    return lambda seen: drive(seen) if seen.time < 8.0 else os._exit(9)
+"""
+WORLD = "pafot.Highway(lanes=3)"
+TEST = """
+import policies
+
+@pafot.search(world=WORLD, blame="ego", npcs=1)
+def test_gap(run):
+    assert not run.collision
+"""
+OWN = """
+class Own:
+    speed_limit, longest_run, to_dict, lasts = 26.8, 6.0, dict, None
+
+    def rollout(self, scenario, ads_factory):
+        inner = pafot.Highway(lanes=3)
+        return (inner.lasting(self.lasts) if self.lasts else inner).rollout(scenario, ads_factory)
+"""
+LASTING = """
+    def lasting(self, seconds):
+        longer = Own()
+        longer.lasts = seconds
+        return longer
+"""
+
+
+@pytest.fixture
+def saved(project):
+    """Return a project with a file of the scenario, in which the fast ego hit the NPC."""
+    project.write(TEST.replace("WORLD", WORLD))
+    project.pytester.makepyfile(policies=POLICIES)
+    return filed(project, pafot.Highway(lanes=3).to_dict())
+
+
+def filed(project, world):
+    """Save the failure of the fast ego in a file that names a world."""
+    namespace = {}
+    exec(POLICIES, namespace)
+    run = pafot.Run(pafot.Highway(lanes=3).rollout(SCENARIO, namespace["fast"]))
+    assert (round(run.collision.time, 1), run.attribution.fault) == (5.6, "leader-unanswered")
+    finding = Finding.of(
+        run,
+        Failure(kind="AssertionError", assertion="assert not run.collision"),
+        test="test_it.py::test_gap",
+        world=world,
+        found=Found(seed=0, generation=0, algorithm="random", versions=dict(installed_versions())),
+    )
+    path = project.path / "pafot_corpus" / "test_it" / "test_gap" / f"{finding.id}.pafot.yaml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write(path, finding)
+    return project
+
+
+def replay(project, policy, *args, generations=0):
+    project.pytester.makeconftest(
+        f"import pytest\nimport policies\n\n@pytest.fixture\ndef ads():\n    return policies.{policy}\n"
+    )
+    return project.run(*args, generations=generations)
+
+
+def test_slower_ego_with_the_same_mistake_still_fails(saved):
+    result = replay(saved, "slow", "--pafot-json=session.json")
+    result.assert_outcomes(failed=1, skipped=1)
+    told = "driven on past the file's end: the same mistake, collision at 6.5 s"
+    assert told in " ".join(section(result, "test_gap[saved-leader-unanswered-f0cc96]").split())
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    assert told in (saved.path / "session.json").read_text()
+
+
+def test_braking_ego_is_fixed_and_drives_on_unseen(saved):
+    result = replay(saved, "braking", "-v")
+    result.assert_outcomes(passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*PASSED (fixed)*", "replayed 1 saved scenario: 1 fixed"])
+    result.stdout.no_fnmatch_line("*driven on*")
+
+
+def test_other_failure_after_the_end_is_only_reported(saved):
+    result = replay(saved, "raising")
+    result.assert_outcomes(passed=1, skipped=1)
+    told = "driven on past the file's end: another failure, ads_error at 8.0 s"
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *", f"    {told}"])
+
+
+def test_death_after_the_end_is_only_reported(saved):
+    result = replay(saved, "dying", "--pafot-isolate")
+    result.assert_outcomes(passed=1, skipped=1)
+    told = "driven on past the file's end, the process ended with exit code 9"
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *", f"    {told}"])
+    assert not list(saved.path.rglob("*.running"))
+
+
+@pytest.mark.parametrize("how", ["--pafot-isolate", "--pafot-strict-drift"])
+def test_options_do_not_change_the_label(saved, how):
+    replay(saved, "slow", how).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+
+
+def test_pass_without_its_situation_is_driven_on_too(saved):
+    path = saved.only_file
+    path.write_text(path.read_text().replace("ego_speed: ", "ego_speed: 9"))  # it was far faster than the NPC
+    replay(saved, "braking").stdout.fnmatch_lines(["*1 drifted"])
+    replay(saved, "slow").stdout.fnmatch_lines(["*1 still failing"])
+
+
+def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
+    path = saved.only_file
+    path.write_text(path.read_text().replace('# xfail: "reason"', 'xfail: "a known mistake"'))
+    replay(saved, "slow").assert_outcomes(xfailed=1, skipped=1)
+
+
+def test_search_knows_the_failure_of_a_slower_ego(saved):
+    result = replay(saved, "slow", "--pafot-runs=60", generations=None)
+    result.assert_outcomes(failed=1, passed=1)
+    result.stdout.fnmatch_lines(["  known: 19 runs covered by saved-leader-unanswered-f0cc96"])
+
+
+@pytest.mark.parametrize(
+    ("now", "before", "label"),
+    [
+        ("fast", "slow", "common"),
+        ("slow", "slow", "common"),
+        ("slow", "braking", "introduced"),
+        ("braking", "slow", "fixed"),
+        ("braking", "braking", "fixed before"),
+        ("braking", "raising", "fixed before"),
+    ],
+)
+def test_reference_is_driven_on_as_well(saved, now, before, label):
+    result = replay(saved, now, f"--pafot-against=policies:{before}")
+    result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
+
+
+@pytest.mark.parametrize(("more", "label"), [("", "fixed"), (LASTING, "still failing")])
+def test_own_world_is_driven_on_if_it_can_last_longer(project, more, label):
+    project.write(OWN + more + TEST.replace("WORLD", "Own()"))
+    project.pytester.makepyfile(policies=POLICIES)
+    filed(project, {"kind": "own", "class": "Own", "data": {}})
+    replay(project, "slow").stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])

@@ -1,0 +1,108 @@
+"""Runs that go on after the end of their scenario and of their world's own duration."""
+
+import random
+from functools import partial
+
+import pytest
+from gymnasium.wrappers import FlattenObservation
+from highway_env.vehicle.behavior import IDMVehicle
+
+from example_ads.junctions import CarefulDriver
+from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.trace import LANE, Outcome, X
+from pytest_pafot.world import Highway, World
+from pytest_pafot.world.protocol import lasting
+from tests.helpers.world_cases import EGOS, chains, constant_speed
+
+DURATION = 4.0
+
+
+def idle():
+    return lambda observation: 1
+
+
+def simulating(env):
+    return lambda observation: int(env.action_space.sample())
+
+
+def hard_to_please(observation):
+    """Return an action that depends on every bit of an observation."""
+    return (float(hash((observation.array.tobytes(), observation.road_length)) % 7 - 3), 0.0)
+
+
+JUNCTION = World("intersection-v0", planner_hz=5, duration=DURATION, config={"destination": "o2"})
+CASES = [
+    *((Highway(duration=DURATION), ego) for ego in (*EGOS, lambda: hard_to_please)),
+    (Highway(duration=DURATION, engine="highway-env"), lambda: hard_to_please),
+    (World("highway-v0", duration=DURATION), idle),
+    (World("highway-v0", duration=DURATION), simulating),
+    (World("highway-v0", duration=DURATION), IDMVehicle),
+    (World("highway-v0", duration=DURATION, wrappers=[FlattenObservation]), idle),
+    (JUNCTION, CarefulDriver),
+    (World("intersection-v0", duration=DURATION), idle),
+    (World("roundabout-v0", duration=DURATION), idle),
+]
+
+
+def scenarios(world):
+    if world.crossings is None:
+        for lane in (0, 2):
+            yield Scenario.repaired(chains(random.Random(lane), 3, 2, 20.0), ego_lane=lane, gene_seconds=1.0)
+        return
+    lane, speed = world.start
+    zones = [zone.way for zone in world.crossings.zones]
+    for zone in zones[:2]:
+        yield Scenario(
+            npcs=((CrossingInstruction(zone=zone, slot=1.0, speed=5.0),),), ego_lane=lane, ego_speed=speed, seed=3
+        )
+
+
+@pytest.mark.parametrize(("world", "ads"), CASES)
+def test_longer_run_begins_as_the_usual_run(world, ads):
+    for scenario in scenarios(world):
+        usual, longer = (each.rollout(scenario, ads) for each in (world, world.lasting(DURATION + 3.0)))
+        rows = len(usual.states)
+        assert longer.states[:rows].tobytes() == usual.states.tobytes()
+        assert (longer.scenario, longer.actions[: len(usual.actions)]) == (scenario, usual.actions)
+        is_over = usual.outcome not in (Outcome.SAFE, Outcome.OFF_ROAD)
+        assert is_over or longer.ticks > usual.ticks
+        assert longer.outcome not in (Outcome.SAFE, Outcome.OFF_ROAD) or longer.duration == DURATION + 3.0
+
+
+def test_road_and_configuration_stay_the_same():
+    for world in (Highway(duration=DURATION), JUNCTION):
+        longer = lasting(world)(14.0)
+        assert (longer, longer.to_dict(), longer.road) == (world, world.to_dict(), world.road)
+        assert (world.longest_run, longer.longest_run) == (DURATION, 14.0)
+
+
+def test_npc_goes_on_with_its_last_instruction():
+    scenario = Scenario(npcs=((PositionInstruction(2, 5.0),),), gene_seconds=3.0)
+    usual, longer = (world.rollout(scenario, constant_speed) for world in (Highway(), Highway().lasting(13.0)))
+    (arrived,) = longer.arrivals[0]
+    assert (usual.arrivals, usual.ticks < arrived) == (((None,),), True)
+
+
+def test_all_runs_of_a_batch_last_longer():
+    world = Highway(duration=DURATION)
+    traces = world.lasting(9.0).rollout_batch([*scenarios(world)], Batched)
+    assert {trace.duration for trace in traces if trace.outcome is Outcome.SAFE} == {9.0}
+
+
+class Batched:
+    def __call__(self, observation):
+        return 0.0, 0.0
+
+    def batch(self, observations):
+        return [(0.0, 0.0)] * len(observations)
+
+
+@pytest.mark.parametrize("world", [Highway(speed_limit=36.0), World("highway-v0")])
+def test_run_ends_before_the_end_of_a_straight_road(world):
+    longer = world.lasting(3000.0)
+    scenario = Scenario(npcs=((PositionInstruction(6, 0.0),),), ego_speed=30.0)
+    ads = partial(lambda action: lambda _: action, (5.0, 0.0) if isinstance(world, Highway) else 3)
+    trace = longer.rollout(scenario, ads)
+    assert world.longest_run < longer.longest_run < 3000.0
+    assert trace.ego[:, X].max() <= world.road.lanes[0].length
+    assert (trace.ego[:, LANE] >= 0).all()
