@@ -6,6 +6,7 @@ import pytest_pafot as pafot
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.oracle.checks import Check
 from pytest_pafot.support.versions import installed_versions
 from tests.helpers.sessions import section
 
@@ -23,6 +24,9 @@ fast, slow = cruising(30.0), cruising(20.0)
 
 def braking():
     return lambda seen: (-4.0 if seen.ego.speed > 4.0 else 0.0, 0.0)
+
+def late():  # leaves the NPC's lane, and speeds up after the end of the file
+    return lambda seen: (-2.0 if seen.time < 7.0 else 2.0, 0.05 if 0.5 < seen.time < 1.0 else 0.0)
 
 def raising():
     drive = braking()
@@ -64,15 +68,18 @@ def saved(project):
     return filed(project, pafot.Highway(lanes=3).to_dict())
 
 
-def filed(project, world):
-    """Save the failure of the fast ego in a file that names a world."""
+HIT = Failure(kind="AssertionError", assertion="assert not run.collision")
+
+
+def filed(project, world, failure=HIT):
+    """Save a failure of the fast ego, by default its collision, in a file that names a world."""
     namespace = {}
     exec(POLICIES, namespace)
     run = pafot.Run(pafot.Highway(lanes=3).rollout(SCENARIO, namespace["fast"]))
     assert (round(run.collision.time, 1), run.attribution.fault) == (5.6, "leader-unanswered")
     finding = Finding.of(
         run,
-        Failure(kind="AssertionError", assertion="assert not run.collision"),
+        failure,
         test="test_it.py::test_gap",
         world=world,
         found=Found(seed=0, generation=0, algorithm="random", versions=dict(installed_versions())),
@@ -131,6 +138,24 @@ def test_pass_without_its_situation_is_driven_on_too(saved):
     path.write_text(path.read_text().replace("ego_speed: ", "ego_speed: 9"))  # it was far faster than the NPC
     replay(saved, "braking").stdout.fnmatch_lines(["*1 drifted"])
     replay(saved, "slow").stdout.fnmatch_lines(["*1 still failing"])
+
+
+def test_flaky_file_stays_flaky(saved):
+    path = saved.only_file
+    path.write_text(path.read_text().replace('# xfail: "reason"', 'flaky: "running it again gave a different run"'))
+    replay(saved, "slow").stdout.fnmatch_lines(["*1 flaky"])
+
+
+def test_check_that_fails_after_the_end_still_fails(project):
+    check = "run.ego.speed, name='speed', at_most=24.0"
+    project.write(TEST.replace("WORLD", WORLD).replace("assert not run.collision", f"pafot.check({check})"))
+    project.pytester.makepyfile(policies=POLICIES)
+    broken = Check(name="speed", value=30.0, margin=-0.25, at_most=24.0, time=5.6)
+    failure = Failure(kind="CheckFailed", message=str(broken), assertion="speed", check=broken)
+    filed(project, pafot.Highway(lanes=3).to_dict(), failure)
+    told = "*driven on past the file's end: the same failure, speed failed at *"
+    replay(project, "late").stdout.fnmatch_lines([told, "*1 still failing"])
+    replay(project, "braking").stdout.fnmatch_lines(["*1 fixed"])
 
 
 def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
