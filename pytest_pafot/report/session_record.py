@@ -40,6 +40,8 @@ class FindingRecord:
         result: result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.
         file: path relative to the rootdir; null if it was not saved.
         replay: the command that replays it.
+        scenario: its scenario, which `pafot.Scenario.from_canonical` reads; null if its file could not be read.
+        world: its world, as in its file; null if its file could not be read.
         headline: how the run ended, in a few words; empty if it passes.
         sentences: sentences on the collision: who did what, what was due or what avoids it, and who is responsible.
         detail: what differs from the file, such as a situation that did not occur, or why there is no file.
@@ -76,6 +78,8 @@ class FindingRecord:
     result: str = ""
     file: str | None = None
     replay: str = ""
+    scenario: list[Any] | None = None
+    world: Mapping[str, Any] | None = None
     headline: str = ""
     sentences: list[str] = field(default_factory=list)
     detail: str = ""
@@ -125,6 +129,8 @@ class FindingRecord:
             status=status,
             test=finding.test,
             file=file,
+            scenario=finding.scenario.plain(),
+            world=dict(finding.world),
             signature=finding.signature.text,
             kind=finding.signature.slug,
             failure=expect.failure,

@@ -7,7 +7,9 @@ from xml.etree import ElementTree
 import pytest
 
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.report.job_summary import markdown
+from pytest_pafot.world import codec
 from tests.helpers.sessions import read_record
 
 TWO = """
@@ -67,6 +69,15 @@ def test_a_search_and_its_find_are_recorded(failing):
     assert (find.file, find.replay) == (failing.files[0], f"python -m pytest {failing.files[0]}")
     assert (find.signature, find.responsible) == (saved.signature.text, saved.expect.responsibility)
     assert find.runs == search.failing > 0
+
+
+def test_a_finding_without_a_file_is_recorded_with_its_scenario(failing):
+    (find,) = recorded(failing, "--pafot-save=none").findings
+    assert find.file is None
+    failing.run()
+    saved = load(failing.only_file)
+    assert Scenario.from_canonical(find.scenario) == saved.scenario
+    assert codec.from_dict(find.world) == codec.from_dict(saved.world)
 
 
 def test_replay_is_recorded_with_label_and_result(saved):
