@@ -149,7 +149,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
             # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
             stops_at_first=bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1,
             progress_seconds=shared.progress_seconds,
-            notes=[] if chosen is harness else [AFTER_A_DEATH],
+            process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         ).run()
     summary = result.summary
     if result.fault is not None:

@@ -145,6 +145,56 @@ def test_killed_session_records_findings_without_exit_code(project):
     assert (record.searches[0].base_seed, record.findings[0].seed) == (1, record.searches[0].seed)
 
 
+SLOW_ADS = """
+import time
+
+def slow():
+    def drive(observation):
+        time.sleep({seconds})
+        return 0.0, 0.0
+    return drive
+
+@pafot.search(SHORT, ads=slow, world=pafot.Highway(duration=3))
+def test_it(run):
+    assert not run.scenario.npcs[0][0].speed < 15, object()
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(
+    ("seconds", "note"), [(0.0, "not in use, since a run took *"), (0.001, "in use after 1 run *")]
+)
+def test_record_is_the_same_for_any_number_of_workers(project, seconds, note):
+    project.write(SLOW_ADS.format(seconds=seconds))
+    texts = []
+    for workers in (1, 2, 2):
+        result = project.run("--pafot-json=pafot.json", f"--pafot-workers={workers}", "--pafot-save=none")
+        texts.append((project.path / "pafot.json").read_text())
+    result.stdout.fnmatch_lines([f"*note: --pafot-workers=2: {note}"])
+    assert texts[0] == texts[1] == texts[2]
+    assert json.loads(texts[0])["findings"]
+
+
+@pytest.mark.processes
+def test_lost_process_and_slow_decision_are_recorded_alike(project):
+    slow = SLOW_ADS.format(seconds=0.02).replace("ads=slow", "ads=slow, decision_limit=0.01")
+    project.write(slow)
+    texts = []
+    for _ in range(2):
+        project.run("--pafot-json=pafot.json", "--pafot-save=none")
+        texts.append((project.path / "pafot.json").read_text())
+    assert texts[0] == texts[1]
+    assert "SlowDecision: a decision took N s, allowed are 0.01 s" in texts[0]
+    project.write(slow.replace("time.sleep(0.02)", "import os; os.abort()"))
+    for _ in range(2):
+        project.run(
+            "--pafot-json=pafot.json", "--pafot-isolate", "--pafot-save=none", "--pafot-runs=2", generations=None
+        )
+        texts.append((project.path / "pafot.json").read_text())
+    assert texts[2] == texts[3]
+    assert json.loads(texts[2])["findings"]
+
+
 @pytest.mark.processes
 def test_workers_record_the_same_text_as_one_process(project):
     pytest.importorskip("xdist")
