@@ -26,7 +26,7 @@ from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained
-from pytest_pafot.plugin.messages import set_properties, severity_text
+from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.search_item import harness_of, shown
@@ -84,6 +84,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
             check=check,
             severity=verdict.severity,
         )
+    item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
     if finding.xfail is not None and not verdict.failed:
         _add_section(item, [f"{label}: remove the line `xfail:` from {path}"])
     _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
@@ -111,6 +112,7 @@ def _conclude_lost(
     if page is not None:
         page.replayed(finding, None, headline=line, label=label, detail=detail, path=path)
     _add_section(item, [f"replay: {label}{f', {detail}' if detail else ''}"])
+    item.stash[OF_ONE_RUN].show(None)
     pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
 
 

@@ -245,6 +245,59 @@ def test_junit_names_all_findings_and_unreadable_files(project):
     assert [set(each) for each in named] == [{"pafot_id", "pafot_file"}]
 
 
+RECORDING = """
+def ads():
+    return lambda observation: (0.0, 0.0)
+
+def standing():
+    return lambda observation: (-5.0, 0.0)
+
+@pytest.fixture(autouse=True)
+def of_setup(record_property):
+    record_property("requirement", "REQ-001")
+
+@pytest.fixture
+def log(record_property):
+    return lambda run: record_property("speed", round(float(run.ego.speed[-1]), 1))
+
+@pafot.search(SHORT, ads=ads, against=standing, world=pafot.Highway(duration=10), shrink_rollouts=10)
+def test_it(run, record_property, record_testsuite_property, record_xml_attribute, log):
+    record_property("requirement", "REQ-001")
+    record_testsuite_property("suite", "S-1")
+    record_xml_attribute("assertions", "2")
+    log(run)
+    log(run)
+    assert run.ego.speed[-1] < 5.0
+"""
+
+
+def test_properties_of_a_marked_test_are_those_of_one_run(project):
+    pytest_warnings = "-Wignore::pytest.PytestExperimentalApiWarning"
+    project.write(RECORDING)
+    arguments = ("--junitxml=junit.xml", pytest_warnings, "-ojunit_family=xunit1", "--pafot-stop-after=1")
+    project.run(*arguments)
+
+    def recorded():
+        root = ElementTree.parse(project.path / "junit.xml").getroot()
+        suite = [(each.get("name"), each.get("value")) for each in root.findall("testsuite/properties/property")]
+        assert suite == [("suite", "S-1")]
+        return {
+            case.get("name"): [
+                (each.get("name"), each.get("value"))
+                for each in case.iter("property")
+                if not each.get("name").startswith("pafot")
+            ]
+            for case in root.iter("testcase")
+        }
+
+    saved = load(project.only_file)
+    one = [("requirement", "REQ-001"), ("requirement", "REQ-001"), ("speed", "22.0"), ("speed", "22.0")]
+    names = ["test_it[search]", f"test_it[saved-{saved.id}]"]
+    assert recorded() == dict.fromkeys(names, one)
+    project.run(*arguments, generations=0)
+    assert recorded()[names[1]] == one  # and not those of the run of the reference, which came last
+
+
 def test_unwritable_record_file_is_a_summary_problem(failing):
     (failing.path / "taken").write_text("")
     result = failing.run("--pafot-json=taken/pafot.json")
