@@ -5,16 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
-from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.campaign.request import RequestError, build_space
+from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.execution.scenario_pool import Job, expectation
 from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding, of_failure
@@ -24,11 +29,15 @@ from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching.space import sample
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 
 FLAKY = "flaky"
+
+PROBES = 10
+"""The number of random scenarios that must end as a replay does, so that the cause is the set-up and no scenario."""
 
 BESIDE = {True: "introduced", False: "common", None: ""}
 """The label of a saved scenario that fails, by whether the reference passes the same scenario."""
@@ -42,6 +51,7 @@ class Replays:
     # replays the scenario of a file in a separate session, if no other process can be given what the test needs; raises
     # ``ProcessLostError`` if that session died
     in_own_session: Callable[[Path, Job, Scenario], None]
+    today: date | None = None  # the day for which failures are accepted; None if nothing is accepted
 
     def shown_by(self, saved: Iterable[Saved]) -> dict[Signature, str]:
         """Replay saved scenarios; return the *known* failures, each with the id of the first file that shows it.
@@ -49,17 +59,24 @@ class Replays:
         A saved scenario, accepted or not, covers the failure that it shows now, even if it was saved for another
         failure. If it passes, it covers nothing. So for each known failure there is an item that fails with it or
         accepts it. A file that cannot be used covers nothing either, as its item reports the error. Nor does a file in
-        which the reference fails as well: old failures must not hide new failures.
+        which the reference fails as well: old failures must not hide new failures. A flaky failure that is accepted is
+        covered even if its replay passes this time: else the search would find it again by chance.
         """
         known: dict[Signature, str] = {}
         for each in saved:
-            owner = self.harness.saved_node_id(each.id)
+            owner, finding = self.harness.saved_node_id(each.id), each.finding
+            if finding is not None and finding.flaky is not None and self.accepts(finding):
+                known.setdefault(finding.signature, each.id)
             with suppress(RequestError):
                 world = self.world_of(each)
                 shown = self._observed(each, world, owner)
                 if shown is not None and self.passes_reference(each, world, owner) is not False:
                     known.setdefault(shown, each.id)
         return known
+
+    def accepts(self, finding: Finding) -> bool:
+        """Return whether the failure of a file is accepted today."""
+        return self.today is not None and finding.is_accepted(self.today)
 
     def still_fails(self, saved: Saved) -> bool:
         """Return whether a process still dies in a saved scenario, even if the reference's process dies as well."""
@@ -129,6 +146,31 @@ class Replays:
     def _is_apart(self, saved: Saved, owner: str) -> bool:
         harness = self.harness
         return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
+
+    def check_set_up(self, saved: Saved, run: Run, verdict: Verdict, owner: str) -> None:
+        """Check that a replay that fails does so by its scenario, and not because the ADS no longer drives at all.
+
+        An ADS whose call has another signature now raises at its first decision whatever the scenario is, and an error
+        in the test function occurs in every run. So random scenarios of the test end in the same exception, too.
+
+        Raises:
+            SetupFaultError: if all of them do.
+        """
+        __tracebackhide__ = True
+        harness, first = self.harness, FirstGeneration()
+        first.see(run, verdict)
+        isolate = self._is_apart(saved, owner)
+        try:
+            space, job = build_space(harness.request, harness.world), harness.job(owner=owner)
+            with harness.recording(job) as record, refusals(), runner_for(job, record, isolate=isolate) as runner:
+                for number in range(PROBES):
+                    probe = harness.seen(runner.run(sample(space, np.random.default_rng(number)), afresh=True))
+                    first.see(probe, harness.judge(probe))
+                    if not first.is_alike:
+                        return
+        except (RequestError, ProcessLostError):  # They end differently than the replay; the search reports them.
+            return
+        raise SetupFaultError(run, verdict, f"this replay and {PROBES} random scenarios", is_replay=True)
 
     def passes_reference(self, saved: Saved, world: Any, owner: str) -> bool | None:
         """Return whether the reference passes a saved scenario; None if the test has no reference."""

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field, replace
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -155,7 +156,8 @@ def run_search(item: pytest.Function, request: Request) -> None:
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
     harness = harness_of(item, request)
-    replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
+    today = date.fromisoformat(shared.today)
+    replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, page_messages_of(item, settings), table_messages_of(item), settings)
     limit = time_limit(settings, now=time.monotonic(), began=shared.began, left=searches_left(item))

@@ -288,6 +288,56 @@ def test_brakes(run):
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
 
 
+CHANCE = """
+import os
+
+SEEN = []
+
+def sometimes():
+    SEEN.append(1)
+    brake = -3.0 if len(SEEN) > int(os.environ["PASSES"]) else 0.0
+    return lambda observation: (brake, 0.0)
+
+@pafot.search(SHORT, ads=sometimes, stop_after=1)
+def test_brakes(run):
+    assert run.hardest_brake < 1
+"""
+
+FAILS_ALWAYS, PASSES_ALWAYS = "0", "1000"
+
+
+@pytest.fixture
+def by_chance(project, monkeypatch):
+    """Save an accepted finding whose file says that it is flaky; return a function that sets how many runs pass."""
+    project.write(CHANCE)
+    monkeypatch.setenv("PASSES", FAILS_ALWAYS)
+    project.run()
+    edited(project, '# xfail: "reason"', f'flaky: "another run"\n{UNTIL}')
+    return lambda passes: monkeypatch.setenv("PASSES", passes)
+
+
+@pytest.mark.parametrize("passes", [FAILS_ALWAYS, PASSES_ALWAYS, "1"])
+def test_an_accepted_flaky_failure_never_fails_by_chance(project, by_chance, passes):
+    by_chance(passes)
+    accepted = project.run("--pafot-today=2027-01-31", "-rx", generations=0)
+    accepted.assert_outcomes(xfailed=1, skipped=1)
+    assert ("planner issue 12; flaky: it passed this time" in accepted.stdout.str()) == (passes == PASSES_ALWAYS)
+    assert "remove the line" not in accepted.stdout.str()
+    over = project.run("--pafot-today=2027-02-01", generations=0)
+    over.assert_outcomes(**{"passed" if passes == PASSES_ALWAYS else "failed": 1}, skipped=1)
+
+
+def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance):
+    before = project.contents
+    by_chance("4")  # The replay passes, and later runs of the search fail in the same way.
+    result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", generations=2)
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines([f"  known: * covered by saved-{project.only_id}"])
+    assert project.contents == before
+    over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", generations=2)
+    assert over.ret == pytest.ExitCode.TESTS_FAILED
+
+
 TRAINED = """
 class Trained:
     weights_digest = "sha256:1"
