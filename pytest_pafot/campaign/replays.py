@@ -25,6 +25,7 @@ from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.replay import HAS_EVENT, ending, replay_label, unhandled
 from pytest_pafot.findings.signature import Failure, Signature
+from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
@@ -234,6 +235,18 @@ class Replays:
         own = self.harness.world
         return codec.changes(finding.world, own) or codec.cuts(finding.world, finding.scenario, own)
 
+    def setting_changes(self, finding: Finding) -> list[str]:
+        """Return all differences between a file and the test now that do not depend on what happens in the replay.
+
+        A replay takes place in the file's world if that is data, and in the file's traffic, whatever the test names.
+        """
+        elsewhere = ", ".join(codec.elsewhere(finding.world, finding.scenario, self.harness.world))
+        told = [f"run in the world of the file, which is not the test's: {elsewhere}"] if elsewhere else []
+        then, now = finding.scenario.traffic, self.harness.request.space.get("traffic")
+        if now is not None and Traffic.of(now) != then:
+            told.append(f"run in the traffic of the file, which is not the test's: {then} there, {Traffic.of(now)} now")
+        return [*self.world_changes(finding), *told, *self.ads_changes(finding)]
+
     def sight_change(self, finding: Finding) -> list[str]:
         """Return how the ADS's sight in the file and now differ; empty if they are the same."""
         then = Sight() if finding.perception is None else finding.perception.sight
@@ -253,7 +266,7 @@ class Replays:
             for name, version in sorted(finding.found.versions.items())
             if versions.get(name) != version
         ]
-        changed += [*self.world_changes(finding), *self.ads_changes(finding)]
+        changed += self.setting_changes(finding)
         expect = finding.expect
         then = "the process died" if expect.is_crash else _event(expect.outcome, expect.time)
         if expect.check is not None:

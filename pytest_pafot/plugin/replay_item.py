@@ -64,7 +64,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         _conclude_lost(item, replays, saved, finding, lost, beside)
     _check_set_up(item, replays, saved, run, verdict)
     worse = _worsening(verdict) if label == BESIDE[False] else ""
-    told = [_against(replays), f"worse: {worse}" if worse else "", *replays.ads_changes(finding)]
+    told = [_against(replays), f"worse: {worse}" if worse else "", *replays.setting_changes(finding)]
     detail = "; ".join(filter(None, told))
     item.stash[REPLAYED] = label, run, verdict
     if label in ("drifted", FLAKY):
@@ -138,7 +138,7 @@ def _conclude_lost(
     label = "still failing" if was_lost else "drifted"
     item.stash[REPLAYED] = label, None, None
     label = beside or label
-    detail = "; ".join(filter(None, [_against(replays), *replays.ads_changes(finding)]))
+    detail = "; ".join(filter(None, [_against(replays), *replays.setting_changes(finding)]))
     if label == "drifted":
         detail = replays.changes(finding, f"the process {lost.how}")
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"

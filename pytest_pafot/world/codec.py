@@ -275,6 +275,16 @@ def changes(data: Mapping[str, Any], world: Any) -> list[str]:
     return differences("world", data, described(world))
 
 
+def elsewhere(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str]:
+    """Describe how the test's world differs from the world that :func:`of_file` makes, in which a file is replayed.
+
+    The list is empty for a file whose world is code, because it is replayed in the test's world.
+    """
+    if is_code(data):
+        return []
+    return differences("world", described(of_file(data, scenario, own)), described(own))
+
+
 def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:
     """Describe the first differences between data of a file and of this session, and count the others."""
     then, now = dict(_leaves(place, file)), dict(_leaves(place, session))

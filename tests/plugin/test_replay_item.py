@@ -1,5 +1,7 @@
 """Replays: labels, drift, xfail, and when a failure is new again."""
 
+import json
+
 import pytest
 
 from pytest_pafot.corpus.reader import load
@@ -286,6 +288,41 @@ def test_brakes(run):
     result = project.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
+
+
+OTHER_WORLD = "run in the world of the file, which is not the test's: world.lanes 4 in the file, 5 now"
+
+
+def test_replay_says_that_the_test_names_another_world(saved):
+    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
+    saved.run("-v", generations=0).stdout.no_fnmatch_line("*in the world of*")
+    saved.write(text.replace("@pafot.search(", "@pafot.search(lanes=5, "))
+    result = saved.run("-v", "--pafot-json=pafot.json", generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    assert f"replay: still failing, {OTHER_WORLD}" in " ".join(result.stdout.str().split())
+    assert json.loads((saved.path / "pafot.json").read_text())["findings"][0]["detail"] == OTHER_WORLD
+    saved.write(PASSES.replace("@pafot.search(", "@pafot.search(lanes=5, "))
+    result = saved.run(generations=0)
+    assert OTHER_WORLD in " ".join(result.stdout.str().split())
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+
+
+def test_replay_says_that_the_test_names_other_traffic(saved):
+    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
+    saved.write(text.replace("@pafot.search(", "@pafot.search(traffic=pafot.Traffic('everyday', least_gap=4), "))
+    shown = " ".join(saved.run(generations=0).stdout.str().split())
+    named = "Traffic('paper') there, Traffic('everyday', least_gap=4) now"
+    assert f"still failing, run in the traffic of the file, which is not the test's: {named}" in shown
+    saved.write(text.replace("@pafot.search(", "@pafot.search(traffic='paper', "))
+    assert "in the traffic of the file" not in saved.run(generations=0).stdout.str()
+
+
+def test_replay_in_another_kind_of_world_says_so(saved):
+    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
+    saved.write(text.replace("@pafot.search(", "@pafot.search(world=pafot.World('highway-v0', planner_hz=5), "))
+    result = saved.run(generations=0)
+    shown = " ".join(result.stdout.str().split())
+    assert "which is not the test's: world.kind 'highway' in the file, 'gym' now, " in shown
 
 
 CHANCE = """
