@@ -19,7 +19,7 @@ from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import runner_for
+from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import Job, expectation
 from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding, of_failure
@@ -191,7 +191,36 @@ class Replays:
             harness.recording(job) as record,
             harness.reference_runner(job, record, isolate=isolate) or nullcontext() as runner,
         ):
-            return None if runner is None else harness.judge_reference(runner, scenario, world)
+            if runner is None:
+                return None
+            verdict = harness.judge_reference(runner, scenario, world)
+            if verdict.is_ads and verdict.failure is not None:
+                self._check_reference(runner, world, verdict.failure)
+            return verdict
+
+    def _check_reference(self, runner: Runner, world: Any, failure: Failure) -> None:
+        """Check that the reference failed by the scenario of a replay, and not because it no longer drives at all.
+
+        Otherwise each replay that passes would be called fixed.
+
+        Raises:
+            RequestError: if it fails in the same way in random scenarios, too.
+        """
+        __tracebackhide__ = True
+        harness = self.harness
+        try:
+            space = build_space(harness.request, world)
+            for number in range(PROBES):
+                probe = harness.judge_reference(runner, sample(space, np.random.default_rng(number)), world)
+                if probe.failure is None or probe.failure.kind != failure.kind or not probe.is_ads:
+                    return
+        except RequestError:  # The arguments of the test do not fit the world of the file, so nothing can be compared.
+            return
+        raise RequestError(
+            f"against ({harness.against_name}): expected a reference that drives, received {failure.kind}: "
+            f"{failure.message} in this replay and {PROBES} random scenarios; correct the reference, its factory, or "
+            "the world= in which it drives"
+        )
 
     def labelled(self, saved: Saved, owner: str) -> tuple[str, Run, Verdict]:
         """Replay a saved scenario; return its label, run and verdict. A replay that passes is run again.
@@ -201,7 +230,8 @@ class Replays:
 
         Raises:
             ProcessLostError: if the process that ran the scenario died or hung.
-            RequestError: if the scenario cannot be run. The message names the file, the line and the field.
+            RequestError: if the scenario cannot be run, with the file, the line and the field; or if the reference
+                does not drive at all.
         """
         __tracebackhide__ = True
         finding, world = _finding(saved), self.world_of(saved)

@@ -17,6 +17,7 @@ from pytest_pafot.campaign.options import cores
 from pytest_pafot.commands.policy_reference import PlanError
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.support.files import way_out, write_whole
+from pytest_pafot.support.text import visible
 from pytest_pafot.world.codec import differences
 
 RUNS = "runs"
@@ -155,7 +156,7 @@ def claim(job: ResumableJob, folder: Path) -> None:
                 # A name that this job lacks stays in the file, so that a later job with it is compared, too.
                 now[OF_NAMES] = {**others, **now[OF_NAMES]}
                 compared = {**then, OF_NAMES: others | {n: e for n, e in now[OF_NAMES].items() if n not in done}}
-                differ = "; ".join(differences("", compared, now))
+                differ = visible("; ".join(differences("", compared, now)))  # a folder may come from somebody else
             if differ:
                 raise PlanError(
                     f"--out: expected an empty folder or the folder of this {job.noun}, received {folder}, whose "
