@@ -68,7 +68,7 @@ class Failures:
             if style is not None:
                 option.tbstyle = style
         saved = saved_of(item)
-        if saved is not None and call.excinfo.errisinstance((Exception, pytest.fail.Exception)):
+        if saved is not None and not call.excinfo.errisinstance(pytest.xfail.Exception):
             _count_unless_replayed(item, saved, report)
         if saved is not None:
             told = {"id": saved.id, "file": relative(saved.path, item.config.rootpath)}

@@ -89,6 +89,21 @@ def test_accepted_file_that_passes_fails_until_line_removed(saved):
     )
 
 
+FIXTURE = """
+@pytest.fixture(autouse=True)
+def prepared():
+    RAISE
+"""
+
+
+@pytest.mark.parametrize(("raises", "outcome"), [("1 / 0", "errors"), ("pytest.xfail('later')", "xfailed")])
+def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcome):
+    edited(saved, '# xfail: "reason"', 'xfail: "planner issue 12"')
+    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
+    saved.write(f"{text}\n{FIXTURE.replace('RAISE', raises)}")
+    saved.run(generations=0).assert_outcomes(**{outcome: 1}, skipped=1)
+
+
 UNTIL = 'xfail: {reason: "planner issue 12", until: 2027-01-31}'
 OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day is over: correct *"
 
