@@ -100,6 +100,8 @@ class SearchSummary:
     known: Mapping[str, int] = field(default_factory=dict)  # failing runs by the id of the file that covers them
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # anything else to report once
+    # notes on processes: how many were used and which died, which differs between machines and numbers of workers
+    process_notes: tuple[str, ...] = ()
     against: str = ""  # the reference with which failures were compared, or empty
     # counts for the random scenarios at the beginning: runs with a collision for which the ego is responsible, alone or
     # with the NPC, and all runs that say something about the ego; then runs that failed in any other way

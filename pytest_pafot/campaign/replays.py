@@ -5,25 +5,32 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pytest_pafot.campaign.harness import Harness, begins_alike, refusals
-from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.campaign.request import RequestError, build_space
+from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import Job, LostRun, expectation
 from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.replay import DRIVEN_ON, HAS_EVENT, ending, is_same_failure, replay_label, unhandled
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
+from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching.space import sample
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
@@ -32,6 +39,9 @@ FLAKY = "flaky"
 
 Sought = Callable[[Run, Failure], bool]
 """Whether a failure of a run is the one that is looked for."""
+
+PROBES = 10
+"""The number of random scenarios that must end as a replay does, so that the cause is the set-up and no scenario."""
 
 BESIDE = {True: "introduced", False: "common", None: ""}
 """The label of a saved scenario that fails, by whether the reference passes the same scenario."""
@@ -45,6 +55,7 @@ class Replays:
     # replays the scenario of a file in a separate session, if no other process can be given what the test needs; raises
     # ``ProcessLostError`` if that session died
     in_own_session: Callable[[Path, Job, Scenario], None]
+    today: date | None = None  # the day for which failures are accepted; None if nothing is accepted
 
     def shown_by(self, saved: Iterable[Saved]) -> dict[Signature, str]:
         """Replay saved scenarios; return the *known* failures, each with the id of the first file that shows it.
@@ -52,11 +63,15 @@ class Replays:
         A saved scenario, accepted or not, covers the failure that it shows now, even if it was saved for another
         failure. If it passes, also when it is driven on, it covers nothing. So for each known failure there is an item
         that fails with it or accepts it. A file that cannot be used covers nothing either, as its item reports the
-        error. Nor does a file in which the reference fails as well: old failures must not hide new failures.
+        error. Nor does a file in which the reference fails as well: old failures must not hide new failures. A flaky
+        failure that is accepted is covered even if its replay passes this time: else the search would find it again by
+        chance.
         """
         known: dict[Signature, str] = {}
         for each in saved:
-            owner = self.harness.saved_node_id(each.id)
+            owner, finding = self.harness.saved_node_id(each.id), each.finding
+            if finding is not None and finding.flaky is not None and self.accepts(finding):
+                known.setdefault(finding.signature, each.id)
             with suppress(RequestError):
                 world = self.world_of(each)
                 shown, is_later = self._observed(each, world, owner)
@@ -65,6 +80,10 @@ class Replays:
                 if shown is not None and self.passes_reference(each, world, owner, sought) is not False:
                     known.setdefault(shown, each.id)
         return known
+
+    def accepts(self, finding: Finding) -> bool:
+        """Return whether the failure of a file is accepted today."""
+        return self.today is not None and finding.is_accepted(self.today)
 
     def still_fails(self, saved: Saved) -> bool:
         """Return whether a process still dies in a saved scenario, even if the reference's process dies as well."""
@@ -143,6 +162,31 @@ class Replays:
         harness = self.harness
         return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
 
+    def check_set_up(self, saved: Saved, run: Run, verdict: Verdict, owner: str) -> None:
+        """Check that a replay that fails does so by its scenario, and not because the ADS no longer drives at all.
+
+        An ADS whose call has another signature now raises at its first decision whatever the scenario is, and an error
+        in the test function occurs in every run. So random scenarios of the test end in the same exception, too.
+
+        Raises:
+            SetupFaultError: if all of them do.
+        """
+        __tracebackhide__ = True
+        harness, first = self.harness, FirstGeneration()
+        first.see(run, verdict)
+        isolate = self._is_apart(saved, owner)
+        try:
+            space, job = build_space(harness.request, harness.world), harness.job(owner=owner)
+            with harness.recording(job) as record, refusals(), runner_for(job, record, isolate=isolate) as runner:
+                for number in range(PROBES):
+                    probe = harness.seen(runner.run(sample(space, np.random.default_rng(number)), afresh=True))
+                    first.see(probe, harness.judge(probe))
+                    if not first.is_alike:
+                        return
+        except (RequestError, ProcessLostError):  # They end differently than the replay; the search reports them.
+            return
+        raise SetupFaultError(run, verdict, f"this replay and {PROBES} random scenarios", is_replay=True)
+
     def passes_reference(self, saved: Saved, world: Any, owner: str, sought: Sought | None = None) -> bool | None:
         """Return whether the reference passes a saved scenario; None if the test has no reference."""
         __tracebackhide__ = True
@@ -166,6 +210,8 @@ class Replays:
                 if runner is None:
                     return None
                 run, now = self.harness.run_reference(runner, _finding(saved).scenario, each)
+                if verdict is None and now.is_ads and now.failure is not None:
+                    self._check_reference(runner, world, now.failure)
             if verdict is None:
                 verdict = now
                 if not verdict.passes:
@@ -173,6 +219,30 @@ class Replays:
             elif sought is not None and run is not None and now.failure is not None and sought(run, now.failure):
                 verdict = now
         return verdict
+
+    def _check_reference(self, runner: Runner, world: Any, failure: Failure) -> None:
+        """Check that the reference failed by the scenario of a replay, and not because it no longer drives at all.
+
+        Otherwise each replay that passes would be called fixed.
+
+        Raises:
+            RequestError: if it fails in the same way in random scenarios, too.
+        """
+        __tracebackhide__ = True
+        harness = self.harness
+        try:
+            space = build_space(harness.request, world)
+            for number in range(PROBES):
+                probe = harness.judge_reference(runner, sample(space, np.random.default_rng(number)), world)
+                if probe.failure is None or probe.failure.kind != failure.kind or not probe.is_ads:
+                    return
+        except RequestError:  # The arguments of the test do not fit the world of the file, so nothing can be compared.
+            return
+        raise RequestError(
+            f"against ({harness.against_name}): expected a reference that drives, received {failure.kind}: "
+            f"{failure.message} in this replay and {PROBES} random scenarios; correct the reference, its factory, or "
+            "the world= in which it drives"
+        )
 
     def _longer(self, saved: Saved, world: Any) -> Any | None:
         """Return the world with runs that go on after the end of a saved scenario; None if the world cannot go on."""
@@ -233,7 +303,8 @@ class Replays:
 
         Raises:
             ProcessLostError: if the process that ran the scenario died or hung.
-            RequestError: if the scenario cannot be run. The message names the file, the line and the field.
+            RequestError: if the scenario cannot be run, with the file, the line and the field; or if the reference
+                does not drive at all.
         """
         __tracebackhide__ = True
         finding, world = _finding(saved), self.world_of(saved)
@@ -268,6 +339,18 @@ class Replays:
         own = self.harness.world
         return codec.changes(finding.world, own) or codec.cuts(finding.world, finding.scenario, own)
 
+    def setting_changes(self, finding: Finding) -> list[str]:
+        """Return all differences between a file and the test now that do not depend on what happens in the replay.
+
+        A replay takes place in the file's world if that is data, and in the file's traffic, whatever the test names.
+        """
+        elsewhere = ", ".join(codec.elsewhere(finding.world, finding.scenario, self.harness.world))
+        told = [f"run in the world of the file, which is not the test's: {elsewhere}"] if elsewhere else []
+        then, now = finding.scenario.traffic, self.harness.request.space.get("traffic")
+        if now is not None and Traffic.of(now) != then:
+            told.append(f"run in the traffic of the file, which is not the test's: {then} there, {Traffic.of(now)} now")
+        return [*self.world_changes(finding), *told, *self.ads_changes(finding)]
+
     def sight_change(self, finding: Finding) -> list[str]:
         """Return how the ADS's sight in the file and now differ; empty if they are the same."""
         then = Sight() if finding.perception is None else finding.perception.sight
@@ -287,7 +370,7 @@ class Replays:
             for name, version in sorted(finding.found.versions.items())
             if versions.get(name) != version
         ]
-        changed += [*self.world_changes(finding), *self.ads_changes(finding)]
+        changed += self.setting_changes(finding)
         expect = finding.expect
         then = "the process died" if expect.is_crash else _event(expect.outcome, expect.time)
         if expect.check is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
@@ -24,7 +25,9 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
 from pytest_pafot.searching.campaign import Checkpoint
 from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.fitness import referred_to
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
@@ -328,8 +331,8 @@ def restore(counts: Counts, loop: SearchLoop, beginning: RandomBeginning) -> Non
 def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> dict[str, Any]:
     """Return the settings in which a state and a search must agree, as plain data.
 
-    The findings depend on these settings, and also on the code of the test, of the ADS and of the user's own algorithm,
-    which is not included.
+    They include the hashes of the user's source files: those of the test, the ADS, the reference, the algorithm, the
+    fitness and the world, with all that these files import. The code of a notebook has no file, and is not included.
     """
     request, sight = harness.request, sight_of(harness.ads)
     names: list[str] = [each.name for each in fields(algorithm)] if is_dataclass(algorithm) else []
@@ -346,9 +349,21 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
         "sight": None if sight is None else asdict(sight),
         "weights": weights_digest(harness.ads),
         "versions": harness.versions,
+        "code": _code(harness),
     }
     data: dict[str, Any] = json.loads(json.dumps(values, default=_named))
     return data
+
+
+def _code(harness: Harness) -> dict[str, str]:
+    fitness, request = harness.request.fitness, harness.request
+    own = referred_to(fitness) if isinstance(fitness, str) and ":" in fitness else fitness
+    of_file = next(
+        (each for each in [*sys.modules.values()] if getattr(each, "__file__", None) == harness.test_file), None
+    )
+    against = None if harness.against is None else harness.against.ads
+    given = (of_file, harness.test, harness.ads, against, request.algorithm.made_by, own)
+    return source_digests(*given, *codec.code_of(harness.world), here=harness.root)
 
 
 def _named(value: object) -> str:

@@ -21,6 +21,7 @@ COLUMNS: Mapping[str, str] = {
     "generation": "number of the generation, from 0",
     "local_generation": "number of the generation in a local search, from 1; 0 outside of a local search",
     "scenario": "id of the scenario, six hexadecimal digits",
+    "scenario_seed": "seed of the scenario's own random choices, such as the repair of its instructions",
     "reused": "True if the result of an earlier run was reused, so the scenario was not simulated; `verdict`, "
     "`responsibility`, `fault` and the measures are then those of the same scenario, or empty if only a different "
     "scenario has this result",
@@ -29,6 +30,7 @@ COLUMNS: Mapping[str, str] = {
     "npcs": "number of NPCs",
     "gene_seconds": "duration of an instruction [s]",
     "traffic": "style of the traffic",
+    "traffic_parts": "JSON: the parts of the traffic that differ from its style",
     "genes": "JSON: the instructions of each NPC, as cell or lane and speed [m/s], or as zone, speed, slot [s], act",
     "outcome": "how the run ended, such as `collision`",
     "verdict": "verdict of the test: passed, failed, npc (an NPC's fault, which blame excludes), unpreventable, "
@@ -89,12 +91,14 @@ class RunTable:
             "generation": event.generation,
             "local_generation": event.local_generation,
             "scenario": scenario.id,
+            "scenario_seed": scenario.seed,
             "reused": event.reused,
             "ego_lane": scenario.ego_lane,
             "ego_speed": scenario.ego_speed,
             "npcs": len(scenario.npcs),
             "gene_seconds": scenario.gene_seconds,
             "traffic": scenario.traffic.style,
+            "traffic_parts": json.dumps(scenario.traffic.own, separators=(",", ":")),
             "genes": json.dumps(scenario.plain()[0], separators=(",", ":")),
             "outcome": str(evaluation.outcome),
             "failing": evaluation.failing,

@@ -154,7 +154,7 @@ class Search:
     limit: TimeLimit
     stops_at_first: bool = False  # True if it ends at its first new finding
     progress_seconds: float = 10.0  # interval between reports of progress [s]
-    notes: list[str] = field(default_factory=list)  # notes for the summary
+    process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
     _shrink_runs: int = field(init=False, default=0)
     _told_at: float = field(init=False)
 
@@ -185,7 +185,7 @@ class Search:
         recorder.listener(SearchStarted(node_id=self.node_id, seed=self.sessions.seed, speed_limit=speed_limit))
         began = self.sessions.clock()
         retried = [self._retried(leftover) for leftover in harness.left_behind()]
-        self.notes += [note for each in retried for note in each.notes]
+        self.process_notes += [note for each in retried for note in each.notes]
         reason, fault = "interrupted", None
         try:
             with simulation.runner:
@@ -220,10 +220,9 @@ class Search:
             for each in retried:
                 if each.pending is not None:
                     each.pending.discard()
-            self.notes += simulation.runner.notes
+            self.process_notes += simulation.runner.notes
             if simulation.record.error:
-                self.notes += [str(simulation.record.error)]
-            self.notes += self.sessions.notes
+                self.process_notes += [str(simulation.record.error)]
             summary = self._summary(reason)
             recorder.listener(summary)
         return SearchResult(
@@ -398,7 +397,8 @@ class Search:
             shrink_runs=self._shrink_runs,
             known=dict(loop.known + self.sessions.found_before),
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
-            notes=(*self.notes, *filter(None, notes), *cut, *self._left_undone(reason)),
+            notes=(*self.sessions.notes, *filter(None, notes), *cut, *self._left_undone(reason)),
+            process_notes=tuple(self.process_notes),
             against=self.harness.against_name,
             random=(0, 0) if is_cut_short else (beginning.at_fault, beginning.runs),
             random_otherwise=0 if is_cut_short else beginning.otherwise,

@@ -30,15 +30,20 @@ Large negative accelerations are allowed, because planners use them to brake as 
 
 
 class SetupFaultError(Exception):
-    """An error of the set-up: all runs of the first generation ended in the same exception."""
+    """An error of the set-up: all runs of the first generation ended in the same exception.
 
-    def __init__(self, run: Run, verdict: Verdict, runs: str) -> None:
+    For a replay, these are its own run and those of some random scenarios.
+    """
+
+    def __init__(self, run: Run, verdict: Verdict, runs: str, *, is_replay: bool = False) -> None:
         super().__init__(f"{runs} ended in {verdict.exception!r}")
-        self.run, self.verdict, self.runs = run, verdict, runs
+        self.run, self.verdict, self.runs, self.is_replay = run, verdict, runs, is_replay
 
     def shown(self, world: Any, ads: Callable[..., Any]) -> BaseException:
         """Return the exception for the user: what was raised and where, why it is no finding, and what to do."""
         verdict = self.verdict
+        nothing = "so nothing was saved" if not self.is_replay else "so it says nothing about any saved scenario"
+        again = "replay" if self.is_replay else "search"
         if verdict.is_ads or verdict.exception is None:
             asked = None if is_vehicle_class(ads) else first_decision(world, self.run.trace.scenario)
             others = (
@@ -51,12 +56,11 @@ class SetupFaultError(Exception):
             return PlainFailure(
                 f"{verdict.exception}\n\n"
                 f"This happened in {self.runs}, at the first decision: it is an error of the set-up and no finding, "
-                "so nothing was saved. Correct the ADS, its factory, or the world= in which it drives, and search "
-                f"again.{told}"
+                f"{nothing}. Correct the ADS, its factory, or the world= in which it drives, and {again} again.{told}"
             )
         verdict.exception.add_note(
             f"This happened in {self.runs}, whatever the ego did: it is an error of the test function and no finding, "
-            "so nothing was saved. Correct the line and search again; if it is meant as a finding, use assert."
+            f"{nothing}. Correct the line and {again} again; if it is meant as a finding, use assert."
         )
         return verdict.exception
 

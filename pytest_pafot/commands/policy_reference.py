@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import functools
-import hashlib
 import importlib
 import keyword
 import pkgutil
@@ -14,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.driving.ads import weights_digest
 
@@ -22,10 +22,6 @@ BAD_USE = 2
 
 EXAMPLES = "example_ads"
 """The package of example policies: at the top of a clone, or inside this package if it is installed."""
-
-OF_FILE = "file:"
-"""The prefix of a policy's identity if that is the hash of its module's file, not of its weights."""
-
 
 ABOUT_POLICIES = (
     "A factory makes a new policy for each run; a class with the method __call__(self, observation) is one. A policy "
@@ -112,18 +108,19 @@ def described(error: BaseException) -> str:
     return text if has_place else f"{text} ({frames[-1].filename}:{frames[-1].lineno})"
 
 
-def identity(reference: str) -> str:
-    """Return a text that identifies a policy and its version: the hash of its weights, or else of its module's file.
+def identity(reference: str) -> dict[str, Any]:
+    """Return what identifies a policy and its version: the hashes of its weights and of its source files.
+
+    The source files are those of the user, with all that they import. The code of an example policy that is installed
+    with this package has the version of this package.
 
     Raises:
         PlanError: if there is no policy of the given name.
         AdsFactoryError: if the weights cannot be read.
     """
-    told = weights_digest(ads_factory(reference))
-    if told:
-        return told
-    file = getattr(_imported(_module_name(reference)), "__file__", None)
-    return OF_FILE + ("" if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest())
+    factory = ads_factory(reference)
+    code = source_digests(_imported(_module_name(reference)), factory, here=Path.cwd())
+    return {"weights": weights_digest(factory), "code": code}
 
 
 def module_of(reference: str) -> str:
@@ -133,12 +130,13 @@ def module_of(reference: str) -> str:
 
 def caution(references: Iterable[str]) -> str:
     """Return a warning about policies whose weights have no hash, so that changes may go unnoticed; or empty."""
-    names = [each for each in references if identity(each).startswith(OF_FILE)]
+    names = [each for each in references if not weights_digest(ads_factory(each))]
     if not names:
         return ""
     return (
-        f"{' and '.join(names)} provide{'s' if len(names) == 1 else ''} no hash of weights, so only the module's file "
-        "is known to be the same: if the policy was trained or changed since then, give another --out"
+        f"{' and '.join(names)} provide{'s' if len(names) == 1 else ''} no hash of weights, so only the source "
+        "files are known to be the same: if the policy was trained since then, or reads a file that has changed, give "
+        "another --out"
     )
 
 

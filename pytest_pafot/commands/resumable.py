@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePath
-from typing import TextIO
+from typing import Any, TextIO
 
 from pytest_pafot.campaign.options import cores
 from pytest_pafot.commands.policy_reference import PlanError
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.support.files import way_out, write_whole
+from pytest_pafot.support.text import visible
+from pytest_pafot.world.codec import differences
 
 RUNS = "runs"
 """The name of the folder with a file of results for each task."""
@@ -25,6 +28,9 @@ TIME = ".seconds"
 
 The time is in a separate file because it is not reproducible. The digest shows whether results were changed later.
 """
+
+OF_NAMES = "names"
+"""The key for the identities of names in the file with the question of a job."""
 
 AGAIN = "then run the same command again: finished tasks are not repeated"
 """The advice to the user if something could not be written after tasks were finished."""
@@ -46,9 +52,11 @@ class ResumableJob:
         units: the word for the units that its progress counts, such as ``runs``.
         tasks: the tasks in the order in which they are started.
         in_order: the tasks in the order of their rows in the result.
-        question: everything on which results depend, as canonical text; only results with equal texts are combined.
-        question_file: the name of the file with the text of ``question``.
-        differs: what may be different in the ``question`` of a different job, in words for an error.
+        question: everything on which the results of all tasks depend, as plain data; only results with equal data are
+            combined.
+        question_file: the name of the file with ``question`` and ``identities``.
+        identities: what else the results of tasks with a name depend on, such as the code of an algorithm, by name. A
+            later job may have other names.
         text: a function that returns the rows of a task as CSV; it must be picklable.
         sizes: the number of units of each task with more than one unit, whose progress is shown while it runs.
         caution: a warning that is printed if earlier results are reused; empty if there is nothing to warn of.
@@ -59,10 +67,10 @@ class ResumableJob:
     units: str
     tasks: tuple[Task, ...]
     in_order: tuple[Task, ...]
-    question: str
+    question: Mapping[str, Any]
     question_file: str
-    differs: str
     text: Callable[[Task, Tick], str]
+    identities: Mapping[str, Any] = field(default_factory=dict)
     sizes: dict[Task, int] = field(default_factory=dict)
     caution: str = ""
 
@@ -135,16 +143,37 @@ def claim(job: ResumableJob, folder: Path) -> None:
         PlanError: if the folder holds the results of a different job, or cannot be written.
     """
     path = folder / job.question_file
+    now: dict[str, Any] = json.loads(json.dumps({**job.question, OF_NAMES: job.identities}))  # tuples become lists
     with written_into(folder):
-        holds_results = any((folder / RUNS).glob("*.csv"))  # A folder in which no task was finished is free.
-        is_there = path.exists()
-        if holds_results and not (is_there and path.read_bytes() == job.question.encode()):
-            why = f"differs in {job.differs}" if is_there else "is gone"
-            raise PlanError(
-                f"--out: expected an empty folder or the folder of this {job.noun}, received {folder}, whose "
-                f"{job.question_file} {why}; give another folder, or the same arguments"
-            )
-        write_whole(path, job.question)
+        # Only names with a finished task count. A folder in which no task was finished is free.
+        done = {each.stem.rpartition("-")[0] for each in (folder / RUNS).glob("*.csv")}
+        if done:
+            then = _question_in(path)
+            if isinstance(then, str):
+                differ = then
+            else:
+                others = {name: each for name, each in then[OF_NAMES].items() if name in done}
+                # A name that this job lacks stays in the file, so that a later job with it is compared, too.
+                now[OF_NAMES] = {**others, **now[OF_NAMES]}
+                compared = {**then, OF_NAMES: others | {n: e for n, e in now[OF_NAMES].items() if n not in done}}
+                differ = visible("; ".join(differences("", compared, now)))  # a folder may come from somebody else
+            if differ:
+                raise PlanError(
+                    f"--out: expected an empty folder or the folder of this {job.noun}, received {folder}, whose "
+                    f"{job.question_file} does not agree: {differ}; give another folder, or what it was made with"
+                )
+        write_whole(path, json.dumps(now, indent=1, sort_keys=True) + "\n")
+
+
+def _question_in(path: Path) -> dict[str, Any] | str:
+    """Return the data of a folder's job, or why there is none."""
+    try:
+        data = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        return "it is gone"
+    except (ValueError, RecursionError):
+        return "it cannot be read"
+    return data if isinstance(data, dict) and isinstance(data.get(OF_NAMES), dict) else "it cannot be read"
 
 
 @contextmanager

@@ -101,7 +101,7 @@ def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Call
         in_order=tuple((name, run) for name in plan.names for run in range(plan.runs)),
         question=plan.question,
         question_file="comparison.json",
-        differs="the policy, its weights, the budget, the world, the seed or the versions",
+        identities=plan.identities,
         text=partial(_text, plan),
         caution=caution([plan.ads]),
     )

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from pytest_pafot.commands.policy_reference import PlanError, ads_factory, identity
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.searching.fitness import referred_to, resolve
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import Highway
+from pytest_pafot.world import Highway, codec
 from pytest_pafot.world import from_dict as world_from_dict
 from pytest_pafot.world.protocol import WorldLike, crossings, road_start
 
@@ -93,11 +94,27 @@ class Plan:
     drawn: Mapping[str, Any] = field(default_factory=dict)  # fields for algorithms without the paper's scenarios
 
     @property
-    def question(self) -> str:
-        """All but the algorithms and the number of runs, as text: comparisons with equal texts can share results."""
-        plain = asdict(replace(self, algorithms=(), runs=1))
-        told = {"plan": plain, "policy": identity(self.ads), "versions": installed_versions()}
-        return json.dumps(told, indent=1, sort_keys=True) + "\n"
+    def question(self) -> dict[str, Any]:
+        """All but the algorithms and the number of runs: comparisons for which it is equal can share results."""
+        own_fitness = referred_to(self.fitness) if self.fitness is not None and ":" in self.fitness else None
+        return {
+            "plan": asdict(replace(self, algorithms=(), runs=1)),
+            "policy": identity(self.ads),
+            "code": source_digests(own_fitness, *codec.code_of(world_of(self)), here=Path.cwd()),
+            "versions": installed_versions(),
+        }
+
+    @property
+    def identities(self) -> dict[str, Any]:
+        """What identifies each algorithm and its version, by its name in files.
+
+        The code of an algorithm of this package has the version of this package.
+        """
+        given = dict(zip(self.names, self.algorithms, strict=True))
+        return {
+            name: {"given": text, "code": source_digests(self.entrant(name).algorithm.made_by, here=Path.cwd())}
+            for name, text in given.items()
+        }
 
     @property
     def tasks(self) -> tuple[tuple[str, int], ...]:

@@ -135,7 +135,7 @@ class ProgressPlan:
         sizes |= {(f"alone_{side}-1", 0): self.scenarios for side in ("new", "old")}
         return ResumableJob(
             command="progress", noun="comparison", units="runs", tasks=tuple(sizes), in_order=tuple(sizes), sizes=sizes,
-            question="", question_file="progress", differs="the policies", text=partial(_text, self),
+            question={}, question_file="progress", text=partial(_text, self),
         )  # fmt: skip
 
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 from pytest_pafot.commands.policy_reference import PlanError, ads_factory, caution, identity
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick
 from pytest_pafot.episodes.rate import EpisodeRow, text_of
 from pytest_pafot.model.trace import AdsError
+from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import World
+from pytest_pafot.world import World, codec
 from pytest_pafot.world.driving.ads import AdsFactory
 
 QUESTION = "rate.json"
@@ -67,16 +68,20 @@ class RatePlan:
         }
         question = {"ads": self.ads, "against": self.against, "env_id": self.env_id, "config": self.config}
         names = [name.removesuffix(PLANNER) for name in self.policies.values()]
-        told = {"plan": question, "policies": [*map(identity, names)], "versions": installed_versions()}
+        told = {
+            "plan": question,
+            "policies": {name: identity(name) for name in names},
+            "code": source_digests(*codec.code_of(self.world), here=Path.cwd()),
+            "versions": installed_versions(),
+        }
         return ResumableJob(
             command="rate",
             noun="rate",
             units="episodes",
             tasks=tuple(sorted(sizes, key=lambda task: task[1])),
             in_order=tuple(sizes),
-            question=json.dumps(told, indent=1, sort_keys=True) + "\n",
+            question=told,
             question_file=QUESTION,
-            differs="the policies, their weights, the environment, its configuration or the versions",
             text=partial(_text, self),
             sizes=sizes,
             caution=caution(names),

@@ -19,8 +19,8 @@ from pytest_pafot.findings.replay import ending, is_same_failure, replay_label, 
 from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.trace import ACCELERATION, SPEED, STEERING, Trace
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.plugin.failure_reports import REPLAYED, SUMMARY
 from pytest_pafot.plugin.marks import SAVED_MARK
-from pytest_pafot.plugin.replay_item import REPLAYED
 from pytest_pafot.support.text import one_line, visible
 
 
@@ -39,12 +39,12 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
     _tell(passes=passes, why=why, is_other=is_other, **({} if run is None else decided(run.trace)))
 
 
-def pytest_exception_interact(call: pytest.CallInfo[Any]) -> None:
+def pytest_exception_interact(node: pytest.Item | pytest.Collector, call: pytest.CallInfo[Any]) -> None:
     """Write the first error of the session, in case it prevents the replay."""
     if call.excinfo is not None and not Path(json.loads(os.environ[TOLD])["file"]).exists():
         error = call.excinfo.value.__cause__ or call.excinfo.value  # pytest wraps what an import raises
         text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
-        _tell(passes=None, why=f"{type(error).__name__}: {text}")
+        _tell(passes=None, why=node.stash.get(SUMMARY, "") or f"{type(error).__name__}: {text}")
 
 
 def judged(finding: Finding, label: str, run: Run | None, verdict: Verdict | None) -> tuple[bool | None, str]:

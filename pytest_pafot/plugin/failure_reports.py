@@ -9,12 +9,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Generator
+from datetime import date
 from itertools import takewhile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pytest_pafot.corpus.layout import relative
+from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.collection import saved_of
@@ -23,7 +25,13 @@ from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
 
+if TYPE_CHECKING:
+    from pytest_pafot.campaign.verdict import Verdict
+
 SUMMARY = pytest.StashKey[str]()  # the summary line of a failing item
+
+REPLAYED = pytest.StashKey[tuple[str, Run | None, "Verdict | None"]]()
+"""The label, run and verdict of a replay, for other plugins. Run and verdict are None if its process died or hung."""
 
 SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+(, position rule: \w+)?(, [a-z]+ traffic.*)?")
 """The last line of ``run.explain()``. It is left out, since the saved file and the report page contain it, too."""
@@ -60,6 +68,8 @@ class Failures:
             if style is not None:
                 option.tbstyle = style
         saved = saved_of(item)
+        if saved is not None and not call.excinfo.errisinstance(pytest.xfail.Exception):
+            _count_unless_replayed(item, saved, report)
         if saved is not None:
             told = {"id": saved.id, "file": relative(saved.path, item.config.rootpath)}
             setattr(report, AS_SAVED, json.dumps(told))
@@ -67,6 +77,17 @@ class Failures:
         _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
         summarise(report, item.stash.get(SUMMARY, ""))
         return report
+
+
+def _count_unless_replayed(item: pytest.Item, saved: Saved, report: pytest.TestReport) -> None:
+    """Let an item count as failed although its failure is accepted, if there was no replay that could show it.
+
+    This is so for an error in a fixture, in the factory or elsewhere in the set-up.
+    """
+    is_accepted = saved.is_accepted(date.fromisoformat(item.config.stash[SHARED].today))
+    if is_accepted and REPLAYED not in item.stash and hasattr(report, "wasxfail"):
+        report.outcome = "failed"
+        del report.wasxfail
 
 
 def is_compact(config: pytest.Config) -> bool:

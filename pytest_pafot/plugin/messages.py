@@ -6,8 +6,11 @@ once, like every report. Other plugins take it for the report of a passed phase 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, MutableSequence
+from collections.abc import Iterable, Iterator, Mapping, MutableSequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import pytest
 
@@ -18,6 +21,7 @@ from pytest_pafot.support.text import visible
 if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding
     from pytest_pafot.findings.severity import Severity
+    from pytest_pafot.oracle.run import Run
 
 
 PHASE = "pafot"  # the phase of a report that is a message
@@ -63,6 +67,46 @@ def pytest_report_teststatus(report: pytest.TestReport | pytest.CollectReport) -
 
 PREFIX = "pafot_"
 
+Properties = MutableSequence[tuple[str, Any]]
+
+
+@dataclass(slots=True)
+class OfOneRun:
+    """The properties that a marked test records by pytest's ``record_property``, of one run and not of all runs.
+
+    The test function is called for each run with the same fixtures, so each call would add its properties once more.
+    """
+
+    properties: Properties  # of the item
+    _shown: list[tuple[str, Any]] = field(default_factory=list)  # those of one call, which are among the item's
+    _recorded: WeakKeyDictionary[Run, list[tuple[str, Any]]] = field(default_factory=WeakKeyDictionary)
+
+    @contextmanager
+    def call(self, run: Run) -> Iterator[None]:
+        """Replace the properties of the call before by those that are recorded in this context, for a run."""
+        self.show(None)
+        count = len(self.properties)
+        try:
+            yield
+        finally:
+            self._shown = self._recorded[run] = list(self.properties[count:])
+
+    def show(self, run: Run | None, properties: Properties | None = None) -> None:
+        """Replace the properties of the last call by those of the call for a run; by none if there was no such call.
+
+        ``properties`` are those of a report that was made of the item; by default those of the item itself.
+        """
+        changed = self.properties if properties is None else properties
+        shown = [] if run is None else self._recorded.get(run, [])
+        ours = set(map(id, self._shown))  # by identity, because a fixture may have recorded an equal one before
+        changed[:] = [*(each for each in changed if id(each) not in ours), *shown]
+        if properties is None:
+            self._shown = shown
+
+
+OF_ONE_RUN: pytest.StashKey[OfOneRun] = pytest.StashKey()
+"""The properties that the marked test of an item records."""
+
 AS_SAVED = "pafot_saved"
 """The attribute of a report that holds the id and the file of a failing saved scenario, for programs.
 
@@ -71,7 +115,7 @@ send such a text.
 """
 
 
-def set_properties(properties: MutableSequence[tuple[str, Any]], **values: object) -> None:
+def set_properties(properties: Properties, **values: object) -> None:
     """Set properties of an item or a report, replacing earlier values. Empty properties are left out."""
     names = {f"{PREFIX}{name}": visible(str(value)) for name, value in values.items() if value not in (None, "")}
     others = [each for each in properties if each[0] not in names]

@@ -13,19 +13,20 @@ import pytest
 from pytest_pafot.campaign.recorder import cause
 from pytest_pafot.campaign.replays import BESIDE, FLAKY, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
+from pytest_pafot.campaign.setup_fault import SetupFaultError, cause_of
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
-from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.finding import Cause, Finding, of_failure
 from pytest_pafot.findings.replay import unhandled
 from pytest_pafot.findings.severity import worsening
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.failure_reports import SUMMARY, explained
-from pytest_pafot.plugin.messages import set_properties, severity_text
+from pytest_pafot.plugin import messages, node_ids
+from pytest_pafot.plugin.failure_reports import REPLAYED, SUMMARY, explained
+from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.search_item import harness_of, shown
@@ -35,8 +36,8 @@ from pytest_pafot.report.terminal import ReplaySummary
 from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 
-REPLAYED = pytest.StashKey[tuple[str, Run | None, Verdict | None]]()
-"""The label, run and verdict of a replay, for other plugins. Run and verdict are None if its process died or hung."""
+SET_UP_FAULTS = pytest.StashKey[dict[tuple[str, Cause], str]]()
+"""The node id of the item that has explained an error of the set-up, by test and cause."""
 
 
 def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
@@ -46,7 +47,8 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if finding is None:
         pytest.fail(saved.error, pytrace=False)
     harness = harness_of(item, request, writes=False)
-    replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
+    today = date.fromisoformat(item.config.stash[SHARED].today)
+    replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     path, lost = relative(saved.path, harness.root), None
     try:
         label, run, verdict, note = replays.labelled(saved, item.nodeid)
@@ -59,8 +61,9 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         leftover.discard()  # The item reports its result now.
     if lost is not None:
         _conclude_lost(item, replays, saved, finding, lost, beside)
+    _check_set_up(item, replays, saved, run, verdict)
     worse = _worsening(verdict) if label == BESIDE[False] else ""
-    told = [note, _against(replays), f"worse: {worse}" if worse else "", *replays.ads_changes(finding)]
+    told = [note, _against(replays), f"worse: {worse}" if worse else "", *replays.setting_changes(finding)]
     detail = "; ".join(filter(None, told))
     item.stash[REPLAYED] = label, run, verdict
     if label in ("drifted", FLAKY):
@@ -83,9 +86,42 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
             check=check,
             severity=verdict.severity,
         )
+    item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
     if finding.xfail is not None and not verdict.failed:
-        _add_section(item, [f"{label}: remove the line `xfail:` from {path}"])
+        _tell_pass(item, finding, label, path, is_accepted=replays.accepts(finding))
     _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
+
+
+def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Run, verdict: Verdict) -> None:
+    """Fail the item if the cause of its failure is the set-up. Only the first item of a test explains it."""
+    __tracebackhide__ = True
+    cause, finding = cause_of(run, verdict), saved.finding
+    if cause is None or verdict.failure is None or finding is None:
+        return
+    if of_failure(run, verdict.failure) == finding.signature:  # the file was saved for it
+        return
+    key, faults = (node_ids.base_id(item), cause), item.session.stash.setdefault(SET_UP_FAULTS, {})
+    line = ascii_text(headline(run, verdict))
+    if key in faults:
+        text = f"{line}\nIt is the error of the set-up that {faults[key]} explains."
+        error: BaseException = pytest.fail.Exception(text, pytrace=False)
+    else:
+        try:
+            replays.check_set_up(saved, run, verdict, item.nodeid)
+            return
+        except SetupFaultError as fault:
+            faults[key] = item.nodeid
+            error = shown(fault.shown(replays.harness.world, replays.harness.ads))
+    item.stash[SUMMARY] = f"error of the set-up: {line}"
+    raise error
+
+
+def _tell_pass(item: pytest.Function, finding: Finding, label: str, path: str, *, is_accepted: bool) -> None:
+    """Ask to remove the line ``xfail`` of a file that passes. A flaky file stays accepted: it passes by chance."""
+    if label != FLAKY:
+        _add_section(item, [f"{label}: remove the line `xfail:` from {path}"])
+    elif is_accepted:
+        pytest.xfail(f"{visible(finding.xfail or '')}; flaky: it passed this time")
 
 
 def _conclude_lost(
@@ -100,7 +136,7 @@ def _conclude_lost(
     label = "still failing" if was_lost(finding, lost) else "drifted"
     item.stash[REPLAYED] = label, None, None
     label = beside or label
-    detail = "; ".join(filter(None, [_against(replays), *replays.ads_changes(finding)]))
+    detail = "; ".join(filter(None, [_against(replays), *replays.setting_changes(finding)]))
     if label == "drifted":
         detail = replays.changes(finding, f"the process {lost.how}")
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
@@ -109,6 +145,7 @@ def _conclude_lost(
     if page is not None:
         page.replayed(finding, None, headline=line, label=label, detail=detail, path=path)
     _add_section(item, [f"replay: {label}{f', {detail}' if detail else ''}"])
+    item.stash[OF_ONE_RUN].show(None)
     pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
 
 

@@ -6,9 +6,10 @@ import inspect
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field, replace
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained, is_compact, summarise
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
-from pytest_pafot.plugin.messages import of_findings, set_properties
+from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.run_tables import table_messages_of
@@ -48,6 +49,9 @@ TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
 
 IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in several processes already"
+
+OF_SUITE = "record_testsuite_property"
+"""The fixture of pytest that records properties of the session."""
 
 DRAWS = (
     "; the ADS probably draws random numbers: seed it in its factory, or let a model take its best action (with "
@@ -119,10 +123,14 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
             raise RequestError(_no_collecting(f"the fixture {name!r}"))
     names = inspect.signature(item.obj).parameters
     fixed = {name: item.funcargs[name] for name in names if name in item.funcargs}
+    if OF_SUITE in fixed:
+        fixed[OF_SUITE] = _once(fixed[OF_SUITE])
+    recorded = item.stash[OF_ONE_RUN] = OfOneRun(item.user_properties)
 
     def test(run: Any) -> Any:
         # No __tracebackhide__ is needed: pytest's traceback filter cuts everything above the user's function.
-        result = item.obj(**{**fixed, arg: run})
+        with recorded.call(run):
+            result = item.obj(**{**fixed, arg: run})
         check = sys.modules.get("pytest_check")
         if check is not None and check.any_failures():
             raise RequestError(_no_collecting("pytest-check"))
@@ -131,12 +139,25 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
     return test
 
 
+def _once(record: Any) -> Callable[[str, object], None]:
+    """Return pytest's function that records a property of the session, without equal properties of later calls."""
+    recorded: set[tuple[str, str]] = set()
+
+    def record_once(name: str, value: object) -> None:
+        if (name, str(value)) not in recorded:
+            record(name, value)
+            recorded.add((name, str(value)))
+
+    return record_once
+
+
 def run_search(item: pytest.Function, request: Request) -> None:
     """Run the search of an item. Fail the item if there is a new finding, or if nothing was tested."""
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
     harness = harness_of(item, request)
-    replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
+    today = date.fromisoformat(shared.today)
+    replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, page_messages_of(item, settings), table_messages_of(item), settings)
     limit = time_limit(settings, now=time.monotonic(), began=shared.began, left=searches_left(item))
@@ -149,7 +170,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
             # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
             stops_at_first=bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1,
             progress_seconds=shared.progress_seconds,
-            notes=[] if chosen is harness else [AFTER_A_DEATH],
+            process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         ).run()
     summary = result.summary
     if result.fault is not None:
@@ -218,6 +239,8 @@ class SearchMessages:
         elif isinstance(event, SearchSummary):
             found = of_findings((each.finding, each.find.path, each.find.severity) for each in self.told.values())
             set_properties(self.item.user_properties, **found)
+            if self.told:  # otherwise they stay those of the last run
+                self.item.stash[OF_ONE_RUN].show(next(iter(self.told.values())).run)
             messages.send(self.item, "search", {"summary": plain(event)})
         for also in (self.page, self.table):
             if also is not None:
@@ -280,6 +303,7 @@ def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
     report.nodeid = find.node_id
     report.location = (path, line, node_ids.saved_name(item, find.id))
     report.sections.append(("pafot", section))
+    item.stash[OF_ONE_RUN].show(kept.run, report.user_properties)
     set_properties(report.user_properties, **of_findings([(kept.finding, find.path, find.severity)]))
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data

@@ -10,6 +10,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -164,19 +165,26 @@ class Records:
             self._searches.setdefault(report.nodeid, SearchRecord(node_id=report.nodeid))
 
     def _record(self, code: int | None) -> SessionRecord:
-        from pytest_pafot.report.session_record import SessionRecord, worst  # noqa: PLC0415
+        from pytest_pafot.report.session_record import SessionRecord, same_everywhere, worst  # noqa: PLC0415
         from pytest_pafot.support.versions import installed_versions  # noqa: PLC0415
 
         results = {node_id: worst(results) for node_id, results in self._results.items()}
+        same = partial(same_everywhere, root=str(self._config.rootpath))
         return SessionRecord(
             exit=code,
             versions=installed_versions(),
             searches=[
-                replace(search, result=results.get(node_id, ""), message=self._reasons.get(node_id, ""))
+                replace(search, result=results.get(node_id, ""), message=same(self._reasons.get(node_id, "")))
                 for node_id, search in sorted(self._searches.items())
             ],
             findings=[
-                replace(finding, result=results.get(node_id, ""), runs=self._runs.get(node_id, 0))
+                replace(
+                    finding,
+                    result=results.get(node_id, ""),
+                    runs=self._runs.get(node_id, 0),
+                    headline=same(finding.headline),
+                    detail=same(finding.detail),
+                )
                 for node_id, finding in sorted(self._findings.items())
             ],
             rates=sorted(self._texts["rate"]),

@@ -1,19 +1,20 @@
 """The result of a session for programs, as ``--pafot-json`` writes it.
 
-Apart from a note on ``--pafot-workers``, if these are used, the record contains no clock time and no duration, and its
-keys and entries are sorted. So the same seed gives the same text but for this note, for any number of workers.
+The record contains no clock time and no duration, and nothing on processes, and its keys and entries are sorted. So the
+same seed gives the same text, for any number of workers.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Self
 
 from pytest_pafot.campaign.events import SearchSummary
-from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.finding import Finding, portable
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.text import quiet_json
@@ -23,6 +24,9 @@ VERSION = 1
 
 NEW, ERROR = "new", "error"
 """Statuses of a finding that are no labels of replays: found in this session; or could not be read or run."""
+
+SLOW = re.compile(r"(?<=^SlowDecision: a decision )took [\d.]+ s")
+"""The measured time in the headline of a decision that took longer than ``decision_limit``."""
 
 RESULTS = ("", "passed", "skipped", "xfailed", "failed", "error")
 """The results that an item can have, the worst last. The empty result is for an item that never ended."""
@@ -40,6 +44,8 @@ class FindingRecord:
         result: result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.
         file: path relative to the rootdir; null if it was not saved.
         replay: the command that replays it.
+        scenario: its scenario, which `pafot.Scenario.from_canonical` reads; null if its file could not be read.
+        world: its world, as in its file; null if its file could not be read.
         headline: how the run ended, in a few words; empty if it passes.
         sentences: sentences on the collision: who did what, what was due or what avoids it, and who is responsible.
         detail: what differs from the file, such as a situation that did not occur, or why there is no file.
@@ -76,6 +82,8 @@ class FindingRecord:
     result: str = ""
     file: str | None = None
     replay: str = ""
+    scenario: list[Any] | None = None
+    world: Mapping[str, Any] | None = None
     headline: str = ""
     sentences: list[str] = field(default_factory=list)
     detail: str = ""
@@ -125,6 +133,8 @@ class FindingRecord:
             status=status,
             test=finding.test,
             file=file,
+            scenario=finding.scenario.plain(),
+            world=dict(finding.world),
             signature=finding.signature.text,
             kind=finding.signature.slug,
             failure=expect.failure,
@@ -186,7 +196,7 @@ class SearchRecord:
         coverage: one line on the share of instructions that the runs reached.
         against: the reference that failures were compared with; empty without a reference.
         warnings: warnings about its health.
-        notes: any other remarks.
+        notes: any other remarks, except those on processes, which only the terminal shows.
     """
 
     node_id: str
@@ -304,6 +314,14 @@ class SessionRecord:
 def to_text(record: SessionRecord) -> str:
     """Write a record as JSON with sorted keys."""
     return quiet_json(json.dumps({"pafot_json": VERSION, **asdict(record)}, indent=2, sort_keys=True)) + "\n"
+
+
+def same_everywhere(text: str, root: str) -> str:
+    """Return a text of this session without what differs between processes, such as a measured time or an id.
+
+    ``root`` is the rootdir, to which paths become relative.
+    """
+    return SLOW.sub("took N s", portable(text, root))
 
 
 def command_for(what: str, *options: str) -> str:

@@ -230,7 +230,7 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     texts += [f"warning: {warning}" for warning in search.warnings]
-    texts += [f"note: {note}" for note in search.notes]
+    texts += [f"note: {note}" for note in (*search.process_notes, *search.notes)]
     return [search.node_id, *(line for text in texts for line in _wrapped(text, width))]
 
 

@@ -197,6 +197,13 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Wor
     return world
 
 
+def code_of(world: Any) -> tuple[object, ...]:
+    """Return the classes and functions whose code a world runs: its own, its environment's and its wrappers."""
+    if not isinstance(world, World):
+        return (type(world),)
+    return type(world), type(world.environment.unwrapped), *(world.wrappers or ())
+
+
 def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapping[str, Any]:
     """Return a file's world data, changed so that no run and no decision lasts longer than in the test's own world.
 
@@ -266,6 +273,16 @@ def changes(data: Mapping[str, Any], world: Any) -> list[str]:
     if not is_code(data):
         return []
     return differences("world", data, described(world))
+
+
+def elsewhere(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str]:
+    """Describe how the test's world differs from the world that :func:`of_file` makes, in which a file is replayed.
+
+    The list is empty for a file whose world is code, because it is replayed in the test's world.
+    """
+    if is_code(data):
+        return []
+    return differences("world", described(of_file(data, scenario, own)), described(own))
 
 
 def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:

@@ -1,6 +1,7 @@
 """A search that continues in a later session finds, reports and saves the same as one long session."""
 
 import errno
+import importlib
 import json
 import os
 import shutil
@@ -250,6 +251,24 @@ def test_state_of_other_settings_names_both_values(search, begun, options, match
 
 def test_a_state_of_the_same_settings_goes_on(search, begun):
     assert search(runs=1).summary.runs == 8
+
+
+POLICY = "from core_of_resumed import STEERING\n\n\ndef make():\n    return lambda observation: (0.0, STEERING)\n"
+
+
+def test_a_state_of_changed_code_is_refused_by_file_name(search, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "policy_of_resumed.py").write_text(POLICY)
+    core = tmp_path / "core_of_resumed.py"
+    core.write_text("STEERING = 0.0\n")
+    make = importlib.import_module("policy_of_resumed").make
+    search(ads=make, runs=4)
+    assert search(ads=make, runs=4).summary.runs == 8
+    core.write_text("STEERING = 0.1\n")
+    text = refused(search, r"code\.core_of_resumed\.py 'sha256:\w+' in the file, 'sha256:\w+' now", ads=make)
+    assert "delete the file to start the search from scratch" in text
+    state_of(tmp_path).unlink()
+    assert search(ads=make, runs=4).summary.runs == 4
 
 
 def changed(change):

@@ -180,10 +180,10 @@ def test_results_without_readable_question_are_refused(tmp_path, quick, quiet):
     run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
     (question,) = tmp_path.glob("*.json")
     question.write_bytes(b"\xff")
-    with pytest.raises(PlanError, match="json differs in"):
+    with pytest.raises(PlanError, match="json does not agree: it cannot be read"):
         run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
     question.unlink()
-    with pytest.raises(PlanError, match="json is gone; give another folder"):
+    with pytest.raises(PlanError, match="json does not agree: it is gone; give another folder"):
         run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
 
 
@@ -203,6 +203,99 @@ def test_a_folder_of_another_comparison_is_refused(tmp_path, quick, quiet, chang
     assert contents(tmp_path) == before
 
 
+OWN_ALGORITHM = """
+from dataclasses import dataclass
+import sampling_of_mine
+from pytest_pafot.searching import GenerationalSearch, GenerationState, sample
+
+@dataclass(frozen=True)
+class Mine(GenerationalSearch):
+    name = "mine"
+    def start(self, rng):
+        return GenerationState()
+    def propose(self, state, rng):
+        return state, [sample(self.space, rng) for _ in range(sampling_of_mine.COUNT)]
+    def learn(self, state, evaluations, rng):
+        return state
+"""
+
+
+@pytest.fixture
+def own_algorithm(tmp_path, monkeypatch):
+    """Write an algorithm that imports another file; return that file and a folder for results."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "algorithm_of_mine.py").write_text(OWN_ALGORITHM)
+    imported = tmp_path / "sampling_of_mine.py"
+    imported.write_text("COUNT = 2\n")
+    yield imported, tmp_path / "out"
+    for name in ("algorithm_of_mine", "sampling_of_mine"):
+        sys.modules.pop(name, None)
+
+
+def test_a_changed_algorithm_is_refused_by_file_name(quick, quiet, own_algorithm):
+    imported, out = own_algorithm
+    mine, both = "algorithm_of_mine:Mine", {"runs": 1, "generations": 1}
+    run_all(quick(algorithms=(mine,), **both), out, workers=1, told=quiet, clock=clock)
+    before = contents(out)
+    imported.write_text("COUNT = 4\n")
+    why = r"names\.mine\.code\.sampling_of_mine\.py 'sha256:\w+' in the file, 'sha256:\w+' now; give another folder"
+    with pytest.raises(PlanError, match=why):
+        run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, told=quiet, clock=clock)
+    assert contents(out) == before
+    # Without the algorithm nothing is mixed, and its identity stays: it cannot come back changed afterwards.
+    run_all(quick(algorithms=("random",), **both), out, workers=1, told=quiet, clock=clock)
+    with pytest.raises(PlanError, match=why):
+        run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, told=quiet, clock=clock)
+    run_all(quick(algorithms=(mine, "random"), **both), out.with_name("other"), workers=1, told=quiet, clock=clock)
+    imported.write_text("COUNT = 2\n")
+    run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, told=quiet, clock=clock)
+
+
+def test_changed_algorithm_without_finished_runs_is_no_mixture(quick, quiet, own_algorithm, monkeypatch):
+    imported, out = own_algorithm
+    plan = quick(algorithms=("random", "algorithm_of_mine:Mine"), runs=1, generations=1)
+    rows = algorithm_run.run_rows
+
+    def interrupted(plan, algorithm, run, tick):
+        if algorithm == "mine":
+            raise KeyboardInterrupt
+        return rows(plan, algorithm, run, tick)
+
+    monkeypatch.setattr(algorithm_run, "run_rows", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_all(plan, out, workers=1, told=quiet, clock=clock)
+    monkeypatch.undo()
+    monkeypatch.chdir(out.parent)
+    imported.write_text("COUNT = 4\n")
+    run_all(plan, out, workers=1, told=quiet, clock=clock)
+    assert len(contents(out)) == 3
+
+
+def test_two_algorithms_of_one_name_are_not_mixed(quick, quiet, own_algorithm):
+    imported, out = own_algorithm
+    mine, other = "algorithm_of_mine:Mine", "other_of_mine:Mine"
+    run_all(quick(algorithms=(mine,), runs=1, generations=1), out, workers=1, told=quiet, clock=clock)
+    imported.with_name("other_of_mine.py").write_text(OWN_ALGORITHM)
+    with pytest.raises(PlanError, match=f"names.mine.given '{mine}' in the file, '{other}' now"):
+        run_all(quick(algorithms=(other,), runs=2, generations=1), out, workers=1, told=quiet, clock=clock)
+
+
+@pytest.mark.parametrize("what", ["ads", "fitness"])
+def test_a_changed_policy_or_fitness_is_refused_by_file_name(tmp_path, quick, quiet, monkeypatch, what):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    text = f"from core_of_{what} import NUMBER\ndef ads():\n    return lambda observation: (NUMBER, 0.0)\n"
+    (tmp_path / f"module_of_{what}.py").write_text(f"{text}def fitness(trace):\n    return NUMBER\n")
+    imported = tmp_path / f"core_of_{what}.py"
+    imported.write_text("NUMBER = 0.0\n")
+    plan = quick(algorithms=("random",), runs=1, generations=1, **{what: f"module_of_{what}:{what}"})
+    run_all(plan, tmp_path / "out", workers=1, told=quiet, clock=clock)
+    imported.write_text("NUMBER = 1.0\n")
+    with pytest.raises(PlanError, match=rf"code\.core_of_{what}\.py 'sha256:\w+' in the file"):
+        run_all(plan, tmp_path / "out", workers=1, told=quiet, clock=clock)
+
+
 def test_other_seeds_give_other_runs(tmp_path, quick, quiet, whole):
     run_all(quick(seed=1, runs=1), tmp_path, workers=1, told=quiet, clock=clock)
     other = contents(tmp_path)
@@ -212,7 +305,7 @@ def test_other_seeds_give_other_runs(tmp_path, quick, quiet, whole):
 
 def job_of(tasks, **fields):
     """Return the job of a progress line: runs of one algorithm."""
-    others = dict.fromkeys(("noun", "question", "question_file", "differs"), "")
+    others = {"noun": "", "question": {}, "question_file": ""}
     of_runs = {"command": "compare", "units": "runs", "in_order": (), "text": lambda task, tick: ""}
     return ResumableJob(tasks=tuple(("pafot", run) for run in range(tasks)), **others | of_runs | fields)
 

@@ -89,7 +89,9 @@ def test_results_of_other_weights_are_not_continued(tmp_path, capsys, monkeypatc
     monkeypatch.setattr(Trained, "weights_digest", "sha256:2")
     assert rate(*arguments) == 2
     told = capsys.readouterr().err
-    assert "whose rate.json differs in the policies, their weights, " in told
+    name = f"{__name__}:trained"
+    changed = f"policies.{name}.weights 'sha256:1' in the file, 'sha256:2' now; give another folder"
+    assert f"whose rate.json does not agree: {changed}" in told
     assert "from before" not in told
 
 
@@ -108,6 +110,9 @@ def test_policy_without_weights_hash_continues_with_note(tmp_path, capsys, monke
     assert rate(*arguments) == rate(*arguments) == 0
     told = "rate: 1 of 1 episodes are reused from before; planner_of_mine:make provides no hash of weights"
     assert capsys.readouterr().err.count(told) == 1
+    planner.write_text("def make():\n    return lambda observation: 0\n")
+    assert rate(*arguments) == 2
+    assert "does not agree: policies.planner_of_mine:make.code.planner_of_mine.py 'sha256:" in capsys.readouterr().err
     planner.write_text(planner.read_text().replace("1", "0"))
     assert rate(*arguments) == 2
 

@@ -118,6 +118,24 @@ def test_unrequested_fixture_as_reference_is_refused(failing):
 
 @pytest.mark.processes
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+def test_replay_with_a_reference_that_never_drives_is_an_error(changed):
+    never = KEEPS.replace("lambda observation:", "lambda observation, more:")
+    for now in (KEEPS, SPEEDS):  # Without the error, the file is fixed, or fails with both.
+        policies(changed, now, never)
+        result = changed.run(AGAINST, generations=0)
+        result.assert_outcomes(failed=1, skipped=1)
+        shown = " ".join(result.stdout.str().split())
+        assert "against (planner_before:make): expected a reference that drives, received TypeError: " in shown
+        assert "in this replay and 10 random scenarios; correct the reference, " in shown
+    npcs = len(load(changed.only_file).scenario.npcs)
+    raises = f"        assert len(observation.others) != {npcs}\n        return -1.0, 0.0"
+    policies(changed, KEEPS, f"def make():\n    def drive(observation):\n{raises}\n    return drive\n")
+    changed.write(TEST.replace("MORE", "").replace("SHORT", "genes=2"))  # other scenarios have other numbers of NPCs
+    result = changed.run(AGAINST, generations=0)
+    result.assert_outcomes(passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+
+
 def test_next_session_names_reference_that_ended_the_last(project):
     project.write(TEST.replace("MORE", ""))
     policies(project, SPEEDS, "import os\n\ndef make():\n    return lambda observation: os._exit(9)\n")

@@ -285,7 +285,13 @@ class Planner:
         ("min(22.0", "min(5.0", None, "the situation did not come up: NPC 1 was 20 m ahead"),
         ("class", "import nonsense\nclass", None, "ModuleNotFoundError: No module named 'nonsense'"),
         ("class", "class class", None, "SyntaxError"),
-        ("        ego =", "        raise OSError('\x1b')\n        ego =", None, "another failure: "),
+        ("        ego =", "        raise OSError('\x1b')\n        ego =", None, "error of the set-up: OSError: "),
+        (
+            "        ego =",
+            "        if observation.time > 1:\n            raise OSError('\x1b')\n        ego =",
+            None,
+            "another failure: ",
+        ),
     ],
 )
 def test_session_reports_whether_the_saved_failure_occurs(safety, told, old, new, passes, why):

@@ -1,5 +1,7 @@
 """Replays: labels, drift, xfail, and when a failure is new again."""
 
+import json
+
 import pytest
 
 from pytest_pafot.corpus.reader import load
@@ -85,6 +87,21 @@ def test_accepted_file_that_passes_fails_until_line_removed(saved):
     result.stdout.fnmatch_lines(
         ["[[]XPASS(strict)] planner issue 12", f"fixed: remove the line `xfail:` from {saved.files[0]}"]
     )
+
+
+FIXTURE = """
+@pytest.fixture(autouse=True)
+def prepared():
+    RAISE
+"""
+
+
+@pytest.mark.parametrize(("raises", "outcome"), [("1 / 0", "errors"), ("pytest.xfail('later')", "xfailed")])
+def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcome):
+    edited(saved, '# xfail: "reason"', 'xfail: "planner issue 12"')
+    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
+    saved.write(f"{text}\n{FIXTURE.replace('RAISE', raises)}")
+    saved.run(generations=0).assert_outcomes(**{outcome: 1}, skipped=1)
 
 
 UNTIL = 'xfail: {reason: "planner issue 12", until: 2027-01-31}'
@@ -286,6 +303,91 @@ def test_brakes(run):
     result = project.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
+
+
+OTHER_WORLD = "run in the world of the file, which is not the test's: world.lanes 4 in the file, 5 now"
+
+
+def test_replay_says_that_the_test_names_another_world(saved):
+    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
+    saved.run("-v", generations=0).stdout.no_fnmatch_line("*in the world of*")
+    saved.write(text.replace("@pafot.search(", "@pafot.search(lanes=5, "))
+    result = saved.run("-v", "--pafot-json=pafot.json", generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    assert f"replay: still failing, {OTHER_WORLD}" in " ".join(result.stdout.str().split())
+    assert json.loads((saved.path / "pafot.json").read_text())["findings"][0]["detail"] == OTHER_WORLD
+    saved.write(PASSES.replace("@pafot.search(", "@pafot.search(lanes=5, "))
+    result = saved.run(generations=0)
+    assert OTHER_WORLD in " ".join(result.stdout.str().split())
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+
+
+def test_replay_says_that_the_test_names_other_traffic(saved):
+    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
+    saved.write(text.replace("@pafot.search(", "@pafot.search(traffic=pafot.Traffic('everyday', least_gap=4), "))
+    shown = " ".join(saved.run(generations=0).stdout.str().split())
+    named = "Traffic('paper') there, Traffic('everyday', least_gap=4) now"
+    assert f"still failing, run in the traffic of the file, which is not the test's: {named}" in shown
+    saved.write(text.replace("@pafot.search(", "@pafot.search(traffic='paper', "))
+    assert "in the traffic of the file" not in saved.run(generations=0).stdout.str()
+
+
+def test_replay_in_another_kind_of_world_says_so(saved):
+    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
+    saved.write(text.replace("@pafot.search(", "@pafot.search(world=pafot.World('highway-v0', planner_hz=5), "))
+    result = saved.run(generations=0)
+    shown = " ".join(result.stdout.str().split())
+    assert "which is not the test's: world.kind 'highway' in the file, 'gym' now, " in shown
+
+
+CHANCE = """
+import os
+
+SEEN = []
+
+def sometimes():
+    SEEN.append(1)
+    brake = -3.0 if len(SEEN) > int(os.environ["PASSES"]) else 0.0
+    return lambda observation: (brake, 0.0)
+
+@pafot.search(SHORT, ads=sometimes, stop_after=1)
+def test_brakes(run):
+    assert run.hardest_brake < 1
+"""
+
+FAILS_ALWAYS, PASSES_ALWAYS = "0", "1000"
+
+
+@pytest.fixture
+def by_chance(project, monkeypatch):
+    """Save an accepted finding whose file says that it is flaky; return a function that sets how many runs pass."""
+    project.write(CHANCE)
+    monkeypatch.setenv("PASSES", FAILS_ALWAYS)
+    project.run()
+    edited(project, '# xfail: "reason"', f'flaky: "another run"\n{UNTIL}')
+    return lambda passes: monkeypatch.setenv("PASSES", passes)
+
+
+@pytest.mark.parametrize("passes", [FAILS_ALWAYS, PASSES_ALWAYS, "1"])
+def test_an_accepted_flaky_failure_never_fails_by_chance(project, by_chance, passes):
+    by_chance(passes)
+    accepted = project.run("--pafot-today=2027-01-31", "-rx", generations=0)
+    accepted.assert_outcomes(xfailed=1, skipped=1)
+    assert ("planner issue 12; flaky: it passed this time" in accepted.stdout.str()) == (passes == PASSES_ALWAYS)
+    assert "remove the line" not in accepted.stdout.str()
+    over = project.run("--pafot-today=2027-02-01", generations=0)
+    over.assert_outcomes(**{"passed" if passes == PASSES_ALWAYS else "failed": 1}, skipped=1)
+
+
+def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance):
+    before = project.contents
+    by_chance("4")  # The replay passes, and later runs of the search fail in the same way.
+    result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", generations=2)
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines([f"  known: * covered by saved-{project.only_id}"])
+    assert project.contents == before
+    over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", generations=2)
+    assert over.ret == pytest.ExitCode.TESTS_FAILED
 
 
 TRAINED = """

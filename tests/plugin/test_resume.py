@@ -201,3 +201,12 @@ def test_four_times_a_hundred_runs_are_four_hundred(project):
     for _ in range(4):
         night(project, runs=100)
     assert project.contents == whole
+
+
+def test_a_state_of_a_changed_test_is_refused(project):
+    project.write(SOURCE)
+    night(project, ONLY, runs=4)
+    project.write(SOURCE.replace("not run.collision", "run.min_ttc > 0.5"))
+    refused = night(project, ONLY, runs=4)
+    refused.assert_outcomes(failed=1)
+    refused.stdout.fnmatch_lines(["*one that differs: code.test_it.py 'sha256:*' in the file, 'sha256:*' now*"])

@@ -7,7 +7,9 @@ from xml.etree import ElementTree
 import pytest
 
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.report.job_summary import markdown
+from pytest_pafot.world import codec
 from tests.helpers.sessions import read_record
 
 TWO = """
@@ -67,6 +69,15 @@ def test_a_search_and_its_find_are_recorded(failing):
     assert (find.file, find.replay) == (failing.files[0], f"python -m pytest {failing.files[0]}")
     assert (find.signature, find.responsible) == (saved.signature.text, saved.expect.responsibility)
     assert find.runs == search.failing > 0
+
+
+def test_a_finding_without_a_file_is_recorded_with_its_scenario(failing):
+    (find,) = recorded(failing, "--pafot-save=none").findings
+    assert find.file is None
+    failing.run()
+    saved = load(failing.only_file)
+    assert Scenario.from_canonical(find.scenario) == saved.scenario
+    assert codec.from_dict(find.world) == codec.from_dict(saved.world)
 
 
 def test_replay_is_recorded_with_label_and_result(saved):
@@ -134,6 +145,56 @@ def test_killed_session_records_findings_without_exit_code(project):
     assert (record.searches[0].base_seed, record.findings[0].seed) == (1, record.searches[0].seed)
 
 
+SLOW_ADS = """
+import time
+
+def slow():
+    def drive(observation):
+        time.sleep({seconds})
+        return 0.0, 0.0
+    return drive
+
+@pafot.search(SHORT, ads=slow, world=pafot.Highway(duration=3))
+def test_it(run):
+    assert not run.scenario.npcs[0][0].speed < 15, object()
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(
+    ("seconds", "note"), [(0.0, "not in use, since a run took *"), (0.001, "in use after 1 run *")]
+)
+def test_record_is_the_same_for_any_number_of_workers(project, seconds, note):
+    project.write(SLOW_ADS.format(seconds=seconds))
+    texts = []
+    for workers in (1, 2, 2):
+        result = project.run("--pafot-json=pafot.json", f"--pafot-workers={workers}", "--pafot-save=none")
+        texts.append((project.path / "pafot.json").read_text())
+    result.stdout.fnmatch_lines([f"*note: --pafot-workers=2: {note}"])
+    assert texts[0] == texts[1] == texts[2]
+    assert json.loads(texts[0])["findings"]
+
+
+@pytest.mark.processes
+def test_lost_process_and_slow_decision_are_recorded_alike(project):
+    slow = SLOW_ADS.format(seconds=0.02).replace("ads=slow", "ads=slow, decision_limit=0.01")
+    project.write(slow)
+    texts = []
+    for _ in range(2):
+        project.run("--pafot-json=pafot.json", "--pafot-save=none")
+        texts.append((project.path / "pafot.json").read_text())
+    assert texts[0] == texts[1]
+    assert "SlowDecision: a decision took N s, allowed are 0.01 s" in texts[0]
+    project.write(slow.replace("time.sleep(0.02)", "import os; os.abort()"))
+    for _ in range(2):
+        project.run(
+            "--pafot-json=pafot.json", "--pafot-isolate", "--pafot-save=none", "--pafot-runs=2", generations=None
+        )
+        texts.append((project.path / "pafot.json").read_text())
+    assert texts[2] == texts[3]
+    assert json.loads(texts[2])["findings"]
+
+
 @pytest.mark.processes
 def test_workers_record_the_same_text_as_one_process(project):
     pytest.importorskip("xdist")
@@ -182,6 +243,59 @@ def test_junit_names_all_findings_and_unreadable_files(project):
     project.run("--junitxml=junit.xml", generations=0)
     named = [each for each in properties(project).values() if each.get("pafot_file") == project.files[0]]
     assert [set(each) for each in named] == [{"pafot_id", "pafot_file"}]
+
+
+RECORDING = """
+def ads():
+    return lambda observation: (0.0, 0.0)
+
+def standing():
+    return lambda observation: (-5.0, 0.0)
+
+@pytest.fixture(autouse=True)
+def of_setup(record_property):
+    record_property("requirement", "REQ-001")
+
+@pytest.fixture
+def log(record_property):
+    return lambda run: record_property("speed", round(float(run.ego.speed[-1]), 1))
+
+@pafot.search(SHORT, ads=ads, against=standing, world=pafot.Highway(duration=10), shrink_rollouts=10)
+def test_it(run, record_property, record_testsuite_property, record_xml_attribute, log):
+    record_property("requirement", "REQ-001")
+    record_testsuite_property("suite", "S-1")
+    record_xml_attribute("assertions", "2")
+    log(run)
+    log(run)
+    assert run.ego.speed[-1] < 5.0
+"""
+
+
+def test_properties_of_a_marked_test_are_those_of_one_run(project):
+    pytest_warnings = "-Wignore::pytest.PytestExperimentalApiWarning"
+    project.write(RECORDING)
+    arguments = ("--junitxml=junit.xml", pytest_warnings, "-ojunit_family=xunit1", "--pafot-stop-after=1")
+    project.run(*arguments)
+
+    def recorded():
+        root = ElementTree.parse(project.path / "junit.xml").getroot()
+        suite = [(each.get("name"), each.get("value")) for each in root.findall("testsuite/properties/property")]
+        assert suite == [("suite", "S-1")]
+        return {
+            case.get("name"): [
+                (each.get("name"), each.get("value"))
+                for each in case.iter("property")
+                if not each.get("name").startswith("pafot")
+            ]
+            for case in root.iter("testcase")
+        }
+
+    saved = load(project.only_file)
+    one = [("requirement", "REQ-001"), ("requirement", "REQ-001"), ("speed", "22.0"), ("speed", "22.0")]
+    names = ["test_it[search]", f"test_it[saved-{saved.id}]"]
+    assert recorded() == dict.fromkeys(names, one)
+    project.run(*arguments, generations=0)
+    assert recorded()[names[1]] == one  # and not those of the run of the reference, which came last
 
 
 def test_unwritable_record_file_is_a_summary_problem(failing):

@@ -371,3 +371,95 @@ def test_plausible_actions_give_no_note(project):
     result = project.run()
     assert sum(result.parseoutcomes().values()) == 3
     result.stdout.no_fnmatch_line("*the ADS requested*")
+
+
+DRIVES = """
+def ads():
+    CALL
+        return 0.0, 0.0
+    return drive
+
+@pafot.search(SHORT, ads=ads, stop_after=1)
+def test_fails(run):
+    assert CONDITION
+"""
+
+
+def drives(call="def drive(observation):", condition="not run"):
+    return DRIVES.replace("CALL", call).replace("CONDITION", condition)
+
+
+SIGNATURES = {
+    "def drive(observation, more):": "TypeError: *missing 1 required positional argument: 'more'",
+    "def drive():": "TypeError: *takes 0 positional arguments but 1 was given",
+    "def drive(o):\n        undefined.x": "NameError: name 'undefined' is not defined",
+}
+
+
+ALONE = "def drive(observation):\n        if len(observation.others) == 1:\n            raise ValueError('alone')"
+
+
+class TestAReplayWithAFaultOfTheSetUp:
+    """A policy that no longer drives says nothing about saved scenarios: no file drifted."""
+
+    @pytest.fixture
+    def two(self, project):
+        """Return a project with two saved scenarios of one test."""
+        project.write(drives())
+        project.run()
+        path = project.only_file
+        other = path.with_name(path.name.replace(load(path).id, "other-111111"))
+        other.write_text(path.read_text().replace(load(path).id, "other-111111"))
+        return project
+
+    @pytest.mark.parametrize("call", SIGNATURES)
+    def test_changed_signature_is_explained_once_per_test(self, two, call):
+        two.write(drives(call))
+        result = two.run("--pafot-json=pafot.json", generations=0)
+        result.assert_outcomes(failed=2, skipped=1)
+        text = result.stdout.str()
+        assert text.count("This happened in this replay and 10 random scenarios") == 1
+        assert text.count("It is the error of the set-up that test_it.py::test_fails[[]") == 0
+        result.stdout.fnmatch_lines([f"the ADS failed: {SIGNATURES[call]}*"])
+        result.stdout.fnmatch_lines(["It is the error of the set-up that test_it.py::test_fails[[]saved-*"])
+        assert "drifted" not in text
+        assert '"status": "error"' in (two.path / "pafot.json").read_text()
+        two.write(drives())
+        assert "2 still failing" in two.run(generations=0).stdout.str()
+
+    def test_error_in_the_test_function_is_no_drift_either(self, two):
+        two.write(drives(condition="not run.collided"))
+        result = two.run(generations=0)
+        result.assert_outcomes(failed=2, skipped=1)
+        result.stdout.fnmatch_lines(
+            ["*This happened in this replay and 10 random scenarios*error of the test function*"]
+        )
+        assert "drifted" not in result.stdout.str()
+
+    def test_ads_that_raises_in_some_scenarios_is_a_failure(self, project):
+        project.write(drives().replace("SHORT", "npcs=1"))
+        project.run("--pafot-runs=1", generations=None)
+        project.write(drives(ALONE).replace("SHORT", "genes=2"))
+        result = project.run(generations=0)
+        result.assert_outcomes(failed=1, skipped=1)
+        result.stdout.fnmatch_lines(["the ADS failed: ValueError: alone*", "replayed 1 saved scenario: 1 drifted"])
+
+    def test_ads_that_raises_in_every_scenario_of_its_test_drives_not(self, project):
+        project.write(drives().replace("SHORT", "npcs=1"))
+        project.run("--pafot-runs=1", generations=None)
+        project.write(drives(ALONE).replace("SHORT", "npcs=1"))
+        project.run(generations=0).stdout.fnmatch_lines(["This happened in this replay and 10 random scenarios*"])
+
+    def test_an_accepted_failure_does_not_excuse_it(self, two):
+        for path in two.path.rglob("*.pafot.yaml"):
+            path.write_text(path.read_text().replace('# xfail: "reason"', 'xfail: "planner issue 12"'))
+        two.run(generations=0).assert_outcomes(xfailed=2, skipped=1)
+        two.write(drives(next(iter(SIGNATURES))))
+        two.run(generations=0).assert_outcomes(failed=2, skipped=1)
+        two.write(drives().replace("def ads():", "def ads(argument):"))
+        two.run(generations=0).assert_outcomes(failed=2, skipped=1)
+
+    def test_a_finding_of_the_first_decision_still_fails(self, project):
+        project.write(drives(ALONE, condition="True").replace("SHORT", "genes=2"))
+        project.run("--pafot-runs=40", generations=None)
+        project.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
