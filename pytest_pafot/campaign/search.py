@@ -206,6 +206,7 @@ class Search:
                 work.run_all(f"; {BY_NAME['resume'].flag} goes on" if self.sessions.go_on else "")
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs = work.runs
+                self.notes += work.notes
                 self.sessions.store(simplified=work.done)
         except SetupFaultError as error:
             reason, fault = "error", error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
@@ -95,14 +95,19 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
     return Verdict(kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True)
 
 
-def reference_outcomes(run: Run, test: Test, *, blame: str, test_file: str) -> Iterator[tuple[str, ReferenceOutcome]]:
+def reference_outcomes(
+    run: Run, test: Test, *, blame: str, test_file: str, names: Sequence[str] | None = None
+) -> Iterator[tuple[str, ReferenceOutcome]]:
     """Yield the outcome of each reference driver in the ego's place. Its run is judged like the run of the ego.
 
-    The drivers are simulated one after the other. A driver is left out if two NPCs touched in its run, or if the test
-    function declined to judge the run.
+    The drivers are simulated one after the other; ``names`` are some of them. A driver is left out if two NPCs touched
+    in its run, or if the test function declined to judge the run.
+
+    Raises:
+        DriverError: if the world cannot simulate a driver.
     """
     blame = "any" if blame == "any" else "ego"
-    for name, other in run.by_reference_drivers():
+    for name, other in run.by_reference_drivers(names):
         verdict = judge(other, test, blame=blame, test_file=test_file)
         if verdict.kind in ("passed", "failed", "npc"):
             yield name, reference_outcome(other, fails=verdict.kind != "passed")

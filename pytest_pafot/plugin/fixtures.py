@@ -106,7 +106,7 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     def simulate(scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
         world = pafot_world if world is None else world
         trace = world.rollout(scenario, ads_factory)
-        run = Run(trace, world=reference_world(world), take_over=taking_over(world))
+        run = Run(trace, world=reference_world(world), take_over=taking_over(world, trace))
         failure = ads_failure(run)
         if failure is not None:  # Such a run is short, and would pass most assertions that something did not happen.
             pytest.fail(ads_text(failure), pytrace=False)
