@@ -13,6 +13,8 @@ from pytest_pafot.testing import check_world
 from tests.helpers.stopped_clock import StoppedClock
 from tests.helpers.tables import table
 
+pytestmark = pytest.mark.filterwarnings("ignore:check_world. no collision:RuntimeWarning")  # in runs of 4 s
+
 SHORT = {"npcs": 2, "genes": 2, "gene_seconds": 2.0}
 ROAD = Highway(duration=4.0, hang_limit=0.3)
 
