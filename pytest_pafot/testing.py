@@ -41,6 +41,7 @@ from pytest_pafot.support.errors import plain_number, plain_whole
 from pytest_pafot.world.codec import OWN, described, from_dict, is_code
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.driving.seeing import SeeingAds
+from pytest_pafot.world.guard.own_worlds import simulate, simulate_batch
 from pytest_pafot.world.kernel.bodies import Box, overlap
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.protocol import (
@@ -238,7 +239,7 @@ def _no_error(promise: str) -> Iterator[None]:
 
 def _rollout(world: Any, scenario: Scenario, ads: Callable[[], Any], **given: Any) -> Trace:
     with _no_error("a run ends in a trace, whatever the ADS does"):
-        trace: Trace = world.rollout(scenario, ads, **given)
+        trace = simulate(world, scenario, ads, **given)
     _promise(isinstance(trace, Trace), "rollout returns a pafot.Trace", f"{trace!r:.200}")
     return trace
 
@@ -890,7 +891,7 @@ def _check_batch(world: Any, done: Sequence[_Done], ads: Ads) -> None:
     if together is None or is_vehicle_class(ads) or wants_env(ads) or not hasattr(ads(), "batch"):
         return
     with _no_error("rollout_batch runs scenarios"):
-        traces = together.rollout_batch([each.scenario for each in done], ads)
+        traces = simulate_batch(together, [each.scenario for each in done], ads)
     _promise(len(traces) == len(done), "rollout_batch returns one trace for each scenario", f"{len(traces)}")
     for each, trace in zip(done, traces, strict=True):
         _check_same(each.trace, trace, "rollout_batch gives the traces of rollout")

@@ -155,6 +155,8 @@ class Harmed(Own):
 
 
 class Hangs(Own):
+    guards_ads = True  # as it says, but its decisions may take 30 s
+
     def rollout(self, scenario, ads_factory):
         return Highway(duration=4.0).rollout(scenario, ads_factory)
 
