@@ -42,7 +42,6 @@ from pytest_pafot.world.codec import OWN, described, from_dict, is_code
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.driving.seeing import SeeingAds
 from pytest_pafot.world.guard.own_worlds import simulate, simulate_batch
-from pytest_pafot.world.kernel.bodies import Box, overlap
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.protocol import (
     crossings,
@@ -250,7 +249,10 @@ def _rollout(world: Any, scenario: Scenario, ads: Callable[[], Any], **given: An
 
 def _run(world: Any, scenario: Scenario, ads: Ads) -> _Done:
     noted = _Noted()
-    return _Done(scenario, ads, _rollout(world, scenario, noted.noting(ads)), noted)
+    trace = _rollout(world, scenario, noted.noting(ads))
+    is_fresh = noted.made == 1 or not noted.is_known
+    _promise(is_fresh, "rollout calls ads_factory once, for a fresh ADS", f"{noted.made} calls")
+    return _Done(scenario, ads, trace, noted)
 
 
 def _constant(action: tuple[float, float]) -> Ads:
@@ -349,6 +351,9 @@ def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
     }
     for promise, is_kept in promises.items():
         _promise(bool(is_kept), promise, f"something else in {trace!r}")
+    pairs = combinations(range(len(trace.sizes)), 2)
+    touching = [pair for pair in pairs if _depths(trace, *pair, slice(1))[0][0] > 0]
+    _promise(not touching, "no vehicles touch at the start", " and ".join(map(_name, next(iter(touching), ()))))
     with _no_error("Run(trace).explain() describes the run"):
         Run(trace).explain()
 
@@ -438,9 +443,6 @@ def _check_off_road(trace: Trace) -> None:
 def _check_start(trace: Trace) -> None:
     """Check the start of a run on a straight road against the scenario."""
     scenario, start = trace.scenario, trace.states[0]
-    boxes = [Box(*row[:3], *size) for row, size in zip(start.tolist(), trace.sizes.tolist(), strict=True)]
-    touching = [pair for pair in combinations(range(len(boxes)), 2) if overlap(*(boxes[each] for each in pair))]
-    _promise(not touching, "no vehicles touch at the start", " and ".join(map(_name, next(iter(touching), ()))))
     if trace.track is not None or any(lane.points for lane in trace.lanes):
         return
     lane = int(start[0, LANE])
@@ -616,22 +618,22 @@ def _wrapped(angles: FloatArray) -> FloatArray:
     return wrapped
 
 
-def _depths(trace: Trace, first: int, second: int) -> tuple[FloatArray, FloatArray]:
-    """Return how deep the boxes of two vehicles overlap at each tick [m]: at least, and at most.
+def _depths(trace: Trace, first: int, second: int, rows: slice = slice(None)) -> tuple[FloatArray, FloatArray]:
+    """Return how deep the boxes of two vehicles overlap in some rows [m]: at least, and at most.
 
     Some worlds find contacts with boxes that do not turn. So on straight roads the boxes are also taken along the road.
     """
-    found = []
-    headings = trace.states[..., HEADING]
+    found, states = [], trace.states[rows]
+    headings = states[..., HEADING]
     is_straight = trace.track is None and not any(lane.points for lane in trace.lanes)
     for heading in (headings, np.full_like(headings, trace.lanes[0].heading)) if is_straight else (headings,):
         boxes = [
             Boxes.driving(
-                trace.states[:, each, X],
-                trace.states[:, each, Y],
+                states[:, each, X],
+                states[:, each, Y],
                 heading[:, each],
-                trace.states[:, each, SPEED],
-                *(np.full(len(trace.states), size) for size in trace.sizes[each]),
+                states[:, each, SPEED],
+                *(np.full(len(states), size) for size in trace.sizes[each]),
             )
             for each in (first, second)
         ]
@@ -746,12 +748,11 @@ def _check_side(trace: Trace, hit: Collision) -> None:
 
 
 def _check_actions(world: Any, done: _Done) -> None:
-    """Check that a run makes one fresh ADS, and records each of its decisions."""
+    """Check that an ADS decides as often as ads_hz says, and that a run records each of its decisions."""
     trace, noted = done.trace, done.noted
     every = trace.physics_hz // trace.ads_hz
     if not noted.is_known:
         return
-    _promise(noted.made == 1, "rollout calls ads_factory once, for a fresh ADS", f"{noted.made} calls")
     wanted, made = -(-trace.ticks // every), len(noted.returned)
     _promise(
         wanted <= made <= wanted + 1,
