@@ -92,7 +92,7 @@ LONG = 10.0
 GOOD_DECISIONS = 2
 """The number of decisions that a failing ADS of the check makes before it fails."""
 MORE = 4
-"""The number of runs with further egos, as a multiple of ``runs``, after which no collision is looked for any more."""
+"""The number of further runs, as a multiple of ``runs``, after which no collision is looked for any more."""
 
 
 @dataclass(slots=True)
@@ -169,8 +169,8 @@ def check_world(
     - ``from_dict`` gives the same world again, if the world's class has that method or if a file can describe the
       world.
 
-    If the ADS acts in SI units, further egos drive in the same scenarios, which keep their speed, accelerate and brake,
-    until a collision came up, at most in four times as many runs.
+    Further runs are made until a collision came up, at most four times as many. If the ADS acts in SI units, their egos
+    keep their speed, accelerate and brake.
 
     Args:
         world: the world to check.
@@ -194,15 +194,16 @@ def check_world(
     done = [_run(world, scenario, ads) for scenario in (sample(within, random) for _ in range(runs))]
     for each in done:
         _check_form(world, each.scenario, each.trace)
-    further = _further(world, done, islice(iter(lambda: sample(within, random), None), MORE * runs))
-    for each in further:
+    egos, more = _further(world, done, islice(iter(lambda: sample(within, random), None), MORE * runs))
+    every = [*done, *egos, *more]
+    for each in every[runs:]:
         _check_form(world, each.scenario, each.trace)
-    traces = [each.trace for each in (*done, *further)]
+    traces = [each.trace for each in every]
     for trace in traces:
         _check_limits(world, trace)
         _check_road(world, trace)
     _check_motion(traces)
-    for each in (*done, *further):
+    for each in every:
         _check_start(each.trace)
         _check_contacts(each.trace)
         _check_end(world, each.trace)
@@ -211,9 +212,9 @@ def check_world(
         scenario, trace = each.scenario, each.trace
         _check_same(trace, _rollout(world, scenario, ads), "the same scenario gives the same trace")
         _check_same(trace, _rollout(world, trace.executed, ads), "the scenario as executed gives the same trace")
-    _check_obedience(world, done, further, ads)
+    _check_obedience(world, done, [each.trace for each in egos], ads)
     _check_decisions(world, done)
-    _check_drivers(world, [*done, *further])
+    _check_drivers(world, every)
     _check_batch(world, done, ads)
     longest = max(done, key=lambda each: each.trace.ticks)
     _check_faults(world, longest.scenario, longest.trace, ads)
@@ -263,19 +264,21 @@ def _acts_in_si(done: Sequence[_Done]) -> bool:
     return all(each.noted.is_known and looks_si(each.noted.returned) for each in done)
 
 
-def _further(world: Any, done: Sequence[_Done], scenarios: Iterator[Scenario]) -> list[_Done]:
-    """Run further egos in further scenarios: each of them once, and then until a collision came up."""
-    if not _acts_in_si(done):
-        return []
-    first = [_run(world, done[0].scenario, _constant(action)) for action in EGOS]
+def _further(world: Any, done: Sequence[_Done], scenarios: Iterator[Scenario]) -> tuple[list[_Done], list[_Done]]:
+    """Run further egos in the first scenario, and then in further scenarios until a collision came up.
+
+    The egos have constant actions. If these are not in SI units, there are none, and the ADS of the check drives.
+    """
+    egos: list[Ads] = [_constant(action) for action in EGOS] if _acts_in_si(done) else []
+    first = [_run(world, done[0].scenario, ads) for ads in egos]
     if any(each.trace.error is not None for each in first):
-        return []  # The actions are not in SI units.
+        egos, first = [], []
     more: list[_Done] = []
-    for scenario, action in zip(scenarios, cycle(EGOS), strict=False):
+    for scenario, ads in zip(scenarios, cycle(egos or [done[0].ads]), strict=False):
         if any(each.trace.collision for each in (*done, *first, *more)):
             break
-        more.append(_run(world, scenario, _constant(action)))
-    return [*first, *more]
+        more.append(_run(world, scenario, ads))
+    return first, more
 
 
 def _check_members(world: Any) -> None:
@@ -788,7 +791,7 @@ def _alike(first: Any, second: Any) -> bool:
     return numbers[0].size == numbers[1].size and bool(np.allclose(numbers[0].ravel(), numbers[1].ravel()))
 
 
-def _check_obedience(world: Any, done: Sequence[_Done], further: Sequence[_Done], ads: Ads) -> None:
+def _check_obedience(world: Any, done: Sequence[_Done], egos: Sequence[Trace], ads: Ads) -> None:
     """Check that NPCs follow the scenario and the ego its ADS, because other instructions give other runs."""
     tried = [each for each in done if not each.scenario.crossings]
     is_told = any(each.scenario.genes > 1 or each.trace.duration >= LONG for each in tried)
@@ -807,9 +810,9 @@ def _check_obedience(world: Any, done: Sequence[_Done], further: Sequence[_Done]
     _promise(
         not (is_told and is_ignored), "NPCs follow their instructions", "the same states[:, 1:] for other instructions"
     )
-    if not further:
+    if not egos:
         return
-    steady, faster, slower = (each.trace for each in further[: len(EGOS)])
+    steady, faster, slower = egos
     ticks = min(trace.ticks for trace in (steady, faster, slower))
     speeds = [float(trace.ego[ticks, SPEED]) for trace in (slower, steady, faster)]
     is_obeyed = speeds[0] < speeds[1] - ROUNDING or speeds[1] < speeds[2] - ROUNDING

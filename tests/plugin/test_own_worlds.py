@@ -27,7 +27,8 @@ class Ring:
 OWN = (
     RING
     + """
-@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(LANES), stop_after=1, shrink_rollouts=9)
+@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(LANES), stop_after=1,
+              shrink_rollouts=9)
 def test_fails(run):
     assert run.VERDICT
 """
@@ -398,7 +399,8 @@ HIGHWAY = pafot.Highway(lanes=4, duration=20.0)
 def blind():
     return lambda seen: (0.0, 0.0)
 
-@pafot.search(ads=blind, genes=2, gene_seconds=10, npcs=2, world=Driven(4), blame="ego", stop_after=1, shrink_rollouts=9)
+@pafot.search(ads=blind, genes=2, gene_seconds=10, npcs=2, world=Driven(4), blame="ego", stop_after=1,
+              shrink_rollouts=9)
 def test_keeps_off(run):
     assert not run.collision, run.explain()
 """
