@@ -41,7 +41,7 @@ from pytest_pafot.support.errors import plain_number, plain_whole
 from pytest_pafot.world.codec import OWN, described, from_dict, is_code
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
 from pytest_pafot.world.driving.seeing import SeeingAds
-from pytest_pafot.world.guard.own_worlds import simulate, simulate_batch
+from pytest_pafot.world.guard.own_worlds import rollout_of, simulate_batch
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.protocol import (
     crossings,
@@ -243,7 +243,7 @@ def _no_error(promise: str) -> Iterator[None]:
 
 def _rollout(world: Any, scenario: Scenario, ads: Callable[[], Any], **given: Any) -> Trace:
     with _no_error("a run ends in a trace, whatever the ADS does"):
-        trace = simulate(world, scenario, ads, **given)
+        trace = rollout_of(world)(scenario, ads, **given)
     _promise(isinstance(trace, Trace), "rollout returns a pafot.Trace", f"{trace!r:.200}")
     return trace
 

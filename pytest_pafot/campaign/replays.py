@@ -27,7 +27,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
-from pytest_pafot.world.guard.own_worlds import simulate
+from pytest_pafot.world.guard.own_worlds import rollout_of
 
 FLAKY = "flaky"
 
@@ -123,7 +123,7 @@ class Replays:
             record.write(scenario)
             if trace is None:
                 with refusals(), _naming(saved.path):
-                    trace = simulate(world, scenario, harness.ads)
+                    trace = rollout_of(world)(scenario, harness.ads)
             run = harness.seen(trace, world)
             return run, harness.judge(run)
 

@@ -24,7 +24,7 @@ from pytest_pafot.execution.scenario_pool import (
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.world import protocol
-from pytest_pafot.world.guard.own_worlds import simulate
+from pytest_pafot.world.guard.own_worlds import rollout_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def answers_apart(
     world = job.world
 
     def judged(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
-        trace = simulate(world, scenario, ads)
+        trace = rollout_of(world)(scenario, ads)
         with capture_output(), suppress(BaseException):
             judge(trace)
         return trace

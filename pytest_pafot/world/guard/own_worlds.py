@@ -27,27 +27,29 @@ class Hang(Exception):  # noqa: N818  (a world that records the name of the exce
     """The end of a decision that exceeds the hang limit, as the code of a user's world sees it."""
 
 
-def simulate(world: Any, scenario: Scenario, ads_factory: Callable[..., Any], **given: Any) -> Trace:
-    """Simulate a scenario in any world; ``given`` are further arguments of its ``rollout``.
+def rollout_of(world: Any) -> Callable[..., Trace]:
+    """Return the ``rollout`` of any world, in which decisions that hang are ended: by the world, or else here."""
+    own: Callable[..., Trace] = world.rollout
+    return own if guards_ads(world) else partial(simulate, world)
 
-    In a world that does not guard the ADS itself, each decision is interrupted after the world's ``hang_limit``. The
-    world sees a :class:`Hang` then, and again at each further call of this ADS. However the world records that, the
-    outcome of the run is ``hang``.
+
+def simulate(world: Any, scenario: Scenario, ads_factory: Callable[..., Any], **given: Any) -> Trace:
+    """Simulate a scenario in a world that does not guard the ADS; ``given`` are further arguments of its ``rollout``.
+
+    Each decision is interrupted after the world's ``hang_limit``. The world sees a :class:`Hang` then, and again at
+    each further call of this ADS. However the world records that, the outcome of the run is ``hang``.
 
     Raises:
         Hang: if the world does not catch exceptions of the ADS.
         Exception: any exception of the world or of the factory.
     """
     __tracebackhide__ = True
-    if guards_ads(world):
-        trace: Trace = world.rollout(scenario, ads_factory, **given)
-        return trace
     with _Watch(hang_limit(world), len(given.get("decisions", ()))) as watch:
         return watch.told(world.rollout(scenario, watch.guarded(ads_factory), **given))
 
 
 def simulate_batch(world: Any, scenarios: Sequence[Scenario], ads_factory: Callable[..., Any]) -> list[Trace]:
-    """Simulate scenarios by a world's ``rollout_batch``, with the guard of :func:`simulate`.
+    """Simulate scenarios by any world's ``rollout_batch``, with the guard of :func:`simulate` if the world has none.
 
     If a decision for many runs hangs, ``hang`` is the outcome of the runs that the world ended for it.
     """
