@@ -28,7 +28,7 @@ COLUMNS: Mapping[str, str] = {
     "ego_speed": "the ego's first speed [m/s]",
     "npcs": "number of NPCs",
     "gene_seconds": "duration of an instruction [s]",
-    "traffic": "style of the traffic",
+    "traffic": "style of the traffic; `paper` in a world without styles",
     "genes": "JSON: the instructions of each NPC, as cell or lane and speed [m/s], or as zone, speed, slot [s], act",
     "outcome": "how the run ended, such as `collision`",
     "verdict": "verdict of the test: passed, failed, npc (an NPC's fault, which blame excludes), unpreventable, "

@@ -168,16 +168,20 @@ class _Watch:
 
 
 class _GuardedAds:
-    """An ADS under guard, with all attributes of the ADS."""
+    """An ADS under guard. All of its attributes are those of the ADS, also those that a world sets."""
 
     def __init__(self, ads: Callable[..., Any], watch: _Watch) -> None:
-        self._ads = ads
-        self._watch = watch
+        object.__setattr__(self, "_ads", ads)
+        object.__setattr__(self, "_watch", watch)
 
     def __call__(self, *seen: Any, **named: Any) -> Any:
         """Call the ADS."""
         __tracebackhide__ = True
         return self._watch.call(self._ads, *seen, **named)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute of the ADS."""
+        setattr(self._ads, name, value)
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute of the ADS; its ``batch`` decides under guard, too."""

@@ -12,7 +12,7 @@ from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.world import Highway
 from pytest_pafot.world.guard import own_worlds
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, LastResort, last_resort
-from pytest_pafot.world.guard.own_worlds import Hang, guards_ads, simulate, simulate_batch
+from pytest_pafot.world.guard.own_worlds import Hang, guards_ads, rollout_of, simulate, simulate_batch
 from tests.helpers.tables import table
 
 AHEAD = Scenario(npcs=[[PositionInstruction(2, 22.0)]], ego_speed=22.0, gene_seconds=4.0)
@@ -223,6 +223,19 @@ def test_only_the_class_itself_can_say_that_it_guards():
         guards_ads = True
 
     assert [guards_ads(world) for world in (ROAD, Derived(), Says(), Calls())] == [True, False, True, False]
+    assert rollout_of(ROAD) == ROAD.rollout
+    assert rollout_of(Calls())(AHEAD, hangs()).outcome is Outcome.HANG
+
+
+def test_world_may_set_attributes_of_its_ads():
+    planner = Batch()
+
+    class Sets(Calls):
+        def ask(self, ads, decision):
+            ads.decision = decision
+            assert ads.decision == planner.decision == decision
+
+    simulate(Sets(), AHEAD, lambda: planner)
 
 
 def test_outer_guard_interrupts_inside_an_inner_one():
