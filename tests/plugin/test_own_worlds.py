@@ -430,6 +430,18 @@ def test_braking_after_recorded_decisions_avoids_the_collision(project):
     assert finding.expect.avoided_by == by_driver
 
 
+def test_preventable_needs_drivers_that_drive(project):
+    failing = DRIVERS.replace("return HIGHWAY.rollout_reference(scenario, ", "raise KeyError(").replace(
+        'blame="ego"', 'blame="preventable"'
+    )
+    driven(project, failing)
+    result = project.run("--pafot-runs=20", generations=None)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        ["*blame='preventable': the world Driven could not run rollout_reference with the driver 'calm': KeyError: *"]
+    )
+
+
 @pytest.mark.parametrize(
     ("method", "error"), [("take_over", "raise KeyError(name)"), ("rollout_reference", "raise pafot.WorldError(name)")]
 )
