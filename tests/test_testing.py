@@ -7,11 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pytest_pafot import Highway, NpcLimits, Outcome, PositionInstruction, Scenario, World
-from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, X
+from pytest_pafot import Cell, Highway, NpcLimits, Outcome, PositionInstruction, Scenario, World
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
 from pytest_pafot.testing import check_world
 from tests.helpers.stopped_clock import StoppedClock
 from tests.helpers.tables import table
+
+pytestmark = pytest.mark.filterwarnings("ignore:check_world. no collision:RuntimeWarning")  # in runs of 4 s
 
 SHORT = {"npcs": 2, "genes": 2, "gene_seconds": 2.0}
 ROAD = Highway(duration=4.0, hang_limit=0.3)
@@ -181,6 +183,8 @@ class Harmed(Own):
 
 
 class Hangs(Own):
+    guards_ads = True  # as it says, but its decisions may take 30 s
+
     def rollout(self, scenario, ads_factory):
         return Highway(duration=4.0).rollout(scenario, ads_factory)
 
@@ -304,3 +308,269 @@ def test_unsuitable_ads_is_distinguished_from_world_fault():
 def test_check_skips_hanging_if_it_takes_long(monkeypatch):
     monkeypatch.setattr("pytest_pafot.testing.time.sleep", lambda seconds: pytest.fail("tried"))
     check_world(Highway(duration=4.0), runs=1, **SHORT)
+
+
+# --- what a trace says of the motion, the road and the contacts
+
+LONGER = Highway(duration=20.0)
+
+
+class Driven:
+    """A user's own world whose runs are long enough for collisions; broken worlds derive from it."""
+
+    speed_limit, longest_run = 26.8, 20.0
+    reference_drivers, takes_over = ("careful-human",), ("steady-braking",)
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        return self.changed(LONGER.rollout(scenario, ads_factory, decisions=decisions))
+
+    def rollout_reference(self, scenario, name):
+        return self.changed(LONGER.rollout_reference(scenario, name))
+
+    def take_over(self, trace, tick, name):
+        return self.changed(LONGER.take_over(trace, tick, name))
+
+    def changed(self, trace):
+        return trace
+
+    def to_dict(self):
+        return {}
+
+
+def columns(name, column, change):
+    """Return a class whose traces have another column of states."""
+
+    def changed(self, trace):
+        return with_states(trace, lambda states: np.copyto(states[..., column], change(states[..., column])))
+
+    return type(name, (Driven,), {"changed": changed, "take_over": None, "reference_drivers": (), "takes_over": ()})
+
+
+def lanes(name, **change):
+    """Return a class whose traces have other lanes."""
+
+    def changed(self, trace):
+        each = [replace(lane, **{name: new(lane) for name, new in change.items()}) for lane in trace.lanes]
+        return replace(trace, lanes=tuple(each))
+
+    return type(name, (Driven,), {"changed": changed})
+
+
+def hits(name, **change):
+    """Return a class whose traces have other collisions."""
+
+    def changed(self, trace):
+        hit = trace.collision
+        return (
+            trace if hit is None else replace(trace, collision=replace(hit, **{k: f(hit) for k, f in change.items()}))
+        )
+
+    return type(name, (Driven,), {"changed": changed})
+
+
+def traces(name, change):
+    """Return a class whose traces are changed by a function."""
+    return type(name, (Driven,), {"changed": lambda self, trace: change(trace)})
+
+
+def with_bumpers(trace):
+    """Return a trace with the front bumpers of NPCs as their places."""
+    return with_states(trace, lambda states: np.add(states[:, 1:, X], 2.5, out=states[:, 1:, X]))
+
+
+def unreported(trace):
+    """Return a trace that goes on after a collision, through the vehicle that the ego has hit."""
+    if trace.collision is None:
+        return trace
+    states = np.concatenate([trace.states, np.repeat(trace.states[-1:], 300 - trace.ticks, axis=0)])
+    ticks = np.arange(300 - trace.ticks)[:, None] + 1
+    states[trace.ticks + 1 :, :, X] += ticks * trace.states[-1, :, SPEED] / 15
+    states[trace.ticks + 1 :, :, [ACCELERATION, STEERING]] = 0.0
+    return replace(trace, states=states, outcome=Outcome.SAFE, collision=None)
+
+
+OPPOSITE = {"front": "rear", "rear": "front", "left": "right", "right": "left"}
+
+
+class Deaf(Driven):
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        return super().rollout(scenario, ads_factory)
+
+
+class Shared(Driven):
+    ads = None
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        self.ads = self.ads or ads_factory()
+        return super().rollout(scenario, lambda: self.ads, decisions=decisions)
+
+
+class Stubborn(Driven):
+    """NPCs do as they like, whatever their instructions say."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        gene = PositionInstruction(scenario.npcs[0][0].cell, 20.0)
+        chains = [[PositionInstruction(chain[0].cell, 20.0)] * scenario.genes for chain in scenario.npcs]
+        assert gene in chains[0]
+        trace = super().rollout(replace(scenario, npcs=chains), ads_factory, decisions=decisions)
+        return replace(trace, scenario=scenario, executed=scenario)
+
+
+class Hasty(Driven):
+    """The instructions take half of the time that the scenario gives them."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        hasty = replace(scenario, gene_seconds=scenario.gene_seconds / 2)
+        trace = super().rollout(hasty, ads_factory, decisions=decisions)
+        return replace(trace, scenario=scenario, executed=replace(trace.executed, gene_seconds=scenario.gene_seconds))
+
+
+class Elsewhere(Driven):
+    """The ego starts in another lane than the scenario says."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        trace = super().rollout(replace(scenario, ego_lane=2), ads_factory, decisions=decisions)
+        return replace(trace, scenario=scenario, executed=replace(trace.executed, ego_lane=scenario.ego_lane))
+
+
+class Parked(Driven):
+    """The ego keeps its speed, whatever its ADS says."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        def ignored():
+            ads = ads_factory()
+            return lambda seen: [ads(seen), (0.0, 0.0)][1]
+
+        return LONGER.rollout(scenario, ignored, decisions=decisions)
+
+
+class Rewinds(Driven):
+    def take_over(self, trace, tick, name):
+        return LONGER.take_over(trace, 0, name)
+
+
+class Idles(Driven):
+    def take_over(self, trace, tick, name):
+        return trace
+
+
+class Refuses(Driven):
+    def take_over(self, trace, tick, name):
+        raise KeyError(name)
+
+
+class Weak(Driven):
+    def take_over(self, trace, tick, name):
+        return LONGER.take_over(trace, tick, "careful-human")
+
+
+class Nobody(Driven):
+    reference_drivers = ("nobody",)
+
+
+class Letters(Driven):
+    reference_drivers = "careful-human"
+
+
+def early(trace):
+    return replace(trace, error=replace(trace.error, tick=1)) if trace.error else trace
+
+
+def seconds(trace):
+    return replace(trace, arrivals=tuple(tuple(t and t / 15 for t in ticks) for ticks in trace.arrivals))
+
+
+def cut(trace):
+    return replace(trace, states=trace.states[:150]) if trace.outcome is Outcome.SAFE else trace
+
+
+WRONG = [
+    (columns("Mirrored", Y, lambda y: -y), r"states\[..., X\] and states\[..., Y\] of the ego are within the lane of"),
+    (columns("Degrees", HEADING, np.degrees), r"states\[..., HEADING\] is the direction of motion in rad"),
+    (columns("Anticlockwise", HEADING, lambda angle: -angle), r"states\[..., HEADING\] is the direction of motion"),
+    (columns("Compass", HEADING, lambda angle: np.pi / 2 - angle), r"states\[..., HEADING\] of the ego is the direct"),
+    (columns("Kilometres", SPEED, lambda v: v * 3.6), r".*states\[0, 0, SPEED\] at scenario.ego_speed"),
+    (columns("Half", X, lambda x: x / 2), r"states\[..., SPEED\] of the ego is its speed along its way"),
+    (columns("Weightless", ACCELERATION, lambda a: a / 9.81), r"states\[..., ACCELERATION\] is the acceleration that"),
+    (columns("Wheels", STEERING, np.degrees), r"states\[..., STEERING\] is in rad"),
+    (columns("Countersteers", STEERING, lambda angle: -angle), r"states\[..., STEERING\] is positive where"),
+    (columns("Off", LANE, lambda lane: 0 * lane - 1), r"states\[..., LANE\] of the ego is -1 only off the road"),
+    (columns("Next", LANE, lambda lane: np.minimum(lane + 1, 3)), r"states\[..., X\] and states\[..., Y\] of"),
+    (
+        columns("Reverses", SPEED, lambda v: np.where(v == v[0], v, -v)),
+        r"states\[..., HEADING\] of .* is the direction",
+    ),
+    (lanes("Left", y=lambda lane: -lane.y), "states.*|lanes are listed from the left"),
+    (lanes("Wide", width=lambda lane: 2 * lane.width), r"lanes\[...\].width is the width of a lane"),
+    (lanes("Narrow", width=lambda lane: lane.width / 2), r"lanes\[...\].width is the width of a lane"),
+    (lanes("Signs", speed_limit=lambda lane: 3.6 * lane.speed_limit), "lanes have a speed_limit in m/s"),
+    (lanes("Across", heading=lambda lane: np.pi / 2), "lanes"),
+    (lanes("Unlimited", length=lambda lane: np.inf), r"lanes\[0\] has a length, a width and a speed_limit"),
+    (hits("Late", time=lambda hit: hit.time + 1.0), "collision.time is the time of collision.tick"),
+    (hits("Ticking", time=lambda hit: float(hit.tick)), "collision.time is the time of collision.tick"),
+    (hits("Early", tick=lambda hit: hit.tick - 1), "collision.tick is the last tick of the run"),
+    (hits("Counting", npc=lambda hit: hit.npc + 1), "collision.npc is"),
+    (hits("Behind", side=lambda hit: OPPOSITE[hit.side]), "collision.side is the side of the ego that was hit"),
+    (hits("Ring", cell=lambda hit: Cell((hit.cell + 3) % 8 + 1)), "collision.cell is the cell of the NPC"),
+    (hits("Nowhere", cell=lambda hit: None), "collision.cell is a cell"),
+    (hits("Fast", ego_speed=lambda hit: 3.6 * hit.ego_speed), "collision.ego_speed is the speed of the ego"),
+    (hits("Rival", npc_speed=lambda hit: hit.npc_speed + 9.0), "collision.npc_speed is the speed of NPC"),
+    (hits("Signed", closing_speed=lambda hit: -hit.closing_speed), "collision.closing_speed is the difference of"),
+    (traces("Bumpers", with_bumpers), ".*states.* are of the centres of boxes with sizes"),
+    (traces("Extents", lambda trace: replace(trace, sizes=trace.sizes / 2)), ".*the boxes of the ego and of collision"),
+    (traces("Turned", lambda trace: replace(trace, sizes=trace.sizes[:, ::-1])), "sizes has the length before"),
+    (traces("Unreported", unreported), "the ego's box touches no NPC's before the end of a run"),
+    (traces("Cut", cut), "states of a run with the outcome safe last 20 s"),
+    (traces("Ticks", early), "error.tick is the tick of the decision of an ADS that raises"),
+    (traces("Seconds", seconds), r"arrivals\[0\]\[0\] is a tick of this gene, or None"),
+    (traces("Fewer", lambda trace: replace(trace, arrivals=trace.arrivals[1:])), "arrivals has one entry for each NPC"),
+    (traces("Mute", lambda trace: replace(trace, actions=())), "actions has one action for each decision"),
+    (
+        traces("Double", lambda trace: replace(trace, actions=tuple((1.0, 0.0) for _ in trace.actions))),
+        "actions are th",
+    ),
+    (traces("Rare", lambda trace: replace(trace, ads_hz=3)), "the ADS decides ads_hz times a second"),
+    (traces("Float", lambda trace: replace(trace, physics_hz=15.0)), "physics_hz and ads_hz are whole numbers"),
+    (
+        traces("Alarmed", lambda t: replace(t, outcome=Outcome.OFF_ROAD) if t.outcome is Outcome.SAFE else t),
+        "the outcome is off_road if the ego was in lane -1",
+    ),
+    (Deaf, "decisions= replaces the first decisions"),
+    (Shared, "rollout calls ads_factory once, for a fresh ADS"),
+    (Stubborn, "NPCs follow their instructions|the scenario as executed gives the same trace"),
+    (Hasty, "states depend only on the first instructions until scenario.gene_seconds|states of a run"),
+    (Elsewhere, "the ego starts in scenario.ego_lane"),
+    (Parked, "actions are those that the ADS returned|the ego follows its ADS"),
+    (Rewinds, "take_over repeats the run up to its tick"),
+    (Idles, "take_over lets 'careful-human' drive after its tick"),
+    (Refuses, "take_over runs the declared driver 'careful-human', received KeyError"),
+    (Weak, "steady-braking brakes with 6 m/s"),
+    (Nobody, "rollout_reference runs the declared driver 'nobody'"),
+    (Letters, "reference_drivers is a tuple of names"),
+    (type("Hourly", (Driven,), {"speed_limit": 96.5}), "speed_limit is in m/s, at most 70, received 96.5"),
+    (type("Boundless", (Driven,), {"longest_run": "long"}), "longest_run is a number above 0"),
+]
+
+
+@table(("wrong", "promise"), WRONG)
+def test_wrong_world_is_refused_by_name_of_field(wrong, promise):
+    with pytest.raises(AssertionError, match=f"^expected that ({promise})"):
+        check_world(wrong())
+
+
+def test_world_with_decisions_and_drivers_passes_without_warning(recwarn):
+    check_world(Driven())
+    assert [str(each.message) for each in recwarn] == []
+
+
+def test_check_without_any_collision_says_so():
+    with pytest.warns(RuntimeWarning, match="no collision in 18 runs, so nothing about collisions was checked"):
+        check_world(Own(), runs=3, **SHORT)
+
+
+def test_hang_limit_of_own_world_is_kept_for_it():
+    class Waits(Own):
+        def rollout(self, scenario, ads_factory):
+            return Highway(duration=4.0).rollout(scenario, ads_factory)  # in which a decision may take 30 s
+
+    check_world(Waits(), runs=1, **SHORT)

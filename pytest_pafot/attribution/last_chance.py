@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from pytest_pafot.attribution.responses import FOLLOWING
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
 from pytest_pafot.attribution.sentences import avoidance_sentence, last_chance_sentence
-from pytest_pafot.model.trace import ACCELERATION, STEERING, Outcome, Trace
+from pytest_pafot.criticality.boxes import depth
+from pytest_pafot.criticality.measures import Encounters
+from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, STEERING, Outcome, Trace
 
 DRIVER = "careful-human"
-"""The reference driver that takes over from the ego to find its last chance."""
+"""The reference driver that takes over from the ego to find its last chance, in worlds that declare it."""
 
 STEADY_BRAKING = "steady-braking"
 """The driver that brakes with 6 m/s^2 down to a standstill, and keeps its lane."""
@@ -40,8 +43,38 @@ ROUNDING = 1e-6
 """The largest difference between the states of a run and of its repetition. They may differ because some environments
 compute sines in a different way."""
 
+BRAKING_SHARE, BRAKING_TICKS = 0.1, 2
+"""The differences from steady braking at which a run still shows it: a share of the speed that is lost, for a simulated
+vehicle that only nearly reaches the rate, and ticks, for brakes that act a tick later than the decision."""
+
+TOUCHING = 0.1
+"""The deepest overlap of two boxes that may be a rounding of a world that finds its contacts by other means [m]."""
+
+UNSAID = (Outcome.INVALID, Outcome.ADS_ERROR, Outcome.HANG)
+"""The outcomes of a run that say nothing about whoever drove in it."""
+
 TakeOver = Callable[[Trace, int, str], Trace]
-"""A function that simulates a trace again, with a reference driver by name in the ego's place from a tick on."""
+"""A function that simulates a trace again, with a reference driver by name in the ego's place from a tick on.
+
+If it can be called only with some names, its attribute ``drivers`` has them.
+"""
+
+
+def drivers_of(take_over: TakeOver) -> tuple[str, ...]:
+    """Return the names with which a function may be called: those that it declares, or that its world declares."""
+    world: Any = getattr(take_over, "__self__", None)  # of a bound method
+    if hasattr(world, "reference_drivers"):
+        return (*world.reference_drivers, *getattr(world, "takes_over", ()))
+    return tuple(getattr(take_over, "drivers", (DRIVER, STEADY_BRAKING)))
+
+
+def relief_of(drivers: Sequence[str]) -> str | None:
+    """Return the driver that takes over to find a last chance: ``careful-human`` if it is there, else the first.
+
+    None if there is no reference driver; ``steady-braking`` is none, because it does not look at the traffic.
+    """
+    looking = [name for name in drivers if name != STEADY_BRAKING]
+    return DRIVER if DRIVER in looking else next(iter(looking), None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,7 +145,7 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
     def is_free(taken: Trace) -> bool:
         hit = taken.collision
         is_same = hit is not None and hit.npc == impact.npc and hit.time <= impact.time + SAME_IMPACT
-        return taken.outcome is not Outcome.INVALID and not is_same and not is_ego_responsible(taken)
+        return taken.outcome not in UNSAID and not is_same and not is_ego_responsible(taken)
 
     return last_decision(trace, trace.ticks, take_over, is_free)
 
@@ -122,32 +155,49 @@ def last_decision(
 ) -> LastChance | None:
     """Return the last of the ego's decisions from which a careful driver prevents a failure.
 
-    The decisions of the last 10 s before the tick ``until`` are tried, the latest first. ``prevents`` evaluates the run
-    with the driver. None if no decision is such a chance, or if a repetition of the run differs from the trace. See
-    :func:`last_chance` for the other arguments.
+    The driver is ``careful-human`` if ``take_over`` knows it, else the first driver that it knows. The decisions of the
+    last 10 s before the tick ``until`` are tried, the latest first. ``prevents`` evaluates the run with the driver.
+    None if no decision is such a chance, if there is no driver, or if a repetition of the run differs from the trace.
+    See :func:`last_chance` for the other arguments.
     """
-    for tick, taken in _taken_over(trace, until, take_over, DRIVER):
-        if prevents(taken):
+    driver = relief_of(drivers_of(take_over))
+    if driver is None:
+        return None
+    for tick, taken in _taken_over(trace, until, take_over, driver):
+        if taken.ticks > tick and prevents(taken):
             time = round(tick / trace.physics_hz, 3)
-            return LastChance(time=time, driver=DRIVER, action=_action(taken, tick), ego_action=_action(trace, tick))
+            return LastChance(time=time, driver=driver, action=_action(taken, tick), ego_action=_action(trace, tick))
     return None
 
 
 def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidance | None:
     """Return the last of the ego's decisions from which braking with 6 m/s^2 in its lane avoids the collision.
 
-    Braking avoids the collision if the ego touches no vehicle in the 12 s after the decision, or until the end of the
-    run, and no two NPCs touch. The decisions of the last 10 s before the impact are tried, the latest first. None if
-    braking from none of them avoids the collision, if the fault is not a missing response to a vehicle ahead or
-    crossing, or if a repetition of the run differs from the trace. See :func:`last_chance` for the arguments.
+    Braking avoids the collision if the ego is seen to brake at that rate until it stands, and touches no vehicle in the
+    12 s after the decision, or until the end of the run, and no two NPCs touch. The decisions of the last 10 s before
+    the impact are tried, the latest first. None if braking from none of them avoids the collision, if the fault is not
+    a missing response to a vehicle ahead or crossing, if ``take_over`` does not know ``steady-braking``, or if a
+    repetition of the run differs from the trace. See :func:`last_chance` for the arguments.
     """
-    if trace.collision is None or fault not in ANSWERED_BY_BRAKING:
+    if trace.collision is None or fault not in ANSWERED_BY_BRAKING or STEADY_BRAKING not in drivers_of(take_over):
         return None
     for tick, taken in _taken_over(trace, trace.ticks, take_over, STEADY_BRAKING):
-        is_free = taken.outcome not in (Outcome.COLLISION, Outcome.INVALID)
-        if is_free or taken.ticks > tick + FREE_FOR * taken.physics_hz:
+        is_long = taken.ticks > tick + FREE_FOR * taken.physics_hz
+        is_free = is_long or taken.outcome not in (Outcome.COLLISION, *UNSAID)
+        # A run that ends before the impact, such as at the end of a road, does not show that the impact is avoided.
+        if is_free and taken.ticks >= trace.ticks and brakes_untouched(taken, tick):
             return Avoidance(time=round(tick / trace.physics_hz, 3), braking=FOLLOWING.deceleration)
     return None
+
+
+def brakes_untouched(trace: Trace, tick: int) -> bool:
+    """Return whether the ego brakes with 6 m/s^2 in its lane from a tick on, until it stands, and touches no NPC."""
+    until = min(tick + round(FREE_FOR * trace.physics_hz), trace.ticks) + 1
+    speed, rate = trace.ego[tick:until, SPEED], FOLLOWING.deceleration / trace.physics_hz
+    wanted = np.maximum(speed[0] - rate * np.arange(len(speed)), 0.0)
+    is_braking = np.abs(speed - wanted) <= BRAKING_SHARE * (speed[0] - wanted) + BRAKING_TICKS * rate
+    lane, depths = trace.ego[tick:until, LANE], depth(Encounters(trace).pairs)[:, tick:until]
+    return bool(is_braking.all() and (lane == lane[0]).all() and not (depths > TOUCHING).any())
 
 
 def _taken_over(trace: Trace, until: int, take_over: TakeOver, driver: str) -> Iterator[tuple[int, Trace]]:

@@ -23,6 +23,7 @@ from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
 from pytest_pafot.searching.fitness import referred_to
+from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object, preload
 from pytest_pafot.world.guard.failure import exits, let_through
@@ -120,7 +121,7 @@ class Harness:
     def seen(self, trace: Trace, world: Any = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
         world = self.world if world is None else world
-        known, take_over = protocol.reference_world(world), protocol.taking_over(world)
+        known, take_over = protocol.reference_world(world), protocol.taking_over(world, trace)
         return Run(trace, decision_limit=self.request.decision_limit, world=known, take_over=take_over)
 
     def judge(self, run: Run) -> Verdict:
@@ -128,11 +129,25 @@ class Harness:
         __tracebackhide__ = True
         return judge(run, self.test, blame=self.request.blame, test_file=self.test_file)
 
-    def reference_outcomes(self, run: Run, verdict: Verdict) -> dict[str, ReferenceOutcome]:
-        """Return how each reference driver fares in the ego's place in a failed run; empty if the ADS itself failed."""
+    def reference_outcomes(
+        self, run: Run, verdict: Verdict, failed: Callable[[DriverError], None]
+    ) -> dict[str, ReferenceOutcome]:
+        """Return how each reference driver fares in the ego's place in a failed run; empty if the ADS itself failed.
+
+        A driver that the world cannot simulate is left out, and its error is given to ``failed``.
+        """
         if verdict.is_ads or run.world is None:
             return {}
-        return dict(reference_outcomes(run, self.test, blame=self.request.blame, test_file=self.test_file))
+        outcomes: dict[str, ReferenceOutcome] = {}
+        for name in run.world.reference_drivers:
+            blame = self.request.blame
+            try:
+                outcomes |= dict(
+                    reference_outcomes(run, self.test, blame=blame, test_file=self.test_file, names=[name])
+                )
+            except DriverError as error:
+                failed(error)
+        return outcomes
 
     @property
     def against_name(self) -> str:

@@ -16,7 +16,7 @@ from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.pool import OUT_OF_MEMORY, ProcessLostError
+from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, message_of, portable
 from pytest_pafot.findings.replay import disagreement
@@ -304,6 +304,8 @@ def cause(lost: LostRun, way_out: str) -> str:
     """Return why a process may have died or hung; with ``way_out``, what to do if the scenario is not the cause."""
     if lost.how == OUT_OF_MEMORY:
         return "the ADS uses more and more memory, or needs that much (then give a larger --pafot-memory)"
+    if lost.how == WORLD_HANGS:
+        return f"the world hangs, or needs that long (then give it a longer hang_limit and {way_out})"
     if not lost.is_hang:
         return "the likely cause is a crash of native code, an exit or a lack of memory"
     return (

@@ -34,6 +34,7 @@ from pytest_pafot.searching.space import sample
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
+from pytest_pafot.world.guard.own_worlds import rollout_of
 
 FLAKY = "flaky"
 
@@ -154,7 +155,7 @@ class Replays:
             record.write(scenario)
             if trace is None:
                 with refusals(), _naming(saved.path):
-                    trace = world.rollout(scenario, harness.ads)
+                    trace = rollout_of(world)(scenario, harness.ads)
             run = harness.seen(trace, world)
             return run, harness.judge(run)
 

@@ -10,7 +10,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
-from pytest_pafot.model.driving_style import Traffic
+from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
@@ -219,7 +219,12 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     """
     given = ", ".join(request.space)
     try:
-        SearchSpace(**request.space)
+        if SearchSpace(**request.space).traffic != PAPERS and not protocol.has_traffic_styles(world):
+            raise request.error(
+                "traffic=...",
+                f"expected a world whose NPCs have styles, received {world!r:.100}, which declares none; leave traffic "
+                "out, or write has_traffic_styles = True in its class if its NPCs keep to scenario.traffic",
+            )
         drawn = {} if request.algorithm.is_papers else drawn_space(world, request.space)
         space = space_on(world, {**drawn, **request.space}, protocol.road_start(world))
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
@@ -234,10 +239,13 @@ def build_space(request: Request, world: Any) -> SearchSpace:
 def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the default arguments of the search space, for algorithms that are not bound to the paper's space.
 
-    NPCs are attentive. If other ways meet the ego's way, most NPCs cross from there. The other defaults are only for a
-    straight road. The start is random only on a Highway, because an environment defines how its ego starts.
+    NPCs are attentive if the world has styles of traffic. If other ways meet the ego's way, most NPCs cross from there.
+    The other defaults are only for a straight road. The start is random only on a Highway, because an environment
+    defines how its ego starts.
     """
-    drawn: dict[str, Any] = {"traffic": given.get("traffic", Traffic().style)}
+    drawn: dict[str, Any] = {}
+    if protocol.has_traffic_styles(world):
+        drawn["traffic"] = given.get("traffic", Traffic().style)
     road = protocol.straight_road(world)
     if road is None:
         return drawn | _crossing_space(world, given)
@@ -256,7 +264,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         drawn["ego_lanes"] = lanes
     if isinstance(world, Highway) and "ego_speed" not in given:
         limit = world.speed_limit
-        slowest = max(min(SLOWEST_START, limit / 2), Traffic.of(drawn["traffic"]).least_speed(limit))
+        slowest = max(min(SLOWEST_START, limit / 2), Traffic.of(drawn.get("traffic", PAPERS)).least_speed(limit))
         drawn |= {"ego_speed": min(EGO_SPEED, limit), "ego_speeds": (slowest, limit)}
     return drawn
 

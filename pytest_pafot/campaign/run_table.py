@@ -29,7 +29,7 @@ COLUMNS: Mapping[str, str] = {
     "ego_speed": "the ego's first speed [m/s]",
     "npcs": "number of NPCs",
     "gene_seconds": "duration of an instruction [s]",
-    "traffic": "style of the traffic",
+    "traffic": "style of the traffic; `paper` in a world without styles",
     "traffic_parts": "JSON: the parts of the traffic that differ from its style",
     "genes": "JSON: the instructions of each NPC, as cell or lane and speed [m/s], or as zone, speed, slot [s], act",
     "outcome": "how the run ended, such as `collision`",

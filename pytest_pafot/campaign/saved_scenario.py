@@ -17,6 +17,7 @@ from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import visible
 from pytest_pafot.world import WorldError, WorldLike, codec, protocol
 from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.guard.own_worlds import rollout_of
 
 
 def load(path: str | os.PathLike[str]) -> SavedScenario:
@@ -97,10 +98,10 @@ class SavedScenario(Shown):
             world = self.world
         try:
             protocol.check_fits(world, self.scenario)
-            trace = world.rollout(self.scenario, ads)  # the user's own world may raise only now
+            trace = rollout_of(world)(self.scenario, ads)  # the user's own world may raise only now
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from None
-        return Run(trace, world=protocol.reference_world(world), take_over=protocol.taking_over(world))
+        return Run(trace, world=protocol.reference_world(world), take_over=protocol.taking_over(world, trace))
 
     def matches(self, run: Run) -> bool:
         """Return whether a run ends as the file expects: by the same contact or in the same other way, within 0.2 s.

@@ -154,6 +154,7 @@ class Search:
     limit: TimeLimit
     stops_at_first: bool = False  # True if it ends at its first new finding
     progress_seconds: float = 10.0  # interval between reports of progress [s]
+    driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
     _shrink_runs: int = field(init=False, default=0)
     _told_at: float = field(init=False)
@@ -206,6 +207,7 @@ class Search:
                 work.run_all(f"; {BY_NAME['resume'].flag} goes on" if self.sessions.go_on else "")
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs = work.runs
+                self.driver_notes += work.notes
                 self.sessions.store(simplified=work.done)
         except SetupFaultError as error:
             reason, fault = "error", error
@@ -397,7 +399,7 @@ class Search:
             shrink_runs=self._shrink_runs,
             known=dict(loop.known + self.sessions.found_before),
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
-            notes=(*self.sessions.notes, *filter(None, notes), *cut, *self._left_undone(reason)),
+            notes=(*self.sessions.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),
             against=self.harness.against_name,
             random=(0, 0) if is_cut_short else (beginning.at_fault, beginning.runs),

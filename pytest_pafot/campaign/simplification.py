@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.harness import Harness
@@ -24,8 +25,11 @@ from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import LANE, SPEED
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world import protocol
 from pytest_pafot.world.driving.perception import Perception
+
+ClaimT = TypeVar("ClaimT")
 
 # The imperfections of an ADS's sight that a failure needs.
 
@@ -116,6 +120,7 @@ class Simplification:
         until: the time at which the simplification must end [s], or infinity.
         done: the ids of the findings for which nothing is left to do.
         runs: the number of runs so far in this session.
+        notes: notes on what could not be found out about findings.
     """
 
     loop: SearchLoop
@@ -127,6 +132,7 @@ class Simplification:
     until: float = math.inf
     done: set[str] = field(default_factory=set, init=False)
     runs: int = field(default=0, init=False)
+    notes: list[str] = field(default_factory=list, init=False)
 
     def run_all(self, way_on: str) -> None:
         """Simplify the findings in the order of discovery, except those that cannot be shrunk.
@@ -272,7 +278,7 @@ class Simplification:
         before, harness, recorder = kept.finding, self.loop.simulation.harness, self.loop.recorder
         found = before.original or before.scenario
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
-        outcomes = harness.reference_outcomes(run, verdict)
+        outcomes = harness.reference_outcomes(run, verdict, self._note)
         perception = self._perceived(kept, scenario)
         finding = replace(
             before,
@@ -281,8 +287,8 @@ class Simplification:
                 run,
                 verdict.failure,
                 reference_drivers=outcomes,
-                last_chance=harness.last_chance(run, verdict),
-                avoided_by=harness.avoidance(run, verdict),
+                last_chance=self._claimed(lambda: harness.last_chance(run, verdict)),
+                avoided_by=self._claimed(lambda: harness.avoidance(run, verdict)),
                 against=before.expect.against,
                 root=str(harness.root),
             ),
@@ -299,6 +305,19 @@ class Simplification:
         recorder.tell(
             replace(recorder.rewritten(kept, finding), find=find, exception=verdict.exception, run=run, is_new=False)
         )
+
+    def _claimed(self, claim: Callable[[], ClaimT | None]) -> ClaimT | None:
+        """Return what a driver in the ego's place shows; None with a note if the world cannot simulate the driver."""
+        try:
+            return claim()
+        except DriverError as error:
+            self._note(error)
+            return None
+
+    def _note(self, error: DriverError) -> None:
+        note = f"{error}; findings say nothing of what this driver would have done"
+        if note not in self.notes:
+            self.notes.append(note)
 
     def _perceived(self, kept: FindTold, scenario: Scenario) -> Perceived | None:
         """Return the imperfections of the ADS's perception that a finding needs; None if its perception is perfect."""

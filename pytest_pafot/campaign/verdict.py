@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
@@ -16,6 +16,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.checks import Check, Recording, Rejected, recorded
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference_outcome
+from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world.guard.failure import UNFIT, is_interruption
 
 Test = Callable[[Run], Any]
@@ -77,6 +78,7 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
         BaseException: any exception that says nothing about the run, such as an interrupt, the end of the session, a
             timeout of the item, the end of a debugging session, or a function that cannot be an oracle.
         NoReferenceDriversError: with ``preventable``, for a failing run in a world without reference drivers.
+        RequestError: with ``preventable``, if the world cannot simulate a reference driver.
     """
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
@@ -86,7 +88,11 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
         verdict = Verdict(kind="npc") if is_excused else _asked(run, test, test_file)
         if blame == "preventable" and isinstance(verdict.exception, assertions()):
             outcomes = reference_outcomes(run, test, blame=blame, test_file=test_file)
-            if next(preventing(outcomes, run.responsibility), None) is None:
+            try:
+                is_preventable = next(preventing(outcomes, run.responsibility), None) is not None
+            except DriverError as error:  # Without the driver nobody knows whether the failure counts.
+                raise RequestError(f"blame='preventable': {error}; correct the world, or use blame='ego'") from error
+            if not is_preventable:
                 verdict = Verdict(kind="unpreventable")
         if broken is None or verdict.failed:
             return verdict
@@ -95,14 +101,19 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
     return Verdict(kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True)
 
 
-def reference_outcomes(run: Run, test: Test, *, blame: str, test_file: str) -> Iterator[tuple[str, ReferenceOutcome]]:
+def reference_outcomes(
+    run: Run, test: Test, *, blame: str, test_file: str, names: Sequence[str] | None = None
+) -> Iterator[tuple[str, ReferenceOutcome]]:
     """Yield the outcome of each reference driver in the ego's place. Its run is judged like the run of the ego.
 
-    The drivers are simulated one after the other. A driver is left out if two NPCs touched in its run, or if the test
-    function declined to judge the run.
+    The drivers are simulated one after the other; ``names`` are some of them. A driver is left out if two NPCs touched
+    in its run, or if the test function declined to judge the run.
+
+    Raises:
+        DriverError: if the world cannot simulate a driver.
     """
     blame = "any" if blame == "any" else "ego"
-    for name, other in run.by_reference_drivers():
+    for name, other in run.by_reference_drivers(names):
         verdict = judge(other, test, blame=blame, test_file=test_file)
         if verdict.kind in ("passed", "failed", "npc"):
             yield name, reference_outcome(other, fails=verdict.kind != "passed")

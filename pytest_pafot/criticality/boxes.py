@@ -106,6 +106,13 @@ def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
     return result
 
 
+def depth(pairs: Pairs) -> FloatArray:
+    """Return how deep the boxes overlap along the axis with the least overlap [m]; negative if they are apart."""
+    spare = [reach - np.abs(offset) for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True)]
+    result: FloatArray = np.min(spare, axis=0)
+    return result
+
+
 def box_gap(pairs: Pairs) -> FloatArray:
     """Return the smallest distance between the boxes [m], 0 at overlap; lower is worse.
 

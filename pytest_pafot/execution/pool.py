@@ -47,8 +47,11 @@ FAREWELL = 2.0
 OUT_OF_MEMORY = "ran out of the memory that it may use (--pafot-memory)"
 """The words for the end of a process in which an allocation of memory failed."""
 
-STUCK, EXHAUSTED = 1, 2
-"""The two reasons for which a process ends itself: a decision that does not end, or no more memory."""
+WORLD_HANGS = "was ended, because its world neither asked the ADS nor ended the run for very long"
+"""The words for the end of a process in which a user's world hangs."""
+
+STUCK, EXHAUSTED, WORLD_STUCK = 1, 2, 3
+"""The reasons for which a process ends itself: a decision that does not end, no more memory, or a world that hangs."""
 
 POLL = 0.5
 """The longest time to wait for answers before checking that the busy processes are still alive [s]."""
@@ -259,6 +262,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
             is_gone = True
         if worker.gave_up.value == EXHAUSTED:
             self._lose(task, worker, OUT_OF_MEMORY)
+        elif worker.gave_up.value == WORLD_STUCK:
+            self._lose(task, worker, WORLD_HANGS, is_hang=True)
         elif worker.gave_up.value == STUCK:
             how = f"ignored the interrupt of a decision for {self.grace:.1f} s and was ended"
             self._lose(task, worker, how, is_hang=True)
@@ -421,7 +426,8 @@ def _serve(
     beat()
     if memory is not None:
         _limit_memory(memory)
-    with last_resort(LastResort(end=end, grace=grace)), suppress(EOFError, OSError):
+    resort = LastResort(end=end, grace=grace, end_world=partial(end, WORLD_STUCK))
+    with last_resort(resort), suppress(EOFError, OSError):
         while connection.poll(idle) and (task := connection.recv()) is not None:
             try:
                 said = _sendable(work(task, tell))

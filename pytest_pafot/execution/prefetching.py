@@ -23,6 +23,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import Highway
+from pytest_pafot.world.guard.own_worlds import simulate_batch
 
 DEAR = 0.010
 """The mean duration of a run from which on a search is faster with other processes [s].
@@ -77,7 +78,7 @@ class LockStep:
             self._announced = [each for each in self._announced if each not in together]
             if len(together) > 1:
                 self._record.write(*together)
-                traces = self._job.world.rollout_batch(together, self._job.ads)
+                traces = simulate_batch(self._job.world, together, self._job.ads)
                 self._made |= dict(zip(together, traces, strict=True))
         return self._made.pop(scenario, None)
 

@@ -24,6 +24,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.evaluation_cache import Chains, plain_chains
 from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
+from pytest_pafot.world.guard.own_worlds import rollout_of
 from pytest_pafot.world.protocol import WorldLike, lock_stepping, resumable
 
 # The decisions of an ADS in earlier runs, for runs that begin in the same way.
@@ -222,7 +223,7 @@ class Runner:
             decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
             started = self.clock()
             given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
-            trace = self.job.world.rollout(scenario, self._factory, **given)
+            trace = rollout_of(self.job.world)(scenario, self._factory, **given)
             if not self.decides_for_many:
                 self.processes.ran_here(self.clock() - started)
         if self._decisions is not None and self.is_alone:  # decisions of a batch may differ, so they are not cached

@@ -21,6 +21,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.world import protocol
+from pytest_pafot.world.guard.own_worlds import rollout_of
 
 METHOD = "fork" if sys.platform == "linux" else "spawn"
 """The start method of processes. Forked processes have the factory and the fixtures that it uses.
@@ -147,7 +148,7 @@ def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: objec
 def timed(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> tuple[Trace, float]:
     """Run a scenario; return the trace and the duration of the run in wall-clock time [s]."""
     started = time.perf_counter()
-    trace = world.rollout(scenario, ads)
+    trace = rollout_of(world)(scenario, ads)
     return trace, time.perf_counter() - started
 
 

@@ -24,11 +24,14 @@ from pytest_pafot.execution.scenario_pool import (
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.world import protocol
+from pytest_pafot.world.guard.own_worlds import rollout_of
 
 
 @dataclass(frozen=True, slots=True)
 class _OtherRuns:
-    """A stand-in for a world, with a different ``rollout``."""
+    """A stand-in for a world, with a different ``rollout``, which guards the ADS."""
+
+    guards_ads = True
 
     hang_limit: float
     rollout: Callable[[Scenario, Callable[..., Any]], Trace]
@@ -55,7 +58,7 @@ def answers_apart(
     world = job.world
 
     def judged(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
-        trace: Trace = world.rollout(scenario, ads)
+        trace = rollout_of(world)(scenario, ads)
         with capture_output(), suppress(BaseException):
             judge(trace)
         return trace

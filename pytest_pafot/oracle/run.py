@@ -32,6 +32,7 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import CrossingInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.support.errors import driven_by
 from pytest_pafot.support.shown import Drawn
 from pytest_pafot.support.text import ascii_text
 
@@ -319,22 +320,30 @@ class Run(Drawn):
         runs = [(name, run) for name, run in self.by_reference_drivers() if run.outcome is not Outcome.INVALID]
         return {name: reference_outcome(run, fails=run.collision is not None) for name, run in runs}
 
-    def by_reference_drivers(self) -> Iterator[tuple[str, Run]]:
+    def by_reference_drivers(self, names: Sequence[str] | None = None) -> Iterator[tuple[str, Run]]:
         """Yield the name of each reference driver, with a run of the same scenario with that driver in the ego's place.
+
+        ``names`` are some of the world's drivers; by default all.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
+            DriverError: if the world raises, or does not return a trace.
         """
         if self.world is None:
             raise _no_world("reference_drivers", "world=world")
-        for name in self.world.reference_drivers:
-            yield name, Run(self.world.rollout_reference(self.scenario, name), world=self.world)
+        for name in self.world.reference_drivers if names is None else names:
+            with driven_by(self.world, "rollout_reference", name):
+                trace = self.world.rollout_reference(self.scenario, name)
+                if not isinstance(trace, Trace):
+                    raise TypeError(f"expected a pafot.Trace, received {trace!r:.100}")
+            yield name, Run(trace, world=self.world)
 
     @cached_property
     def last_chance(self) -> LastChance | None:
         """The last decision from which a careful driver in the ego's place would have stayed free of fault.
 
-        The driver is simulated. None without a collision that the ego is responsible for, if the ego entered another
+        The driver is ``careful-human``, or in a world that does not declare it the first driver that the world
+        declares. It is simulated. None without a collision that the ego is responsible for, if the ego entered another
         vehicle's lane, and if there was no such chance in the last 10 s before the impact.
 
         Raises:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Iterator
+from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
 
-from pytest_pafot.support.text import visible
+from pytest_pafot.support.text import one_line, visible
 
 RESTORE = "restore the file from version control, or delete it"
 
@@ -101,6 +103,20 @@ def plain_whole(value: object) -> int | None:
 
 class WorldError(FieldError):
     """A world that cannot be run, or a scenario that does not fit the world."""
+
+
+class DriverError(WorldError):
+    """A driver that a world could not let drive in the ego's place."""
+
+
+@contextmanager
+def driven_by(world: object, method: str, name: str) -> Iterator[None]:
+    """Turn any exception of a world's own code into a ``DriverError`` with the world's class, method and driver."""
+    try:
+        yield
+    except Exception as error:
+        text = f"the world {type(world).__name__} could not run {method} with the driver {name!r}: "
+        raise DriverError(f"{text}{type(error).__name__}: {one_line(str(error))}") from error
 
 
 class AdsFactoryError(TypeError):

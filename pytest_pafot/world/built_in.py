@@ -112,6 +112,11 @@ class BuiltInWorld(ABC):
         """Begin a run to which the caller passes the decisions, for an ADS with the given sight."""
 
     @property
+    def has_traffic_styles(self) -> bool:
+        """True, because NPCs keep to the style of a scenario's traffic."""
+        return True
+
+    @property
     def has_lock_step(self) -> bool:
         """True if several runs can proceed in lock step, one decision at a time."""
         return True
@@ -130,6 +135,11 @@ class BuiltInWorld(ABC):
     def reference_drivers(self) -> tuple[str, ...]:
         """The names of the reference drivers (:mod:`pytest_pafot.world.reference_drivers`)."""
         return tuple(REFERENCES)
+
+    @property
+    def takes_over(self) -> tuple[str, ...]:
+        """The names of the drivers that can take over but are no reference drivers."""
+        return tuple(name for name in TAKING_OVER if name not in REFERENCES)
 
     def check_fits(self, scenario: Scenario) -> None:
         """Check a scenario against this world.
@@ -200,7 +210,7 @@ class BuiltInWorld(ABC):
         Args:
             trace: the trace of a run in this world.
             tick: the tick at which the driver decides for the first time.
-            name: one of :attr:`reference_drivers`, or ``steady-braking``.
+            name: one of :attr:`reference_drivers` or :attr:`takes_over`.
 
         Raises:
             WorldError: for an unknown name, a tick that the run does not have, or a trace with a different tick rate.

@@ -77,6 +77,8 @@ class World(BuiltInWorld):
     wrappers: Sequence[Callable[[Any], Any]] | None = None
     planner_hz: int | None = None
 
+    guards_ads = True
+
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
             expected = 'the id of a registered environment without a module in front, such as "highway-v0"'

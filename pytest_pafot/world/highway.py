@@ -65,6 +65,8 @@ class Highway(BuiltInWorld):
     hang_limit: float = HANG_LIMIT
     engine: str = field(default="auto", compare=False)
 
+    guards_ads = True
+
     def __post_init__(self) -> None:
         for name, bounds in (("lanes", (3, 6)), ("physics_hz", PHYSICS_HZ), ("ads_hz", ADS_HZ)):
             object.__setattr__(self, name, whole_within(name, getattr(self, name), *bounds))

@@ -11,12 +11,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
+from pytest_pafot.attribution.last_chance import STEADY_BRAKING
+from pytest_pafot.attribution.responses import FOLLOWING
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import ReferenceWorld
+from pytest_pafot.support.errors import driven_by, plain_number
 from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.kernel.action import Drive
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import HANG_LIMIT
 from pytest_pafot.world.roads.network import Meeting
@@ -136,11 +142,13 @@ def lock_stepping(world: Any) -> LockStepping | None:
 
 
 def resumable(world: Any) -> Resumable | None:
-    """Return the world if its ``rollout`` has a parameter ``decisions``, else None."""
+    """Return the world if its ``rollout`` has a parameter ``decisions`` or passes any on, as ``**options``."""
     try:
-        return world if "decisions" in inspect.signature(world.rollout).parameters else None
+        parameters = inspect.signature(world.rollout).parameters
     except (TypeError, ValueError):  # builtins without a signature
         return None
+    passes_on = any(each.kind is inspect.Parameter.VAR_KEYWORD for each in parameters.values())
+    return world if passes_on or "decisions" in parameters else None
 
 
 def lasting(world: Any) -> Callable[[float], WorldLike] | None:
@@ -205,15 +213,80 @@ def runs_in_kernel(world: Any, ads: Any) -> bool:
     return bool(world.runs_in_kernel(ads)) if hasattr(world, "runs_in_kernel") else False
 
 
+def has_traffic_styles(world: Any) -> bool:
+    """Return whether NPCs in a world keep to the style ``scenario.traffic``, which the world declares."""
+    return getattr(world, "has_traffic_styles", False) is True
+
+
 def reference_world(world: Any) -> ReferenceWorld | None:
     """Return the world if it has reference drivers, else None."""
     return world if hasattr(world, "rollout_reference") and hasattr(world, "reference_drivers") else None
 
 
-def taking_over(world: Any) -> Callable[[Trace, int, str], Trace] | None:
-    """Return a world's ``take_over``, which lets a reference driver take over during a run; None if it has none."""
-    found: Callable[[Trace, int, str], Trace] | None = getattr(world, "take_over", None)
-    return found
+@dataclass(frozen=True, slots=True)
+class TakingOver:
+    """The ability of a world to repeat a run in which a driver takes over from the ego.
+
+    Attributes:
+        world: the world.
+        drivers: the names with which it may be called.
+        by_decisions: True if ``steady-braking`` is not a driver of the world, but an ADS that brakes after the recorded
+            decisions.
+    """
+
+    world: Any
+    drivers: tuple[str, ...]
+    by_decisions: bool
+
+    def __call__(self, trace: Trace, tick: int, name: str) -> Trace:
+        """Simulate a run again, with a driver by name in the ego's place from a tick on.
+
+        Raises:
+            DriverError: if the world raises, or does not return a trace.
+        """
+        is_by_decisions = self.by_decisions and name == STEADY_BRAKING
+        with driven_by(self.world, "rollout(decisions=...)" if is_by_decisions else "take_over", name):
+            if is_by_decisions:
+                first = trace.actions[: tick // (trace.physics_hz // trace.ads_hz)]
+                taken = self.world.rollout(trace.scenario, lambda: lambda *seen: BRAKING, decisions=first)
+            else:
+                taken = self.world.take_over(trace, tick, name)
+            if not isinstance(taken, Trace):
+                raise TypeError(f"expected a pafot.Trace, received {taken!r:.100}")
+        return taken
+
+
+BRAKING = (-FOLLOWING.deceleration, 0.0)
+"""The action that brakes steadily without steering, for an ADS that acts in SI units [m/s^2, rad]."""
+
+
+def taking_over(world: Any, trace: Trace) -> TakingOver | None:
+    """Return how drivers can take over in a run of a world; None if no driver can.
+
+    The drivers are those that the world declares: its ``reference_drivers``, and names in its optional ``takes_over``,
+    which are not reference drivers. If ``steady-braking`` is none of them, it is an ADS that brakes after the recorded
+    decisions. This needs a world that accepts ``decisions``, and an ADS whose actions look like SI units. Whether they
+    are is seen only in the run, in which the ego brakes at that rate or not.
+    """
+    declared: tuple[str, ...] = ()
+    if hasattr(world, "take_over"):
+        declared = (*getattr(world, "reference_drivers", ()), *getattr(world, "takes_over", ()))
+    by_decisions = STEADY_BRAKING not in declared and resumable(world) is not None and looks_si(trace.actions)
+    drivers = (*declared, STEADY_BRAKING) if by_decisions else declared
+    return TakingOver(world, drivers, by_decisions) if drivers else None
+
+
+def looks_si(actions: Sequence[Any]) -> bool:
+    """Return whether all actions are a ``Drive`` or a pair of numbers; False if there are no actions."""
+    return bool(actions) and all(
+        isinstance(action, Drive)
+        or (
+            isinstance(action, (tuple, list, np.ndarray))
+            and np.shape(action) == (2,)
+            and all(plain_number(value) is not None for value in action)
+        )
+        for action in actions
+    )
 
 
 def hang_limit(world: Any) -> float:

@@ -9,7 +9,7 @@ from pytest_pafot.attribution.last_chance import Avoidance, LastChance, avoidanc
 from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
-from pytest_pafot.model.trace import ACCELERATION, SPEED, STEERING, Outcome, X
+from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, STEERING, Outcome, X
 from pytest_pafot.world import Highway
 from pytest_pafot.world.reference_drivers import HARD_BRAKING
 from tests.helpers.tables import table
@@ -95,10 +95,14 @@ def test_a_run_that_does_not_repeat_has_none(ticks):
     assert tried == [27]
 
 
-def braked(hit=None, outcome=Outcome.SAFE, ticks=300):
-    """Return a run that begins like that of :func:`crash`, with a contact of the ego at a tick."""
+def braked(hit=None, outcome=Outcome.SAFE, ticks=300, rate=6.0, since=27, lane=1):
+    """Return a run that begins like that of :func:`crash`, in which the ego brakes; with its contact at a tick."""
     trace = crash()
     states = np.concatenate([trace.states, np.repeat(trace.states[-1:], ticks - 30, axis=0)])
+    states[since:, 0, SPEED] = np.maximum(20.0 - rate / 15 * np.arange(ticks + 1 - since), 0.0)
+    states[28:, :, X] = states[27, :, X]  # nobody is nearer than at the decision
+    states[40:, 0, LANE] = lane
+    states = states[:-1] if outcome is Outcome.END_OF_ROAD else states
     collision = None if hit is None else collision_at(hit, side="rear", cell=Cell.REAR)
     states = states if hit is None else states[: hit + 1]
     return replace(trace, states=states, outcome=outcome if hit is None else Outcome.COLLISION, collision=collision)
@@ -112,10 +116,20 @@ def braked(hit=None, outcome=Outcome.SAFE, ticks=300):
         (braked(hit=27 + 181), True),
         (braked(outcome=Outcome.INVALID, ticks=60), False),
         (braked(outcome=Outcome.INVALID), True),
+        (braked(outcome=Outcome.ADS_ERROR, ticks=60), False),
+        (braked(outcome=Outcome.HANG, ticks=60), False),
+        (braked(outcome=Outcome.END_OF_ROAD, ticks=30), False),
+        (braked(outcome=Outcome.END_OF_ROAD, ticks=60), True),
+        (braked(rate=8.0), False),
+        (braked(rate=4.5), False),
+        (braked(rate=6.3), True),
+        (braked(since=29), True),
+        (braked(since=60), False),
+        (braked(lane=0), False),
     ],
 )
-def test_braking_avoids_only_if_ego_stays_untouched(taken, is_free):
-    """A contact from behind counts, too."""
+def test_braking_avoids_only_if_ego_brakes_untouched(taken, is_free):
+    """A contact from behind counts, too. A run that ends before the impact, or without its driver, shows nothing."""
     names = []
 
     def take_over(trace, tick, name):
@@ -125,6 +139,48 @@ def test_braking_avoids_only_if_ego_stays_untouched(taken, is_free):
     found = avoidance(crash(), "leader-unanswered", take_over)
     assert found == (Avoidance(time=1.8, braking=6.0) if is_free else None)
     assert {*names} == {"steady-braking"}
+
+
+def test_braking_through_another_vehicle_avoids_nothing():
+    through = braked()
+    states = through.states.copy()
+    states[90:100, 0, X] = states[90:100, 1, X]
+    taken = replace(through, states=states)
+    assert avoidance(crash(), "leader-unanswered", lambda trace, tick, name: taken if tick == 27 else trace) is None
+
+
+class Declares:
+    """A world in which each driver avoids the collision, and which refuses names that it does not declare."""
+
+    def __init__(self, *drivers, also=()):
+        self.reference_drivers, self.takes_over = drivers, also
+
+    def take_over(self, trace, tick, name):
+        assert name in (*self.reference_drivers, *self.takes_over)
+        return braked() if tick == 27 else trace
+
+
+@table(
+    ("world", "driver", "brakes"),
+    [
+        (Declares("calm", "careful-human", also=("steady-braking",)), "careful-human", True),
+        (Declares("calm", "quick"), "calm", False),
+        (Declares("steady-braking", "calm"), "calm", True),
+        (Declares(also=("steady-braking",)), None, True),
+    ],
+)
+def test_only_drivers_that_world_declares_take_over(world, driver, brakes):
+    trace = crash()
+    chance = last_chance(trace, "leader-unanswered", world.take_over)
+    assert (chance and chance.driver) == driver
+    assert driver is None or f": {driver} " in chance.sentence
+    assert (avoidance(trace, "leader-unanswered", world.take_over) is not None) is brakes
+
+
+@table("outcome", [Outcome.ADS_ERROR, Outcome.HANG])
+def test_driver_that_fails_itself_is_no_chance(outcome):
+    trace = crash()
+    assert scanned(trace, chances={27}, survived=replace(trace, outcome=outcome, collision=None))[0] is None
 
 
 @table("fault", [None, "entered-lane", "braked-for-nothing", "stopped-for-nothing"])

@@ -206,7 +206,7 @@ def project(request, pytester, monkeypatch, found):
     quick_sessions(monkeypatch)
     if not request.node.get_closest_marker("processes"):
         monkeypatch.setattr(recorder, "_difference_in_gym", lambda run, simulation: "")
-        monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict: {})
+        monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict, failed: {})
         monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
     for name in (
         "CI",

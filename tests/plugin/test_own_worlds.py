@@ -6,7 +6,9 @@ from importlib import metadata
 
 import pytest
 
+from pytest_pafot.attribution.last_chance import avoidance
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.world import Highway
 from pytest_pafot.world.codec import GROUP
 
 RING = """
@@ -25,7 +27,8 @@ class Ring:
 OWN = (
     RING
     + """
-@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(LANES), stop_after=1, shrink_rollouts=9)
+@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(LANES), stop_after=1,
+              shrink_rollouts=9)
 def test_fails(run):
     assert run.VERDICT
 """
@@ -310,3 +313,144 @@ def test_unregistered_kind_of_world_fails_with_likely_cause(registered):
     result.stdout.fnmatch_lines(
         [f"*{file.name}:3: world.kind: expected one of gym, highway, ring, received 'wring'; *may not be installed*"]
     )
+
+
+# --- what is said in a world that does less than a Highway
+
+SLEEPS = """
+import time
+
+def sleeps():
+    return lambda seen: time.sleep(60) if seen.time > 2 else (0.0, 0.0)
+
+class Hung(Ring):
+    hang_limit = 0.05
+
+    def rollout(self, scenario, ads_factory):
+        STUCK
+        return super().rollout(scenario, ads_factory)
+
+@pafot.search(ads=sleeps, genes=2, gene_seconds=5, npcs=1, world=Hung(3), stop_after=1, shrink_rollouts=0)
+def test_moves(run):
+    assert run.outcome
+"""
+
+
+def sleeping(project, stuck="pass"):
+    write(project, RING + SLEEPS, DATA="{'lanes': 3}", STUCK=stuck)
+
+
+@pytest.mark.parametrize("options", [(), ("--pafot-isolate",)])
+def test_decision_that_hangs_in_own_world_is_a_finding(project, options):
+    sleeping(project)
+    result = project.run(*options, generations=1)
+    result.stdout.fnmatch_lines(["*Hang: one decision took longer than the hang limit of the world and was interr*"])
+    finding = load(project.only_file)
+    assert (finding.expect.outcome, finding.expect.time) == ("hang", pytest.approx(2.2, abs=0.01))
+
+
+def test_own_world_that_hangs_itself_is_ended_with_isolate(project, monkeypatch):
+    monkeypatch.setattr("pytest_pafot.world.guard.own_worlds.LEAST_FOR_WORLD", 0.3)
+    sleeping(project, stuck="time.sleep(60)")
+    result = project.run("--pafot-isolate", generations=1)
+    result.stdout.fnmatch_lines(
+        [
+            "*the process that ran this scenario was ended, because its world neither asked the ADS nor ended the run*",
+            "*the world hangs, or needs that long (then give it a longer hang_limit*",
+        ]
+    )
+    assert load(project.only_file).expect.outcome == "hang"
+
+
+@pytest.mark.parametrize("has_styles", [False, True])
+def test_styles_are_only_said_of_worlds_that_have_them(project, has_styles):
+    own(project, data="{'lanes': self.lanes}\n\n    has_traffic_styles = " + str(has_styles))
+    result = project.run(generations=1)
+    told = [line for line in result.outlines if "1 NPC" in line and "ego starts" in line]
+    assert ["hostile" in line for line in told] == [has_styles]
+    assert ("traffic: hostile" in project.only_file.read_text()) is has_styles
+
+
+def test_style_is_refused_for_a_world_without_styles(project):
+    own(project)
+    path = project.path / "test_it.py"
+    path.write_text(path.read_text().replace("npcs=1", "npcs=1, traffic='everyday'"))
+    result = project.run()
+    result.stdout.fnmatch_lines(["*expected a world whose NPCs have styles, received *has_traffic_styles = True*"])
+    path.write_text(path.read_text().replace("class Ring:", "class Ring:\n    has_traffic_styles = True\n"))
+    project.run(generations=1).stdout.no_fnmatch_line("*whose NPCs have styles*")
+
+
+DRIVERS = """
+class Driven(Ring):
+    reference_drivers = ("calm", "idm-aeb")
+
+    def rollout(self, scenario, ads_factory GIVEN):
+        return HIGHWAY.rollout(scenario, ads_factory PASSED)
+
+    def rollout_reference(self, scenario, name):
+        return HIGHWAY.rollout_reference(scenario, {"calm": "careful-human"}.get(name, name))
+
+    def take_over(self, trace, tick, name):
+        return HIGHWAY.take_over(trace, tick, {"calm": "careful-human"}[name])
+
+HIGHWAY = pafot.Highway(lanes=4, duration=20.0)
+
+def blind():
+    return lambda seen: (0.0, 0.0)
+
+@pafot.search(ads=blind, genes=2, gene_seconds=10, npcs=2, world=Driven(4), blame="ego", stop_after=1,
+              shrink_rollouts=9)
+def test_keeps_off(run):
+    assert not run.collision, run.explain()
+"""
+
+
+def driven(project, text=DRIVERS, given="", passed=""):
+    write(project, RING + text, DATA="{'lanes': self.lanes}", GIVEN=given, PASSED=passed)
+
+
+def test_first_driver_that_own_world_declares_takes_over(shrinking, project):
+    driven(project)
+    result = project.run("--pafot-runs=60", generations=None)
+    expect = load(project.only_file).expect
+    assert (expect.last_chance.driver, expect.avoided_by) == ("calm", None)
+    assert set(expect.reference_drivers) == {"calm", "idm-aeb"}
+    result.stdout.fnmatch_lines(["Last chance at * s: calm *"])
+    result.stdout.no_fnmatch_line("*note: the world*")
+
+
+def test_braking_after_recorded_decisions_avoids_the_collision(project):
+    driven(project, given=", *, decisions=()", passed=", decisions=decisions")
+    project.run("--pafot-runs=60", generations=None)
+    finding = load(project.only_file)
+    highway = Highway(lanes=4, duration=20.0)
+    trace = highway.rollout(finding.scenario, lambda: lambda seen: (0.0, 0.0))
+    by_driver = avoidance(trace, finding.expect.fault, highway.take_over)
+    assert finding.expect.avoided_by == by_driver
+
+
+def test_preventable_needs_drivers_that_drive(project):
+    failing = DRIVERS.replace("return HIGHWAY.rollout_reference(scenario, ", "raise KeyError(").replace(
+        'blame="ego"', 'blame="preventable"'
+    )
+    driven(project, failing)
+    result = project.run("--pafot-runs=20", generations=None)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        ["*blame='preventable': the world Driven could not run rollout_reference with the driver 'calm': KeyError: *"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("method", "error"), [("take_over", "raise KeyError(name)"), ("rollout_reference", "raise pafot.WorldError(name)")]
+)
+def test_driver_that_own_world_cannot_run_is_one_note(shrinking, project, method, error):
+    kept = {"take_over": "last_chance", "rollout_reference": "reference_drivers"}[method]
+    body = f"def {method}(self, *given):\n        name = given[-1]\n        {error}\n\n    def unused(self, "
+    driven(project, DRIVERS.replace(f"def {method}(self, ", body))
+    result = project.run("--pafot-runs=60", generations=None)
+    result.stdout.fnmatch_lines([f"*note: the world Driven could not run {method} with the driver 'calm'*"])
+    finding = load(project.only_file)
+    assert not getattr(finding.expect, kept)
+    assert finding.shrunk is not None

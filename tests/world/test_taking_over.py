@@ -1,6 +1,7 @@
 """A reference driver takes over in the middle of a recorded run: before that, everything is as recorded."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.attribution.right_of_way import Passing
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED
+from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world import Highway, World, WorldError
+from pytest_pafot.world.protocol import taking_over
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table
@@ -133,3 +136,85 @@ def test_last_chance_is_between_rules_and_zone_entry():
     assert passing.last_chance() / hz <= braking.time < passing.entered() / hz
     assert passing.last_chance() / hz <= careful.time < passing.entered() / hz
     assert careful.action[0] < -2.0
+
+
+class Own:
+    """A user's own world; the tests derive worlds with other abilities from it."""
+
+    def rollout(self, scenario, ads_factory):
+        return HIGHWAY.rollout(scenario, ads_factory)
+
+
+class Resumes(Own):
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        return HIGHWAY.rollout(scenario, ads_factory, decisions=decisions)
+
+
+class PassesOn(Own):
+    def rollout(self, scenario, ads_factory, **options):
+        return HIGHWAY.rollout(scenario, ads_factory, **options)
+
+
+class Takes(Own):
+    def take_over(self, trace, tick, name):
+        return HIGHWAY.take_over(trace, tick, name)
+
+
+class Declares(Takes):
+    reference_drivers = ("idm-aeb",)
+
+
+class Brakes(Declares):
+    takes_over = ("steady-braking",)
+
+
+class Both(Declares, Resumes):
+    pass
+
+
+@table(
+    ("world", "drivers"),
+    [
+        (HIGHWAY, ("careful-human", "fuzzy-safety", "idm-aeb", "steady-braking")),
+        (Own(), None),
+        (Takes(), None),
+        (Declares(), ("idm-aeb",)),
+        (Brakes(), ("idm-aeb", "steady-braking")),
+        (Resumes(), ("steady-braking",)),
+        (PassesOn(), ("steady-braking",)),
+        (Both(), ("idm-aeb", "steady-braking")),
+    ],
+)
+def test_drivers_that_take_over_are_those_declared(world, drivers):
+    trace = HIGHWAY.rollout(BRAKES, changing_lanes)
+    known = taking_over(world, trace)
+    assert (known and known.drivers) == drivers
+
+
+@table("actions", [(), (0.5, 0.5), ("left", "right"), ((1, 2, 3),), ((True, False),), ((np.nan, 0.0),), (None,)])
+def test_actions_without_si_units_are_not_continued(actions):
+    trace = replace(HIGHWAY.rollout(BRAKES, changing_lanes), actions=actions)
+    assert taking_over(Resumes(), trace) is None
+    assert taking_over(Both(), trace).drivers == ("idm-aeb",)
+
+
+def test_braking_after_decisions_equals_the_braking_driver():
+    far = Scenario(npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0)
+    trace = HIGHWAY.rollout(far, lambda: lambda seen: (0.0, 0.0))
+    by_decisions = taking_over(Resumes(), trace)(trace, 30, "steady-braking")
+    assert np.allclose(by_decisions.states, HIGHWAY.take_over(trace, 30, "steady-braking").states)
+
+
+@table(
+    ("take_over", "error"),
+    [
+        (lambda self, trace, tick, name: {}[name], "KeyError: 'idm-aeb'"),
+        (lambda self, trace, tick, name: None, "TypeError: expected a pafot.Trace, received None"),
+    ],
+)
+def test_error_of_a_world_names_class_and_driver(take_over, error):
+    world = type("Broken", (Declares,), {"take_over": take_over})()
+    trace = HIGHWAY.rollout(BRAKES, weaving)
+    expected = f"^the world Broken could not run take_over with the driver 'idm-aeb': {error}$"
+    with pytest.raises(DriverError, match=expected):
+        taking_over(world, trace)(trace, 3, "idm-aeb")

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import FrameType
-from typing import Any
+from typing import Any, Self
 
 from pytest_pafot.support.errors import AdsFactoryError
 
@@ -39,11 +39,14 @@ class LastResort:
         grace: the time for which a decision may ignore interruptions before ``end`` is called [s].
         file: a file descriptor for a traceback. With it, the process also ends if no Python thread has run for the same
             time, for instance because native code holds the interpreter's lock. None if other code handles that case.
+        end_world: a function that ends the process if a user's world hangs itself. None if the process must go on,
+            because a world may be slow.
     """
 
     end: Callable[[], None]
     grace: float
     file: int | None = None
+    end_world: Callable[[], None] | None = None
 
 
 @contextmanager
@@ -129,7 +132,7 @@ class HangGuard:
         self._previous: Any = None
         self._process = one_process()
 
-    def __enter__(self) -> HangGuard:
+    def __enter__(self) -> Self:
         self._process.__enter__()
         if self._by_signal:
             self._previous = signal.signal(signal.SIGUSR1, self._received) or signal.SIG_DFL
@@ -193,6 +196,10 @@ class HangGuard:
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._target), ctypes.py_object(AdsHang))
             return now - self._ignored[1]
 
+    def is_stuck(self) -> bool:
+        """Return whether the code around the decisions hangs. Only a guard of a user's world can know that."""
+        return False
+
     def _overdue(self) -> bool:
         now = self.clock()  # before started is read; see the class
         started = self.started
@@ -200,6 +207,9 @@ class HangGuard:
 
     def _received(self, number: int, frame: object) -> None:
         if not self._overdue():  # a signal that arrives late interrupts nothing
+            outer = getattr(self._previous, "__self__", None)
+            if isinstance(outer, HangGuard):  # of a user's world, in which a built-in world runs
+                outer._received(number, frame)
             return
         if _waits_in_a_debugger(sys._getframe()):
             self.started = self.clock()  # the user's time in the debugger does not count
@@ -271,6 +281,8 @@ class _Watchdog:
             ignored = max([guard.look() for guard in guards], default=0.0)
             if resort is not None and ignored > resort.grace:
                 resort.end()
+            if resort is not None and resort.end_world is not None and any(guard.is_stuck() for guard in guards):
+                resort.end_world()
 
     def _start_timer(self) -> None:
         """Restart the timer that ends the process, until the next check; stop it if no run is in progress.
