@@ -138,6 +138,10 @@ class Pursuit:
             is_hit = self._is_hit(since, self._driven(since, *_later(spare, response, emergency))[1])
         return None if is_hit else since
 
+    def stays_off(self, since: int, response: Braking) -> bool:
+        """Return whether a response to a tick avoids the contact, whatever the responder did."""
+        return not self._is_hit(since, self._driven(since, response, None)[1])
+
     def is_no_further(self, since: int, response: Braking, emergency: Emergency) -> bool:
         """Return whether the responder is no further ahead at the impact than a reference that responds to a tick."""
         end = len(self.ahead) - 1

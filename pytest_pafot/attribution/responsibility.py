@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from pytest_pafot.attribution.avoidance import SPED_UP, Braking, Pursuit
-from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces, first_lasting, stretches
+from pytest_pafot.attribution.lane_changes import DRIFTING, PAUSE, LaneChange, LanePlaces, first_lasting, stretches
 from pytest_pafot.attribution.needless_braking import (
     AFTERMATH_SECONDS,
     HARD_BRAKING,
@@ -220,6 +220,9 @@ def _later(found: Attribution, ticks: int, hz: int) -> Attribution:
             time_s=shifted(fact.time_s),
             later_s=shifted(fact.later_s),
             due_s=None if fact.due_s is None else shifted(fact.due_s),
+            phases=tuple(
+                each._replace(time_s=shifted(each.time_s), until_s=shifted(each.until_s)) for each in fact.phases
+            ),
         )
         for fact in found.facts
     )
@@ -656,10 +659,17 @@ class Conflict:
         return bool(abs(self._frame.speed[0, self._end]) <= STANDING_SPEED)
 
     def _crossed(self, change: LaneChange) -> Fact:
-        """Return the fact that a vehicle changed lanes, with its place relative to the other vehicle at that time."""
-        crossed = self._placed(What.CROSSED_LINE, change.vehicle, change.tick)
-        before = int(self._trace.states[change.tick, change.vehicle, LANE])
-        lane = before + (1 if self._frame.drift[change.vehicle, change.tick] > 0 else -1)
+        """Return the fact that a vehicle changed lanes, with its place relative to the other vehicle at that time.
+
+        If it paused over the line, the lane change is the motion after the pause.
+        """
+        vehicle, tick = change.vehicle, change.tick
+        before, side = int(self._trace.states[tick, vehicle, LANE]), 1 if self._frame.drift[vehicle, tick] > 0 else -1
+        earlier = range(max(tick - round(PAUSE * self._hz), 0), tick)
+        is_over = [self._lanes.over_line(vehicle, side, at) for at in earlier]
+        has_paused = any(np.array(is_over) & (self._trace.states[earlier.start : tick, vehicle, LANE] == before))
+        crossed = self._placed(What.MOVED_FURTHER if has_paused else What.CROSSED_LINE, vehicle, tick)
+        lane = before + side
         is_numbered = self._trace.track is None and before >= 0 and 0 <= lane < len(self._trace.lanes)
         return crossed._replace(lane=lane if is_numbered else None)
 
@@ -690,11 +700,16 @@ class Conflict:
         return Fact(What.HAD_NO_TIME, vehicle, self._at(tick))
 
     def _answer(self, vehicle: int, since: int, response: Braking = FOLLOWING) -> Fact:
-        """Return the fact that tells when the follower should have braked, and what it did instead.
+        """Return the fact that tells what the follower should have done, and what it did instead.
 
         The follower had to respond from the tick ``since`` on.
         """
-        return answer(self._trace, vehicle, self._frame.speed[vehicle], since, response)
+        pursuit = self._pursuit(by_ego=vehicle == 0, goes_on=True)
+
+        def avoids(tick: int) -> bool:
+            return pursuit.stays_off(tick, HELD)
+
+        return answer(self._trace, vehicle, self._frame.speed[vehicle], since, avoids, response)
 
     def _at(self, tick: int) -> float:
         """Return the time of a tick [s]."""
