@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from pytest_pafot.attribution.avoidance import HARDEST, SPED_UP, Braking, Emergency
 from pytest_pafot.attribution.lane_changes import stretches
-from pytest_pafot.attribution.needless_braking import STANDING_SPEED, braking
+from pytest_pafot.attribution.needless_braking import STANDING_SPEED
 from pytest_pafot.attribution.sentences import RISING, Doing, Fact, Phase, What
 from pytest_pafot.criticality import RssRules
 from pytest_pafot.model.trace import SPEED, FloatArray, Trace
@@ -61,6 +62,8 @@ ROSE = 0.1
 """The gain from which on a speed has begun to rise [m/s]."""
 BEFORE = 1.0
 """The time before a response is required in which the beginning of speeding up is looked for [s]."""
+CREEPING = 2.0
+"""The speed up to which a vehicle only creeps, so that its mistake may be to speed up [m/s]."""
 CLEAR = 1.0
 """The least change of speed in between for which a vehicle braked, or sped up, again and again [m/s]."""
 MOST = 3
@@ -84,12 +87,12 @@ def answer(
     since: int,
     avoids: Callable[[int], bool],
     response: Braking = FOLLOWING,
-    deed: int | None = None,
+    entry: int | None = None,
 ) -> Fact:
     """Return the fact that tells what a vehicle should have done, and what it did instead.
 
     It should have braked from the last tick, until the response begins to brake, at which hard braking at once avoids
-    the collision. If the response would have braked only after the vehicle's deed, the vehicle should not have sped up.
+    the collision.
 
     Args:
         trace: trace of the run.
@@ -98,25 +101,24 @@ def answer(
         since: tick from which on the vehicle had to respond to a danger.
         avoids: returns whether hard braking from a tick on, with the recorded speed at that tick, avoids the collision.
         response: proper response, whose delay counts from that tick.
-        deed: tick at which the vehicle did what it should not have done; by default the impact.
+        entry: tick at which the vehicle entered a zone; None if no zone matters.
     """
     hz, end = trace.physics_hz, trace.ticks
-    deed = end if deed is None else deed
+    deed = end if entry is None or entry <= since else entry
     due, perceived = since + round(response.delay * hz) - 1, since + round(response.perception * hz)
     is_due, until = due + 1 < deed, None if due + 1 >= end else min(due, deed - 1)
     if until is not None and not (is_due and (np.diff(speeds[perceived : until + 1]) <= 0).all()):
         until = _last_avoiding(perceived, until, avoids)  # it did not drive like the response that avoids the collision
-    told = phases(trace, vehicle, since, until)
-    due_s = None if until is None else until / hz
-    fact = Fact(What.DROVE if until is None else What.SHOULD_HAVE_BRAKED, vehicle, since / hz, due_s=due_s, phases=told)
-    risen = [each for each in told if each.doing in RISING and round(each.time_s * hz) < deed]
-    if not risen or (is_due and until is not None):
-        return fact
-    rise, later = risen[-1], told[told.index(risen[-1]) + 1 :]
-    if rise.time_s < since / hz - PAUSE:
-        rise = rise._replace(doing=Doing.SPED_UP_FURTHER, time_s=since / hz)  # it had no duty when it began to speed up
-    what = What.SHOULD_HAVE_WAITED if rise.doing is Doing.SET_OFF else What.SHOULD_NOT_HAVE_SPED_UP
-    return fact._replace(what=what, due_s=None, phases=(rise, *later))
+    drive = Drive(
+        vehicle=vehicle,
+        speeds=trace.states[:, vehicle, SPEED],
+        hz=hz,
+        since=since,
+        due=until,
+        entry=entry,
+        is_in_time=is_due and until is not None and (entry is None or entry > since),
+    )
+    return Fact(What.ANSWERED, vehicle, since / hz, unread=drive)
 
 
 def _last_avoiding(first: int, last: int, avoids: Callable[[int], bool]) -> int | None:
@@ -124,55 +126,16 @@ def _last_avoiding(first: int, last: int, avoids: Callable[[int], bool]) -> int 
 
     Earlier braking is assumed to avoid whatever later braking avoids.
     """
-    if last < first or not avoids(first):
+    if last < first:
         return None
     if avoids(last):
         return last
+    if not avoids(first):
+        return None
     while last - first > 1:
         middle = (first + last) // 2
         first, last = (middle, last) if avoids(middle) else (first, middle)
     return first
-
-
-def phases(trace: Trace, vehicle: int, since: int, due: int | None) -> tuple[Phase, ...]:
-    """Return what a vehicle did from a tick to the impact, in its order, in at most three phases and how they ended.
-
-    A phase that had begun before the tick counts from its beginning. Of more phases, those with the least change of
-    speed are left out, but never the last one, nor the one at the tick ``due``.
-    """
-    hz, speed = trace.physics_hz, trace.states[:, vehicle, SPEED]
-    slowed, end, pause = braking(trace, vehicle)[1:], trace.ticks, math.ceil(PAUSE * hz)
-    brakings: list[tuple[int, int]] = []
-    for begin, over in stretches(slowed >= BRAKES):
-        is_same = brakings and begin - brakings[-1][1] < pause and speed[begin] - speed[brakings[-1][1]] <= SPED_UP
-        brakings.append((brakings.pop()[0] if is_same else begin, over))
-    found: list[_Stretch] = []
-    at = max([since - round(BEFORE * hz), 0, *(over for _, over in brakings if over <= since)])
-    brakings = [(begin, over) for begin, over in brakings if over > since and speed[begin] - speed[over] >= LOST]
-    for begin, over in [*brakings, (end, end)]:
-        rise = _rise(speed, at, begin, since, pause)
-        if rise is not None:
-            found.append(rise)
-        elif found and begin == end and end - at >= pause:
-            found.append(_Stretch(Doing.STOOD if speed[at] <= STANDING_SPEED else Doing.RELEASED, at, end, 0.0, 0.0))
-        if begin < end:
-            parts = [part for part in _braked(slowed, begin, over, hz) if part.over > since]
-            found += [part._replace(is_again=begin > brakings[0][0]) for part in parts]
-        at = over
-    ending = 2 if found and found[-1].doing in (Doing.RELEASED, Doing.STOOD) else 1
-    while len(found) > MOST + ending - 1:
-        inner = [each for each in found[:-ending] if due is None or not each.begin <= due < each.over]
-        place = found.index(min(inner, key=lambda each: each.change))
-        before, after = found[place - 1] if place else None, found[place + 1]
-        if before is not None and (before.doing in RISING) == (after.doing in RISING):
-            both = before.change + after.change
-            figure, doing = max(before.figure, after.figure), before.doing
-            if found[place].change >= CLEAR:
-                doing = Doing.SPED_UP_REPEATEDLY if doing in RISING else Doing.BRAKED_REPEATEDLY
-            found[place - 1 : place + 2] = [before._replace(doing=doing, over=after.over, figure=figure, change=both)]
-        else:
-            del found[place]
-    return tuple(Phase(each.doing, each.begin / hz, each.over / hz, each.figure, each.is_again) for each in found)
 
 
 class _Stretch(NamedTuple):
@@ -201,7 +164,7 @@ def _rise(speed: FloatArray, first: int, last: int, since: int, pause: int) -> _
     doing = Doing.SET_OFF if speed[begin] <= STANDING_SPEED + ROSE else Doing.SPED_UP
     if begin < since and part[since - first] > part[top] - SPED_UP:
         return _rise(speed, since, last, since, pause)  # it had ended by then
-    if speed[first] - speed[max(first - pause, 0)] > ROSE and begin - first < pause:
+    if speed[first] - speed[max(first - pause, 0) : first + 1].min() > ROSE and begin - first < pause:
         begin, doing = max(begin, since), Doing.SPED_UP_FURTHER
     return _Stretch(doing, begin, first + top, float(part[top]), float(gain[top]))
 
@@ -220,3 +183,111 @@ def _braked(slowed: FloatArray, begin: int, over: int, hz: int) -> list[_Stretch
         for doing, begin, over in parts
         if begin < over
     ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drive:
+    """What a vehicle did in a danger up to the impact. It is put into words only if somebody reads them.
+
+    Attributes:
+        vehicle: index of the vehicle; 0 is the ego.
+        speeds: speed of the vehicle along its heading at every tick [m/s].
+        hz: ticks per second.
+        since: tick from which on the vehicle had to respond.
+        due: tick from which on it should have braked; None if no braking was due or avoided the collision.
+        entry: tick at which it entered a zone; None if no zone matters.
+        is_in_time: whether braking at the tick ``due`` is what the rules require, and not only that it does not speed
+            up.
+        before: number of ticks of the run before the first of the speeds.
+    """
+
+    vehicle: int
+    speeds: FloatArray
+    hz: int
+    since: int
+    due: int | None
+    entry: int | None
+    is_in_time: bool
+    before: int = 0
+
+    def later(self, ticks: int) -> Drive:
+        """Return the same drive in a run that began a number of ticks before the first of the speeds."""
+        return replace(self, before=ticks)
+
+    def in_full(self) -> Fact:
+        """Return the fact that tells what the vehicle should have done, and what it did.
+
+        If the response would have braked only after the vehicle's deed, or if the vehicle crept and then sped up when
+        braking was due, its mistake was to speed up.
+        """
+        told, pause = self.phases(), PAUSE * self.hz
+        fact = Fact(What.DROVE, self.vehicle, self._at(self.since), phases=told)
+        if self.due is not None:
+            slowed = float(self.speeds[self.due] - self.speeds[self.due + 1]) * self.hz
+            fact = fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=self._at(self.due), braking_m_per_s2=slowed)
+        deed = len(self.speeds) if self.entry is None or self.entry <= self.since else self.entry
+        begins = [self._tick(each.time_s) for each in told]
+        risen = [index for index, each in enumerate(told) if each.doing in RISING and begins[index] < deed]
+        if not risen:
+            return fact
+        rise, begin = told[risen[-1]], begins[risen[-1]]
+        has_crept = self.due is None or (self.speeds[begin] <= CREEPING and begin >= self.due - pause)
+        if self.is_in_time and not has_crept:
+            return fact
+        is_set_off = rise.doing is Doing.SET_OFF and self.entry is not None
+        if begin < self.since - pause and not is_set_off:  # it had no duty when it began to speed up
+            rise = rise._replace(doing=Doing.SPED_UP_FURTHER, time_s=self._at(self.since))
+        what = What.SHOULD_HAVE_WAITED if rise.doing is Doing.SET_OFF else What.SHOULD_NOT_HAVE_SPED_UP
+        return fact._replace(what=what, due_s=None, phases=(rise, *told[risen[-1] + 1 :]))
+
+    def _at(self, tick: int) -> float:
+        return (self.before + tick) / self.hz
+
+    def _tick(self, time: float) -> int:
+        return round(time * self.hz) - self.before
+
+    def phases(self) -> tuple[Phase, ...]:
+        """Return what the vehicle did up to the impact, in its order, in at most three phases and how they ended.
+
+        A phase that had begun before it had to respond counts from its beginning. Of more phases, those with the least
+        change of speed are left out, but never the last one, nor the one at the tick ``due``.
+        """
+        hz, speed, since, due = self.hz, self.speeds, self.since, self.due
+        slowed, end, pause = -np.diff(speed) * hz, len(speed) - 1, math.ceil(PAUSE * hz)
+        brakings: list[tuple[int, int]] = []
+        for begin, over in stretches(slowed >= BRAKES):
+            is_same = brakings and begin - brakings[-1][1] < pause and speed[begin] - speed[brakings[-1][1]] <= SPED_UP
+            brakings.append((brakings.pop()[0] if is_same else begin, over))
+        found: list[_Stretch] = []
+        at = max([since - round(BEFORE * hz), 0, *(over for _, over in brakings if over <= since)])
+        brakings = [(begin, over) for begin, over in brakings if over > since and speed[begin] - speed[over] >= LOST]
+        for begin, over in [*brakings, (end, end)]:
+            rise = _rise(speed, at, begin, since, pause)
+            if rise is not None:
+                found.append(rise)
+            elif found and begin == end and end - at >= pause:
+                found.append(
+                    _Stretch(Doing.STOOD if speed[at] <= STANDING_SPEED else Doing.RELEASED, at, end, 0.0, 0.0)
+                )
+            if begin < end:
+                parts = [part for part in _braked(slowed, begin, over, hz) if part.over > since]
+                found += [part._replace(is_again=begin > brakings[0][0]) for part in parts]
+            at = over
+        ending = 2 if found and found[-1].doing in (Doing.RELEASED, Doing.STOOD) else 1
+        while len(found) > MOST + ending - 1:
+            inner = [each for each in found[:-ending] if due is None or not each.begin <= due < each.over]
+            place = found.index(min(inner, key=lambda each: each.change))
+            before, after = found[place - 1] if place else None, found[place + 1]
+            if before is not None and (before.doing in RISING) == (after.doing in RISING):
+                both = before.change + after.change
+                figure, doing = max(before.figure, after.figure), before.doing
+                if found[place].change >= CLEAR:
+                    doing = Doing.SPED_UP_REPEATEDLY if doing in RISING else Doing.BRAKED_REPEATEDLY
+                found[place - 1 : place + 2] = [
+                    before._replace(doing=doing, over=after.over, figure=figure, change=both)
+                ]
+            else:
+                del found[place]
+        return tuple(
+            Phase(each.doing, self._at(each.begin), self._at(each.over), each.figure, each.is_again) for each in found
+        )

@@ -219,10 +219,7 @@ def _later(found: Attribution, ticks: int, hz: int) -> Attribution:
         fact._replace(
             time_s=shifted(fact.time_s),
             later_s=shifted(fact.later_s),
-            due_s=None if fact.due_s is None else shifted(fact.due_s),
-            phases=tuple(
-                each._replace(time_s=shifted(each.time_s), until_s=shifted(each.until_s)) for each in fact.phases
-            ),
+            unread=None if fact.unread is None else fact.unread.later(ticks),
         )
         for fact in found.facts
     )
@@ -704,11 +701,7 @@ class Conflict:
 
         The follower had to respond from the tick ``since`` on.
         """
-        pursuit = self._pursuit(by_ego=vehicle == 0, goes_on=True)
-
-        def avoids(tick: int) -> bool:
-            return pursuit.stays_off(tick, HELD)
-
+        avoids = self._pursuit(by_ego=vehicle == 0, goes_on=True).is_avoided_by_braking
         return answer(self._trace, vehicle, self._frame.speed[vehicle], since, avoids, response)
 
     def _at(self, tick: int) -> float:

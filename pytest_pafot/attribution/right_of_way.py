@@ -191,7 +191,7 @@ class ZoneConflict:
         ``is_taken`` is whether the other vehicle was in the zone, so that it was enough to stop short of that vehicle,
         or to slow down behind it.
         """
-        other, deed = self.npc if own is self.ego else self.ego, own.entered()
+        other = self.npc if own is self.ego else self.ego
         is_behind = is_taken and self._zone.kind == "merging"
         place = float(own.places[self._reaches(own, other)]) if is_taken else own.begins
 
@@ -200,7 +200,7 @@ class ZoneConflict:
                 return self._slows_down(own, other, tick)
             return bool(place - own.places[tick] >= braked(float(own.speeds[tick]), own.hz))
 
-        return answer(self._trace, own.vehicle, own.speeds, since, avoids, deed=deed if since < deed else None)
+        return answer(self._trace, own.vehicle, own.speeds, since, avoids, entry=own.entered())
 
     @staticmethod
     def _slows_down(own: Passing, other: Passing, tick: int) -> bool:

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
+from pytest_pafot.attribution.avoidance import HARDEST
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.support.text import capitalised
 
@@ -37,6 +38,7 @@ class What(Enum):
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
     SPED_UP_INTO = "{who} sped up to {it.speed_m_per_s:.1f} m/s from {at} on, towards {whom}."
     LET_BRAKES_GO = "{who} should have kept braking but released the brakes at {at}."
+    ANSWERED = "answered"
     SHOULD_HAVE_BRAKED = "should have braked"
     SHOULD_HAVE_WAITED = "should have waited"
     SHOULD_NOT_HAVE_SPED_UP = "should not have sped up"
@@ -109,10 +111,12 @@ class Fact(NamedTuple):
         faster_m_per_s: speed of the other minus speed of the vehicle [m/s]. The sentence does not mention it if
             ``leader_m_per_s2`` is not 0.
         leader_m_per_s2: hardest braking of the NPC, if it was ahead and braked visibly [m/s^2].
-        braking_m_per_s2: hardest braking of the vehicle [m/s^2].
+        braking_m_per_s2: hardest braking of the vehicle; if it should have braked, its braking at that time [m/s^2].
         lasting_s: time for which the vehicle stood before the impact [s].
         lane: lane that the vehicle moved into; None if it has no number.
         zone: zone that the vehicle entered.
+        unread: the rest of the fact; None if there is none. It is worked out when somebody reads the fact, because a
+            search needs many verdicts and displays few.
         phases: what the vehicle did when it had to respond, in its order. The first is the mistake if the vehicle
             should have waited, or should not have sped up.
     """
@@ -132,12 +136,29 @@ class Fact(NamedTuple):
     lasting_s: float = 0.0
     lane: int | None = None
     zone: Zone | None = None
+    unread: Unread | None = None
     phases: tuple[Phase, ...] = ()
+
+    @property
+    def in_full(self) -> Fact:
+        """The fact with all that its sentences state."""
+        return self if self.unread is None else self.unread.in_full()
 
     @property
     def is_unanswered(self) -> bool:
         """True if the vehicle had to respond to a danger and did not brake."""
-        return self.what in ANSWERS and not any(each.doing in BRAKING for each in self.phases)
+        full = self.in_full
+        return full.what in ANSWERS and not any(each.doing in BRAKING for each in full.phases)
+
+
+class Unread(Protocol):
+    """A fact that is worked out when it is read."""
+
+    def in_full(self) -> Fact:
+        """Return the fact with all that its sentences state."""
+
+    def later(self, ticks: int) -> Unread:
+        """Return the same with its times counted from a number of ticks earlier."""
 
 
 Reason = tuple[Fact, ...]
@@ -149,20 +170,20 @@ def due_by(reason: Reason, latest: float) -> Reason:
 
     If that time is before the danger, the facts say only what the vehicle did.
     """
-    late = [fact.due_s is not None and fact.due_s > latest for fact in reason]
-    return tuple(
-        fact
-        if not is_late
-        else fact._replace(due_s=latest)
-        if latest >= fact.time_s
-        else fact._replace(what=What.DROVE, due_s=None)
-        for fact, is_late in zip(reason, late, strict=True)
-    )
+
+    def changed(fact: Fact) -> Fact:
+        if fact.due_s is None or fact.due_s <= latest:
+            return fact
+        if latest < fact.time_s:
+            return fact._replace(what=What.DROVE, due_s=None)
+        return fact._replace(due_s=latest, braking_m_per_s2=0.0)
+
+    return tuple(changed(fact.in_full) for fact in reason)
 
 
 def sentences(reason: Reason) -> tuple[str, ...]:
     """Return the sentences of the facts, in lines of at most 97 characters; a new line for each fact."""
-    return tuple(line for fact in reason for line in _lines(fact))
+    return tuple(line for fact in reason for line in _lines(fact.in_full))
 
 
 def _lines(fact: Fact) -> list[str]:
@@ -206,6 +227,8 @@ def _answer(fact: Fact) -> list[str]:
     if due is not None:
         is_braking = any(each.doing in BRAKING and each.time_s <= due < each.until_s for each in phases)
         duty = f"{who} should have braked {'harder ' if is_braking else ''}from {due:.1f} s"
+        if fact.braking_m_per_s2 >= HARDEST:
+            duty = f"{who} should have kept braking hard from {due:.1f} s on"
         if not phases:
             return [capitalised(f"{duty} but did not.")]
         instead = "It"

@@ -20,6 +20,7 @@ TIME, FIGURE = r"(?P<time>\d+\.\d) s", r"(?P<figure>\d+\.\d) m/s"
 DUTIES = {
     "braked": rf"{WHO} should have braked from {TIME}",
     "braked harder": rf"{WHO} should have braked harder from {TIME}",
+    "kept braking": rf"{WHO} should have kept braking hard from {TIME} on",
     "waited": rf"{WHO} should have waited but set off at {TIME}",
     "not sped up": rf"{WHO} should not have sped up from {TIME} on, to {FIGURE}",
     "not sped up further": rf"{WHO} should not have sped up further after {TIME}, to {FIGURE}",
@@ -64,7 +65,9 @@ class Story:
     def ticks(self, printed):
         """Return the ticks that a printed time may mean."""
         near = round(float(printed) * self.hz)
-        return [at for at in range(max(near - 2, 0), self.end + 1) if f"{at / self.hz:.1f}" == printed and at < near + 3]
+        return [
+            at for at in range(max(near - 2, 0), self.end + 1) if f"{at / self.hz:.1f}" == printed and at < near + 3
+        ]
 
     def begins(self, index):
         """Return the ticks at which a deed may begin."""
@@ -100,12 +103,15 @@ class Story:
     def claims(self, entry):
         times = [float(found["time"]) for name, found in self.deeds if name != "further"]
         yield "order", times == sorted(times)
-        if self.duty in ("braked", "braked harder"):
+        if self.duty in ("braked", "braked harder", "kept braking"):
             due = self.ticks(self.due["time"])
             yield "due before the deed", entry is None or due[0] < entry
-            yield "due in time", any(self.is_free(at) for at in due)
+            yield "due in time", any(self.is_free(at) for at in range(max(due[0] - 2, 0), due[-1] + 1))
+            if self.duty == "braked harder":
+                yield "could brake harder", any(self.slowed[at] < 6.0 for at in due)
             is_braking = any(self.slowed[at] >= 0.5 for at in due if at < self.end)
-            yield "braking when it was due", is_braking == (self.duty == "braked harder") or len(self.deeds) > 1
+            yield "braking when it was due", is_braking == (self.duty != "braked") or len(self.deeds) > 1
+            yield "braking hard when due", self.duty != "kept braking" or any(self.slowed[at] >= 5.99 for at in due)
         elif self.duty:
             ticks = self.ticks(self.due["time"])
             yield "set off", self.duty != "waited" or any(self.speed[at] <= 0.3 for at in ticks)
@@ -131,8 +137,11 @@ class Story:
             starts = {a for a, _ in parts}
             quiet = [a for a in starts if all(lost < SMALL for *_, lost in self.brakings(a - before + 1, a))]
             yield "braked from", any((self.slowed[a : a + 2] >= 0.5).any() for a in quiet)
-            yield "hard from", any((self.slowed[a : a + self.hz // 2 + 1] >= half - 0.1).any() for a in starts)
-            if found["only"] and self.duty in ("braked", "braked harder"):
+            yield (
+                "hard from",
+                half < 1.5 or any((self.slowed[a : a + self.hz // 2 + 1] >= half - 0.1).any() for a in starts),
+            )
+            if found["only"] and self.duty == "braked":
                 due = self.ticks(self.due["time"])[-1]
                 yield "only from", all(lost < SMALL for *_, lost in self.brakings(due, max(min(starts) - before, due)))
         if name == "nothing":
@@ -144,11 +153,14 @@ class Story:
         if name in ROSE:
             yield "to", found["figure"] in {f"{self.speed[a : b + 1].max():.1f}" for a, b in parts}
         if name in ("sped up", "set off"):
-            yield "sped up from", any(
-                self.speed[a] - self.speed[max(a - before, 0) : a + 1].min() <= 0.15
-                and self.speed[a : b + 1].max() > self.speed[a] + 0.15
-                and self.speed[a : a + self.hz + 1].max() > self.speed[a] + 0.05
-                for a, b in parts
+            yield (
+                "sped up from",
+                any(
+                    self.speed[a] - self.speed[max(a - before, 0) : a + 1].min() <= 0.15
+                    and self.speed[a : b + 1].max() > self.speed[a] + 0.15
+                    and self.speed[a : a + self.hz + 1].max() > self.speed[a] + 0.05
+                    for a, b in parts
+                ),
             )
         if name == "set off":
             yield "set off", any(self.speed[a] <= 0.3 for a, _ in parts)
@@ -193,9 +205,7 @@ class Story:
             if math.hypot(x - mine[0], y - mine[1]) > 12.0:
                 continue
             boxes = (mine, self.trace.sizes[self.vehicle]), ((x, y, theirs[HEADING]), self.trace.sizes[self.other])
-            rows = [
-                corners({X: pose[0], Y: pose[1], HEADING: pose[2]}, *map(float, size)) for pose, size in boxes
-            ]
+            rows = [corners({X: pose[0], Y: pose[1], HEADING: pose[2]}, *map(float, size)) for pose, size in boxes]
             if polygon_distance(*rows) == 0.0:
                 return False
         return True
@@ -204,7 +214,7 @@ class Story:
 def story_of(trace, sentences):
     """Return the story in the sentences of a verdict, or None if they tell none."""
     told = " ".join(sentences[1:])
-    is_one = re.search("should (have braked|have waited|not have sped)", told) or any(
+    is_one = re.search("should (have braked|have kept braking hard|have waited|not have sped)", told) or any(
         re.match(rf"{WHO} {pattern}", told) for name, pattern in DEEDS.items() if name != "set off"
     )
     return Story(trace, told) if is_one and "towards" not in told else None
