@@ -60,7 +60,7 @@ STEADY = 0.3
 """The least duration of a gentle part of a braking that is told apart from its hard part [s]."""
 ROSE = 0.1
 """The gain from which on a speed has begun to rise [m/s]."""
-BEFORE = 1.0
+BEFORE = 3.0
 """The time before a response is required in which the beginning of speeding up is looked for [s]."""
 CREEPING = 2.0
 """The speed up to which a vehicle only creeps, so that its mistake may be to speed up [m/s]."""
@@ -198,7 +198,6 @@ class Drive:
         entry: tick at which it entered a zone; None if no zone matters.
         is_in_time: whether braking at the tick ``due`` is what the rules require, and not only that it does not speed
             up.
-        before: number of ticks of the run before the first of the speeds.
     """
 
     vehicle: int
@@ -208,11 +207,12 @@ class Drive:
     due: int | None
     entry: int | None
     is_in_time: bool
-    before: int = 0
 
-    def later(self, ticks: int) -> Drive:
-        """Return the same drive in a run that began a number of ticks before the first of the speeds."""
-        return replace(self, before=ticks)
+    def later(self, trace: Trace, ticks: int) -> Drive:
+        """Return the same drive in a whole run, of which it knew only the part from a tick on."""
+        due, entry = (None if each is None else each + ticks for each in (self.due, self.entry))
+        speeds = trace.states[: ticks + len(self.speeds), self.vehicle, SPEED]
+        return replace(self, speeds=speeds, since=self.since + ticks, due=due, entry=entry)
 
     def in_full(self) -> Fact:
         """Return the fact that tells what the vehicle should have done, and what it did.
@@ -221,12 +221,12 @@ class Drive:
         braking was due, its mistake was to speed up.
         """
         told, pause = self.phases(), PAUSE * self.hz
-        fact = Fact(What.DROVE, self.vehicle, self._at(self.since), phases=told)
+        fact = Fact(What.DROVE, self.vehicle, self.since / self.hz, phases=told)
         if self.due is not None:
             slowed = float(self.speeds[self.due] - self.speeds[self.due + 1]) * self.hz
-            fact = fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=self._at(self.due), braking_m_per_s2=slowed)
+            fact = fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=self.due / self.hz, braking_m_per_s2=slowed)
         deed = len(self.speeds) if self.entry is None or self.entry <= self.since else self.entry
-        begins = [self._tick(each.time_s) for each in told]
+        begins = [round(each.time_s * self.hz) for each in told]
         risen = [index for index, each in enumerate(told) if each.doing in RISING and begins[index] < deed]
         if not risen:
             return fact
@@ -236,15 +236,9 @@ class Drive:
             return fact
         is_set_off = rise.doing is Doing.SET_OFF and self.entry is not None
         if begin < self.since - pause and not is_set_off:  # it had no duty when it began to speed up
-            rise = rise._replace(doing=Doing.SPED_UP_FURTHER, time_s=self._at(self.since))
+            rise = rise._replace(doing=Doing.SPED_UP_FURTHER, time_s=self.since / self.hz)
         what = What.SHOULD_HAVE_WAITED if rise.doing is Doing.SET_OFF else What.SHOULD_NOT_HAVE_SPED_UP
         return fact._replace(what=what, due_s=None, phases=(rise, *told[risen[-1] + 1 :]))
-
-    def _at(self, tick: int) -> float:
-        return (self.before + tick) / self.hz
-
-    def _tick(self, time: float) -> int:
-        return round(time * self.hz) - self.before
 
     def phases(self) -> tuple[Phase, ...]:
         """Return what the vehicle did up to the impact, in its order, in at most three phases and how they ended.
@@ -288,6 +282,4 @@ class Drive:
                 ]
             else:
                 del found[place]
-        return tuple(
-            Phase(each.doing, self._at(each.begin), self._at(each.over), each.figure, each.is_again) for each in found
-        )
+        return tuple(Phase(each.doing, each.begin / hz, each.over / hz, each.figure, each.is_again) for each in found)

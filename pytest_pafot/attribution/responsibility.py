@@ -176,14 +176,14 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:
     is_lane = until - since > 1 and trace.ticks + 1 - until <= LEAVING * trace.physics_hz
     lane = Conflict(_part(trace, since, until), npc) if is_lane else None
     if lane is not None and lane.has_begun_safely:
-        return _later(lane.attribution, since, trace.physics_hz)
+        return _later(lane.attribution, since, trace)
     meeting = ZoneConflict(trace, npc, zone)
     by_priority = meeting.is_in_zone or (meeting.has_merged and lane is not None)
     blame = meeting.blame if by_priority else None
     if blame is not None:
         return _blamed(blame, trace.physics_hz)
     if lane is not None:
-        return _later(lane.attribution, since, trace.physics_hz)
+        return _later(lane.attribution, since, trace)
     end = trace.ticks / trace.physics_hz
     touched = Fact(What.NONE_FORESAW if by_priority else What.TOUCHED_ELSEWHERE, 0, end, npc + 1)
     return Attribution(responsibility="none", tick=trace.ticks, time=end, facts=(touched,))
@@ -206,11 +206,12 @@ def _part(trace: Trace, first: int, end: int) -> Trace:
     return replace(trace, **{name: getattr(trace, name)[first:end] for name in ("states", "track", "on_way")})
 
 
-def _later(found: Attribution, ticks: int, hz: int) -> Attribution:
+def _later(found: Attribution, ticks: int, trace: Trace) -> Attribution:
     """Return the attribution of a part of a run with its times counted from the beginning of the whole run.
 
     ``ticks`` is the number of ticks before the part.
     """
+    hz = trace.physics_hz
 
     def shifted(time: float) -> float:
         return (round(time * hz) + ticks) / hz
@@ -219,7 +220,7 @@ def _later(found: Attribution, ticks: int, hz: int) -> Attribution:
         fact._replace(
             time_s=shifted(fact.time_s),
             later_s=shifted(fact.later_s),
-            unread=None if fact.unread is None else fact.unread.later(ticks),
+            unread=None if fact.unread is None else fact.unread.later(trace, ticks),
         )
         for fact in found.facts
     )
@@ -663,8 +664,8 @@ class Conflict:
         vehicle, tick = change.vehicle, change.tick
         before, side = int(self._trace.states[tick, vehicle, LANE]), 1 if self._frame.drift[vehicle, tick] > 0 else -1
         earlier = range(max(tick - round(PAUSE * self._hz), 0), tick)
-        is_over = [self._lanes.over_line(vehicle, side, at) for at in earlier]
-        has_paused = any(np.array(is_over) & (self._trace.states[earlier.start : tick, vehicle, LANE] == before))
+        lanes = self._trace.states[:, vehicle, LANE]
+        has_paused = any(lanes[at] == before and self._lanes.over_line(vehicle, side, at) for at in earlier)
         crossed = self._placed(What.MOVED_FURTHER if has_paused else What.CROSSED_LINE, vehicle, tick)
         lane = before + side
         is_numbered = self._trace.track is None and before >= 0 and 0 <= lane < len(self._trace.lanes)

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 from pytest_pafot.attribution.avoidance import HARDEST
 from pytest_pafot.model.crossings import Zone
+from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.text import capitalised
 
 
@@ -18,7 +19,7 @@ class What(Enum):
     """The kinds of facts, each with the template of its sentence."""
 
     CROSSED_LINE = "{who} crossed {into} at {at}, {place}."
-    MOVED_FURTHER = "{who} moved further {over} at {at}, {place}."
+    MOVED_FURTHER = "{who} moved on {over} at {at}, {place}."
     CAME_IN = "{who} moved in at {at}, {place}."
     BOTH_CROSSED = "{who} (at {at}) and {whom} (at {later}) moved towards each other and crossed their lane lines."
     KEPT_LANE = "{who} kept its lane from {at} on, {place}."
@@ -157,8 +158,8 @@ class Unread(Protocol):
     def in_full(self) -> Fact:
         """Return the fact with all that its sentences state."""
 
-    def later(self, ticks: int) -> Unread:
-        """Return the same with its times counted from a number of ticks earlier."""
+    def later(self, trace: Trace, ticks: int) -> Unread:
+        """Return the same in a whole run, of which it knew only the part from a tick on."""
 
 
 Reason = tuple[Fact, ...]
@@ -227,7 +228,7 @@ def _answer(fact: Fact) -> list[str]:
     if due is not None:
         is_braking = any(each.doing in BRAKING and each.time_s <= due < each.until_s for each in phases)
         duty = f"{who} should have braked {'harder ' if is_braking else ''}from {due:.1f} s"
-        if fact.braking_m_per_s2 >= HARDEST:
+        if fact.braking_m_per_s2 > HARDEST - 0.05:
             duty = f"{who} should have kept braking hard from {due:.1f} s on"
         if not phases:
             return [capitalised(f"{duty} but did not.")]
@@ -237,13 +238,14 @@ def _answer(fact: Fact) -> list[str]:
         return [capitalised(f"{duty}."), *_deeds(instead, phases, told)]
     if fact.what is What.DROVE:
         return _deeds(capitalised(who), phases, told or [f"did not brake from {fact.time_s:.1f} s on"])
-    rise, figure = phases[0], f"to {phases[0].figure:.1f} m/s"
-    duties = {
-        Doing.SET_OFF: f"{who} should have waited but set off at {rise.time_s:.1f} s.",
-        Doing.SPED_UP: f"{who} should not have sped up from {rise.time_s:.1f} s on, {figure}.",
-        Doing.SPED_UP_FURTHER: f"{who} should not have sped up further after {rise.time_s:.1f} s, {figure}.",
-    }
-    return [capitalised(duties[rise.doing]), *_deeds("It", phases[1:], told[1:])]
+    begin, figure = f"{phases[0].time_s:.1f} s", f"to {phases[0].figure:.1f} m/s"
+    if fact.what is What.SHOULD_HAVE_WAITED:
+        duty = f"{who} should have waited but set off at {begin}."
+    elif phases[0].doing is Doing.SPED_UP_FURTHER:
+        duty = f"{who} should not have sped up further after {begin}, {figure}."
+    else:
+        duty = f"{who} should not have sped up from {begin} on, {figure}."
+    return [capitalised(duty), *_deeds("It", phases[1:], told[1:])]
 
 
 def _clause(phase: Phase, due: float | None) -> str:

@@ -105,7 +105,7 @@ class Story:
         yield "order", times == sorted(times)
         if self.duty in ("braked", "braked harder", "kept braking"):
             due = self.ticks(self.due["time"])
-            yield "due before the deed", entry is None or due[0] < entry
+            yield "due before the deed", entry is None or due[0] <= entry
             yield "due in time", any(self.is_free(at) for at in range(max(due[0] - 2, 0), due[-1] + 1))
             if self.duty == "braked harder":
                 yield "could brake harder", any(self.slowed[at] < 6.0 for at in due)
