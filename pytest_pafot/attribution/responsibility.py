@@ -120,7 +120,7 @@ class Attribution:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """At most two sentences: what happened, and what should have happened; empty without a collision."""
+        """Lines that say what happened, and then what should have happened; empty without a collision."""
         return sentences(self.facts)  # formatted on demand: a search judges many collisions and prints few
 
     @property
