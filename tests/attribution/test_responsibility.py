@@ -201,6 +201,11 @@ class TestCutIn:
             "The ego should have left NPC 0 a gap of 34.1 m.",
         )
 
+    def test_driver_that_paused_on_the_line_moved_on(self):
+        ego = driven(0.0, LEFT, shifts=[(1.0, 1.5, 0.5), (4.0, OWN, 2.0)])
+        found = rss_rule(crash(ego, driven(-35.0, speed=24.0), side="rear", cell=Cell.REAR))
+        assert found.sentences[0].startswith("The ego moved on into lane 1 at 4.")
+
     def test_cut_in_with_enough_room_blames_npc(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(ego, driven(-45.0, speed=24.0), side="rear", cell=Cell.REAR))
