@@ -56,6 +56,8 @@ PAUSE = 0.4
 """Brakings with a shorter pause between them are one in the sentences of a verdict [s]."""
 LOST = 0.2
 """The least loss of speed that counts as braking in the sentences of a verdict [m/s]."""
+HARD, EASED = 0.5, 0.75
+"""The shares of the hardest deceleration of a braking at which its hard part begins, and below which it ends."""
 STEADY = 0.3
 """The least duration of a gentle part of a braking that is told apart from its hard part [s]."""
 ROSE = 0.1
@@ -65,7 +67,8 @@ BEFORE = 3.0
 CREEPING = 2.0
 """The speed up to which a vehicle only creeps, so that its mistake may be to speed up [m/s]."""
 CLEAR = 1.0
-"""The least change of speed in between for which a vehicle braked, or sped up, again and again [m/s]."""
+"""The least change of speed in between that separates two brakings, however short the pause, and for which a vehicle
+braked, or sped up, again and again [m/s]."""
 MOST = 3
 """The largest number of phases that are told of a vehicle's response."""
 
@@ -148,6 +151,15 @@ class _Stretch(NamedTuple):
     change: float
     is_again: bool = False
 
+    @property
+    def is_rise(self) -> bool:
+        return self.doing in RISING
+
+    def joined(self, later: _Stretch) -> _Stretch:
+        """Return this phase and a later one of the same kind as one phase."""
+        figure, change = max(self.figure, later.figure), self.change + later.change
+        return self._replace(over=later.over, figure=figure, change=change)
+
 
 def _rise(speed: FloatArray, first: int, last: int, since: int, pause: int) -> _Stretch | None:
     """Return the largest gain in speed between two ticks that goes on after the tick ``since``; None if it is small.
@@ -171,10 +183,10 @@ def _rise(speed: FloatArray, first: int, last: int, since: int, pause: int) -> _
 
 def _braked(slowed: FloatArray, begin: int, over: int, hz: int) -> list[_Stretch]:
     """Return the phases of one braking: its hard part, and gentler parts before and after it if they last."""
-    steady = round(STEADY * hz)
-    hard = begin + np.flatnonzero(slowed[begin:over] >= slowed[begin:over].max() / 2)
-    first = int(hard[0]) if hard[0] - begin >= steady else begin
-    last = int(hard[-1]) + 1 if over - int(hard[-1]) - 1 >= steady else over
+    steady, share = round(STEADY * hz), slowed[begin:over] / slowed[begin:over].max()
+    first = begin + int(np.flatnonzero(share >= HARD)[0])
+    last = begin + int(np.flatnonzero(share >= EASED)[-1]) + 1
+    first, last = first if first - begin >= steady else begin, last if over - last >= steady else over
     parts = [(Doing.BRAKED, begin, first), (Doing.BRAKED_HARDER, first, last), (Doing.EASED_OFF, last, over)]
     if first == begin:
         parts = [(Doing.BRAKED, begin, last), parts[2]]
@@ -183,6 +195,28 @@ def _braked(slowed: FloatArray, begin: int, over: int, hz: int) -> list[_Stretch
         for doing, begin, over in parts
         if begin < over
     ]
+
+
+def _fewer(phases: list[_Stretch], due: int | None) -> list[_Stretch]:
+    """Return the phases that matter: the last, the one at the tick ``due``, and those with the most change of speed."""
+    found = list(phases)
+    ending = 2 if found and found[-1].doing in (Doing.RELEASED, Doing.STOOD) else 1
+    while len(found) > MOST + ending - 1:
+        inner = [each for each in found[:-ending] if due is None or not each.begin <= due < each.over]
+        place = found.index(min(inner, key=lambda each: each.change))
+        left, after, before = found[place], found[place + 1], found[place - 1] if place else None
+        if before is not None and before.is_rise == left.is_rise:
+            found[place - 1 : place + 1] = [before.joined(left)]
+        elif before is None or after.doing is Doing.BRAKED_HARDER:
+            del found[place]
+        elif left.is_rise == after.is_rise:
+            found[place : place + 2] = [left.joined(after)]
+        else:
+            both = before.joined(after)
+            if left.change >= CLEAR:
+                both = both._replace(doing=Doing.SPED_UP_REPEATEDLY if both.is_rise else Doing.BRAKED_REPEATEDLY)
+            found[place - 1 : place + 2] = [both]
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -250,7 +284,7 @@ class Drive:
         slowed, end, pause = -np.diff(speed) * hz, len(speed) - 1, math.ceil(PAUSE * hz)
         brakings: list[tuple[int, int]] = []
         for begin, over in stretches(slowed >= BRAKES):
-            is_same = brakings and begin - brakings[-1][1] < pause and speed[begin] - speed[brakings[-1][1]] <= SPED_UP
+            is_same = brakings and begin - brakings[-1][1] < pause and speed[begin] - speed[brakings[-1][1]] < CLEAR
             brakings.append((brakings.pop()[0] if is_same else begin, over))
         found: list[_Stretch] = []
         at = max([since - round(BEFORE * hz), 0, *(over for _, over in brakings if over <= since)])
@@ -267,19 +301,7 @@ class Drive:
                 parts = [part for part in _braked(slowed, begin, over, hz) if part.over > since]
                 found += [part._replace(is_again=begin > brakings[0][0]) for part in parts]
             at = over
-        ending = 2 if found and found[-1].doing in (Doing.RELEASED, Doing.STOOD) else 1
-        while len(found) > MOST + ending - 1:
-            inner = [each for each in found[:-ending] if due is None or not each.begin <= due < each.over]
-            place = found.index(min(inner, key=lambda each: each.change))
-            before, after = found[place - 1] if place else None, found[place + 1]
-            if before is not None and (before.doing in RISING) == (after.doing in RISING):
-                both = before.change + after.change
-                figure, doing = max(before.figure, after.figure), before.doing
-                if found[place].change >= CLEAR:
-                    doing = Doing.SPED_UP_REPEATEDLY if doing in RISING else Doing.BRAKED_REPEATEDLY
-                found[place - 1 : place + 2] = [
-                    before._replace(doing=doing, over=after.over, figure=figure, change=both)
-                ]
-            else:
-                del found[place]
-        return tuple(Phase(each.doing, each.begin / hz, each.over / hz, each.figure, each.is_again) for each in found)
+        return tuple(
+            Phase(each.doing, each.begin / hz, each.over / hz, each.figure, each.is_again)
+            for each in _fewer(found, due)
+        )

@@ -89,7 +89,7 @@ class Story:
         found = []
         for at in range(max(first, 0), last):
             if self.slowed[at] >= 0.5:
-                if found and at - found[-1][1] < PAUSE * self.hz and self.speed[at] <= self.speed[found[-1][1]] + SMALL:
+                if found and at - found[-1][1] < PAUSE * self.hz and self.speed[at] < self.speed[found[-1][1]] + CLEAR:
                     found[-1][1] = at + 1
                 else:
                     found.append([at, at + 1])
