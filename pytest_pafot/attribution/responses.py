@@ -112,7 +112,7 @@ def answer(
     is_due, until = due + 1 < deed, None if due + 1 >= end else min(due, deed - 1)
     if until is not None and not (is_due and (np.diff(speeds[perceived : until + 1]) <= 0).all()):
         until = _last_avoiding(perceived, until, avoids)  # it did not drive like the response that avoids the collision
-    drive = Drive(
+    conduct = Conduct(
         vehicle=vehicle,
         speeds=trace.states[:, vehicle, SPEED],
         hz=hz,
@@ -121,7 +121,7 @@ def answer(
         entry=entry,
         is_in_time=is_due and until is not None and (entry is None or entry > since),
     )
-    return Fact(What.ANSWERED, vehicle, since / hz, unread=drive)
+    return Fact(What.ANSWERED, vehicle, since / hz, unread=conduct)
 
 
 def _last_avoiding(first: int, last: int, avoids: Callable[[int], bool]) -> int | None:
@@ -220,7 +220,7 @@ def _fewer(phases: list[_Stretch], due: int | None) -> list[_Stretch]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Drive:
+class Conduct:
     """What a vehicle did in a danger up to the impact. It is put into words only if somebody reads them.
 
     Attributes:
@@ -242,8 +242,8 @@ class Drive:
     entry: int | None
     is_in_time: bool
 
-    def later(self, trace: Trace, ticks: int) -> Drive:
-        """Return the same drive in a whole run, of which it knew only the part from a tick on."""
+    def later(self, trace: Trace, ticks: int) -> Conduct:
+        """Return the same conduct in a whole run, of which it knew only the part from a tick on."""
         due, entry = (None if each is None else each + ticks for each in (self.due, self.entry))
         speeds = trace.states[: ticks + len(self.speeds), self.vehicle, SPEED]
         return replace(self, speeds=speeds, since=self.since + ticks, due=due, entry=entry)
