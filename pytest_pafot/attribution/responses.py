@@ -158,7 +158,9 @@ class _Stretch(NamedTuple):
     def joined(self, later: _Stretch) -> _Stretch:
         """Return this phase and a later one of the same kind as one phase."""
         figure, change = max(self.figure, later.figure), self.change + later.change
-        return self._replace(over=later.over, figure=figure, change=change)
+        is_harder = (self.doing, later.doing) == (Doing.BRAKED, Doing.BRAKED_HARDER)
+        doing = Doing.BRAKED_INCREASINGLY if is_harder else self.doing
+        return self._replace(doing=doing, over=later.over, figure=figure, change=change)
 
 
 def _rise(speed: FloatArray, first: int, last: int, since: int, pause: int) -> _Stretch | None:
@@ -202,15 +204,16 @@ def _fewer(phases: list[_Stretch], due: int | None) -> list[_Stretch]:
     found = list(phases)
     ending = 2 if found and found[-1].doing in (Doing.RELEASED, Doing.STOOD) else 1
     while len(found) > MOST + ending - 1:
+        alike = [at for at in range(len(found) - ending - 1) if found[at].is_rise == found[at + 1].is_rise]
+        if alike:
+            place = min(alike, key=lambda at: min(found[at].change, found[at + 1].change))
+            found[place : place + 2] = [found[place].joined(found[place + 1])]
+            continue
         inner = [each for each in found[:-ending] if due is None or not each.begin <= due < each.over]
         place = found.index(min(inner, key=lambda each: each.change))
         left, after, before = found[place], found[place + 1], found[place - 1] if place else None
-        if before is not None and before.is_rise == left.is_rise:
-            found[place - 1 : place + 1] = [before.joined(left)]
-        elif before is None or after.doing is Doing.BRAKED_HARDER:
+        if before is None or left.is_rise == after.is_rise:
             del found[place]
-        elif left.is_rise == after.is_rise:
-            found[place : place + 2] = [left.joined(after)]
         else:
             both = before.joined(after)
             if left.change >= CLEAR:
@@ -294,9 +297,8 @@ class Conduct:
             if rise is not None:
                 found.append(rise)
             elif found and begin == end and end - at >= pause:
-                found.append(
-                    _Stretch(Doing.STOOD if speed[at] <= STANDING_SPEED else Doing.RELEASED, at, end, 0.0, 0.0)
-                )
+                stands = (speed[at:] <= STANDING_SPEED + ROSE).all()
+                found.append(_Stretch(Doing.STOOD if stands else Doing.RELEASED, at, end, 0.0, 0.0))
             if begin < end:
                 parts = [part for part in _braked(slowed, begin, over, hz) if part.over > since]
                 found += [part._replace(is_again=begin > brakings[0][0]) for part in parts]

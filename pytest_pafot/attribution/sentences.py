@@ -57,6 +57,7 @@ class Doing(Enum):
 
     BRAKED = "braked with up to {figure:.1f} m/s^2 from {at} on"
     BRAKED_HARDER = "braked harder, with up to {figure:.1f} m/s^2, from {at} on"
+    BRAKED_INCREASINGLY = "braked more and more, with up to {figure:.1f} m/s^2, from {at} on"
     BRAKED_REPEATEDLY = "braked again and again, with up to {figure:.1f} m/s^2, from {at} on"
     EASED_OFF = "eased off to at most {figure:.1f} m/s^2 at {at}"
     RELEASED = "released the brakes at {at}"
@@ -69,10 +70,10 @@ class Doing(Enum):
 
 RISING = (Doing.SPED_UP, Doing.SPED_UP_REPEATEDLY, Doing.SPED_UP_FURTHER, Doing.SET_OFF)
 """The phases in which a vehicle sped up."""
-BRAKING = (Doing.BRAKED, Doing.BRAKED_HARDER, Doing.BRAKED_REPEATEDLY, Doing.EASED_OFF)
-"""The phases in which a vehicle braked."""
-BEGUN = (Doing.BRAKED, Doing.BRAKED_HARDER, Doing.BRAKED_REPEATEDLY)
+BEGUN = (Doing.BRAKED, Doing.BRAKED_HARDER, Doing.BRAKED_INCREASINGLY, Doing.BRAKED_REPEATEDLY)
 """The phases that begin when a vehicle begins to brake, or to brake harder."""
+BRAKING = (*BEGUN, Doing.EASED_OFF)
+"""The phases in which a vehicle braked."""
 
 
 class Phase(NamedTuple):

@@ -27,6 +27,7 @@ DUTIES = {
 }
 DEEDS = {
     "braked": rf"braked (?P<again>again )?with up to {FIGURE}\^2 (?P<only>only )?from {TIME} on",
+    "increasingly": rf"braked more and more, with up to {FIGURE}\^2, (?P<only>only )?from {TIME} on",
     "repeatedly": rf"braked again and again, with up to {FIGURE}\^2, (?P<only>only )?from {TIME} on",
     "harder": rf"braked harder, with up to {FIGURE}\^2, (?P<only>only )?from {TIME} on",
     "eased": rf"eased off to at most {FIGURE}\^2 at {TIME}",
@@ -38,7 +39,7 @@ DEEDS = {
     "set off": rf"set off at {TIME} and sped up to {FIGURE}",
     "nothing": rf"did not brake from {TIME} on",
 }
-BRAKED = ("braked", "repeatedly", "harder", "eased")
+BRAKED = ("braked", "increasingly", "repeatedly", "harder", "eased")
 ROSE = ("sped up", "rose repeatedly", "further", "set off")
 PAUSE, SMALL, CLEAR = 0.4, 0.31, 1.0
 """The pause between two brakings [s], and the changes of speed that need not be told and that must be told [m/s]."""
