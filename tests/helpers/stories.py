@@ -157,7 +157,7 @@ class Story:
             yield (
                 "sped up from",
                 any(
-                    self.speed[a] - self.speed[max(a - before, 0) : a + 1].min() <= 0.15
+                    self.speed[a] - self.speed[max(a - before, 0) : a + 1].min() <= 0.21
                     and self.speed[a : b + 1].max() > self.speed[a] + 0.15
                     and self.speed[a : a + self.hz + 1].max() > self.speed[a] + 0.05
                     for a, b in parts
