@@ -138,6 +138,19 @@ class Pursuit:
             is_hit = self._is_hit(since, self._driven(since, *_later(spare, response, emergency))[1])
         return None if is_hit else since
 
+    def is_avoided_by_braking(self, since: int) -> bool:
+        """Return whether braking to a standstill from a tick on, with the recorded speed at that tick, avoids a hit."""
+        hz, end = self.hz, len(self.ahead) - 1
+        speeds = np.maximum(self.speeds[0][since] - np.arange(end - since + HORIZON * hz) * (HARDEST / hz), 0.0)
+        until, after = speeds[: end - since], speeds[end - since :]
+        lost = np.concatenate(([0.0], np.cumsum(self.speeds[0][since:end] - until) / hz))
+        if self._touches(slice(since, end + 1), lost):
+            return False
+        slowing = max(float(self.speeds[1][end - 1] - self.speeds[1][end]), 0.0) if self.goes_on else 0.0
+        other = np.maximum(self.speeds[1][end] - np.arange(len(after)) * slowing, 0.0)
+        gap = self.ahead[end] - (self.sizes[0][0] + self.sizes[1][0]) / 2 + lost[-1]
+        return bool((gap + np.cumsum(other - after) / hz > 0).all())
+
     def is_no_further(self, since: int, response: Braking, emergency: Emergency) -> bool:
         """Return whether the responder is no further ahead at the impact than a reference that responds to a tick."""
         end = len(self.ahead) - 1

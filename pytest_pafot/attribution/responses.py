@@ -5,13 +5,19 @@ docs/explanation/verdicts.md has the sources of the numbers.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
 import numpy as np
 
-from pytest_pafot.attribution.avoidance import HARDEST, SPED_UP, Braking, Emergency, last_slowest
-from pytest_pafot.attribution.needless_braking import braking
-from pytest_pafot.attribution.sentences import Fact, What
+from pytest_pafot.attribution.avoidance import HARDEST, SPED_UP, Braking, Emergency
+from pytest_pafot.attribution.lane_changes import stretches
+from pytest_pafot.attribution.needless_braking import STANDING_SPEED
+from pytest_pafot.attribution.sentences import RISING, Doing, Fact, Phase, What
 from pytest_pafot.criticality import RssRules
-from pytest_pafot.model.trace import FloatArray, Trace
+from pytest_pafot.model.trace import SPEED, FloatArray, Trace
 
 DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=6.0, hardest_braking=8.0)
 """The safe distances of attribution. The usual headway of two seconds to a leader of equal speed must never be a fault:
@@ -46,6 +52,25 @@ HEADWAY = 1.0
 speed of the vehicle that changes lanes [s]."""
 BRAKES = 0.5
 """The least deceleration that counts as braking in the sentences of a verdict [m/s^2]."""
+PAUSE = 0.4
+"""Brakings with a shorter pause between them are one in the sentences of a verdict [s]."""
+LOST = 0.2
+"""The least loss of speed that counts as braking in the sentences of a verdict [m/s]."""
+HARD, EASED = 0.5, 0.75
+"""The shares of the hardest deceleration of a braking at which its hard part begins, and below which it ends."""
+STEADY = 0.3
+"""The least duration of a gentle part of a braking that is told apart from its hard part [s]."""
+ROSE = 0.1
+"""The gain from which on a speed has begun to rise [m/s]."""
+BEFORE = 3.0
+"""The time before a response is required in which the beginning of speeding up is looked for [s]."""
+CREEPING = 2.0
+"""The speed up to which a vehicle only creeps, so that its mistake may be to speed up [m/s]."""
+CLEAR = 1.0
+"""The least change of speed in between that separates two brakings, however short the pause, and for which a vehicle
+braked, or sped up, again and again [m/s]."""
+MOST = 3
+"""The largest number of phases that are told of a vehicle's response."""
 
 
 def room_to_leave(follower: float, mover: float) -> float:
@@ -58,27 +83,227 @@ def room_to_leave(follower: float, mover: float) -> float:
     return max(slowing_down + mover * HEADWAY, 0.0)
 
 
-def answer(trace: Trace, vehicle: int, speeds: FloatArray, since: int, response: Braking = FOLLOWING) -> Fact:
-    """Return the fact that tells when a vehicle should have braked, and what the vehicle did instead.
+def answer(
+    trace: Trace,
+    vehicle: int,
+    speeds: FloatArray,
+    since: int,
+    avoids: Callable[[int], bool],
+    response: Braking = FOLLOWING,
+    entry: int | None = None,
+) -> Fact:
+    """Return the fact that tells what a vehicle should have done, and what it did instead.
+
+    It should have braked from the last tick, until the response begins to brake, at which hard braking at once avoids
+    the collision.
 
     Args:
         trace: trace of the run.
         vehicle: index of the vehicle; 0 is the ego.
-        speeds: speeds of the vehicle at every tick [m/s].
+        speeds: speeds of the vehicle at every tick, as the rules read them [m/s].
         since: tick from which on the vehicle had to respond to a danger.
+        avoids: returns whether hard braking from a tick on, with the recorded speed at that tick, avoids the collision.
         response: proper response, whose delay counts from that tick.
+        entry: tick at which the vehicle entered a zone; None if no zone matters.
     """
     hz, end = trace.physics_hz, trace.ticks
-    due = since + round(response.delay * hz)
-    due_s = due / hz if due < end else None
-    speed = speeds[since : end + 1]
-    lowest = last_slowest(speed)
-    low, high, last = float(speed[lowest]), float(speed[lowest:].max()), float(speed[-1])
-    if last > low + SPED_UP and last >= high - SPED_UP:  # speeding up counts only if it came last
-        return Fact(What.SPED_UP, vehicle, (since + lowest) / hz, due_s=due_s, speed_m_per_s=high)
-    slowed = braking(trace, vehicle)[since + 1 : end + 1]
-    braked = np.flatnonzero(slowed >= BRAKES)
-    if braked.size:
-        at, peak = (since + int(braked[0])) / hz, float(slowed.max())
-        return Fact(What.BRAKED, vehicle, at, due_s=due_s, braking_m_per_s2=peak)
-    return Fact(What.DID_NOT_BRAKE, vehicle, since / hz, due_s=due_s)
+    deed = end if entry is None or entry <= since else entry
+    due, perceived = since + round(response.delay * hz) - 1, since + round(response.perception * hz)
+    is_due, until = due + 1 < deed, None if due + 1 >= end else min(due, deed - 1)
+    if until is not None and not (is_due and (np.diff(speeds[perceived : until + 1]) <= 0).all()):
+        until = _last_avoiding(perceived, until, avoids)  # it did not drive like the response that avoids the collision
+    conduct = Conduct(
+        vehicle=vehicle,
+        speeds=trace.states[:, vehicle, SPEED],
+        hz=hz,
+        since=since,
+        due=until,
+        entry=entry,
+        is_in_time=is_due and until is not None and (entry is None or entry > since),
+    )
+    return Fact(What.ANSWERED, vehicle, since / hz, unread=conduct)
+
+
+def _last_avoiding(first: int, last: int, avoids: Callable[[int], bool]) -> int | None:
+    """Return the last tick between two ticks at which hard braking at once avoids a collision; None if none does.
+
+    Earlier braking is assumed to avoid whatever later braking avoids.
+    """
+    if last < first:
+        return None
+    if avoids(last):
+        return last
+    if not avoids(first):
+        return None
+    while last - first > 1:
+        middle = (first + last) // 2
+        first, last = (middle, last) if avoids(middle) else (first, middle)
+    return first
+
+
+class _Stretch(NamedTuple):
+    """A phase by the ticks at which it begins and is over, with its change of speed [m/s]."""
+
+    doing: Doing
+    begin: int
+    over: int
+    figure: float
+    change: float
+    is_again: bool = False
+
+    @property
+    def is_rise(self) -> bool:
+        return self.doing in RISING
+
+    def joined(self, later: _Stretch) -> _Stretch:
+        """Return this phase and a later one of the same kind as one phase."""
+        figure, change = max(self.figure, later.figure), self.change + later.change
+        is_harder = (self.doing, later.doing) == (Doing.BRAKED, Doing.BRAKED_HARDER)
+        doing = Doing.BRAKED_INCREASINGLY if is_harder else self.doing
+        return self._replace(doing=doing, over=later.over, figure=figure, change=change)
+
+
+def _rise(speed: FloatArray, first: int, last: int, since: int, pause: int) -> _Stretch | None:
+    """Return the largest gain in speed between two ticks that goes on after the tick ``since``; None if it is small.
+
+    If the speed rose already before the first of these ticks, the vehicle sped up further.
+    """
+    part = speed[first : last + 1]
+    lowest = np.minimum.accumulate(part)
+    gain = np.where(np.arange(first, last + 1) > since, part - lowest, 0.0)
+    top = int(gain.argmax()) if gain.size else 0
+    if not gain.size or gain[top] <= SPED_UP:
+        return None
+    begin = first + int(np.flatnonzero(part[: top + 1] <= lowest[top] + ROSE)[-1])
+    doing = Doing.SET_OFF if speed[begin] <= STANDING_SPEED + ROSE else Doing.SPED_UP
+    if begin < since and part[since - first] > part[top] - SPED_UP:
+        return _rise(speed, since, last, since, pause)  # it had ended by then
+    if speed[first] - speed[max(first - pause, 0) : first + 1].min() > ROSE and begin - first < pause:
+        begin, doing = max(begin, since), Doing.SPED_UP_FURTHER
+    return _Stretch(doing, begin, first + top, float(part[top]), float(gain[top]))
+
+
+def _braked(slowed: FloatArray, begin: int, over: int, hz: int) -> list[_Stretch]:
+    """Return the phases of one braking: its hard part, and gentler parts before and after it if they last."""
+    steady, share = round(STEADY * hz), slowed[begin:over] / slowed[begin:over].max()
+    first = begin + int(np.flatnonzero(share >= HARD)[0])
+    last = begin + int(np.flatnonzero(share >= EASED)[-1]) + 1
+    first, last = first if first - begin >= steady else begin, last if over - last >= steady else over
+    parts = [(Doing.BRAKED, begin, first), (Doing.BRAKED_HARDER, first, last), (Doing.EASED_OFF, last, over)]
+    if first == begin:
+        parts = [(Doing.BRAKED, begin, last), parts[2]]
+    return [
+        _Stretch(doing, begin, over, float(slowed[begin:over].max()), float(slowed[begin:over].sum()) / hz)
+        for doing, begin, over in parts
+        if begin < over
+    ]
+
+
+def _fewer(phases: list[_Stretch], due: int | None) -> list[_Stretch]:
+    """Return the phases that matter: the last, the one at the tick ``due``, and those with the most change of speed."""
+    found = list(phases)
+    ending = 2 if found and found[-1].doing in (Doing.RELEASED, Doing.STOOD) else 1
+    while len(found) > MOST + ending - 1:
+        alike = [at for at in range(len(found) - ending - 1) if found[at].is_rise == found[at + 1].is_rise]
+        if alike:
+            place = min(alike, key=lambda at: min(found[at].change, found[at + 1].change))
+            found[place : place + 2] = [found[place].joined(found[place + 1])]
+            continue
+        inner = [each for each in found[:-ending] if due is None or not each.begin <= due < each.over]
+        place = found.index(min(inner, key=lambda each: each.change))
+        left, after, before = found[place], found[place + 1], found[place - 1] if place else None
+        if before is None or left.is_rise == after.is_rise:
+            del found[place]
+        else:
+            both = before.joined(after)
+            if left.change >= CLEAR:
+                both = both._replace(doing=Doing.SPED_UP_REPEATEDLY if both.is_rise else Doing.BRAKED_REPEATEDLY)
+            found[place - 1 : place + 2] = [both]
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Conduct:
+    """What a vehicle did in a danger up to the impact. It is put into words only if somebody reads them.
+
+    Attributes:
+        vehicle: index of the vehicle; 0 is the ego.
+        speeds: speed of the vehicle along its heading at every tick [m/s].
+        hz: ticks per second.
+        since: tick from which on the vehicle had to respond.
+        due: tick from which on it should have braked; None if no braking was due or avoided the collision.
+        entry: tick at which it entered a zone; None if no zone matters.
+        is_in_time: whether braking at the tick ``due`` is what the rules require, and not only that it does not speed
+            up.
+    """
+
+    vehicle: int
+    speeds: FloatArray
+    hz: int
+    since: int
+    due: int | None
+    entry: int | None
+    is_in_time: bool
+
+    def later(self, trace: Trace, ticks: int) -> Conduct:
+        """Return the same conduct in a whole run, of which it knew only the part from a tick on."""
+        due, entry = (None if each is None else each + ticks for each in (self.due, self.entry))
+        speeds = trace.states[: ticks + len(self.speeds), self.vehicle, SPEED]
+        return replace(self, speeds=speeds, since=self.since + ticks, due=due, entry=entry)
+
+    def in_full(self) -> Fact:
+        """Return the fact that tells what the vehicle should have done, and what it did.
+
+        If the response would have braked only after the vehicle's deed, or if the vehicle crept and then sped up when
+        braking was due, its mistake was to speed up.
+        """
+        told, pause = self.phases(), PAUSE * self.hz
+        fact = Fact(What.DROVE, self.vehicle, self.since / self.hz, phases=told)
+        if self.due is not None:
+            slowed = float(self.speeds[self.due] - self.speeds[self.due + 1]) * self.hz
+            fact = fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=self.due / self.hz, braking_m_per_s2=slowed)
+        deed = len(self.speeds) if self.entry is None or self.entry <= self.since else self.entry
+        begins = [round(each.time_s * self.hz) for each in told]
+        risen = [index for index, each in enumerate(told) if each.doing in RISING and begins[index] < deed]
+        if not risen:
+            return fact
+        rise, begin = told[risen[-1]], begins[risen[-1]]
+        has_crept = self.due is None or (self.speeds[begin] <= CREEPING and begin >= self.due - pause)
+        if self.is_in_time and not has_crept:
+            return fact
+        is_set_off = rise.doing is Doing.SET_OFF and self.entry is not None
+        if begin < self.since - pause and not is_set_off:  # it had no duty when it began to speed up
+            rise = rise._replace(doing=Doing.SPED_UP_FURTHER, time_s=self.since / self.hz)
+        what = What.SHOULD_HAVE_WAITED if rise.doing is Doing.SET_OFF else What.SHOULD_NOT_HAVE_SPED_UP
+        return fact._replace(what=what, due_s=None, phases=(rise, *told[risen[-1] + 1 :]))
+
+    def phases(self) -> tuple[Phase, ...]:
+        """Return what the vehicle did up to the impact, in its order, in at most three phases and how they ended.
+
+        A phase that had begun before it had to respond counts from its beginning. Of more phases, those with the least
+        change of speed are left out, but never the last one, nor the one at the tick ``due``.
+        """
+        hz, speed, since, due = self.hz, self.speeds, self.since, self.due
+        slowed, end, pause = -np.diff(speed) * hz, len(speed) - 1, math.ceil(PAUSE * hz)
+        brakings: list[tuple[int, int]] = []
+        for begin, over in stretches(slowed >= BRAKES):
+            is_same = brakings and begin - brakings[-1][1] < pause and speed[begin] - speed[brakings[-1][1]] < CLEAR
+            brakings.append((brakings.pop()[0] if is_same else begin, over))
+        found: list[_Stretch] = []
+        at = max([since - round(BEFORE * hz), 0, *(over for _, over in brakings if over <= since)])
+        brakings = [(begin, over) for begin, over in brakings if over > since and speed[begin] - speed[over] >= LOST]
+        for begin, over in [*brakings, (end, end)]:
+            rise = _rise(speed, at, begin, since, pause)
+            if rise is not None:
+                found.append(rise)
+            elif found and begin == end and end - at >= pause:
+                stands = (speed[at:] <= STANDING_SPEED + ROSE).all()
+                found.append(_Stretch(Doing.STOOD if stands else Doing.RELEASED, at, end, 0.0, 0.0))
+            if begin < end:
+                parts = [part for part in _braked(slowed, begin, over, hz) if part.over > since]
+                found += [part._replace(is_again=begin > brakings[0][0]) for part in parts]
+            at = over
+        return tuple(
+            Phase(each.doing, each.begin / hz, each.over / hz, each.figure, each.is_again)
+            for each in _fewer(found, due)
+        )

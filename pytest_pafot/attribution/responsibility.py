@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from pytest_pafot.attribution.avoidance import SPED_UP, Braking, Pursuit
-from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces, first_lasting, stretches
+from pytest_pafot.attribution.lane_changes import DRIFTING, PAUSE, LaneChange, LanePlaces, first_lasting, stretches
 from pytest_pafot.attribution.needless_braking import (
     AFTERMATH_SECONDS,
     HARD_BRAKING,
@@ -120,7 +120,7 @@ class Attribution:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """At most two sentences: what happened, and what should have happened; empty without a collision."""
+        """Lines that say what happened, and then what should have happened; empty without a collision."""
         return sentences(self.facts)  # formatted on demand: a search judges many collisions and prints few
 
     @property
@@ -176,14 +176,14 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:
     is_lane = until - since > 1 and trace.ticks + 1 - until <= LEAVING * trace.physics_hz
     lane = Conflict(_part(trace, since, until), npc) if is_lane else None
     if lane is not None and lane.has_begun_safely:
-        return _later(lane.attribution, since, trace.physics_hz)
+        return _later(lane.attribution, since, trace)
     meeting = ZoneConflict(trace, npc, zone)
     by_priority = meeting.is_in_zone or (meeting.has_merged and lane is not None)
     blame = meeting.blame if by_priority else None
     if blame is not None:
         return _blamed(blame, trace.physics_hz)
     if lane is not None:
-        return _later(lane.attribution, since, trace.physics_hz)
+        return _later(lane.attribution, since, trace)
     end = trace.ticks / trace.physics_hz
     touched = Fact(What.NONE_FORESAW if by_priority else What.TOUCHED_ELSEWHERE, 0, end, npc + 1)
     return Attribution(responsibility="none", tick=trace.ticks, time=end, facts=(touched,))
@@ -206,11 +206,12 @@ def _part(trace: Trace, first: int, end: int) -> Trace:
     return replace(trace, **{name: getattr(trace, name)[first:end] for name in ("states", "track", "on_way")})
 
 
-def _later(found: Attribution, ticks: int, hz: int) -> Attribution:
+def _later(found: Attribution, ticks: int, trace: Trace) -> Attribution:
     """Return the attribution of a part of a run with its times counted from the beginning of the whole run.
 
     ``ticks`` is the number of ticks before the part.
     """
+    hz = trace.physics_hz
 
     def shifted(time: float) -> float:
         return (round(time * hz) + ticks) / hz
@@ -219,7 +220,7 @@ def _later(found: Attribution, ticks: int, hz: int) -> Attribution:
         fact._replace(
             time_s=shifted(fact.time_s),
             later_s=shifted(fact.later_s),
-            due_s=None if fact.due_s is None else shifted(fact.due_s),
+            unread=None if fact.unread is None else fact.unread.later(trace, ticks),
         )
         for fact in found.facts
     )
@@ -656,10 +657,17 @@ class Conflict:
         return bool(abs(self._frame.speed[0, self._end]) <= STANDING_SPEED)
 
     def _crossed(self, change: LaneChange) -> Fact:
-        """Return the fact that a vehicle changed lanes, with its place relative to the other vehicle at that time."""
-        crossed = self._placed(What.CROSSED_LINE, change.vehicle, change.tick)
-        before = int(self._trace.states[change.tick, change.vehicle, LANE])
-        lane = before + (1 if self._frame.drift[change.vehicle, change.tick] > 0 else -1)
+        """Return the fact that a vehicle changed lanes, with its place relative to the other vehicle at that time.
+
+        If it paused over the line, the lane change is the motion after the pause.
+        """
+        vehicle, tick = change.vehicle, change.tick
+        before, side = int(self._trace.states[tick, vehicle, LANE]), 1 if self._frame.drift[vehicle, tick] > 0 else -1
+        earlier = range(max(tick - round(PAUSE * self._hz), 0), tick)
+        lanes = self._trace.states[:, vehicle, LANE]
+        has_paused = any(lanes[at] == before and self._lanes.over_line(vehicle, side, at) for at in earlier)
+        crossed = self._placed(What.MOVED_FURTHER if has_paused else What.CROSSED_LINE, vehicle, tick)
+        lane = before + side
         is_numbered = self._trace.track is None and before >= 0 and 0 <= lane < len(self._trace.lanes)
         return crossed._replace(lane=lane if is_numbered else None)
 
@@ -690,11 +698,12 @@ class Conflict:
         return Fact(What.HAD_NO_TIME, vehicle, self._at(tick))
 
     def _answer(self, vehicle: int, since: int, response: Braking = FOLLOWING) -> Fact:
-        """Return the fact that tells when the follower should have braked, and what it did instead.
+        """Return the fact that tells what the follower should have done, and what it did instead.
 
         The follower had to respond from the tick ``since`` on.
         """
-        return answer(self._trace, vehicle, self._frame.speed[vehicle], since, response)
+        avoids = self._pursuit(by_ego=vehicle == 0, goes_on=True).is_avoided_by_braking
+        return answer(self._trace, vehicle, self._frame.speed[vehicle], since, avoids, response)
 
     def _at(self, tick: int) -> float:
         """Return the time of a tick [s]."""

@@ -139,6 +139,11 @@ def stopping(speed: float, deceleration: float) -> float:
     return speed * FOLLOWING.delay + speed**2 / (2 * deceleration)
 
 
+def braked(speed: float, hz: int) -> float:
+    """Return the distance in which a vehicle stops from a speed [m/s] if it brakes hard at once, tick by tick [m]."""
+    return speed**2 / (2 * HARDEST) + speed / (2 * hz)
+
+
 class ZoneConflict:
     """The approach of the ego and an NPC to the zone of their ways, up to their collision."""
 
@@ -177,8 +182,32 @@ class ZoneConflict:
             did_not_give_way=tuple(each.vehicle for each in without),
             entered_taken_zone=tuple(each.vehicle for each in taken),
             tick=first.entered(),
-            facts=(entered, answer(self._trace, owing.vehicle, owing.speeds, since)),
+            facts=(entered, self._answer(owing, since, is_taken=bool(taken))),
         )
+
+    def _answer(self, own: Passing, since: int, *, is_taken: bool) -> Fact:
+        """Return the fact that tells what a vehicle should have done before it entered the zone, and what it did.
+
+        ``is_taken`` is whether the other vehicle was in the zone, so that it was enough to stop short of that vehicle,
+        or to slow down behind it.
+        """
+        other = self.npc if own is self.ego else self.ego
+        is_behind = is_taken and self._zone.kind == "merging"
+        place = float(own.places[self._reaches(own, other)]) if is_taken else own.begins
+
+        def avoids(tick: int) -> bool:
+            if is_behind:
+                return self._slows_down(own, other, tick)
+            return bool(place - own.places[tick] >= braked(float(own.speeds[tick]), own.hz))
+
+        return answer(self._trace, own.vehicle, own.speeds, since, avoids, entry=own.entered())
+
+    @staticmethod
+    def _slows_down(own: Passing, other: Passing, tick: int) -> bool:
+        """Return whether a vehicle that brakes hard from a tick on stays behind one that merged ahead."""
+        lead = float(own.ends - own.places[tick] - (other.ends - other.places[tick]))
+        closing = max(float(own.speeds[tick] - other.speeds[tick:].min()), 0.0)
+        return lead - own.half_length - other.half_length >= braked(closing, own.hz)
 
     def _did_not_give_way(self, own: Passing, other: Passing) -> bool:
         """Return whether a vehicle did not give way to another that it could foresee in the zone at the same time.

@@ -5,11 +5,13 @@ Each text is at most 97 characters long, so that it fits on one line of an expla
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from pytest_pafot.attribution.avoidance import HARDEST
 from pytest_pafot.model.crossings import Zone
+from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.text import capitalised
 
 
@@ -17,6 +19,7 @@ class What(Enum):
     """The kinds of facts, each with the template of its sentence."""
 
     CROSSED_LINE = "{who} crossed {into} at {at}, {place}."
+    MOVED_FURTHER = "{who} moved on {over} at {at}, {place}."
     CAME_IN = "{who} moved in at {at}, {place}."
     BOTH_CROSSED = "{who} (at {at}) and {whom} (at {later}) moved towards each other and crossed their lane lines."
     KEPT_LANE = "{who} kept its lane from {at} on, {place}."
@@ -36,17 +39,60 @@ class What(Enum):
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
     SPED_UP_INTO = "{who} sped up to {it.speed_m_per_s:.1f} m/s from {at} on, towards {whom}."
     LET_BRAKES_GO = "{who} should have kept braking but released the brakes at {at}."
-    DID_NOT_BRAKE = "{who} should have braked from {due} but did not."
-    BRAKED = "{who} should have braked from {due}. It braked {how}: {braked} from {at} on."
-    SPED_UP = "{who} should have braked from {due}. Instead it sped up to {it.speed_m_per_s:.1f} m/s from {at} on."
+    ANSWERED = "answered"
+    SHOULD_HAVE_BRAKED = "should have braked"
+    SHOULD_HAVE_WAITED = "should have waited"
+    SHOULD_NOT_HAVE_SPED_UP = "should not have sped up"
+    DROVE = "drove"
 
 
-_WITHOUT_DUE = {
-    What.DID_NOT_BRAKE: "{who} did not brake from {at} on.",
-    What.BRAKED: "{who} braked at {braked} from {at} on.",
-    What.SPED_UP: "{who} sped up to {it.speed_m_per_s:.1f} m/s from {at} on.",
-}
-"""The sentences for a vehicle that did not have to brake before the impact, because the danger began too late."""
+ANSWERS = (What.SHOULD_HAVE_BRAKED, What.SHOULD_HAVE_WAITED, What.SHOULD_NOT_HAVE_SPED_UP, What.DROVE)
+"""The facts on what a vehicle should have done in a danger, and what it did. Their sentences depend on its phases."""
+LONGEST = 97
+"""The largest number of characters in a line, so that it fits on one line of an explanation."""
+
+
+class Doing(Enum):
+    """What a vehicle did in one phase of its response, each with its words."""
+
+    BRAKED = "braked with up to {figure:.1f} m/s^2 from {at} on"
+    BRAKED_HARDER = "braked harder, with up to {figure:.1f} m/s^2, from {at} on"
+    BRAKED_INCREASINGLY = "braked more and more, with up to {figure:.1f} m/s^2, from {at} on"
+    BRAKED_REPEATEDLY = "braked again and again, with up to {figure:.1f} m/s^2, from {at} on"
+    EASED_OFF = "eased off to at most {figure:.1f} m/s^2 at {at}"
+    RELEASED = "released the brakes at {at}"
+    STOOD = "stood from {at} on"
+    SPED_UP = "sped up from {at} on, to {figure:.1f} m/s"
+    SPED_UP_REPEATEDLY = "sped up again and again from {at} on, to {figure:.1f} m/s"
+    SPED_UP_FURTHER = "sped up further, to {figure:.1f} m/s"
+    SET_OFF = "set off at {at} and sped up to {figure:.1f} m/s"
+
+
+RISING = (Doing.SPED_UP, Doing.SPED_UP_REPEATEDLY, Doing.SPED_UP_FURTHER, Doing.SET_OFF)
+"""The phases in which a vehicle sped up."""
+BEGUN = (Doing.BRAKED, Doing.BRAKED_HARDER, Doing.BRAKED_INCREASINGLY, Doing.BRAKED_REPEATEDLY)
+"""The phases that begin when a vehicle begins to brake, or to brake harder."""
+BRAKING = (*BEGUN, Doing.EASED_OFF)
+"""The phases in which a vehicle braked."""
+
+
+class Phase(NamedTuple):
+    """One phase of a vehicle's response.
+
+    Attributes:
+        doing: what the vehicle did.
+        time_s: time at which the phase began [s]; for a vehicle that sped up further, the time from which on it had to
+            respond.
+        until_s: time at which the phase was over [s].
+        figure: hardest braking [m/s^2], or highest speed [m/s], in the phase; 0 if the vehicle did neither.
+        is_again: whether the vehicle braked and had already braked before, since it had to respond.
+    """
+
+    doing: Doing
+    time_s: float
+    until_s: float
+    figure: float
+    is_again: bool = False
 
 
 class Fact(NamedTuple):
@@ -58,7 +104,8 @@ class Fact(NamedTuple):
         other: index of the other vehicle that the fact mentions.
         time_s: time at which the event happened or began [s].
         later_s: time at which the other vehicle did the same, if both crossed a line or both entered a zone [s].
-        due_s: time from which on the vehicle should have braked [s]; None if it did not have to before the impact.
+        due_s: time from which on the vehicle should have braked [s]; None if it did not have to before the impact, or
+            if its mistake was to speed up.
         gap_m: gap between the boxes along the road [m]; positive if the vehicle is ahead of the other, negative if it
             is behind, 0 side by side.
         asked_m: gap that the rules require [m].
@@ -66,10 +113,14 @@ class Fact(NamedTuple):
         faster_m_per_s: speed of the other minus speed of the vehicle [m/s]. The sentence does not mention it if
             ``leader_m_per_s2`` is not 0.
         leader_m_per_s2: hardest braking of the NPC, if it was ahead and braked visibly [m/s^2].
-        braking_m_per_s2: hardest braking of the vehicle [m/s^2].
+        braking_m_per_s2: hardest braking of the vehicle; if it should have braked, its braking at that time [m/s^2].
         lasting_s: time for which the vehicle stood before the impact [s].
         lane: lane that the vehicle moved into; None if it has no number.
         zone: zone that the vehicle entered.
+        unread: the rest of the fact; None if there is none. It is worked out when somebody reads the fact, because a
+            search needs many verdicts and displays few.
+        phases: what the vehicle did when it had to respond, in its order. The first is the mistake if the vehicle
+            should have waited, or should not have sped up.
     """
 
     what: What
@@ -87,15 +138,65 @@ class Fact(NamedTuple):
     lasting_s: float = 0.0
     lane: int | None = None
     zone: Zone | None = None
+    unread: Unread | None = None
+    phases: tuple[Phase, ...] = ()
+
+    @property
+    def in_full(self) -> Fact:
+        """The fact with all that its sentences state."""
+        return self if self.unread is None else self.unread.in_full()
+
+    @property
+    def is_unanswered(self) -> bool:
+        """True if the vehicle had to respond to a danger and did not brake."""
+        full = self.in_full
+        return full.what in ANSWERS and not any(each.doing in BRAKING for each in full.phases)
+
+
+class Unread(Protocol):
+    """A fact that is worked out when it is read."""
+
+    def in_full(self) -> Fact:
+        """Return the fact with all that its sentences state."""
+
+    def later(self, trace: Trace, ticks: int) -> Unread:
+        """Return the same in a whole run, of which it knew only the part from a tick on."""
 
 
 Reason = tuple[Fact, ...]
 """The facts that explain a verdict: first what happened, then what should have happened. Empty without a collision."""
 
 
+def due_by(reason: Reason, latest: float) -> Reason:
+    """Return facts that require no braking after the latest time at which braking avoids the collision [s].
+
+    If that time is before the danger, the facts say only what the vehicle did.
+    """
+
+    def changed(fact: Fact) -> Fact:
+        if fact.due_s is None or fact.due_s <= latest:
+            return fact
+        if latest < fact.time_s:
+            return fact._replace(what=What.DROVE, due_s=None)
+        return fact._replace(due_s=latest, braking_m_per_s2=0.0)
+
+    return tuple(changed(fact.in_full) for fact in reason)
+
+
 def sentences(reason: Reason) -> tuple[str, ...]:
-    """Return the sentence, or two sentences, of each fact."""
-    return tuple(map(_sentence, reason))
+    """Return the sentences of the facts, in lines of at most 97 characters; a new line for each fact."""
+    return tuple(line for fact in reason for line in _lines(fact.in_full))
+
+
+def _lines(fact: Fact) -> list[str]:
+    first, *others = _answer(fact) if fact.what in ANSWERS else [_sentence(fact)]
+    lines = [first]
+    for sentence in others:
+        if len(lines[-1]) + len(sentence) < LONGEST:
+            lines[-1] += f" {sentence}"
+        else:
+            lines.append(sentence)
+    return lines
 
 
 def responsible_sentence(responsibility: str, npc: int) -> str:
@@ -107,22 +208,67 @@ def responsible_sentence(responsibility: str, npc: int) -> str:
 
 
 def _sentence(fact: Fact) -> str:
-    words = fact.what.value if fact.due_s is not None else _WITHOUT_DUE.get(fact.what, fact.what.value)
-    short = "too little" if fact.braking_m_per_s2 < HARDEST else "too briefly"
-    text = words.format(
+    text = fact.what.value.format(
         it=fact,
         at=f"{fact.time_s:.1f} s",
         later=f"{fact.later_s:.1f} s",
-        how="too late" if fact.time_s > (fact.due_s or 0.0) else short,
-        due=f"{fact.due_s or 0.0:.1f} s",
-        braked=f"up to {fact.braking_m_per_s2:.1f} m/s^2",
         who=_name(fact.vehicle),
         whom=_name(fact.other),
         into="a lane line" if fact.lane is None else f"into lane {fact.lane}",
+        over="over a lane line" if fact.lane is None else f"into lane {fact.lane}",
         place=_place(fact),
         entered=_entered(fact),
     )
     return capitalised(text)
+
+
+def _answer(fact: Fact) -> list[str]:
+    """Return the sentences that say what a vehicle should have done, and what it did instead."""
+    who, phases, due = _name(fact.vehicle), fact.phases, fact.due_s
+    told = [_clause(each, due) for each in phases]
+    if due is not None:
+        is_braking = any(each.doing in BRAKING and each.time_s <= due < each.until_s for each in phases)
+        duty = f"{who} should have braked {'harder ' if is_braking else ''}from {due:.1f} s"
+        if fact.braking_m_per_s2 > HARDEST - 0.05:
+            duty = f"{who} should have kept braking hard from {due:.1f} s on"
+        if not phases:
+            return [capitalised(f"{duty} but did not.")]
+        instead = "It"
+        if phases[0].doing in RISING:
+            instead = "Instead it" if phases[0].time_s <= due else "It did not, but"
+        return [capitalised(f"{duty}."), *_deeds(instead, phases, told)]
+    if fact.what is What.DROVE:
+        return _deeds(capitalised(who), phases, told or [f"did not brake from {fact.time_s:.1f} s on"])
+    begin, figure = f"{phases[0].time_s:.1f} s", f"to {phases[0].figure:.1f} m/s"
+    if fact.what is What.SHOULD_HAVE_WAITED:
+        duty = f"{who} should have waited but set off at {begin}."
+    elif phases[0].doing is Doing.SPED_UP_FURTHER:
+        duty = f"{who} should not have sped up further after {begin}, {figure}."
+    else:
+        duty = f"{who} should not have sped up from {begin} on, {figure}."
+    return [capitalised(duty), *_deeds("It", phases[1:], told[1:])]
+
+
+def _clause(phase: Phase, due: float | None) -> str:
+    """Return the words for one phase of a response by braking that was due at a time [s]."""
+    words = phase.doing.value.format(at=f"{phase.time_s:.1f} s", figure=phase.figure)
+    if phase.doing is Doing.BRAKED and phase.is_again:
+        return words.replace("braked", "braked again")
+    is_late = due is None or phase.time_s > due
+    return words.replace("from", "only from") if phase.doing in BEGUN and is_late else words
+
+
+def _deeds(who: str, phases: tuple[Phase, ...], told: Sequence[str]) -> list[str]:
+    """Return one sentence on the first two phases if it is short enough, and one on each other phase."""
+    if not told:
+        return []
+    first, *others = told
+    if not others:
+        return [f"{who} {first}."]
+    pair = f"{who} {first}, {'and' if phases[1].doing in (*BEGUN, Doing.STOOD) else 'but'} {others[0]}."
+    if len(pair) > LONGEST:
+        return [f"{who} {first}.", *(f"Then it {each}." for each in others)]
+    return [pair, *(f"Then it {each}." for each in others[1:])]
 
 
 def _name(vehicle: int) -> str:

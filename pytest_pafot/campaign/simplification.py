@@ -279,6 +279,12 @@ class Simplification:
         found = before.original or before.scenario
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
         outcomes = harness.reference_outcomes(run, verdict, self._note)
+        avoided, known, exception = self._claimed(lambda: harness.avoidance(run, verdict)), run, verdict.exception
+        if avoided is not None:
+            known = replace(run, avoided_by=avoided)
+        if known.sentences != run.sentences:  # the message of the failure may contain them
+            again = harness.judge(known)
+            exception = again.exception if again.failed and again.exception is not None else exception
         perception = self._perceived(kept, scenario)
         finding = replace(
             before,
@@ -288,7 +294,7 @@ class Simplification:
                 verdict.failure,
                 reference_drivers=outcomes,
                 last_chance=self._claimed(lambda: harness.last_chance(run, verdict)),
-                avoided_by=self._claimed(lambda: harness.avoidance(run, verdict)),
+                avoided_by=avoided,
                 against=before.expect.against,
                 root=str(harness.root),
             ),
@@ -303,7 +309,7 @@ class Simplification:
         responsible = finding.expect.responsibility
         find = replace(kept.find, headline=line, severity=verdict.severity, responsible=responsible)
         recorder.tell(
-            replace(recorder.rewritten(kept, finding), find=find, exception=verdict.exception, run=run, is_new=False)
+            replace(recorder.rewritten(kept, finding), find=find, exception=exception, run=known, is_new=False)
         )
 
     def _claimed(self, claim: Callable[[], ClaimT | None]) -> ClaimT | None:

@@ -157,11 +157,17 @@ class Expect:
         """The names of the reference drivers that would have prevented the failure (see ``preventing``)."""
         return tuple(preventing(self.reference_drivers.items(), self.responsibility))
 
+    def known_of(self, run: Run) -> Run:
+        """Return a run with what this finding knows of its collision: how it is avoided."""
+        hit = run.collision
+        is_this = hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
+        return replace(run, avoided_by=self.avoided_by) if is_this else run
+
     def sentences_on(self, run: Run) -> tuple[str, ...]:
         """Return the sentences that explain a run; if it has this collision, the middle one says how to avoid it."""
-        told, hit = run.sentences, run.collision
-        is_this = hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
-        return (told[0], self.avoided_by.sentence, told[-1]) if self.avoided_by is not None and is_this else told
+        known = self.known_of(run)
+        told = known.sentences
+        return told if known.avoided_by is None else (told[0], known.avoided_by.sentence, told[-1])
 
     @classmethod
     def of(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot import criticality
-from pytest_pafot.attribution.last_chance import LastChance, TakeOver, last_chance
+from pytest_pafot.attribution.last_chance import Avoidance, LastChance, TakeOver, last_chance
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
-from pytest_pafot.attribution.sentences import What, responsible_sentence
+from pytest_pafot.attribution.sentences import due_by, responsible_sentence
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
     BY_NAME,
@@ -118,12 +118,15 @@ class Run(Drawn):
         world: world of the run, if it has reference drivers, else None; see :attr:`reference_drivers`.
         take_over: function that repeats the run with a reference driver that takes over in the middle, or None; see
             :attr:`last_chance`.
+        avoided_by: last decision from which braking avoids the collision in simulation, if that is known: a search
+            finds it out for its findings. The sentences then require no braking that would come later.
     """
 
     trace: Trace
     decision_limit: float | None = field(default=None, kw_only=True)
     world: ReferenceWorld | None = field(default=None, kw_only=True)
     take_over: TakeOver | None = field(default=None, kw_only=True)
+    avoided_by: Avoidance | None = field(default=None, kw_only=True)
 
     if not TYPE_CHECKING:  # type checkers know every name
 
@@ -279,7 +282,8 @@ class Run(Drawn):
     @cached_property
     def attribution(self) -> Attribution:
         """The attribution of the collision: which vehicle caused it, when the danger began, and the reason."""
-        return rss_rule(self.trace)
+        found = rss_rule(self.trace)
+        return found if self.avoided_by is None else replace(found, facts=due_by(found.facts, self.avoided_by.time))
 
     @property
     def responsibility(self) -> str | None:
@@ -430,7 +434,7 @@ class Run(Drawn):
         return *verdict.sentences, responsible_sentence(verdict.responsibility, self.collision.npc)
 
     def explain(self) -> str:
-        """Explain the run in fewer than 15 lines of ASCII: the events, the verdict and the NPCs' instructions."""
+        """Explain the run in at most 16 lines of ASCII: the events, the verdict and the NPCs' instructions."""
         lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
         names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
         names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
@@ -499,8 +503,7 @@ class Run(Drawn):
             return text
         time = int(np.nanargmin(self.trace.ego[:, ACCELERATION])) / self.trace.physics_hz
         text += f" at {time:.1f} s"
-        unanswered = What.DID_NOT_BRAKE, What.SPED_UP
-        due = [each.time_s for each in self.attribution.facts if each.what in unanswered and not each.vehicle]
+        due = [each.time_s for each in self.attribution.facts if not each.vehicle and each.is_unanswered]
         if not due:
             return text
         return f"{text}, {'before a response was due' if time <= due[0] else 'too little to be a response'}"

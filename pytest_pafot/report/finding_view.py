@@ -264,7 +264,7 @@ def finding_view(
     clearance = finding.world.get("clearance", CLEARANCE)
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
     sentences = () if trace is None else expect.sentences_on(Run(trace))
-    explanation = "" if trace is None else _explanation(Run(trace), sentences)
+    explanation = "" if trace is None else _explanation(expect.known_of(Run(trace)), sentences)
     first, _, rest = explanation.partition("\n")
     chance, rest = expect.last_chance, (rest if check is None else explanation) or expect.message
     view = FindingView(

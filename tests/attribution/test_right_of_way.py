@@ -72,9 +72,11 @@ def test_where_the_other_comes_from_tells_the_mistake(origin):
 
 def test_reason_says_what_happened_before_what_was_due():
     first, second = rss_rule(ignored()).facts
-    assert (first.what, first.vehicle, second.vehicle, second.what) == (What.ENTERED, 0, 0, What.DID_NOT_BRAKE)
+    second = second.in_full
+    assert (first.what, first.vehicle, second.vehicle) == (What.ENTERED, 0, 0)
+    assert (second.what, second.phases) == (What.SHOULD_HAVE_BRAKED, ())
     passing = Passing(ignored(), 0, ignored().zones[0])
-    assert second.due_s == pytest.approx(passing.last_chance() / 15 + 1.0)
+    assert second.due_s == pytest.approx((passing.last_chance() + 14) / 15)
 
 
 def test_braking_at_last_chance_stops_before_the_zone():

@@ -6,10 +6,10 @@ that matches no pattern is an error.
 
 from __future__ import annotations
 
-import math
 import re
 
-from tests.helpers.pencil_and_paper import Crash, Crossing, gap, giving_way, is_behind, part_of, safe_along
+from tests.helpers.pencil_and_paper import Crash, Crossing, Response, gap, giving_way, is_behind, part_of, safe_along
+from tests.helpers.stories import entry_of, story_of
 
 NUMBER = r"(-?\d+\.\d\d?)"
 WHO = r"(?:the ego|The ego|NPC #)"
@@ -56,6 +56,9 @@ class Reading:
         mover, _ = self.who(said)
         side = self.crash.sides["ego's moment" if mover is self.ego else "npc's moment"]
         lane = re.search(r"into lane (\d)", said)
+        before = range(max(self.tick - round(0.5 * self.crash.hz), 0), self.tick)
+        in_lane = [tick for tick in before if mover.lane[tick] == mover.lane[self.tick]]
+        assert ("moved on" in said) == any(mover.is_over_its_line(tick, side) for tick in in_lane)
         assert lane is None or int(lane[1]) == mover.lane[self.tick] + side
         return self.placed(said, self.tick)
 
@@ -119,32 +122,26 @@ class Reading:
         assert not crossing.blind
         return one.last_chance()
 
-    def answered(self, said):
-        """Return when braking was due, before the impact, and what the vehicle has done since."""
-        crash, (vehicle, _) = self.crash, self.who(said)
-        since = self.since_when(vehicle)
-        ticks = range(since + 1, crash.impact + 1)
-        braked = [tick - 1 for tick in ticks if vehicle.deceleration(tick) >= 0.5]
-        driven = vehicle.body_speed if self.crossing and self.crossing.decides == "priority" else vehicle.speed
-        hardest, speeds = max(map(vehicle.deceleration, ticks)), driven[since : crash.impact + 1]
-        lowest = max(tick for tick in range(len(speeds)) if speeds[tick] == min(speeds[: tick + 1]))
-        highest = max(speeds[lowest:])
-        sped_up = speeds[-1] > speeds[lowest] + 0.3 and speeds[-1] >= highest - 0.3
-        assert ("sped up" in said) == sped_up
-        assert ("up to" in said.replace("sped up to", "")) == bool(braked and not sped_up)
-        due = [since + round(delay * crash.hz) for delay in (1.0, 1.4)]
-        if "should have" in said:
-            told = next((tick for tick in due if f"should have braked from {self.time(tick):.1f} s" in said), math.inf)
-            assert told < crash.impact
-            if sped_up:
-                return [self.time(told), highest, self.time(since + lowest)]
-            assert not braked or ("too late" in said) == (braked[0] > told)
-            assert "too briefly" not in said or hardest >= 6.0
-            return [self.time(told), *([hardest, self.time(braked[0])] if braked else [])]
-        assert due[1] >= crash.impact
-        if sped_up:
-            return [highest, self.time(since + lowest)]
-        return [hardest, self.time(braked[0])] if braked else [self.time(since)]
+    def is_due(self, story):
+        """Return whether braking was due when the story says so: when the response begins to brake, or before.
+
+        It is before if the vehicle sped up meanwhile, so that braking at once avoids the collision only until then.
+        """
+        vehicle, other = (self.npc, self.ego) if story.vehicle else (self.ego, self.npc)
+        since, told = self.since_when(vehicle) + self.since, story.ticks(story.due["time"])
+        by_rule = [since + round(delay * story.hz) - 1 for delay in (1.0, 1.4)]
+        if by_rule[0] in told or by_rule[1] in told:
+            return True
+        if self.crossing is not None and self.crossing.decides == "priority":
+            one = self.crossing.npc if story.vehicle else self.crossing.ego
+            return since <= told[-1] <= by_rule[0] and told[0] < one.enters
+
+        def avoids(tick):
+            drive = Response(self.crash, vehicle, other, tick - self.since, delay=0.0, perceived=0.0)
+            return drive.is_free(lambda tick: 6.0, brakes_on=True)
+
+        too_late = told[-1] + 2
+        return since <= told[-1] <= by_rule[1] and avoids(told[0]) and not avoids(too_late)
 
     def hard_braking(self, said):
         braker, _ = self.who(said)
@@ -166,7 +163,8 @@ class Reading:
 
 SENTENCES = {
     rf"{WHO} was only {NUMBER} m behind {WHO} at {NUMBER} s(?: \(safe: {NUMBER} m\))?\. {PACE}\.": Reading.too_close,
-    rf"{WHO} crossed (?:into lane \d|a lane line) at {NUMBER} s, {PLACE}\.": Reading.crossed,
+    rf"{WHO} (?:crossed (?:into lane \d|a lane line)|moved on (?:into lane \d|over a lane line)) "
+    rf"at {NUMBER} s, {PLACE}\.": Reading.crossed,
     rf"The ego moved in at {NUMBER} s, {PLACE}\.": Reading.came_in,
     rf"The ego \(at {NUMBER} s\) and NPC # \(at {NUMBER} s\) moved towards each other and crossed their lane lines\.": (
         Reading.both_crossed
@@ -198,26 +196,24 @@ SENTENCES = {
     rf"{WHO} should have kept braking but released the brakes at {NUMBER} s\.": lambda reading, said: [
         reading.time(reading.crash.ticks["brakes let go"])
     ],
-    rf"{WHO} should have braked from {NUMBER} s(?: but did not|\. It braked too (?:little|briefly|late): "
-    rf"up to {NUMBER} m/s\^2 from {NUMBER} s on|\. Instead it sped up to {NUMBER} m/s from {NUMBER} s on)\.": (
-        Reading.answered
-    ),
-    rf"{WHO} (?:did not brake|braked at up to {NUMBER} m/s\^2|sped up to {NUMBER} m/s) from {NUMBER} s on\.": (
-        Reading.answered
-    ),
 }
 """The patterns and their functions; ``#`` is the NPC that was touched."""
 
 
 def numbers(trace, attribution):
-    """Return the numbers of the sentences as they are printed, and their true values.
+    """Return the numbers of the sentences as they are printed, and their true values and the claims that are wrong.
 
     Raises:
         ValueError: No pattern matches a sentence.
     """
     reading = Reading(trace, attribution.tick)
     said, true = [], []
-    for sentence in attribution.sentences:
+    story = story_of(trace, attribution.sentences)
+    if story is not None:
+        true += story.wrong(entry_of(trace, attribution.sentences, story.vehicle))
+        is_told = story.duty in ("braked", "braked harder", "kept braking")
+        true += [] if not is_told or reading.is_due(story) else ["due by the rules"]
+    for sentence in attribution.sentences[: None if story is None else 1]:
         found, compute = known(sentence, trace.collision.npc)
         printed = [number for number in found.groups() if number is not None]
         values = compute(reading, sentence)

@@ -1,0 +1,233 @@
+"""An oracle for the sentences on what a vehicle should have done and did: each claim against the trace alone.
+
+It reads the printed text, not the facts behind it, and knows nothing of the rules. A time that is printed with one
+decimal may mean any tick that rounds to it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+
+import numpy as np
+
+from pytest_pafot.model.trace import HEADING, SPEED, X, Y
+from tests.helpers.polygons import corners, polygon_distance
+
+WHO = r"(?P<who>[Tt]he ego|NPC \d+)"
+TIME, FIGURE = r"(?P<time>\d+\.\d) s", r"(?P<figure>\d+\.\d) m/s"
+DUTIES = {
+    "braked": rf"{WHO} should have braked from {TIME}",
+    "braked harder": rf"{WHO} should have braked harder from {TIME}",
+    "kept braking": rf"{WHO} should have kept braking hard from {TIME} on",
+    "waited": rf"{WHO} should have waited but set off at {TIME}",
+    "not sped up": rf"{WHO} should not have sped up from {TIME} on, to {FIGURE}",
+    "not sped up further": rf"{WHO} should not have sped up further after {TIME}, to {FIGURE}",
+}
+DEEDS = {
+    "braked": rf"braked (?P<again>again )?with up to {FIGURE}\^2 (?P<only>only )?from {TIME} on",
+    "increasingly": rf"braked more and more, with up to {FIGURE}\^2, (?P<only>only )?from {TIME} on",
+    "repeatedly": rf"braked again and again, with up to {FIGURE}\^2, (?P<only>only )?from {TIME} on",
+    "harder": rf"braked harder, with up to {FIGURE}\^2, (?P<only>only )?from {TIME} on",
+    "eased": rf"eased off to at most {FIGURE}\^2 at {TIME}",
+    "released": rf"released the brakes at {TIME}",
+    "stood": rf"stood from {TIME} on",
+    "sped up": rf"(?<!not have )sped up from {TIME} on, to {FIGURE}",
+    "rose repeatedly": rf"sped up again and again from {TIME} on, to {FIGURE}",
+    "further": rf"(?<!not have )sped up further, to {FIGURE}",
+    "set off": rf"set off at {TIME} and sped up to {FIGURE}",
+    "nothing": rf"did not brake from {TIME} on",
+}
+BRAKED = ("braked", "increasingly", "repeatedly", "harder", "eased")
+ROSE = ("sped up", "rose repeatedly", "further", "set off")
+PAUSE, SMALL, CLEAR = 0.4, 0.31, 1.0
+"""The pause between two brakings [s], and the changes of speed that need not be told and that must be told [m/s]."""
+
+
+class Story:
+    """The claims of the sentences about one vehicle, and the vehicle's motion."""
+
+    def __init__(self, trace, told):
+        self.trace, self.text, self.hz = trace, told, trace.physics_hz
+        who = re.match(WHO, told)["who"]
+        self.vehicle = 0 if who.lower() == "the ego" else int(who[4:]) + 1
+        self.other = 0 if self.vehicle else trace.collision.npc + 1
+        self.speed, self.end = trace.states[:, self.vehicle, SPEED], trace.ticks
+        self.slowed = -np.diff(self.speed) * self.hz
+        self.duty, self.due = None, None
+        for name, pattern in DUTIES.items():
+            found = re.match(pattern, told)
+            if found:
+                self.duty, self.due = name, found
+        found = [(each.start(), name, each) for name, pattern in DEEDS.items() for each in re.finditer(pattern, told)]
+        self.deeds = [(name, each) for _, name, each in sorted(found, key=lambda each: each[0])]
+
+    def ticks(self, printed):
+        """Return the ticks that a printed time may mean."""
+        near = round(float(printed) * self.hz)
+        return [
+            at for at in range(max(near - 2, 0), self.end + 1) if f"{at / self.hz:.1f}" == printed and at < near + 3
+        ]
+
+    def begins(self, index):
+        """Return the ticks at which a deed may begin."""
+        name, found = self.deeds[index]
+        if name != "further":
+            return self.ticks(found["time"])
+        if index or self.duty is None:
+            return [self.end]
+        due = self.ticks(self.due["time"])[0]
+        return range(max(due - round(1.6 * self.hz), 0), due + 1)
+
+    def parts(self, index):
+        """Return the pairs of ticks between which a deed may have been."""
+        after = [each for each in range(index + 1, len(self.deeds)) if self.deeds[each][0] != "further"]
+        return itertools.product(self.begins(index), self.begins(after[0]) if after else [self.end])
+
+    def brakings(self, first, last):
+        """Return the brakings between two ticks as first tick, last tick and loss of speed."""
+        found = []
+        for at in range(max(first, 0), last):
+            if self.slowed[at] >= 0.5:
+                if found and at - found[-1][1] < PAUSE * self.hz and self.speed[at] < self.speed[found[-1][1]] + CLEAR:
+                    found[-1][1] = at + 1
+                else:
+                    found.append([at, at + 1])
+        return [(a, b, float(self.speed[a] - self.speed[b])) for a, b in found]
+
+    def wrong(self, entry=None):
+        """Return the claims that the trace contradicts, by name; ``entry`` is the tick of the deed at a zone."""
+        wrong = {name for name, holds in self.claims(entry) if not holds}
+        return sorted(wrong)
+
+    def claims(self, entry):
+        times = [float(found["time"]) for name, found in self.deeds if name != "further"]
+        yield "order", times == sorted(times)
+        if self.duty in ("braked", "braked harder", "kept braking"):
+            due = self.ticks(self.due["time"])
+            yield "due before the deed", entry is None or due[0] <= entry
+            yield "due in time", any(self.is_free(at) for at in range(max(due[0] - 2, 0), due[-1] + 1))
+            if self.duty == "braked harder":
+                yield "could brake harder", any(self.slowed[at] < 6.0 for at in due)
+            is_braking = any(self.slowed[at] >= 0.5 for at in due if at < self.end)
+            yield "braking when it was due", is_braking == (self.duty != "braked") or len(self.deeds) > 1
+            yield "braking hard when due", self.duty != "kept braking" or any(self.slowed[at] >= 5.99 for at in due)
+        elif self.duty:
+            ticks = self.ticks(self.due["time"])
+            yield "set off", self.duty != "waited" or any(self.speed[at] <= 0.3 for at in ticks)
+            yield "rises", any(self.speed[at:].max() > self.speed[at] + 0.2 for at in ticks)
+            if "figure" in self.due.groupdict():
+                after = self.begins(0) if self.deeds else [self.end]
+                tops = {f"{self.speed[a : b + 1].max():.1f}" for a in ticks for b in after if a <= b}
+                yield "to", self.due["figure"] in tops
+        for index, (name, found) in enumerate(self.deeds):
+            yield from self.of_deed(index, name, found)
+        if self.duty is None or self.due.groupdict().get("time"):
+            yield from self.unsaid()
+
+    def of_deed(self, index, name, found):
+        parts = [(a, b) for a, b in self.parts(index) if a <= b]
+        yield "order", bool(parts)
+        before = round(PAUSE * self.hz)
+        if name in BRAKED:
+            peaks = {f"{self.slowed[a:b].max(initial=0.0):.1f}" for a, b in parts}
+            yield "braked up to", found["figure"] in peaks
+        if name == "braked":
+            half = float(found["figure"]) / 2
+            starts = {a for a, _ in parts}
+            quiet = [a for a in starts if all(lost < SMALL for *_, lost in self.brakings(a - before + 1, a))]
+            yield "braked from", any((self.slowed[a : a + 2] >= 0.5).any() for a in quiet)
+            yield (
+                "hard from",
+                half < 1.5 or any((self.slowed[a : a + self.hz // 2 + 1] >= half - 0.1).any() for a in starts),
+            )
+            if found["only"] and self.duty == "braked":
+                due = self.ticks(self.due["time"])[-1]
+                yield "only from", all(lost < SMALL for *_, lost in self.brakings(due, max(min(starts) - before, due)))
+        if name == "nothing":
+            yield "did not brake", all(lost < SMALL for *_, lost in self.brakings(parts[0][0], self.end))
+        if name == "released":
+            yield "released", all(lost < SMALL for *_, lost in self.brakings(parts[-1][0] + 1, self.end))
+        if name == "stood":
+            yield "stood", any((self.speed[a:] <= 0.2).all() for a, _ in parts)
+        if name in ROSE:
+            yield "to", found["figure"] in {f"{self.speed[a : b + 1].max():.1f}" for a, b in parts}
+        if name in ("sped up", "set off"):
+            yield (
+                "sped up from",
+                any(
+                    self.speed[a] - self.speed[max(a - before, 0) : a + 1].min() <= 0.21
+                    and self.speed[a : b + 1].max() > self.speed[a] + 0.15
+                    and self.speed[a : a + self.hz + 1].max() > self.speed[a] + 0.05
+                    for a, b in parts
+                ),
+            )
+        if name == "set off":
+            yield "set off", any(self.speed[a] <= 0.3 for a, _ in parts)
+
+    def unsaid(self):
+        """Check that each clear braking or gain in speed from the time on that is due is in a phase that is told."""
+        first = self.ticks(self.due["time"])[0] if self.duty else self.begins(0)[0]
+        told = {"braked": [], "rose": []}
+        if self.duty in ("waited", "not sped up", "not sped up further"):
+            told["rose"].append((first, self.begins(0)[-1] if self.deeds else self.end))
+        for index, (name, _) in enumerate(self.deeds):
+            for kind, names in (("braked", (*BRAKED, "rose repeatedly")), ("rose", (*ROSE, "repeatedly"))):
+                told[kind] += list(self.parts(index)) if name in names else []
+        for a, b, lost in self.brakings(first, self.end):
+            if lost >= CLEAR:
+                yield "braking is told", any(a < d + 1 and c - 1 < b for c, d in told["braked"])
+        speed = self.speed[first:]
+        gain = speed - np.minimum.accumulate(speed)
+        top = int(gain.argmax())
+        if gain[top] >= CLEAR:
+            yield "speeding up is told", any(first + top >= c for c, _ in told["rose"])
+
+    def is_free(self, tick):
+        """Return whether it touches the other nowhere if it brakes with 6 m/s^2 on its path from a tick on.
+
+        Until the impact the other moves as recorded, then straight on with its last speed.
+        """
+        own, other = self.trace.states[:, self.vehicle], self.trace.states[:, self.other]
+        driven = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(own[:, [X, Y]], axis=0).T))))
+        place, speed, at = float(driven[tick]), float(own[tick, SPEED]), tick
+        while speed > 0.0 or at < self.end:
+            at += 1
+            place, speed = place + speed / self.hz, max(speed - 6.0 / self.hz, 0.0)
+            mine = [float(np.interp(place, driven, own[:, column])) for column in (X, Y)]
+            heading = float(np.interp(place, driven, np.unwrap(own[:, HEADING])))
+            beyond = max(place - float(driven[-1]), 0.0)
+            mine = [mine[0] + beyond * math.cos(heading), mine[1] + beyond * math.sin(heading), heading]
+            late = max(at - self.end, 0) / self.hz
+            theirs = other[min(at, self.end)]
+            x = theirs[X] + late * theirs[SPEED] * math.cos(theirs[HEADING])
+            y = theirs[Y] + late * theirs[SPEED] * math.sin(theirs[HEADING])
+            if math.hypot(x - mine[0], y - mine[1]) > 12.0:
+                continue
+            boxes = (mine, self.trace.sizes[self.vehicle]), ((x, y, theirs[HEADING]), self.trace.sizes[self.other])
+            rows = [corners({X: pose[0], Y: pose[1], HEADING: pose[2]}, *map(float, size)) for pose, size in boxes]
+            if polygon_distance(*rows) == 0.0:
+                return False
+        return True
+
+
+def story_of(trace, sentences):
+    """Return the story in the sentences of a verdict, or None if they tell none."""
+    told = " ".join(sentences[1:])
+    is_one = re.search("should (have braked|have kept braking hard|have waited|not have sped)", told) or any(
+        re.match(rf"{WHO} {pattern}", told) for name, pattern in DEEDS.items() if name != "set off"
+    )
+    return Story(trace, told) if is_one and "towards" not in told else None
+
+
+def entry_of(trace, sentences, vehicle):
+    """Return the tick at which a vehicle entered the zone, if the first sentence says so; else None."""
+    entered = re.match(rf"{WHO} entered the .*? at {TIME}, (?:(\d+\.\d) s (before|after)|together)", sentences[0])
+    if entered is None:
+        return None
+    first = 0 if entered["who"].lower() == "the ego" else int(entered["who"][4:]) + 1
+    time = float(entered["time"])
+    if first != vehicle and entered[3]:
+        time += float(entered[3]) * (1 if entered[4] == "before" else -1)
+    return round(time * trace.physics_hz)
