@@ -12,8 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_pafot.attribution.avoidance import HARDEST
-from pytest_pafot.attribution.responses import DISTANCES, FOLLOWING, GIVING_WAY, HEADWAY, answer, room_to_leave
+from pytest_pafot.attribution.avoidance import HARDEST, Braking
+from pytest_pafot.attribution.responses import (
+    ALREADY_BRAKING,
+    DISTANCES,
+    FOLLOWING,
+    GIVING_WAY,
+    HEADWAY,
+    VISIBLY,
+    answer,
+    room_to_leave,
+)
 from pytest_pafot.attribution.sentences import Fact, Reason, What
 from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
 from pytest_pafot.model.crossings import Zone
@@ -22,9 +31,6 @@ from pytest_pafot.model.trace import ALONG, HEADING, SPEED, Trace, X, Y
 SPARE = 1.0
 """The distance outside its stretch of a zone at which a vehicle still counts as in the zone [m]. The stretches assume
 vehicles in the middle of their ways, and a vehicle may have moved back a little."""
-STOPS = 1.3
-"""The deceleration from which on others may assume that a vehicle stops [m/s^2]. A smaller deceleration does not
-require a brake light (UN R13-H, 5.2.22.4), and the vehicle only arrives later."""
 LOOK = 0.6
 """The time, up to its last chance to stop, in which a vehicle that has to give way observes the other vehicle [s]. One
 tick would be too short."""
@@ -98,9 +104,15 @@ class Passing:
         None if there is no such tick.
         """
         for tick in range(before - 1, -1, -1):
-            if place - self.places[tick] >= stopping(float(self.speeds[tick]), HARDEST):
+            delay = self.response(tick).delay
+            if place - self.places[tick] >= stopping(float(self.speeds[tick]), HARDEST, delay):
                 return tick
         return None
+
+    def response(self, tick: int) -> Braking:
+        """Return the proper response from a tick on; a vehicle that already brakes needs only the time to perceive."""
+        brakes = tick > 0 and (self.speeds[tick - 1] - self.speeds[tick]) * self.hz >= VISIBLY
+        return ALREADY_BRAKING if brakes else FOLLOWING
 
     def look(self, last: int) -> range:
         """Return the ticks up to the tick ``last`` in which the vehicle had to observe the other vehicle."""
@@ -124,7 +136,7 @@ class Passing:
         if speed <= 0:
             return float(self.places[tick]), 0.0
         slowing = (float(self.speeds[tick - 1]) - speed) * self.hz if tick else 0.0
-        if slowing < STOPS:
+        if slowing < VISIBLY:
             return float(self.places[tick]) + speed * seconds, speed
         seconds = min(seconds, speed / slowing)
         return float(self.places[tick]) + speed * seconds - slowing * seconds**2 / 2, speed - slowing * seconds
@@ -134,9 +146,12 @@ class Passing:
         return float(self.speeds[tick : tick + round(HEADWAY * self.hz) + 1].min())
 
 
-def stopping(speed: float, deceleration: float) -> float:
-    """Return the distance that a vehicle needs to respond and stop [m], at a speed [m/s] and a deceleration [m/s^2]."""
-    return speed * FOLLOWING.delay + speed**2 / (2 * deceleration)
+def stopping(speed: float, deceleration: float, delay: float = FOLLOWING.delay) -> float:
+    """Return the distance that a vehicle needs to respond and stop [m].
+
+    ``speed`` is in m/s, ``deceleration`` in m/s^2, and ``delay`` in seconds.
+    """
+    return speed * delay + speed**2 / (2 * deceleration)
 
 
 class ZoneConflict:
@@ -168,6 +183,7 @@ class ZoneConflict:
             return None
         first, owing = (without or taken)[0], (taken or without)[0]
         since = seen[owing][-1] if taken else owing.last_chance()
+        response = FOLLOWING if taken and self._zone.kind == "merging" else owing.response(since)
         other = self.npc if first is self.ego else self.ego
         at = first.entered() / first.hz
         entered = Fact(
@@ -177,7 +193,7 @@ class ZoneConflict:
             did_not_give_way=tuple(each.vehicle for each in without),
             entered_taken_zone=tuple(each.vehicle for each in taken),
             tick=first.entered(),
-            facts=(entered, answer(self._trace, owing.vehicle, owing.speeds, since)),
+            facts=(entered, answer(self._trace, owing.vehicle, owing.speeds, since, response)),
         )
 
     def _did_not_give_way(self, own: Passing, other: Passing) -> bool:

@@ -24,6 +24,9 @@ class What(Enum):
     CAME_TOO_CLOSE = "{who} was only {place}."
     STOOD = "{who} was standing when {whom} touched it at {at}."
     BRAKED_FOR_NOTHING = "{who} braked at up to {it.braking_m_per_s2:.1f} m/s^2 from {at} on, with nothing in its way."
+    BRAKED_ON = (
+        "{who} kept braking at up to {it.braking_m_per_s2:.1f} m/s^2 from {at} on, with nothing in its way any more."
+    )
     STOPPED_FOR_NOTHING = (
         "{who} began to stop at {at} with nothing in its way. It stood for {it.lasting_s:.1f} s before the impact."
     )
@@ -36,6 +39,7 @@ class What(Enum):
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
     SPED_UP_INTO = "{who} sped up to {it.speed_m_per_s:.1f} m/s from {at} on, towards {whom}."
     LET_BRAKES_GO = "{who} should have kept braking but released the brakes at {at}."
+    BRAKED_LESS = "{who} already braked and should have kept braking, but braked less from {at} on."
     DID_NOT_BRAKE = "{who} should have braked from {due} but did not."
     BRAKED = "{who} should have braked from {due}. It braked {how}: {braked} from {at} on."
     SPED_UP = "{who} should have braked from {due}. Instead it sped up to {it.speed_m_per_s:.1f} m/s from {at} on."

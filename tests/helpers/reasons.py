@@ -132,7 +132,7 @@ class Reading:
         sped_up = speeds[-1] > speeds[lowest] + 0.3 and speeds[-1] >= highest - 0.3
         assert ("sped up" in said) == sped_up
         assert ("up to" in said.replace("sped up to", "")) == bool(braked and not sped_up)
-        due = [since + round(delay * crash.hz) for delay in (1.0, 1.4)]
+        due = [since + round(delay * crash.hz) for delay in (0.4, 1.0, 1.4)]
         if "should have" in said:
             told = next((tick for tick in due if f"should have braked from {self.time(tick):.1f} s" in said), math.inf)
             assert told < crash.impact
@@ -141,7 +141,7 @@ class Reading:
             assert not braked or ("too late" in said) == (braked[0] > told)
             assert "too briefly" not in said or hardest >= 6.0
             return [self.time(told), *([hardest, self.time(braked[0])] if braked else [])]
-        assert due[1] >= crash.impact
+        assert due[-1] >= crash.impact
         if sped_up:
             return [highest, self.time(since + lowest)]
         return [hardest, self.time(braked[0])] if braked else [self.time(since)]
@@ -153,8 +153,12 @@ class Reading:
 
     def sped_up_towards(self, said):
         """Return the speed that it sped up to, and since when."""
-        first, mover = self.crash.sped_up, self.ego if said.startswith("The ego") else self.npc
-        return [max(mover.speed[first : self.crash.impact + 1]), self.time(first)]
+        return [self.crash.sped_up_to, self.time(self.crash.sped_up)]
+
+    def braked_on(self, said):
+        """Return how hard the ego braked at most when the reason was gone, and since when."""
+        ticks = range(self.tick, self.crash.rests[self.tick] + 1)
+        return [max(map(self.ego.deceleration, ticks)), self.time(self.tick)]
 
     def stood(self, said):
         return [self.time(self.tick), (self.crash.impact - self.crash.ticks["stood"]) / self.crash.hz]
@@ -177,6 +181,12 @@ SENTENCES = {
     ],
     rf"The ego was standing when NPC # touched it at {NUMBER} s\.": Reading.ended,
     rf"{WHO} braked at up to {NUMBER} m/s\^2 from {NUMBER} s on, with nothing in its way\.": Reading.hard_braking,
+    rf"The ego kept braking at up to {NUMBER} m/s\^2 from {NUMBER} s on, with nothing in its way any more\.": (
+        Reading.braked_on
+    ),
+    rf"The ego already braked and should have kept braking, but braked less from {NUMBER} s on\.": (
+        lambda reading, said: [reading.time(reading.crash.ticks["brakes less"])]
+    ),
     rf"The ego began to stop at {NUMBER} s with nothing in its way\. It stood for {NUMBER} s before the impact\.": (
         Reading.stood
     ),
