@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,6 +55,13 @@ class Blame:
     facts: Reason
 
 
+class Chance(NamedTuple):
+    """A tick at which a vehicle could still stop, and the response with which it could."""
+
+    tick: int
+    response: Braking
+
+
 class Passing:
     """A vehicle that approaches a zone along its way.
 
@@ -91,28 +99,26 @@ class Passing:
             raise ValueError("expected a vehicle that has entered the zone, received one that has not")
         return self.entry
 
-    def last_chance(self) -> int:
-        """Return the last tick at which the proper response would have stopped the vehicle before the zone.
+    def chances(self) -> list[Chance]:
+        """Return the last chances to stop before the zone; a vehicle that was too fast had its chance at tick 0."""
+        found = self.stops(self.entered(), self.begins)
+        return found if found and found[0].response is FOLLOWING else [Chance(0, FOLLOWING), *found]
 
-        If the vehicle was too fast at every tick, it is the first tick.
+    def stops(self, before: int, place: float) -> list[Chance]:
+        """Return the last chances, before the tick ``before``, to stop before a place [m].
+
+        The first one is the last tick at which the proper response stops the vehicle. If the vehicle visibly brakes at
+        a later tick, it has a second one, because it then needs only the time to perceive.
         """
-        return self.last_stop(self.entered(), self.begins) or 0
-
-    def last_stop(self, before: int, place: float) -> int | None:
-        """Return the last tick before ``before`` at which the proper response stops the vehicle before a place [m].
-
-        None if there is no such tick.
-        """
+        found: list[Chance] = []
         for tick in range(before - 1, -1, -1):
-            delay = self.response(tick).delay
-            if place - self.places[tick] >= stopping(float(self.speeds[tick]), HARDEST, delay):
-                return tick
-        return None
-
-    def response(self, tick: int) -> Braking:
-        """Return the proper response from a tick on; a vehicle that already brakes needs only the time to perceive."""
-        brakes = tick > 0 and (self.speeds[tick - 1] - self.speeds[tick]) * self.hz >= VISIBLY
-        return ALREADY_BRAKING if brakes else FOLLOWING
+            left, speed = place - self.places[tick], float(self.speeds[tick])
+            if left >= stopping(speed, HARDEST):
+                return [Chance(tick, FOLLOWING), *found]
+            brakes = tick > 0 and (self.speeds[tick - 1] - speed) * self.hz >= VISIBLY
+            if not found and brakes and left >= stopping(speed, HARDEST, ALREADY_BRAKING.delay):
+                found.append(Chance(tick, ALREADY_BRAKING))
+        return found
 
     def look(self, last: int) -> range:
         """Return the ticks up to the tick ``last`` in which the vehicle had to observe the other vehicle."""
@@ -176,14 +182,21 @@ class ZoneConflict:
         """The vehicles that broke a rule of right of way; None if neither did."""
         pairs = ((self.ego, self.npc), (self.npc, self.ego))
         holder = {"ego": self.ego, "npc": self.npc}.get(self._zone.priority)
-        without = tuple(own for own, other in pairs if own is not holder and self._did_not_give_way(own, other))
-        seen = {own: self._seen_taken(own, other) for own, other in pairs if own not in without}
-        taken = tuple(own for own, ticks in seen.items() if ticks)
+        missed = {
+            own: chance
+            for own, other in pairs
+            if own is not holder and (chance := self._did_not_give_way(own, other)) is not None
+        }
+        seen = {
+            own: chance
+            for own, other in pairs
+            if own not in missed and (chance := self._seen_taken(own, other)) is not None
+        }
+        without, taken = tuple(missed), tuple(seen)
         if not without and not taken:
             return None
         first, owing = (without or taken)[0], (taken or without)[0]
-        since = seen[owing][-1] if taken else owing.last_chance()
-        response = FOLLOWING if taken and self._zone.kind == "merging" else owing.response(since)
+        chance = {**missed, **seen}[owing]
         other = self.npc if first is self.ego else self.ego
         at = first.entered() / first.hz
         entered = Fact(
@@ -193,26 +206,27 @@ class ZoneConflict:
             did_not_give_way=tuple(each.vehicle for each in without),
             entered_taken_zone=tuple(each.vehicle for each in taken),
             tick=first.entered(),
-            facts=(entered, answer(self._trace, owing.vehicle, owing.speeds, since, response)),
+            facts=(entered, answer(self._trace, owing.vehicle, owing.speeds, chance.tick, chance.response)),
         )
 
-    def _did_not_give_way(self, own: Passing, other: Passing) -> bool:
-        """Return whether a vehicle did not give way to another that it could foresee in the zone at the same time.
+    def _did_not_give_way(self, own: Passing, other: Passing) -> Chance | None:
+        """Return the chance at which a vehicle could foresee another in the zone at the same time; None without one.
 
         The other vehicle must have been too near to stop without abrupt braking.
         """
         enters, leaves = own.entered() / own.hz, own.leaves()
-        for tick in own.look(own.last_chance()):
-            place, speed = other.foreseen(tick, enters)
-            if other.foreseen(tick, leaves)[0] < other.begins:
-                continue
-            if self._zone.kind == "merging":
-                is_near = self._is_near_in_lane(own, other, place, speed)
-            else:
-                is_near = other.begins - place < stopping(speed, GIVING_WAY.deceleration) and place < other.ends
-            if is_near:
-                return True
-        return False
+        for chance in own.chances():
+            for tick in own.look(chance.tick):
+                place, speed = other.foreseen(tick, enters)
+                if other.foreseen(tick, leaves)[0] < other.begins:
+                    continue
+                if self._zone.kind == "merging":
+                    is_near = self._is_near_in_lane(own, other, place, speed)
+                else:
+                    is_near = other.begins - place < stopping(speed, GIVING_WAY.deceleration) and place < other.ends
+                if is_near:
+                    return chance
+        return None
 
     def _is_near_in_lane(self, own: Passing, other: Passing, place: float, speed: float) -> bool:
         """Return whether a merging vehicle leaves too small a gap to the foreseen place [m] of the other vehicle."""
@@ -223,17 +237,17 @@ class ZoneConflict:
             return gap < room_to_leave(speed, own.slowest(enters))
         return gap < float(DISTANCES.safe_along(own.speeds[enters], np.asarray(speed), FOLLOWING.delay))
 
-    def _seen_taken(self, own: Passing, other: Passing) -> list[int]:
-        """Return the ticks at which a vehicle saw that the other vehicle would stay in the zone, and could respond."""
+    def _seen_taken(self, own: Passing, other: Passing) -> Chance | None:
+        """Return the last tick at which a vehicle saw that the other would stay in the zone, and could respond."""
         if self._zone.kind == "merging":
             return self._could_slow_down(own, other)
         touched = self._reaches(own, other)
-        last = own.last_stop(touched, float(own.places[touched]))
-        if last is None:
-            return []
         enters, since = own.entered() / own.hz, other.entered()
-        ticks = (tick for tick in own.look(last) if tick >= since)
-        return [tick for tick in ticks if other.foreseen(tick, max(enters, tick / own.hz))[0] < other.ends]
+        for chance in own.stops(touched, float(own.places[touched])):
+            for tick in reversed(own.look(chance.tick)):
+                if tick >= since and other.foreseen(tick, max(enters, tick / own.hz))[0] < other.ends:
+                    return Chance(tick, chance.response)
+        return None
 
     def _reaches(self, own: Passing, other: Passing) -> int:
         """Return the tick from which on a vehicle's box touches the place where the other vehicle is hit."""
@@ -246,14 +260,12 @@ class ZoneConflict:
         return int(free[-1]) + 1 if free.size else 0
 
     @staticmethod
-    def _could_slow_down(own: Passing, other: Passing) -> list[int]:
-        """Return the ticks at which ``other`` had merged ahead, and ``own`` could still slow down to its speed."""
-        ticks = range(other.entered(), own.entered())
-        leads = {tick: float(own.ends - own.places[tick] - (other.ends - other.places[tick])) for tick in ticks}
+    def _could_slow_down(own: Passing, other: Passing) -> Chance | None:
+        """Return the last tick at which ``other`` had merged ahead, and ``own`` could still slow down to its speed."""
         apart = own.half_length + other.half_length
-        return [
-            tick
-            for tick, lead in leads.items()
-            if lead > 0
-            and lead - apart >= stopping(max(float(own.speeds[tick] - other.speeds[tick:].min()), 0.0), HARDEST)
-        ]
+        for tick in range(own.entered() - 1, other.entered() - 1, -1):
+            lead = float(own.ends - own.places[tick] - (other.ends - other.places[tick]))
+            faster = max(float(own.speeds[tick] - other.speeds[tick:].min()), 0.0)
+            if lead > 0 and lead - apart >= stopping(faster, HARDEST):
+                return Chance(tick, FOLLOWING)
+        return None

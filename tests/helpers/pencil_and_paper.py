@@ -1011,17 +1011,19 @@ class Comer:
         found = self.last_to_stop_before(self.first, self.enters)
         return 0 if found is None else found
 
-    def last_to_stop_before(self, place, end):
+    def braking_chance(self):
+        """Return the last tick at which it brakes already and can still stop before its stretch, or None."""
+        return self.last_to_stop_before(self.first, self.enters, is_braking=True)
+
+    def last_to_stop_before(self, place, end, *, is_braking=False):
         """Return the last tick before ``end`` at which it can still stop before a place, or None."""
         for tick in range(end)[::-1]:
             v = self.speed[tick]
-            if v * self.delay(tick) + v**2 / 12 <= place - self.place[tick]:
+            can = v * (0.4 if is_braking else 1.0) + v**2 / 12 <= place - self.place[tick]
+            brakes = tick > 0 and (self.speed[tick - 1] - v) * self.hz >= 1.3
+            if can and (brakes or not is_braking):
                 return tick
         return None
-
-    def delay(self, tick):
-        """Return the time until it brakes: less if it brakes already [s]."""
-        return 0.4 if tick > 0 and (self.speed[tick - 1] - self.speed[tick]) * self.hz >= 1.3 else 1.0
 
     def look(self, chance):
         return [tick for tick in range(chance + 1) if chance - tick <= round(0.6 * self.hz)]
@@ -1100,8 +1102,18 @@ class Crossing:
         return self.npc if one is self.ego else self.ego
 
     def gives_no_way(self, one):
+        return self.chance_not_taken(one) is not None
+
+    def chance_not_taken(self, one):
+        """Return the last chance at which it foresaw the other and did not give way, or None."""
+        chances, braking = [one.last_chance()], one.braking_chance()
+        if braking is not None and braking > chances[0]:
+            chances.append(braking)
+        return next((chance for chance in chances if self.foresaw_the_other(one, chance)), None)
+
+    def foresaw_the_other(self, one, chance):
         other, at = self.other(one), one.enters / one.hz
-        for tick in one.look(one.last_chance()):
+        for tick in one.look(chance):
             reaches = other.foreseen(tick, one.leaves())[0] >= other.first
             place, v = other.foreseen(tick, at)
             is_near = self.merges_too_close(one, other, place, v) if self.is_merge else is_abrupt(other, place, v)
@@ -1125,11 +1137,16 @@ class Crossing:
         other, touches = self.other(one), self.impact
         while touches > 0 and polygon_distance(one.boxes[touches - 1], other.boxes[self.impact]) == 0:
             touches -= 1
-        chance = one.last_to_stop_before(one.place[touches], touches)
-        for tick in [] if chance is None else one.look(chance)[::-1]:
-            when = max(one.enters, tick) / one.hz
-            if tick >= other.enters and other.foreseen(tick, when)[0] < other.last:
-                return tick
+        chances = [
+            one.last_to_stop_before(one.place[touches], touches, is_braking=is_braking) for is_braking in (False, True)
+        ]
+        if None not in chances and chances[1] <= chances[0]:
+            chances.pop()
+        for chance in chances:
+            for tick in [] if chance is None else one.look(chance)[::-1]:
+                when = max(one.enters, tick) / one.hz
+                if tick >= other.enters and other.foreseen(tick, when)[0] < other.last:
+                    return tick
         return None
 
     def last_to_slow_down(self, one):

@@ -117,7 +117,7 @@ class Reading:
             return crossing.last_to_slow_down(one) if crossing.is_merge else crossing.last_to_stop_short(one)
         assert one in crossing.rude
         assert not crossing.blind
-        return one.last_chance()
+        return crossing.chance_not_taken(one)
 
     def answered(self, said):
         """Return when braking was due, before the impact, and what the vehicle has done since."""
