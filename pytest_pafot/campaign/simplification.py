@@ -283,6 +283,7 @@ class Simplification:
                 reference_drivers=outcomes,
                 last_chance=harness.last_chance(run, verdict),
                 avoided_by=harness.avoidance(run, verdict),
+                escaped_by=harness.escape(run, verdict),
                 against=before.expect.against,
                 root=str(harness.root),
             ),
