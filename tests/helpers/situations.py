@@ -560,13 +560,13 @@ SITUATIONS = {
         ),
         Situation(
             "recovered-its-speed-behind-a-cut-in",
-            "An NPC that is 4 m/s slower moves in 24 m ahead and speeds up again. The ego brakes, and speeds up behind "
-            "the NPC when it is more than a second away. 5 s later the NPC stops within 7 m.",
+            "An NPC that is 4 m/s slower moves in 21 m ahead. The ego brakes until it is slower, and speeds up to the "
+            "NPC's speed a second behind it. 3 s later the NPC stops within 2 m.",
             lambda: cut_in(
-                24.0,
+                21.0,
                 slower=4.0,
-                brakes=[(4.0, -2.0, 20.0), (12.0, 30.0, 0.0)],
-                ego_brakes=[(3.0, 4.0, 15.0), (5.5, -1.5, 20.0), (13.4, 8.0, 0.0)],
+                brakes=[(9.0, 80.0, 0.0)],
+                ego_brakes=[(3.0, 4.0, 15.5), (5.0, -0.5, 16.0), (10.4, 8.0, 0.0)],
             ),
             "npc", None, "5", "too little time to respond",
         ),
