@@ -141,6 +141,11 @@ FILE_TEXTS: Mapping[str, str] = {
     "simulation: `time` "
     "[s] and `braking` [m/s^2], with which it slows down to a standstill. Absent if no braking does, and if "
     "the `fault` is not an unanswered leader or cut-in, a failure to give way, or the entry into a taken zone.",
+    "expect.escaped_by": "How a reference driver avoids a collision for which the rules left the ego too little "
+    "time, by simulation: the `time` [s] at which the `driver` takes over, its hardest `braking` [m/s^2] until the "
+    "time of the impact, the time `braking_from` which it brakes, the time from which the rules would require "
+    "braking, `due` [s], and the deceleration that they would require unless in an emergency, `required` [m/s^2]. "
+    "Absent for all other verdicts, and if the driver does not avoid the collision.",
     "perception": "How the ADS saw the others, if that was not perfect: the arguments of [`pafot.Perception`](ads.md), "
     "without the perfect ones. Once it is known, also the list `needed` of the imperfections without which "
     "the test does not fail; it is empty if the test also fails with perfect sight. A replay uses the sight "

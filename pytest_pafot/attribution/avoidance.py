@@ -156,28 +156,42 @@ class Pursuit:
         end = len(self.ahead) - 1
         return since < end and bool(self._driven(since, response, emergency)[1][end - since] <= 0)
 
-    def sped_up(self, since: int) -> int | None:
-        """Return the tick at which the responder began to speed up until the end; None if it did not.
+    def gain(self, since: int) -> tuple[int, int] | None:
+        """Return the ticks at which the responder's largest gain in speed began and was complete; None without a gain.
 
-        It is the last tick at which the responder was as slow as it had been so far since the tick ``since``.
+        Only speeds since the tick ``since`` count. The gain began at the last tick at which the responder was as slow
+        as it had been so far.
         """
         recorded = self.speeds[0][since:]
-        if len(recorded) < 2 or recorded[-1] <= recorded.min() + SPED_UP:
+        if len(recorded) < 2:
             return None
-        return since + last_slowest(recorded)
+        gained = recorded - np.minimum.accumulate(recorded)
+        most = int(gained.argmax())
+        return (since + last_slowest(recorded[: most + 1]), since + most) if gained[most] > SPED_UP else None
 
-    def stays_off_unless_faster(self, since: int) -> bool:
-        """Return whether the responder would have avoided a hit if it had not sped up after the tick ``since``.
+    def stays_off_unless_faster(self, since: int, nearer: float = math.inf) -> bool:
+        """Return whether the responder would not have hit the other if it had not sped up after the tick ``since``.
 
-        In that case, the responder's gap must also have sufficed to slow down to the speed of the vehicle ahead.
+        Afterwards, the gap must also have sufficed to slow down to the speed of the other; or the gain in speed must
+        have brought the responder at least ``nearer`` to it [m]. Otherwise, it only made the impact a little earlier.
         """
         end = len(self.ahead) - 1
         recorded = self.speeds[0][since:]
         held = np.minimum.accumulate(recorded)
         lost = np.concatenate(([0.0], np.cumsum(recorded - held)[:-1] / self.hz))
+        if self._touches(slice(since, end + 1), lost):
+            return False
         closing = max(float(held[-1] - self.speeds[1][end]), 0.0)
-        is_hit = self._touches(slice(since, end + 1), lost)
-        return not is_hit and bool(self._gaps[-1] + lost[-1] > closing**2 / (2 * HARDEST))
+        return bool(lost[-1] >= nearer or self._gaps[-1] + lost[-1] > closing**2 / (2 * HARDEST))
+
+    def last_at_ease(self, since: int, headway: float) -> int:
+        """Return the last tick at which the responder was no faster than the other and had a headway [s] to it.
+
+        The tick ``since`` if there is none after it.
+        """
+        own, other = (speeds[since:] for speeds in self.speeds)
+        at_ease = np.flatnonzero((own <= other) & (np.array(self._gaps[since:]) >= headway * own))
+        return since + int(at_ease[-1]) if at_ease.size else since
 
     def _driven(self, since: int, response: Braking, emergency: Emergency | None) -> tuple[FloatArray, FloatArray]:
         """Return the speeds of the reference [m/s], and its distances behind the responder's recorded places [m].

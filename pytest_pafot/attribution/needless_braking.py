@@ -39,6 +39,10 @@ REASON_SECONDS = 1.6
 """The time after a reason to brake in which hard braking may still begin because of it [s]. A careful driver takes
 0.4 s to perceive the reason, 0.75 s until the brakes act, and the rest until they act fully (UN R157, annex 4,
 appendix 3)."""
+RELEASE_SECONDS = 1.0
+"""The time after the last reason to brake in which braking may still go on because of it [s]. A careful driver takes
+0.4 s to perceive that the reason is gone, and brakes are released in the 0.6 s in which they build up (UN R157, annex
+4, appendix 3)."""
 AFTERMATH_SECONDS = 1.0
 """The time after a braking in which it still counts as the cause of a danger behind the vehicle [s]."""
 
@@ -50,10 +54,12 @@ class Stop:
     Attributes:
         begin: the last tick before the braking began to act.
         end: the last tick at which the braking acted.
+        had_reason: whether the vehicle began to brake earlier, for a reason that was gone.
     """
 
     begin: int
     end: int
+    had_reason: bool = False
 
 
 def braking(trace: Trace, vehicle: int = 0) -> FloatArray:

@@ -45,6 +45,13 @@ driver in UN R157."""
 HELD = Braking(delay=0.0, deceleration=HARDEST)
 """The response of a vehicle that is already braking: it continues to brake hard."""
 
+ALREADY_BRAKING = Braking(delay=0.4, deceleration=HARDEST)
+"""The response of a vehicle that already brakes when a danger begins: its foot is on the brake, so it only needs the
+time to perceive the danger (UN R157, annex 4, appendix 3)."""
+VISIBLY = 1.3
+"""The deceleration from which on a vehicle visibly brakes [m/s^2]: its driver has the foot on the brake, and others may
+assume that it stops. A smaller deceleration does not require a brake light (UN R13-H, 5.2.22.4)."""
+
 GIVING_WAY = Braking(delay=0.4, deceleration=3.0)
 """The response that a lane change may require of the vehicle behind in the new lane (UN R79, 5.6.4.7)."""
 HEADWAY = 1.0

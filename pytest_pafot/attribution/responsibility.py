@@ -19,7 +19,9 @@ from pytest_pafot.attribution.needless_braking import (
     AFTERMATH_SECONDS,
     HARD_BRAKING,
     HARD_SECONDS,
+    LEAST_LOST,
     REASON_SECONDS,
+    RELEASE_SECONDS,
     STANDING_SPEED,
     Stop,
     braking,
@@ -29,6 +31,7 @@ from pytest_pafot.attribution.needless_braking import (
     reasons,
 )
 from pytest_pafot.attribution.responses import (
+    ALREADY_BRAKING,
     BRAKES,
     CUT_OFF,
     DISTANCES,
@@ -36,6 +39,7 @@ from pytest_pafot.attribution.responses import (
     FOLLOWING,
     HEADWAY,
     HELD,
+    VISIBLY,
     answer,
     room_to_leave,
 )
@@ -43,7 +47,7 @@ from pytest_pafot.attribution.right_of_way import Blame, ZoneConflict
 from pytest_pafot.attribution.sentences import Fact, Reason, What, sentences
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.trace import ALONG, LANE, Trace
+from pytest_pafot.model.trace import ALONG, LANE, SPEED, Trace
 
 Responsibility = Literal["ego", "npc", "both", "none"]
 """The vehicles that are responsible for a collision. ``none`` without a collision, or if the ways of the vehicles met
@@ -79,6 +83,9 @@ AMPLE = 1.0
 LEAST_ROOM = 2.0
 """The gap from which on a vehicle that changed lanes ahead of another is not responsible if the vehicle behind speeds
 up into it [m]."""
+NEARER = 0.5
+"""The distance by which a gain in speed must have brought the ego nearer to a vehicle that cut in to count as a cause
+of the impact, even if the ego could not have slowed down to that vehicle's speed without the gain [m]."""
 DECIDED = 0.5
 """The time to contact below which an NPC that moves in behind the ego did not cause the danger by its lane change
 [s]."""
@@ -220,6 +227,7 @@ def _later(found: Attribution, ticks: int, trace: Trace) -> Attribution:
         fact._replace(
             time_s=shifted(fact.time_s),
             later_s=shifted(fact.later_s),
+            due_s=None if fact.due_s is None else shifted(fact.due_s),
             unread=None if fact.unread is None else fact.unread.later(trace, ticks),
         )
         for fact in found.facts
@@ -396,7 +404,7 @@ class Conflict:
         seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=self._end - tick <= SOON * self._hz)
         if min(self._gap(tick), self._gap(max(self._onset, tick))) <= 0:
             return self._excused_behind(tick, (crossed,), pursuit, change)
-        late = crossed, self._had_no_time(0, tick)
+        late = crossed, self._had_no_time(0, tick, seen, CUT_OFF)
         at_once = tick + round(AT_ONCE * self._hz) + math.ceil(HARD_SECONDS * self._hz)
         is_close = self._gap(tick) < BLOCKED * self._frame.speed[0, tick]
         if is_close and self._npc_braked_hard(tick, min(at_once, self._end)):
@@ -460,15 +468,21 @@ class Conflict:
         The follower must have been able to avoid the leader without speeding up. An ego may instead have been able to
         avoid the collision by the response that the rules require.
         """
-        seen = tick + round(CUT_OFF.perception * self._hz)
-        since = pursuit.sped_up(seen)
-        if since is None:
+        perceived = tick + round(CUT_OFF.perception * self._hz)
+        if perceived >= self._end:
+            return None
+        since, nearer = perceived, math.inf
+        if behind == 0:
+            since, nearer = pursuit.last_at_ease(perceived, CUT_OFF.headway), NEARER
+        gain = pursuit.gain(since)
+        if gain is None:
             return None
         would_answer = behind == 0 and pursuit.avoided_from(tick, CUT_OFF, EMERGENCY) is not None
-        if not (would_answer or pursuit.stays_off_unless_faster(seen)):
+        if not (would_answer or pursuit.stays_off_unless_faster(since, nearer)):
             return None
-        speed, ahead = float(self._frame.speed[behind, since : self._end + 1].max()), 0 if behind else self._npc + 1
-        return Fact(What.SPED_UP_INTO, behind, self._at(since), other=ahead, speed_m_per_s=speed)
+        (began, until), ahead = gain, 0 if behind else self._npc + 1
+        speed = float(self._frame.speed[behind, until])
+        return Fact(What.SPED_UP_INTO, behind, self._at(began), other=ahead, speed_m_per_s=speed)
 
     def _gives_way(self, change: LaneChange) -> bool:
         """Return whether the ego leaves enough room to the NPC that drives behind it when it changes lanes.
@@ -509,9 +523,27 @@ class Conflict:
             return self._npc_followed(0, self._start, (self._too_close(self._npc + 1, 0),))
         close, pursuit = self._too_close(0, self._npc + 1), self._pursuit(by_ego=True)
         since = pursuit.avoided_from(self._before, FOLLOWING)
+        if since is None and self._steered_behind:
+            since = pursuit.avoided_from(self._tailing_since, FOLLOWING)
         if since is not None:
             return self._unanswered(self._start, close, self._answer(0, since), "leader-unanswered")
-        return self._excused_behind(self._start, (close, self._had_no_time(0, self._start)), pursuit)
+        late = close, self._had_no_time(0, self._start, self._before)
+        return self._excused_behind(self._start, late, pursuit, seen=self._before)
+
+    @property
+    def _steered_behind(self) -> bool:
+        """True if the ego and the NPC ahead came into one track because only the ego moved sideways."""
+        if self._is_in_one_track:
+            return False
+        drifts = self._side * self._frame.drift[[0, self._npc + 1], self._onset] * (1.0, -1.0)
+        return bool(drifts[0] >= DRIFTING > drifts[1])
+
+    @property
+    def _tailing_since(self) -> int:
+        """The last tick before the ego was behind the NPC and too close along the road, in its track or next to it."""
+        ticks = range(self._before, -1, -1)
+        near = (0 < self._gap(tick) < self._safe_along[tick] and not self._leads(tick) for tick in ticks)
+        return next((tick for tick, is_near in zip(ticks, near, strict=True) if not is_near), 0)
 
     def _unanswered(
         self, tick: int, danger: Fact, answer: Fact, fault: Fault, change: LaneChange | None = None
@@ -536,6 +568,8 @@ class Conflict:
         chance = self._second_chance(tick, pursuit, by_ego=True)
         if chance is None and seen is not None:
             chance = self._sped_up(0, seen, pursuit)
+        if chance is None:
+            chance = self._eased(tick, pursuit)
         if chance is None:
             return self._excused(tick, reason)
         if self._pushed_in(change):
@@ -562,6 +596,22 @@ class Conflict:
                 return Fact(What.LET_BRAKES_GO, behind, self._at(at))
         return None
 
+    def _eased(self, tick: int, pursuit: Pursuit) -> Fact | None:
+        """Return the fact that the ego already braked when it became dangerous, and then braked less; None if not.
+
+        It braked less although it was faster than the vehicle ahead, and could have avoided the collision without the
+        time in which a driver moves the foot to the brake.
+        """
+        since, slowed = max(tick, self._before), braking(self._trace)
+        brakes_behind = slowed[since] >= VISIBLY and self._gap(since) > 0 and not self._leads(since)
+        if not brakes_behind or pursuit.avoided_from(since, ALREADY_BRAKING) is None:
+            return None
+        until = min(since + round(FOLLOWING.delay * self._hz), self._end)
+        is_faster = self._frame.speed[0] > self._frame.speed[self._npc + 1]
+        eases = (is_faster & (slowed < slowed[since] / 2))[since + 1 : until + 1]
+        weak = first_lasting(eases, math.ceil(LET_GO * self._hz))
+        return None if weak is None else Fact(What.BRAKED_LESS, 0, self._at(since + weak))
+
     def _npc_followed(self, duty: int, tick: int, reason: Reason, moved_in: int = 0) -> Attribution:
         """Attribute to the NPC behind, which had to respond from a tick on, unless the ego braked for nothing.
 
@@ -572,10 +622,14 @@ class Conflict:
             braked = None
         stop = None if braked is not None and self._is_hard(braked, 0) else long_stop(self._trace)
         is_slow = self._frame.speed[self._npc + 1, self._start] <= CRAWLING
-        if stop is not None and not is_slow and self._is_needless(stop, slice(stop.begin, stop.end + 1), moved_in):
-            standing = self._at(self._end - stop.end)
-            stopped = Fact(What.STOPPED_FOR_NOTHING, 0, self._at(stop.begin), lasting_s=standing)
-            return self._needless(stop, max(duty, self._before), stopped, "stopped-for-nothing", moved_in)
+        if stop is not None and not is_slow:
+            if not self._is_needless(stop, slice(stop.begin, stop.end + 1), moved_in):
+                stop = self._needless_rest(stop, moved_in)
+            if stop is not None:
+                standing = self._at(self._end - stop.end)
+                stopped = Fact(What.STOPPED_FOR_NOTHING, 0, self._at(stop.begin), lasting_s=standing)
+                stopped = self._braked_for_nothing(0, stop) if stop.had_reason else stopped
+                return self._needless(stop, max(duty, self._before), stopped, "stopped-for-nothing", moved_in)
         if braked is None:
             return self._excused(tick, reason)
         since = max(duty, min(self._before, braked.begin))  # the braking requires a response at any distance
@@ -601,7 +655,29 @@ class Conflict:
             return None
         later = round(HARD_SECONDS * self._hz) if self._is_hard(stop, leader) else 0
         ticks = slice(stop.begin, min(stop.begin + later, self._end) + 1)
-        return stop if self._is_needless(stop, ticks, moved_in, leader) else None
+        if self._is_needless(stop, ticks, moved_in, leader):
+            return stop
+        return None if leader else self._needless_rest(stop, moved_in)
+
+    def _needless_rest(self, stop: Stop, moved_in: int) -> Stop | None:
+        """Return the part of the ego's braking after its last reason was gone; None if that part does not count.
+
+        It begins 1.0 s after the last reason, at least 1.0 s after the braking began, and must take at least half of
+        the speed that the ego has then.
+        """
+        since = max(stop.begin - round(REASON_SECONDS * self._hz), 0)
+        ticks = slice(since, min(stop.end, self._end - 1) + 1)  # at the impact, the vehicle behind is side by side
+        found = np.flatnonzero(reasons(self._trace, self._frame, DISTANCES, 0, ticks))
+        if not found.size:
+            return None
+        begin = max(since + int(found[-1]), stop.begin) + round(RELEASE_SECONDS * self._hz)
+        if begin >= stop.end:
+            return None
+        before, after = self._trace.ego[[begin, stop.end], SPEED]
+        if before - after < max(before / 2, LEAST_LOST):
+            return None
+        rest = Stop(begin=begin, end=stop.end, had_reason=True)
+        return rest if self._is_needless(rest, slice(begin, begin + 1), moved_in) else None
 
     def _is_needless(self, stop: Stop, ticks: slice, moved_in: int, leader: int = 0) -> bool:
         """Return whether a braking was needless: the leader had no reason to brake and never regained its speed.
@@ -620,6 +696,8 @@ class Conflict:
         since = max(stop.end, self._before)
         if late or behind[self._end] > behind[since : self._end + 1].min() + DROVE_ON:
             return False
+        if stop.had_reason:
+            return True
         ticks = slice(max(ticks.start - round(REASON_SECONDS * self._hz), 0), ticks.stop)
         return not reasons(self._trace, self._frame, DISTANCES, leader, ticks).any()
 
@@ -631,7 +709,7 @@ class Conflict:
         counted = self._pursuit(by_ego=False).avoided_from(since, FOLLOWING)
         if counted is not None:
             return self._attributed("both", stop.begin, (braked, self._answer(npc, counted)), fault)
-        return self._attributed("ego", stop.begin, (braked, self._had_no_time(npc, since)), fault)
+        return self._attributed("ego", stop.begin, (braked, self._had_no_time(npc, since, since)), fault)
 
     # The facts of reasons.
 
@@ -691,11 +769,13 @@ class Conflict:
 
     def _braked_for_nothing(self, vehicle: int, stop: Stop) -> Fact:
         peak = float(braking(self._trace, vehicle)[stop.begin : stop.end + 1].max())
-        return Fact(What.BRAKED_FOR_NOTHING, vehicle, self._at(stop.begin), braking_m_per_s2=peak)
+        what = What.BRAKED_ON if stop.had_reason else What.BRAKED_FOR_NOTHING
+        return Fact(what, vehicle, self._at(stop.begin), braking_m_per_s2=peak)
 
-    def _had_no_time(self, vehicle: int, tick: int) -> Fact:
-        """Return the fact that a vehicle had too little time for the proper response."""
-        return Fact(What.HAD_NO_TIME, vehicle, self._at(tick))
+    def _had_no_time(self, vehicle: int, tick: int, since: int, response: Braking = FOLLOWING) -> Fact:
+        """Return the fact that a vehicle had too little time for the proper response from the tick ``since`` on."""
+        due, rate = self._at(since + round(response.delay * self._hz)), response.deceleration
+        return Fact(What.HAD_NO_TIME, vehicle, self._at(tick), due_s=due, braking_m_per_s2=rate)
 
     def _answer(self, vehicle: int, since: int, response: Braking = FOLLOWING) -> Fact:
         """Return the fact that tells what the follower should have done, and what it did instead.

@@ -9,11 +9,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from pytest_pafot.attribution.avoidance import HARDEST
-from pytest_pafot.attribution.responses import DISTANCES, FOLLOWING, GIVING_WAY, HEADWAY, answer, room_to_leave
+from pytest_pafot.attribution.avoidance import HARDEST, Braking
+from pytest_pafot.attribution.responses import (
+    ALREADY_BRAKING,
+    DISTANCES,
+    FOLLOWING,
+    GIVING_WAY,
+    HEADWAY,
+    VISIBLY,
+    answer,
+    room_to_leave,
+)
 from pytest_pafot.attribution.sentences import Fact, Reason, What
 from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
 from pytest_pafot.model.crossings import Zone
@@ -22,9 +32,6 @@ from pytest_pafot.model.trace import ALONG, HEADING, SPEED, Trace, X, Y
 SPARE = 1.0
 """The distance outside its stretch of a zone at which a vehicle still counts as in the zone [m]. The stretches assume
 vehicles in the middle of their ways, and a vehicle may have moved back a little."""
-STOPS = 1.3
-"""The deceleration from which on others may assume that a vehicle stops [m/s^2]. A smaller deceleration does not
-require a brake light (UN R13-H, 5.2.22.4), and the vehicle only arrives later."""
 LOOK = 0.6
 """The time, up to its last chance to stop, in which a vehicle that has to give way observes the other vehicle [s]. One
 tick would be too short."""
@@ -46,6 +53,13 @@ class Blame:
     entered_taken_zone: tuple[int, ...]
     tick: int
     facts: Reason
+
+
+class Chance(NamedTuple):
+    """A tick at which a vehicle could still stop, and the response with which it could."""
+
+    tick: int
+    response: Braking
 
 
 class Passing:
@@ -85,22 +99,26 @@ class Passing:
             raise ValueError("expected a vehicle that has entered the zone, received one that has not")
         return self.entry
 
-    def last_chance(self) -> int:
-        """Return the last tick at which the proper response would have stopped the vehicle before the zone.
+    def chances(self) -> list[Chance]:
+        """Return the last chances to stop before the zone; a vehicle that was too fast had its chance at tick 0."""
+        found = self.stops(self.entered(), self.begins)
+        return found if found and found[0].response is FOLLOWING else [Chance(0, FOLLOWING), *found]
 
-        If the vehicle was too fast at every tick, it is the first tick.
+    def stops(self, before: int, place: float) -> list[Chance]:
+        """Return the last chances, before the tick ``before``, to stop before a place [m].
+
+        The first one is the last tick at which the proper response stops the vehicle. If the vehicle visibly brakes at
+        a later tick, it has a second one, because it then needs only the time to perceive.
         """
-        return self.last_stop(self.entered(), self.begins) or 0
-
-    def last_stop(self, before: int, place: float) -> int | None:
-        """Return the last tick before ``before`` at which the proper response stops the vehicle before a place [m].
-
-        None if there is no such tick.
-        """
+        found: list[Chance] = []
         for tick in range(before - 1, -1, -1):
-            if place - self.places[tick] >= stopping(float(self.speeds[tick]), HARDEST):
-                return tick
-        return None
+            left, speed = place - self.places[tick], float(self.speeds[tick])
+            if left >= stopping(speed, HARDEST):
+                return [Chance(tick, FOLLOWING), *found]
+            brakes = tick > 0 and (self.speeds[tick - 1] - speed) * self.hz >= VISIBLY
+            if not found and brakes and left >= stopping(speed, HARDEST, ALREADY_BRAKING.delay):
+                found.append(Chance(tick, ALREADY_BRAKING))
+        return found
 
     def look(self, last: int) -> range:
         """Return the ticks up to the tick ``last`` in which the vehicle had to observe the other vehicle."""
@@ -124,7 +142,7 @@ class Passing:
         if speed <= 0:
             return float(self.places[tick]), 0.0
         slowing = (float(self.speeds[tick - 1]) - speed) * self.hz if tick else 0.0
-        if slowing < STOPS:
+        if slowing < VISIBLY:
             return float(self.places[tick]) + speed * seconds, speed
         seconds = min(seconds, speed / slowing)
         return float(self.places[tick]) + speed * seconds - slowing * seconds**2 / 2, speed - slowing * seconds
@@ -134,9 +152,12 @@ class Passing:
         return float(self.speeds[tick : tick + round(HEADWAY * self.hz) + 1].min())
 
 
-def stopping(speed: float, deceleration: float) -> float:
-    """Return the distance that a vehicle needs to respond and stop [m], at a speed [m/s] and a deceleration [m/s^2]."""
-    return speed * FOLLOWING.delay + speed**2 / (2 * deceleration)
+def stopping(speed: float, deceleration: float, delay: float = FOLLOWING.delay) -> float:
+    """Return the distance that a vehicle needs to respond and stop [m].
+
+    ``speed`` is in m/s, ``deceleration`` in m/s^2, and ``delay`` in seconds.
+    """
+    return speed * delay + speed**2 / (2 * deceleration)
 
 
 def braked(speed: float, hz: int) -> float:
@@ -166,13 +187,21 @@ class ZoneConflict:
         """The vehicles that broke a rule of right of way; None if neither did."""
         pairs = ((self.ego, self.npc), (self.npc, self.ego))
         holder = {"ego": self.ego, "npc": self.npc}.get(self._zone.priority)
-        without = tuple(own for own, other in pairs if own is not holder and self._did_not_give_way(own, other))
-        seen = {own: self._seen_taken(own, other) for own, other in pairs if own not in without}
-        taken = tuple(own for own, ticks in seen.items() if ticks)
+        missed = {
+            own: chance
+            for own, other in pairs
+            if own is not holder and (chance := self._did_not_give_way(own, other)) is not None
+        }
+        seen = {
+            own: chance
+            for own, other in pairs
+            if own not in missed and (chance := self._seen_taken(own, other)) is not None
+        }
+        without, taken = tuple(missed), tuple(seen)
         if not without and not taken:
             return None
         first, owing = (without or taken)[0], (taken or without)[0]
-        since = seen[owing][-1] if taken else owing.last_chance()
+        chance = {**missed, **seen}[owing]
         other = self.npc if first is self.ego else self.ego
         at = first.entered() / first.hz
         entered = Fact(
@@ -182,10 +211,10 @@ class ZoneConflict:
             did_not_give_way=tuple(each.vehicle for each in without),
             entered_taken_zone=tuple(each.vehicle for each in taken),
             tick=first.entered(),
-            facts=(entered, self._answer(owing, since, is_taken=bool(taken))),
+            facts=(entered, self._answer(owing, chance, is_taken=bool(taken))),
         )
 
-    def _answer(self, own: Passing, since: int, *, is_taken: bool) -> Fact:
+    def _answer(self, own: Passing, chance: Chance, *, is_taken: bool) -> Fact:
         """Return the fact that tells what a vehicle should have done before it entered the zone, and what it did.
 
         ``is_taken`` is whether the other vehicle was in the zone, so that it was enough to stop short of that vehicle,
@@ -200,7 +229,8 @@ class ZoneConflict:
                 return self._slows_down(own, other, tick)
             return bool(place - own.places[tick] >= braked(float(own.speeds[tick]), own.hz))
 
-        return answer(self._trace, own.vehicle, own.speeds, since, avoids, entry=own.entered())
+        entry = own.entered()
+        return answer(self._trace, own.vehicle, own.speeds, chance.tick, avoids, chance.response, entry=entry)
 
     @staticmethod
     def _slows_down(own: Passing, other: Passing, tick: int) -> bool:
@@ -209,23 +239,24 @@ class ZoneConflict:
         closing = max(float(own.speeds[tick] - other.speeds[tick:].min()), 0.0)
         return lead - own.half_length - other.half_length >= braked(closing, own.hz)
 
-    def _did_not_give_way(self, own: Passing, other: Passing) -> bool:
-        """Return whether a vehicle did not give way to another that it could foresee in the zone at the same time.
+    def _did_not_give_way(self, own: Passing, other: Passing) -> Chance | None:
+        """Return the chance at which a vehicle could foresee another in the zone at the same time; None without one.
 
         The other vehicle must have been too near to stop without abrupt braking.
         """
         enters, leaves = own.entered() / own.hz, own.leaves()
-        for tick in own.look(own.last_chance()):
-            place, speed = other.foreseen(tick, enters)
-            if other.foreseen(tick, leaves)[0] < other.begins:
-                continue
-            if self._zone.kind == "merging":
-                is_near = self._is_near_in_lane(own, other, place, speed)
-            else:
-                is_near = other.begins - place < stopping(speed, GIVING_WAY.deceleration) and place < other.ends
-            if is_near:
-                return True
-        return False
+        for chance in own.chances():
+            for tick in own.look(chance.tick):
+                place, speed = other.foreseen(tick, enters)
+                if other.foreseen(tick, leaves)[0] < other.begins:
+                    continue
+                if self._zone.kind == "merging":
+                    is_near = self._is_near_in_lane(own, other, place, speed)
+                else:
+                    is_near = other.begins - place < stopping(speed, GIVING_WAY.deceleration) and place < other.ends
+                if is_near:
+                    return chance
+        return None
 
     def _is_near_in_lane(self, own: Passing, other: Passing, place: float, speed: float) -> bool:
         """Return whether a merging vehicle leaves too small a gap to the foreseen place [m] of the other vehicle."""
@@ -236,17 +267,17 @@ class ZoneConflict:
             return gap < room_to_leave(speed, own.slowest(enters))
         return gap < float(DISTANCES.safe_along(own.speeds[enters], np.asarray(speed), FOLLOWING.delay))
 
-    def _seen_taken(self, own: Passing, other: Passing) -> list[int]:
-        """Return the ticks at which a vehicle saw that the other vehicle would stay in the zone, and could respond."""
+    def _seen_taken(self, own: Passing, other: Passing) -> Chance | None:
+        """Return the last tick at which a vehicle saw that the other would stay in the zone, and could respond."""
         if self._zone.kind == "merging":
             return self._could_slow_down(own, other)
         touched = self._reaches(own, other)
-        last = own.last_stop(touched, float(own.places[touched]))
-        if last is None:
-            return []
         enters, since = own.entered() / own.hz, other.entered()
-        ticks = (tick for tick in own.look(last) if tick >= since)
-        return [tick for tick in ticks if other.foreseen(tick, max(enters, tick / own.hz))[0] < other.ends]
+        for chance in own.stops(touched, float(own.places[touched])):
+            for tick in reversed(own.look(chance.tick)):
+                if tick >= since and other.foreseen(tick, max(enters, tick / own.hz))[0] < other.ends:
+                    return Chance(tick, chance.response)
+        return None
 
     def _reaches(self, own: Passing, other: Passing) -> int:
         """Return the tick from which on a vehicle's box touches the place where the other vehicle is hit."""
@@ -259,14 +290,12 @@ class ZoneConflict:
         return int(free[-1]) + 1 if free.size else 0
 
     @staticmethod
-    def _could_slow_down(own: Passing, other: Passing) -> list[int]:
-        """Return the ticks at which ``other`` had merged ahead, and ``own`` could still slow down to its speed."""
-        ticks = range(other.entered(), own.entered())
-        leads = {tick: float(own.ends - own.places[tick] - (other.ends - other.places[tick])) for tick in ticks}
+    def _could_slow_down(own: Passing, other: Passing) -> Chance | None:
+        """Return the last tick at which ``other`` had merged ahead, and ``own`` could still slow down to its speed."""
         apart = own.half_length + other.half_length
-        return [
-            tick
-            for tick, lead in leads.items()
-            if lead > 0
-            and lead - apart >= stopping(max(float(own.speeds[tick] - other.speeds[tick:].min()), 0.0), HARDEST)
-        ]
+        for tick in range(own.entered() - 1, other.entered() - 1, -1):
+            lead = float(own.ends - own.places[tick] - (other.ends - other.places[tick]))
+            faster = max(float(own.speeds[tick] - other.speeds[tick:].min()), 0.0)
+            if lead > 0 and lead - apart >= stopping(faster, HARDEST):
+                return Chance(tick, FOLLOWING)
+        return None

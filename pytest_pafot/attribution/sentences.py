@@ -27,6 +27,9 @@ class What(Enum):
     CAME_TOO_CLOSE = "{who} was only {place}."
     STOOD = "{who} was standing when {whom} touched it at {at}."
     BRAKED_FOR_NOTHING = "{who} braked at up to {it.braking_m_per_s2:.1f} m/s^2 from {at} on, with nothing in its way."
+    BRAKED_ON = (
+        "{who} kept braking at up to {it.braking_m_per_s2:.1f} m/s^2 from {at} on, with nothing in its way any more."
+    )
     STOPPED_FOR_NOTHING = (
         "{who} began to stop at {at} with nothing in its way. It stood for {it.lasting_s:.1f} s before the impact."
     )
@@ -39,6 +42,7 @@ class What(Enum):
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
     SPED_UP_INTO = "{who} sped up to {it.speed_m_per_s:.1f} m/s from {at} on, towards {whom}."
     LET_BRAKES_GO = "{who} should have kept braking but released the brakes at {at}."
+    BRAKED_LESS = "{who} already braked and should have kept braking, but braked less from {at} on."
     ANSWERED = "answered"
     SHOULD_HAVE_BRAKED = "should have braked"
     SHOULD_HAVE_WAITED = "should have waited"
@@ -105,7 +109,8 @@ class Fact(NamedTuple):
         time_s: time at which the event happened or began [s].
         later_s: time at which the other vehicle did the same, if both crossed a line or both entered a zone [s].
         due_s: time from which on the vehicle should have braked [s]; None if it did not have to before the impact, or
-            if its mistake was to speed up.
+            if its mistake was to speed up. For a vehicle that had too little time, the time from which on braking would
+            have been the proper response.
         gap_m: gap between the boxes along the road [m]; positive if the vehicle is ahead of the other, negative if it
             is behind, 0 side by side.
         asked_m: gap that the rules require [m].
@@ -113,7 +118,8 @@ class Fact(NamedTuple):
         faster_m_per_s: speed of the other minus speed of the vehicle [m/s]. The sentence does not mention it if
             ``leader_m_per_s2`` is not 0.
         leader_m_per_s2: hardest braking of the NPC, if it was ahead and braked visibly [m/s^2].
-        braking_m_per_s2: hardest braking of the vehicle; if it should have braked, its braking at that time [m/s^2].
+        braking_m_per_s2: hardest braking of the vehicle; if it should have braked, its braking at that time; if it had
+            too little time, the required braking unless there is an emergency [m/s^2].
         lasting_s: time for which the vehicle stood before the impact [s].
         lane: lane that the vehicle moved into; None if it has no number.
         zone: zone that the vehicle entered.
@@ -174,7 +180,7 @@ def due_by(reason: Reason, latest: float) -> Reason:
     """
 
     def changed(fact: Fact) -> Fact:
-        if fact.due_s is None or fact.due_s <= latest:
+        if fact.what is not What.SHOULD_HAVE_BRAKED or fact.due_s is None or fact.due_s <= latest:
             return fact
         if latest < fact.time_s:
             return fact._replace(what=What.DROVE, due_s=None)
@@ -313,6 +319,28 @@ def _entered(fact: Fact) -> str:
 def avoidance_sentence(time: float, braking: float) -> str:
     """Return the sentence that braking at a rate [m/s^2] from a time [s] on avoids the collision."""
     return f"Braking at {braking:.0f} m/s^2 from {time:.1f} s on avoids the collision."
+
+
+def escape_sentences(
+    time: float, driver: str, braking: float, braking_from: float, due: float, required: float
+) -> tuple[str, ...]:
+    """Return the sentences on a driver that takes over from an excused ego and avoids the collision.
+
+    The driver takes over at a time [s], and brakes at up to a rate [m/s^2] from another time on. The rules require
+    braking at the rate ``required`` from the time ``due`` on, and harder braking only in an emergency.
+    """
+    avoids = f"{driver}, taking over at {time:.1f} s, avoids it"
+    if not braking:
+        return (f"{avoids} without braking.",)
+    limits = [f"only from {due:.1f} s on"] if braking_from < due - 0.05 else []
+    if braking > HARDEST + 0.05:
+        limits.append(f"no harder than {HARDEST:.1f} m/s^2")
+    elif braking > required + 0.05:
+        limits.append(f"no harder than {required:.1f} m/s^2 unless in an emergency")
+    needed = (
+        f"The rules require braking {', and '.join(limits)}." if limits else "It needs no more than the rules require."
+    )
+    return f"{avoids}: it brakes at up to {braking:.1f} m/s^2 from {braking_from:.1f} s on.", needed
 
 
 def last_chance_sentence(time: float, driver: str, acceleration: float, of_ego: float) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.attribution.excuses import Escape
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance, avoidance, last_decision
 from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
@@ -187,6 +188,10 @@ class Harness:
         if run.take_over is None or failure is None or failure.check is not None or verdict.severity is None:
             return None
         return avoidance(run.trace, run.attribution.fault, run.take_over)
+
+    def escape(self, run: Run, verdict: Verdict) -> Escape | None:
+        """Find by simulation how a reference driver avoids a collision for which the rules excuse the ego; or None."""
+        return None if run.take_over is None or verdict.severity is None else run.escape
 
     def judge_trace(self, world: Any, trace: Trace) -> Verdict:
         """Return the verdict on a trace that was made in ``world``."""

@@ -67,7 +67,7 @@ EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
     (
         *("assertion", "check", "message", "npc", "cell", "zone", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
-        *("situation", "reference_drivers", "last_chance", "avoided_by", "against", "traceback"),
+        *("situation", "reference_drivers", "last_chance", "avoided_by", "escaped_by", "against", "traceback"),
     ),
 )
 EXPECT_OF_COLLISION = Keys((*EXPECT.required, "npc", "cell", "side"), EXPECT.optional)
@@ -83,6 +83,8 @@ LAST_CHANCE = Keys(("time", "driver", "action", "ego_action"))
 """The keys of ``expect.last_chance``."""
 AVOIDANCE = Keys(("time", "braking"))
 """The keys of ``expect.avoided_by``."""
+ESCAPE = Keys(("time", "driver", "braking", "braking_from", "due", "required"))
+"""The keys of ``expect.escaped_by``."""
 
 FOUND = Keys(("seed", "generation", "algorithm", "versions"), ("weights",))
 PERCEPTION = Keys((), ("range", "latency", "noise", "dropout", "occlusion", "needed"))
@@ -173,7 +175,7 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
     values["check"] = (
         {} if expect.check is None else {k: v for k, v in asdict(expect.check).items() if v not in (None, "")}
     )
-    for name in ("situation", "last_chance", "avoided_by"):
+    for name in ("situation", "last_chance", "avoided_by", "escaped_by"):
         values[name] = {} if values[name] is None else asdict(values[name])
     entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}
     if not any(isinstance(value, str) and "\n" in value for value in entries.values()):

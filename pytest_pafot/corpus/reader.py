@@ -15,6 +15,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, get_args
 
+from pytest_pafot.attribution.excuses import Escape
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance
 from pytest_pafot.attribution.mistakes import Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
@@ -395,6 +396,7 @@ def _expect(field: Field, npcs: int) -> Expect:
         },
         last_chance=_given(fields, "last_chance", _last_chance),
         avoided_by=_given(fields, "avoided_by", _avoidance),
+        escaped_by=_given(fields, "escaped_by", _escape),
         against=_given(fields, "against", Field.text, ""),
         traceback=_given(fields, "traceback", Field.text, ""),
     )
@@ -452,6 +454,12 @@ def _last_chance(field: Field) -> LastChance:
 def _avoidance(field: Field) -> Avoidance:
     fields = field.mapping(file_format.AVOIDANCE)
     return Avoidance(time=fields["time"].number(), braking=fields["braking"].number())
+
+
+def _escape(field: Field) -> Escape:
+    fields = field.mapping(file_format.ESCAPE)
+    numbers = {name: inner.number() for name, inner in fields.items() if name != "driver"}
+    return Escape(driver=fields["driver"].text(), **numbers)
 
 
 def _action(field: Field) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from datetime import date
 from types import TracebackType
 from typing import Any
 
+from pytest_pafot.attribution.excuses import Escape
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance
 from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before, mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
@@ -113,6 +114,8 @@ class Expect:
         reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
         last_chance: the last time from which a reference driver would have stayed free of fault; None if there is none.
         avoided_by: the last decision from which braking avoids the collision in simulation; None if there is none.
+        escaped_by: how a reference driver avoids a collision for which the rules left the ego too little time; None if
+            it does not, and for any other failure.
         against: the reference that passed the scenario, as ``module:factory`` or the name of a fixture; empty without a
             reference, or if its factory has no such name.
         traceback: traceback of an ADS that raised, without addresses, process ids and temporary folders; otherwise
@@ -137,6 +140,7 @@ class Expect:
     reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
     last_chance: LastChance | None = None
     avoided_by: Avoidance | None = None
+    escaped_by: Escape | None = None
     against: str = ""
     traceback: str = ""
 
@@ -159,15 +163,20 @@ class Expect:
 
     def known_of(self, run: Run) -> Run:
         """Return a run with what this finding knows of its collision: how it is avoided."""
+        return replace(run, avoided_by=self.avoided_by) if self.is_of(run) else run
+
+    def is_of(self, run: Run) -> bool:
+        """Return whether a run has the collision that this finding is about."""
         hit = run.collision
-        is_this = hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
-        return replace(run, avoided_by=self.avoided_by) if is_this else run
+        return hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
 
     def sentences_on(self, run: Run) -> tuple[str, ...]:
-        """Return the sentences that explain a run; if it has this collision, the middle one says how to avoid it."""
+        """Return the sentences that explain a run; if it has this collision, also how a simulation avoids it."""
         known = self.known_of(run)
         told = known.sentences
-        return told if known.avoided_by is None else (told[0], known.avoided_by.sentence, told[-1])
+        if known.avoided_by is not None:
+            return told[0], known.avoided_by.sentence, told[-1]
+        return (*told[:-1], *self.escaped_by.sentences, told[-1]) if self.escaped_by and self.is_of(run) else told
 
     @classmethod
     def of(
@@ -178,6 +187,7 @@ class Expect:
         reference_drivers: Mapping[str, ReferenceOutcome] | None = None,
         last_chance: LastChance | None = None,
         avoided_by: Avoidance | None = None,
+        escaped_by: Escape | None = None,
         against: str = "",
         root: str = "",
     ) -> Expect:
@@ -213,6 +223,7 @@ class Expect:
             reference_drivers=dict(reference_drivers or {}),
             last_chance=last_chance,
             avoided_by=avoided_by,
+            escaped_by=escaped_by,
             against=against,
             traceback=text,
         )

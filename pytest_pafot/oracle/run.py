@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot import criticality
+from pytest_pafot.attribution.excuses import Escape, escape
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance, TakeOver, last_chance
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
@@ -356,6 +357,20 @@ class Run(Drawn):
         if self.take_over is None:
             raise _no_world("last_chance", "take_over=world.take_over")
         return last_chance(self.trace, self.attribution.fault, self.take_over)
+
+    @cached_property
+    def escape(self) -> Escape | None:
+        """How a reference driver avoids the collision if the rules excuse the ego because it had too little time.
+
+        The driver is simulated, and takes over at the time that the verdict names. It is ``careful-human``, or the
+        world's first driver. None for any other run, and if the driver does not avoid the collision.
+
+        Raises:
+            NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
+        """
+        if self.take_over is None:
+            raise _no_world("escape", "take_over=world.take_over")
+        return escape(self.trace, self.take_over)
 
     # The moment that the run is about.
 

@@ -151,6 +151,8 @@ def simplified_lines(finding: Finding) -> list[str]:
     prevention = prevention_text(finding.expect)
     lines += [prevention] if prevention else []
     told = finding.expect.avoided_by, finding.perception, finding.expect.last_chance
+    escaped = finding.expect.escaped_by
+    lines += [] if escaped is None else escaped.sentences
     return [*lines, *(each.sentence for each in told if each is not None)]
 
 

@@ -76,12 +76,12 @@ def test_reason_says_what_happened_before_what_was_due():
     assert (first.what, first.vehicle, second.vehicle) == (What.ENTERED, 0, 0)
     assert (second.what, second.phases) == (What.SHOULD_HAVE_BRAKED, ())
     passing = Passing(ignored(), 0, ignored().zones[0])
-    assert second.due_s == pytest.approx((passing.last_chance() + 14) / 15)
+    assert second.due_s == pytest.approx((passing.chances()[0].tick + 14) / 15)
 
 
 def test_braking_at_last_chance_stops_before_the_zone():
     passing = Passing(ignored(), 0, ignored().zones[0])
-    last = passing.last_chance()
+    last = passing.chances()[0].tick
     left = [passing.begins - passing.places[tick] for tick in (last, last + 1)]
     assert left[0] >= stopping(8.0, 6.0) > left[1]
 
@@ -101,7 +101,7 @@ def test_late_start_has_last_chance_at_first_tick():
         collision=replace(trace.collision, tick=trace.ticks - 75),
     )
     assert rss_rule(late).responsibility == "npc"
-    assert Passing(late, 1, late.zones[0]).last_chance() < 75
+    assert Passing(late, 1, late.zones[0]).chances()[0].tick < 75
 
 
 def test_npc_off_the_way_does_not_change_verdict():
@@ -149,7 +149,7 @@ def test_ego_setting_off_into_merging_npc_is_responsible():
 def test_npc_hitting_ego_standing_in_zone_shares_responsibility():
     trace = hit(plan("west straight", 6, 6, (5.6, -6.0, 0.0)), plan("north straight", 7, 1))
     ego, npc = (Passing(trace, vehicle, trace.zones[0]) for vehicle in (0, 1))
-    assert npc.last_chance() < ego.entry  # when the ego enters, it can no longer stop before the zone
+    assert npc.chances()[0].tick < ego.entry  # when the ego enters, it can no longer stop before the zone
     assert agreed(trace) == ("both", "did-not-give-way")
 
 

@@ -5,6 +5,7 @@ from typing import get_args
 
 from hypothesis import strategies as st
 
+from pytest_pafot.attribution.excuses import Escape
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance
 from pytest_pafot.attribution.mistakes import Manoeuvre
 from pytest_pafot.corpus.file_format import LIMITS, WORLDS
@@ -145,6 +146,12 @@ def avoidances():
     return st.builds(Avoidance, time=st.floats(0, 1e6), braking=st.floats(0, 1e3))
 
 
+def escapes():
+    times = st.floats(0, 1e6)
+    rates = st.floats(0, 1e3)
+    return st.builds(Escape, time=times, driver=texts(), braking=rates, braking_from=times, due=times, required=rates)
+
+
 @st.composite
 def expectations(draw, npcs):
     outcome = draw(st.sampled_from([outcome for outcome in Outcome if outcome is not Outcome.INVALID]))
@@ -169,6 +176,7 @@ def expectations(draw, npcs):
         reference_drivers=draw(st.dictionaries(keys(), st.sampled_from(get_args(ReferenceOutcome)), max_size=3)),
         last_chance=draw(st.none() | chances()),
         avoided_by=draw(st.none() | avoidances()),
+        escaped_by=draw(st.none() | escapes()),
         against=draw(texts()),
         traceback=draw(texts()),
     )

@@ -187,7 +187,8 @@ class Crash:
         self.joined = first_of_last_stretch(lambda tick: in_one_track(self.ego, self.npc, tick), self.impact)
         self.is_cut_in = False
         self.counted = None  # the tick from which a response was last counted
-        self.sped_up = None  # the tick from which one vehicle sped up into the other
+        self.sped_up = self.sped_up_to = None  # from which tick one vehicle sped up into the other, and to which speed
+        self.rests = {}  # the last ticks of brakings that went on for nothing, by the ticks from which they did
         self.sides = {}
         self.ticks = {"danger": self.danger, "joined": self.joined}
 
@@ -370,9 +371,12 @@ class Crash:
         """Return whether the NPC sped up into the ego after a tick, whatever its speed then."""
         return self.sped_up_into(self.npc, self.ego, at + round(0.4 * self.hz))
 
-    def sped_up_into(self, behind, ahead, first):
-        """Return whether the vehicle behind sped up into the other, and its lowest speed would have avoided it."""
-        if not self.is_faster_at_the_impact(behind, first):
+    def sped_up_into(self, behind, ahead, first, nearer=math.inf):
+        """Return whether the vehicle behind sped up into the other, and its lowest speed would have avoided it.
+
+        It is enough if that would have kept it ``nearer`` metres further back.
+        """
+        if not self.gains_speed(behind, first):
             return False
         drive = Response(self, behind, ahead, first, delay=0.0, perceived=0.0)
         lowest = behind.speed[first]
@@ -382,15 +386,19 @@ class Crash:
             if drive.is_contact(tick + 1):
                 return False
         closing = max(0.0, lowest - ahead.speed[self.impact])
-        return drive.ahead_by(self.impact) > 0 and drive.straight_gap(self.impact) > closing**2 / (2 * 6.0)
+        could_slow_down = drive.ahead_by(self.impact) > 0 and drive.straight_gap(self.impact) > closing**2 / (2 * 6.0)
+        return could_slow_down or drive.lag >= nearer
 
-    def is_faster_at_the_impact(self, behind, first):
-        """Return whether the vehicle is over 0.3 m/s faster at the impact than its lowest speed from a tick on."""
-        speeds = behind.speed[first : self.impact + 1]
-        is_faster = bool(speeds) and speeds[-1] > min(speeds) + 0.3
-        if is_faster:
-            self.sped_up = max(tick for tick, speed in enumerate(speeds, first) if speed == min(speeds))
-        return is_faster
+    def gains_speed(self, behind, first):
+        """Return whether a vehicle is ever over 0.3 m/s faster than its lowest speed from a tick on up to then."""
+        most, slowest = 0.0, first
+        for tick in range(first, self.impact + 1):
+            if behind.speed[tick] <= behind.speed[slowest]:
+                slowest = tick
+            gain = behind.speed[tick] - behind.speed[slowest]
+            if gain > most:
+                most, self.sped_up, self.sped_up_to = gain, slowest, behind.speed[tick]
+        return most > 0.3
 
     # Rule 4a
 
@@ -422,11 +430,32 @@ class Crash:
 
     def one_follows_the_other(self):
         if is_behind(self.ego, self.npc, self.danger):
-            if self.would_have_avoided(self.ego, self.npc, max(self.danger - 1, 0)):
+            before = max(self.danger - 1, 0)
+            if self.would_have_avoided(self.ego, self.npc, before) or (
+                self.only_ego_came_sideways()
+                and self.would_have_avoided(self.ego, self.npc, self.last_far_tick(before))
+            ):
                 self.ticks["answer"] = self.counted
                 return self.opinion(self.ego_or_both(), "leader-unanswered")
-            return self.npc_unless_second_chance(self.danger)
+            return self.npc_unless_second_chance(self.danger, seen=before)
         return self.npc_follows(0, tick=self.danger)
+
+    def only_ego_came_sideways(self):
+        """Return whether the ego alone moved sideways when the two came into one track, later than the danger began."""
+        if self.joined == 0 or self.danger > self.joined:
+            return False
+        side = side_of(self.npc, self.ego, self.joined - 1)
+        ego, npc = side * self.ego.sideways(self.joined), -side * self.npc.sideways(self.joined)
+        return ego >= MOVES_SIDEWAYS > npc
+
+    def last_far_tick(self, before):
+        """Return the last tick, up to the given one, at which the ego was not too close behind the NPC, or 0."""
+        for tick in range(before, -1, -1):
+            apart = gap(self.ego, self.npc, tick)
+            is_close = 0 < apart < safe_along(self.ego, self.npc, tick)
+            if not is_close or not is_behind(self.ego, self.npc, tick):
+                return tick
+        return 0
 
     def npc_follows(self, since, *, tick, moved_in=None):
         """Apply rule 4b since a tick from rule 3 or 4a, or 0; ``moved_in`` is when the NPC moved in behind the ego."""
@@ -434,7 +463,7 @@ class Crash:
         braked, stop = self.braked_for_nothing(self.ego, self.npc, since, moved_in), self.stopped_for_nothing(moved_in)
         if braked is None and stop is None:
             return self.opinion("npc", None, tick)
-        is_hard = braked is not None and self.is_harder_than_5(self.ego, self.hard_braking(self.ego))
+        is_hard = braked is not None and self.is_harder_than_5(self.ego, (braked + 1, self.hard_braking(self.ego)[1]))
         fault, began = "braked-for-nothing" if is_hard else "stopped-for-nothing", stop
         if is_hard or stop is None:
             began, due = braked, max(since, min(due, braked))
@@ -477,18 +506,44 @@ class Crash:
 
         Rule 5 gives the tick ``seen``, from which the NPC can be seen.
         """
-        has_chance = self.has_second_chance(self.ego, self.npc, named)
-        if not has_chance and (seen is None or not self.ego_sped_up_into_a_cut_in(seen)):
+        if not (
+            self.has_second_chance(self.ego, self.npc, named)
+            or (seen is not None and self.ego_sped_up(seen))
+            or self.ego_braked_less(max(named, self.danger - 1))
+        ):
             return self.opinion("npc", None, named)
         is_shared = moment is not None and not self.stands() and self.cuts_in_soon_before(moment)
         return self.opinion("both" if is_shared else "ego", "leader-unanswered", named)
 
-    def ego_sped_up_into_a_cut_in(self, seen):
-        """Return whether the ego sped up into an NPC that can be seen from a tick on."""
+    def ego_sped_up(self, seen):
+        """Return whether the ego sped up towards an NPC ahead, counted from a tick, and should not have."""
         first = seen + round(0.4 * self.hz)
-        return self.is_faster_at_the_impact(self.ego, first) and (
-            self.sped_up_into(self.ego, self.npc, first) or self.would_have_avoided_a_cut_in(self.ego, self.npc, seen)
+        if first >= self.impact:
+            return False
+        drive = Response(self, self.ego, self.npc, first, delay=0.0, perceived=0.0)
+        for tick in range(first, self.impact + 1):
+            is_ahead, headway = drive.ahead_by(tick) > 0, drive.straight_gap(tick) >= 1.0 * self.ego.speed[tick]
+            if self.ego.speed[tick] <= self.npc.speed[tick] and is_ahead and headway:
+                first = tick
+        return self.gains_speed(self.ego, first) and (
+            self.sped_up_into(self.ego, self.npc, first, nearer=0.5)
+            or self.would_have_avoided_a_cut_in(self.ego, self.npc, seen)
         )
+
+    def ego_braked_less(self, since):
+        """Return whether the ego braked at a tick, soon braked less, and would have avoided the collision otherwise."""
+        was = self.ego.deceleration(since)
+        if was < 1.3 or not is_behind(self.ego, self.npc, since) or gap(self.ego, self.npc, since) <= 0:
+            return False
+        count, needed = 0, math.ceil(0.4 * self.hz)
+        for tick in range(since + 1, min(since + round(1.0 * self.hz), self.impact) + 1):
+            is_weak = self.ego.deceleration(tick) < was / 2 and self.ego.speed[tick] > self.npc.speed[tick]
+            count = count + 1 if is_weak else 0
+            if count == needed:
+                self.ticks["brakes less"] = tick - needed
+                drive = Response(self, self.ego, self.npc, since, delay=0.4, perceived=0.0)
+                return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
+        return False
 
     # Rule 5
 
@@ -581,7 +636,24 @@ class Crash:
         began = end = stretch[0] - 1
         if self.is_harder_than_5(braker, stretch):
             end = min(self.impact, began + round(0.4 * self.hz))
-        return began if self.counts(braker, follower, began, end, stretch[1], moved_in) else None
+        if self.counts(braker, follower, began, end, stretch[1], moved_in):
+            return began
+        return self.braked_on(began, stretch[1], moved_in) if braker is self.ego else None
+
+    def braked_on(self, began, last, moved_in):
+        """Return the tick from which the ego's braking went on for nothing after its last reason, or None."""
+        ticks = range(max(0, began - round(1.6 * self.hz)), min(last, self.impact - 1) + 1)
+        had_reason = [tick for tick in ticks if self.is_reason(self.ego, tick, self.ego.lane[ticks[-1]])]
+        if not had_reason:
+            return None
+        rest = max(began, had_reason[-1]) + round(1.0 * self.hz)
+        if rest >= last:
+            return None
+        had, lost = self.ego.body_speed[rest], self.ego.body_speed[rest] - self.ego.body_speed[last]
+        if lost < max(had / 2, 5.0) or not self.counts(self.ego, self.npc, rest, rest, last, moved_in, has_reason=True):
+            return None
+        self.rests[rest] = last
+        return rest
 
     def is_harder_than_5(self, braker, stretch):
         """Return whether the deceleration exceeds 5 m/s^2 at any tick of a stretch."""
@@ -621,10 +693,15 @@ class Crash:
         if self.seconds(self.impact - stood) < 3.0 - ROUNDING or self.npc.speed[self.danger] <= 3.0:
             return None
         began = next(tick for tick in range(stood, -1, -1) if tick == 0 or speed[tick] >= speed[tick - 1])
-        return began if self.counts(self.ego, self.npc, began, stood, stood, moved_in) else None
+        if self.counts(self.ego, self.npc, began, stood, stood, moved_in):
+            return began
+        return self.braked_on(began, stood, moved_in)
 
-    def counts(self, braker, follower, began, end, last, moved_in):
-        """Return whether braking was for nothing: it had no reason from 1.6 s before it began until ``end``."""
+    def counts(self, braker, follower, began, end, last, moved_in, *, has_reason=False):
+        """Return whether braking was for nothing: it had no reason from 1.6 s before it began until ``end``.
+
+        With ``has_reason``, reasons are not looked at.
+        """
         is_ahead = is_behind(self.ego, self.npc, began) == (follower is self.ego)
         if not is_ahead or braker.speed[self.impact] >= braker.speed[began]:
             return False
@@ -637,7 +714,7 @@ class Crash:
         if follower.speed[self.impact] > min(follower.speed[max(last, self.danger - 1) : self.impact + 1]) + 1.0:
             return False
         ticks = range(max(0, began - round(1.6 * self.hz)), end + 1)
-        return not any(self.is_reason(braker, tick, braker.lane[end]) for tick in ticks)
+        return has_reason or not any(self.is_reason(braker, tick, braker.lane[end]) for tick in ticks)
 
     def is_reason(self, braker, tick, lane):
         others = [vehicle for vehicle in self.vehicles if vehicle is not braker]
@@ -934,11 +1011,17 @@ class Comer:
         found = self.last_to_stop_before(self.first, self.enters)
         return 0 if found is None else found
 
-    def last_to_stop_before(self, place, end):
+    def braking_chance(self):
+        """Return the last tick at which it brakes already and can still stop before its stretch, or None."""
+        return self.last_to_stop_before(self.first, self.enters, is_braking=True)
+
+    def last_to_stop_before(self, place, end, *, is_braking=False):
         """Return the last tick before ``end`` at which it can still stop before a place, or None."""
         for tick in range(end)[::-1]:
             v = self.speed[tick]
-            if v * 1.0 + v**2 / 12 <= place - self.place[tick]:
+            can = v * (0.4 if is_braking else 1.0) + v**2 / 12 <= place - self.place[tick]
+            brakes = tick > 0 and (self.speed[tick - 1] - v) * self.hz >= 1.3
+            if can and (brakes or not is_braking):
                 return tick
         return None
 
@@ -1019,8 +1102,18 @@ class Crossing:
         return self.npc if one is self.ego else self.ego
 
     def gives_no_way(self, one):
+        return self.chance_not_taken(one) is not None
+
+    def chance_not_taken(self, one):
+        """Return the last chance at which it foresaw the other and did not give way, or None."""
+        chances, braking = [one.last_chance()], one.braking_chance()
+        if braking is not None and braking > chances[0]:
+            chances.append(braking)
+        return next((chance for chance in chances if self.foresaw_the_other(one, chance)), None)
+
+    def foresaw_the_other(self, one, chance):
         other, at = self.other(one), one.enters / one.hz
-        for tick in one.look(one.last_chance()):
+        for tick in one.look(chance):
             reaches = other.foreseen(tick, one.leaves())[0] >= other.first
             place, v = other.foreseen(tick, at)
             is_near = self.merges_too_close(one, other, place, v) if self.is_merge else is_abrupt(other, place, v)
@@ -1044,11 +1137,16 @@ class Crossing:
         other, touches = self.other(one), self.impact
         while touches > 0 and polygon_distance(one.boxes[touches - 1], other.boxes[self.impact]) == 0:
             touches -= 1
-        chance = one.last_to_stop_before(one.place[touches], touches)
-        for tick in [] if chance is None else one.look(chance)[::-1]:
-            when = max(one.enters, tick) / one.hz
-            if tick >= other.enters and other.foreseen(tick, when)[0] < other.last:
-                return tick
+        chances = [
+            one.last_to_stop_before(one.place[touches], touches, is_braking=is_braking) for is_braking in (False, True)
+        ]
+        if None not in chances and chances[1] <= chances[0]:
+            chances.pop()
+        for chance in chances:
+            for tick in [] if chance is None else one.look(chance)[::-1]:
+                when = max(one.enters, tick) / one.hz
+                if tick >= other.enters and other.foreseen(tick, when)[0] < other.last:
+                    return tick
         return None
 
     def last_to_slow_down(self, one):

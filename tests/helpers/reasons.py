@@ -120,7 +120,7 @@ class Reading:
             return crossing.last_to_slow_down(one) if crossing.is_merge else crossing.last_to_stop_short(one)
         assert one in crossing.rude
         assert not crossing.blind
-        return one.last_chance()
+        return crossing.chance_not_taken(one)
 
     def is_due(self, story):
         """Return whether braking was due when the story says so: when the response begins to brake, or before.
@@ -129,19 +129,19 @@ class Reading:
         """
         vehicle, other = (self.npc, self.ego) if story.vehicle else (self.ego, self.npc)
         since, told = self.since_when(vehicle) + self.since, story.ticks(story.due["time"])
-        by_rule = [since + round(delay * story.hz) - 1 for delay in (1.0, 1.4)]
-        if by_rule[0] in told or by_rule[1] in told:
+        by_rule = [since + round(delay * story.hz) - 1 for delay in (0.4, 1.0, 1.4)]
+        if any(tick in told for tick in by_rule):
             return True
         if self.crossing is not None and self.crossing.decides == "priority":
             one = self.crossing.npc if story.vehicle else self.crossing.ego
-            return since <= told[-1] <= by_rule[0] and told[0] < one.enters
+            return since <= told[-1] <= by_rule[1] and told[0] < one.enters
 
         def avoids(tick):
             drive = Response(self.crash, vehicle, other, tick - self.since, delay=0.0, perceived=0.0)
             return drive.is_free(lambda tick: 6.0, brakes_on=True)
 
         too_late = told[-1] + 2
-        return since <= told[-1] <= by_rule[1] and avoids(told[0]) and not avoids(too_late)
+        return since <= told[-1] <= by_rule[2] and avoids(told[0]) and not avoids(too_late)
 
     def hard_braking(self, said):
         braker, _ = self.who(said)
@@ -150,8 +150,12 @@ class Reading:
 
     def sped_up_towards(self, said):
         """Return the speed that it sped up to, and since when."""
-        first, mover = self.crash.sped_up, self.ego if said.startswith("The ego") else self.npc
-        return [max(mover.speed[first : self.crash.impact + 1]), self.time(first)]
+        return [self.crash.sped_up_to, self.time(self.crash.sped_up)]
+
+    def braked_on(self, said):
+        """Return how hard the ego braked at most when the reason was gone, and since when."""
+        ticks = range(self.tick, self.crash.rests[self.tick] + 1)
+        return [max(map(self.ego.deceleration, ticks)), self.time(self.tick)]
 
     def stood(self, said):
         return [self.time(self.tick), (self.crash.impact - self.crash.ticks["stood"]) / self.crash.hz]
@@ -175,6 +179,12 @@ SENTENCES = {
     ],
     rf"The ego was standing when NPC # touched it at {NUMBER} s\.": Reading.ended,
     rf"{WHO} braked at up to {NUMBER} m/s\^2 from {NUMBER} s on, with nothing in its way\.": Reading.hard_braking,
+    rf"The ego kept braking at up to {NUMBER} m/s\^2 from {NUMBER} s on, with nothing in its way any more\.": (
+        Reading.braked_on
+    ),
+    rf"The ego already braked and should have kept braking, but braked less from {NUMBER} s on\.": (
+        lambda reading, said: [reading.time(reading.crash.ticks["brakes less"])]
+    ),
     rf"The ego began to stop at {NUMBER} s with nothing in its way\. It stood for {NUMBER} s before the impact\.": (
         Reading.stood
     ),

@@ -154,6 +154,24 @@ SITUATIONS = {
             "npc", None, "4b", "too little time to respond",
         ),
         Situation(
+            "leader-stops-dead-and-the-ego-lets-go",
+            "The ego already brakes with 2 m/s^2 when the vehicle ahead stops within 7 m. It releases the brakes half a"
+            " second later.",
+            lambda: hit(
+                driven(0.0, brakes=[(1.0, 2.0, 17.0)]), driven(36.0, brakes=[(2.0, 30.0, 0.0)])
+            ),
+            "ego", "leader-unanswered", "4c", "braked less from",
+        ),
+        Situation(
+            "steers-behind-one-on-the-line",
+            "A vehicle with 3 m/s drives on the line next to the ego's lane. The ego, which is beside its track, steers"
+            " into it and does not brake.",
+            lambda: hit(
+                driven(0.0, 5.4, speed=12.0, shifts=[(5.0, 3.6, 1.0)]), driven(64.0, 1.8, speed=3.0)
+            ),
+            "ego", "leader-unanswered", "4b", "The ego should have braked from",
+        ),
+        Situation(
             "began-too-close",
             "The run begins with the ego 7 m behind a vehicle that brakes with 8 m/s^2 at once.",
             lambda: hit(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])),
@@ -311,6 +329,28 @@ SITUATIONS = {
             "On a free road the ego brakes gently to a standstill. 5 s later an NPC runs into it.",
             lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0)),
             "both", "stopped-for-nothing", "7", "The ego began to stop at",
+        ),
+        Situation(
+            "brakes-on-when-the-one-ahead-has-left",
+            "The ego brakes with 6 m/s^2 for a slower vehicle ahead, which leaves the lane. The ego brakes on to a "
+            "standstill. An NPC behind it does not brake.",
+            lambda: hit(
+                driven(0.0, brakes=[(1.0, 6.0, 0.0)]),
+                driven(-60.0),
+                driven(30.0, speed=12.0, shifts=[(0.5, RIGHT, 1.5)]),
+            ),
+            "both", "braked-for-nothing", "7", "The ego kept braking at up to 6.0 m/s^2 from",
+        ),
+        Situation(
+            "brakes-while-the-one-ahead-stays",
+            "The ego brakes with 6 m/s^2 to a standstill for a vehicle ahead that brakes, too. An NPC behind the ego "
+            "does not brake.",
+            lambda: hit(
+                driven(0.0, brakes=[(1.0, 6.0, 0.0)]),
+                driven(-60.0),
+                driven(30.0, speed=12.0, brakes=[(0.5, 3.0, 0.0)]),
+            ),
+            "npc", None, "4b", "The ego was standing",
         ),
         Situation(
             "stopped-in-a-queue",
@@ -508,6 +548,27 @@ SITUATIONS = {
             "up into it.",
             lambda: cut_in(2.5, slower=2.0, brakes=[(2.3, -3.0, 19.6)], ego_brakes=[(3.9, -3.0, 26.0)]),
             "both", "leader-unanswered", "4c", "The ego sped up to",
+        ),
+        Situation(
+            "sped-up-behind-a-cut-in-and-braked-at-last",
+            "An NPC that is 4 m/s slower moves in 12 m ahead. The ego speeds up by 3 m/s. Then the NPC brakes with 8 "
+            "m/s^2, and so does the ego until the impact.",
+            lambda: cut_in(
+                12.0, slower=4.0, brakes=[(4.3, 8.0, 0.0)], ego_brakes=[(2.8, -2.0, 23.0), (4.7, 8.0, 0.0)]
+            ),
+            "both", "leader-unanswered", "4c", "The ego sped up to",
+        ),
+        Situation(
+            "recovered-its-speed-behind-a-cut-in",
+            "An NPC that is 4 m/s slower moves in 21 m ahead. The ego brakes until it is slower, and speeds up to the "
+            "NPC's speed a second behind it. 3 s later the NPC stops within 2 m.",
+            lambda: cut_in(
+                21.0,
+                slower=4.0,
+                brakes=[(9.0, 80.0, 0.0)],
+                ego_brakes=[(3.0, 4.0, 15.5), (5.0, -0.5, 16.0), (10.4, 8.0, 0.0)],
+            ),
+            "npc", None, "5", "too little time to respond",
         ),
         Situation(
             "let-the-brakes-go-behind-a-cut-in",
@@ -853,6 +914,17 @@ SITUATIONS = {
             "ego. The ego never brakes.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 4, 3), priority="ego"),
             "both", "entered-taken-zone", "9", "The ego should have braked from 5.3 s but did not",
+        ),
+        Situation(
+            "crossing-npc-has-no-priority-and-the-ego-lets-go",
+            "An NPC from the left that has no priority brakes too late and rolls into the crossing. The ego brakes for "
+            "it, and releases the brakes when the NPC has been in the crossing for half a second.",
+            lambda: junctions.hit(
+                plan("west straight", 3.05, 10.8, (1.5, -3.4, 5.0)),
+                plan("north straight", 2.46, 10, (1.5, -3.1, 0.0)),
+                priority="ego",
+            ),
+            "both", "entered-taken-zone", "9", "The ego should have braked from",
         ),
         Situation(
             "crossing-one-stands-in-it-ego-has-priority",
