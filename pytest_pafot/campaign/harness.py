@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance, avoidance, last_decision
-from pytest_pafot.campaign.request import Request, RequestError
+from pytest_pafot.campaign.request import AgainstError, Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.revision import RevisionError, RevisionPolicy, rolled
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.execution.separate_runs import replay_in_gym_apart
@@ -36,6 +37,7 @@ class Reference:
 
     ads: Callable[..., Any]  # the factory
     name: str  # the name in saved files; empty for a factory that no text can refer to
+    commit: str = ""  # the hash of the commit, if the reference is a revision
 
     @property
     def shown(self) -> str:
@@ -56,9 +58,11 @@ def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) ->
     try:
         ads = referred_to(given) if isinstance(given, str) else given
     except ValueError as error:
-        raise RequestError(f"against: {error}") from error
+        raise AgainstError(f"against: {error}") from error
+    if isinstance(ads, RevisionPolicy):
+        return Reference(ads=ads, name=ads.label, commit=ads.commit)
     if not callable(ads):
-        raise RequestError(
+        raise AgainstError(
             "against: expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a "
             f"fixture that returns a factory, received {ads!r:.100}. {hint_at_object(ads)}".removesuffix(". ")
         )
@@ -201,7 +205,7 @@ class Harness:
             return Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.how), is_ads=True)
         except RequestError as error:
             named = "" if self.against is None else f" ({self.against.shown})"
-            raise RequestError(f"against{named}: {str(error).removeprefix('ads: ')}") from None
+            raise AgainstError(f"against{named}: {str(error).removeprefix('ads: ')}") from None
         return self.judge_trace(self.world if world is None else world, trace)
 
     def fails_with(self, ads: Callable[..., Any], scenario: Scenario, record: CrashRecord) -> bool:
@@ -239,7 +243,7 @@ def refusals(whose: str = "the ADS") -> Iterator[None]:
     __tracebackhide__ = True
     try:
         yield
-    except (WorldError, AdsFactoryError, ScenarioError, ExecutionError) as error:
+    except (WorldError, AdsFactoryError, ScenarioError, ExecutionError, RevisionError) as error:
         raise RequestError(str(error)) from None
     except skips() as error:  # raised by the factory: exceptions of the ADS are in the trace
         raise RequestError(no_skip(f"the factory of {whose}", error)) from None
@@ -313,11 +317,14 @@ class Simulation:
         if world is None:
             return None
         self.record.write(scenario)
+        ads = self.harness.ads
         with refusals():
-            if self.harness.request.settings.isolate:
+            if isinstance(ads, RevisionPolicy):
+                trace = ads.call(rolled, "rollout_in_gym", world, scenario)
+            elif self.harness.request.settings.isolate:
                 trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
             else:
-                trace = world.rollout_in_gym(scenario, self.harness.ads)
+                trace = world.rollout_in_gym(scenario, ads)
         self.record.clear()
         return Run(trace, decision_limit=self.harness.request.decision_limit)
 

@@ -35,6 +35,7 @@ from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
 from pytest_pafot.plugin.messages import of_findings, set_properties
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
+from pytest_pafot.plugin.revisions import compare, reference, revision_of
 from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.plugin.session_records import tell_finding
@@ -67,6 +68,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     ads, against, resume = request.ads, request.settings.against, request.settings.resume
+    revision = revision_of(item, request)
     here = item.config.invocation_params.dir
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
     tidied = item.config.stash.setdefault(TIDIED, set())
@@ -92,7 +94,9 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         records=records_folder(item, request.settings),
         root=item.config.rootpath,
         versions=installed_versions(),
-        against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name)),
+        against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name))
+        if revision is None
+        else reference(revision),
         executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
         states=None if resume is None else here / resume,
     )
@@ -136,6 +140,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
     harness = harness_of(item, request)
+    compare(item, harness)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, page_messages_of(item, settings), table_messages_of(item), settings)

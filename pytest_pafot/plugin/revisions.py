@@ -1,0 +1,177 @@
+"""The references of a session that are revisions: their copies, the processes of their policies, and what differs."""
+
+from __future__ import annotations
+
+import os
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pytest_pafot.campaign.harness import Harness, Reference, refusals
+from pytest_pafot.campaign.options import REVISION
+from pytest_pafot.campaign.request import AgainstError, Request, build_space
+from pytest_pafot.commands.revision import OF_COMMAND, Revision, revision_at, sides
+from pytest_pafot.commands.revision_process import hashes_of, name_of
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.revision import RevisionError, RevisionPolicy, rolled
+from pytest_pafot.plugin import messages
+from pytest_pafot.plugin.node_ids import base_id, qualified_name
+from pytest_pafot.plugin.revision_session import NO_TEST, named_file
+from pytest_pafot.searching.space import sample
+
+REVISIONS: pytest.StashKey[Revisions] = pytest.StashKey()
+COPY = "--pafot-copy"
+
+
+@dataclass(frozen=True, slots=True)
+class OfTest:
+    """The policy of a test in a revision; ``policy`` is None if the revision does not have it yet."""
+
+    revision: Revision
+    policy: RevisionPolicy | None
+    test: str  # the path of the test file in the repository; empty for the policy of a command
+
+
+@dataclass(eq=False)
+class Revisions:
+    """The revisions of this process of a session. Each worker of pytest-xdist has its own."""
+
+    stack: ExitStack
+    _copies: dict[tuple[str, str, Path], Revision] = field(default_factory=dict)
+    _known: dict[tuple[str, str], OfTest | RevisionError] = field(default_factory=dict)
+
+    def of(self, item: pytest.Item, request: Request) -> OfTest:
+        """Return the policy of an item's test in the revision that its request names.
+
+        Raises:
+            AgainstError: if there is no such revision, or its policy cannot be built.
+        """
+        key = (str(request.settings.against), base_id(item))
+        if key not in self._known:
+            for other in self._known.values():  # Only one process at a time, since models may be large.
+                if isinstance(other, OfTest) and other.policy is not None:
+                    other.policy.close()
+            try:
+                self._known[key] = self._built(item, request)
+            except RevisionError as error:
+                self._known[key] = error
+        known = self._known[key]
+        if isinstance(known, RevisionError):
+            raise AgainstError(f"against: {known}")
+        return known
+
+    def _built(self, item: pytest.Item, request: Request) -> OfTest:
+        here = Path(os.path.realpath(item.config.invocation_params.dir))
+        named = os.environ.get(OF_COMMAND, "")
+        file = Path(os.path.realpath(item.path))
+        folder = here if named else file.parent
+        text, paths = str(request.settings.against), request.settings.copy or ""
+        key = (text, paths, folder)
+        if key not in self._copies:
+            made = revision_at(text, folder, here, paths, COPY)
+            self._copies[key] = self.stack.enter_context(made)
+        revision = self._copies[key]
+        if named:
+            policy = revision.named(named, here, copy=COPY)
+            try:
+                policy.built()
+            except RevisionError as error:
+                if not revision.lacks(error.missing):
+                    raise
+                return OfTest(revision, None, "")
+            self.stack.callback(policy.close)
+            return OfTest(revision, policy, "")
+        path = file.relative_to(revision.history.root)
+        there, is_own = revision.tree / path, (revision.tree / path).exists()
+        if is_own:
+            try:
+                return self._started(item, revision, path, there, here)
+            except RevisionError as error:
+                if error.missing != NO_TEST:
+                    raise
+                there = named_file(there)
+        # The revision has no such test: the present file is put into it, and all others remain as they were.
+        there.parent.mkdir(parents=True, exist_ok=True)
+        there.write_bytes(file.read_bytes())
+        try:
+            return self._started(item, revision, path, there, here)
+        except RevisionError as error:
+            if not revision.lacks(error.missing):
+                raise
+            return OfTest(revision, None, path.as_posix())
+
+    def _started(self, item: pytest.Item, revision: Revision, path: Path, there: Path, here: Path) -> OfTest:
+        """Start the session of a test file in the revision."""
+        config, root = item.config, str(revision.history.root)
+        given = [str(arg) for arg in getattr(config, "workerinput", {}).get("mainargv", ("",))[1:]]
+        given = given or [str(arg) for arg in config.invocation_params.args]
+        others = {*map(str, config.getoption("file_or_dir", None) or ())}
+        arguments = [arg.replace(root, str(revision.tree)) for arg in given if arg not in others]
+        arguments += [str(there), *(["-n0"] if config.pluginmanager.has_plugin("xdist") else [])]
+        program, name = "pytest_pafot.plugin.revision_session", qualified_name(item)
+        policy = revision.policy(here, program, name, copy=COPY, session=tuple(arguments))
+        policy.built()
+        self.stack.callback(policy.close)
+        return OfTest(revision, policy, path.as_posix())
+
+
+def revision_of(item: pytest.Item, request: Request) -> OfTest | None:
+    """Return the policy of an item's test in the revision that its request names; None if it names none.
+
+    Raises:
+        AgainstError: if there is no such revision, or its policy cannot be built.
+    """
+    if not isinstance(request.settings.against, str) or not request.settings.against.startswith(REVISION):
+        return None
+    stash = item.config.stash
+    if REVISIONS not in stash:
+        stash[REVISIONS] = Revisions(ExitStack())
+        item.config.add_cleanup(stash[REVISIONS].stack.close)
+    return stash[REVISIONS].of(item, request)
+
+
+def reference(found: OfTest) -> Reference | None:
+    """Return the reference of a search; None if the policy is new."""
+    policy = found.policy
+    return None if policy is None else Reference(ads=policy, name=policy.label, commit=policy.commit)
+
+
+def compare(item: pytest.Item, harness: Harness) -> None:
+    """Send lines on both sides of a comparison with a revision. Skip the item if both policies are the same.
+
+    The policy of the revision drives a run first, so that files that it opens late count as well.
+
+    Raises:
+        RequestError: if the policy of the revision cannot be driven.
+    """
+    found = revision_of(item, harness.request)
+    if found is None or not harness.request.settings.is_search:
+        return
+    revision, policy = found.revision, found.policy
+    if policy is None:
+        messages.send(item, "note", {"text": f"the policy is new since {revision.label}: every failure counts"})
+        return
+    with refusals():
+        scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
+        try:
+            policy.call(rolled, "rollout", harness.world, scenario)
+        except ProcessLostError:
+            return  # Each of its runs fails, which the search reports.
+        seen = policy.call(hashes_of)
+        there, now = policy.built()["factory"], name_of(harness.ads)
+        is_outside = bool(now) and now == there and harness.ads.__module__ != test_module(harness)
+        differ = revision.differing(seen, found.test if is_outside else "")
+    for line in sides(revision, seen, differ):
+        messages.send(item, "note", {"text": line})
+    if not differ:
+        text = f"the policy is that of {revision.label}: nothing to compare"
+        messages.send(item, "note", {"text": text})
+        pytest.skip(text)
+
+
+def test_module(harness: Harness) -> str:
+    """Return the name of the module in which the test function is defined."""
+    return str(getattr(harness.test, "__module__", ""))
