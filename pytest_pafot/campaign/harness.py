@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
+import sys
+import sysconfig
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance, avoidance, last_decision
+from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import AgainstError, Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
@@ -25,7 +32,7 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
 from pytest_pafot.searching.fitness import referred_to
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
-from pytest_pafot.world.driving.ads import hint_at_object, preload
+from pytest_pafot.world.driving.ads import hint_at_object, preload, weights_digest
 from pytest_pafot.world.guard.failure import exits, let_through
 
 # The reference of a search: a policy with which the tested one is compared, such as its version before a change.
@@ -45,18 +52,40 @@ class Reference:
         return self.name or "the reference"
 
 
-def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) -> Reference | None:
-    """Return the reference of the option ``against``: a factory, its ``module:factory``, or the name of a fixture.
+def reference_of(
+    given: object, fixture: Callable[[str], Callable[..., Any]], ads: Callable[..., Any]
+) -> Reference | None:
+    """Return the reference of the option ``against`` for a tested policy ``ads``.
+
+    It is a factory, its ``module:factory[:argument]``, or the name of a fixture.
 
     Raises:
-        RequestError: if ``given`` is anything else, or if the module or the name does not exist.
+        AgainstError: if ``given`` is anything else, if the module or the name does not exist, or if it is the policy
+            itself.
     """
     if given is None:
         return None
+    found = _reference_of(given, fixture)
+    same = same_policy(ads, found.ads)
+    if same:
+        raise AgainstError(f"against ({found.shown}): {same}")
+    return found
+
+
+def _reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) -> Reference:
     if isinstance(given, str) and ":" not in given:
         return Reference(ads=fixture(given), name=given)
+    if isinstance(given, str) and given.startswith(REVISION):
+        raise AgainstError(
+            f"against: expected a factory or its name as module:factory, received {given!r}; a revision is compared by "
+            "pytest and by the commands search and progress"
+        )
     try:
-        ads = referred_to(given) if isinstance(given, str) else given
+        ads = given
+        if isinstance(given, str):
+            module, name, *argument = given.split(":", 2)
+            ads = referred_to(f"{module}:{name}")
+            ads = partial(ads, *argument) if argument and callable(ads) else ads
     except ValueError as error:
         raise AgainstError(f"against: {error}") from error
     if isinstance(ads, RevisionPolicy):
@@ -67,6 +96,65 @@ def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) ->
             f"fixture that returns a factory, received {ads!r:.100}. {hint_at_object(ads)}".removesuffix(". ")
         )
     return Reference(ads=ads, name=given if isinstance(given, str) else _name_of(ads))
+
+
+def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
+    """Return why two factories make the same policy, so that it would be compared with itself; empty if they may not.
+
+    They do if they have the same name and arguments, and all files behind them have the same content: a copy of one
+    file imports the other modules of the present policy.
+    """
+    if ads is not other:
+        parts = [_parts(each) for each in (ads, other)]
+        if None in parts or parts[0] != parts[1] or weights_digest(ads) != weights_digest(other):
+            return ""
+        modules = [modules_behind(each) for each in (ads, other)]
+        if not modules[0] or _contents(modules[0], modules[1]) != _contents(modules[1], modules[0]):
+            return ""
+    return (
+        "expected a policy that differs from the tested one, received one of the same name with the same files, so it "
+        f"would be compared with itself; give {REVISION}main, which takes all files from the branch main"
+    )
+
+
+def _parts(factory: Any) -> object:
+    """Return the name of a factory in its module, with its arguments; None if its name does not say what it makes."""
+    if isinstance(factory, partial):
+        inner = _parts(factory.func)
+        return None if inner is None else (inner, repr(factory.args), repr(factory.keywords))
+    name = getattr(factory, "__qualname__", None)
+    return None if name is None or "<" in name else name
+
+
+def modules_behind(factory: Any) -> set[Path]:
+    """Return the files of the user's modules that a factory's module refers to, and of those that these refer to."""
+    own = Path(__file__).parents[1]
+    while isinstance(factory, partial):
+        factory = factory.func
+    left, known, files = {getattr(factory, "__module__", None)}, set[object](), set[Path]()
+    while left:
+        name = left.pop()
+        known.add(name)
+        module = sys.modules.get(name) if isinstance(name, str) else None
+        path = Path(getattr(module, "__file__", None) or "")
+        libraries = (own, Path(sysconfig.get_path("stdlib")))
+        of_others = any(path.is_relative_to(each) for each in libraries) or "site-packages" in path.parts
+        if module is None or path.suffix != ".py" or of_others:
+            continue
+        files.add(path)
+        for value in [*vars(module).values()]:
+            left.add(value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None))
+        left -= known
+    return files
+
+
+def _contents(modules: set[Path], others: set[Path]) -> Counter[str]:
+    """Return the hashes of modules, and of the data in their folders, except in folders of both sides."""
+    folders = {path.parent for path in modules} - {path.parent for path in others}
+    data = {
+        path for each in folders for path in each.rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc")
+    }
+    return Counter(hashlib.sha256(path.read_bytes()).hexdigest() for path in modules | data)
 
 
 def _name_of(factory: Callable[..., Any]) -> str:

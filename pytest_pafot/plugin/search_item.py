@@ -82,10 +82,15 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
+    factory = checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads
+    if revision is None:
+        compared = reference_of(against, lambda name: checked_factory(item.funcargs[name], name), factory)
+    else:
+        compared = reference(revision)
     return Harness(
         request=request,
         world=world,
-        ads=checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads,
+        ads=factory,
         test=bound_test(item, request.arg),
         test_file=source_file(item.obj, str(item.path)),
         node_id=node_ids.base_id(item),
@@ -94,9 +99,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         records=records_folder(item, request.settings),
         root=item.config.rootpath,
         versions=installed_versions(),
-        against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name))
-        if revision is None
-        else reference(revision),
+        against=compared,
         executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
         states=None if resume is None else here / resume,
     )
