@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import re
 import sys
 import sysconfig
 from collections import Counter
@@ -148,13 +149,20 @@ def modules_behind(factory: Any) -> set[Path]:
     return files
 
 
-def _contents(modules: set[Path], others: set[Path]) -> Counter[str]:
-    """Return the hashes of modules, and of the data in their folders, except in folders of both sides."""
+BY_ITS_PLACE = re.compile(rb"__file__|__path__|__spec__|__package__|resources|get_data")
+"""What a module has that opens data next to it, so that a copy of the module opens other data."""
+
+
+def _contents(modules: set[Path], others: set[Path]) -> Counter[bytes]:
+    """Return the texts of modules and, if they open data by their own place, the hashes of data that only they have."""
+    texts = [path.read_bytes() for path in modules]
     folders = {path.parent for path in modules} - {path.parent for path in others}
-    data = {
+    if not any(map(BY_ITS_PLACE.search, texts)):
+        return Counter(texts)
+    data = [
         path for each in folders for path in each.rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc")
-    }
-    return Counter(hashlib.sha256(path.read_bytes()).hexdigest() for path in modules | data)
+    ]
+    return Counter([*texts, *(hashlib.sha256(path.read_bytes()).digest() for path in data)])
 
 
 def _name_of(factory: Callable[..., Any]) -> str:

@@ -6,7 +6,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -81,28 +81,30 @@ class Revision:
         path = here.relative_to(root)
         return (bool(colon) or not (self.tree / path).exists()) and not self.history.is_ignored(path.as_posix())
 
-    def differing(self, seen: Mapping[str, str], test: str = "") -> list[str]:
+    def differing(self, seen: Mapping[str, str], test: str = "", others: Collection[str] = ()) -> list[str]:
         """Return the files by which the present policy may differ from that of this revision; empty if it is the same.
 
-        These are the files that it has seen and that are different now, and other changed files that it may see in
-        another run: modules that are named in what it has seen, and data, which native code opens unnoticed.
+        These are the files that it has seen and that are different now, and changed files that it may see in another
+        run: data, which native code opens unnoticed, and modules. A changed module is no part of it if it is not
+        imported now, is in no package of it, and is named nowhere in it.
 
         Args:
             seen: the hashes of the files that the policy of this revision has seen.
             test: the file of the test, if nothing in it is part of the policy.
+            others: the other test files of the session, which are imported whether or not the policy needs them.
         """
         root = self.history.root
-        differ = {name for name, digest in seen.items() if name != test and _digest(root / name) != digest}
-        differ |= {
-            name for name in self.history.uncommitted(self.commit) if _may_count(name) and name not in (test, *seen)
-        }
+        changed = {name for name in self.history.uncommitted(self.commit) if _may_count(name)} - {test}
+        differ = {name for name, digest in seen.items() if _digest(root / name) != digest} - {test}
+        packages = {PurePosixPath(name).parent for name in seen if name.endswith("__init__.py")}
+        loaded = loaded_in(root) - {*others}
         left = {
-            name for name in differ if name.endswith(".py") and name not in seen and Path(name).name != "conftest.py"
+            name
+            for name in changed - {*seen} - loaded
+            if name.endswith(".py") and not name.endswith("conftest.py") and PurePosixPath(name).parent not in packages
         }
-        if not differ - left:
-            left -= self._reachable(seen, left)
-            differ -= left
-        return sorted(differ)
+        differ |= changed - left
+        return sorted(differ or self._reachable(seen, left))
 
     def _reachable(self, seen: Iterable[str], changed: set[str]) -> set[str]:
         """Return the changed modules that are named in files that were seen, or in modules named there, and so on."""
@@ -118,6 +120,13 @@ class Revision:
                         words |= set(re.findall(rb"\w+", path.read_bytes()))
             new = {name for name in others if os.fsencode(_module(name)) in words}
         return changed - others
+
+
+def loaded_in(root: Path) -> set[str]:
+    """Return the files below a folder that are imported in this process, as paths relative to the folder."""
+    files = (getattr(module, "__file__", None) for module in [*sys.modules.values()])
+    paths = (Path(os.path.realpath(file)) for file in files if isinstance(file, str))
+    return {path.relative_to(root).as_posix() for path in paths if path.is_relative_to(root)}
 
 
 def _module(name: str) -> str:
@@ -177,12 +186,9 @@ def files_line(who: str, files: Mapping[str, str]) -> str:
 def sides(revision: Revision, seen: Mapping[str, str], differ: list[str]) -> list[str]:
     """Return a line for each side with its commit and the user's files that it has imported or opened."""
     root, history = revision.history.root, revision.history
-    loaded = {
-        os.path.realpath(file) for module in [*sys.modules.values()] if (file := getattr(module, "__file__", None))
-    }
-    names = [name for name in (*seen, *differ) if name in seen or os.path.realpath(root / name) in loaded]
+    names = [*seen, *(name for name in differ if name in loaded_in(root))]
     now = {name: digest for name in dict.fromkeys(names) if (digest := _digest(root / name))}
-    changed = " and changes" if history.uncommitted() else ""
+    changed = " and changes" if {*now, *seen} & {*history.uncommitted()} else ""
     # Those that differ come first, because long lists are cut.
     order = sorted(seen, key=lambda name: (name not in differ, name))
     present = sorted(now, key=lambda name: (name not in differ, name))

@@ -19,6 +19,9 @@ from pytest_pafot.execution.revision import PACKAGE, STUCK, RevisionPolicy
 from pytest_pafot.world.driving.ads import preload
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
+NO_TEST = "test"
+"""What a revision lacks if it has no such test."""
+
 
 class SeenFiles:
     """The files that this process has opened to read, and those of its modules."""

@@ -5,20 +5,16 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Generator, Mapping
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from pytest_pafot.campaign.harness import checked_factory
 from pytest_pafot.campaign.options import OPTIONS
-from pytest_pafot.commands.revision_process import Beginning, begun, failed, serve
+from pytest_pafot.commands.revision_process import NO_TEST, Beginning, begun, failed, serve
 from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.item_checks import REQUEST
 from pytest_pafot.plugin.node_ids import qualified_name
-
-NO_TEST = "test"
-"""What a revision lacks if it has no such test."""
 
 WITHOUT: Mapping[str, object] = {
     **dict.fromkeys([*(option.key for option in OPTIONS), "xmlpath", "htmlpath", "basetemp", "report_log"]),
@@ -90,8 +86,3 @@ def main(descriptor: int) -> None:
         if serving.failure is not None:
             beginning.connection.send(serving.failure)
         sys.exit(code)  # An error of pytest's own is in its last words.
-
-
-def named_file(file: Path) -> Path:
-    """Return the name that a present test file has in a revision with another file of its name."""
-    return file.with_stem(f"{file.stem}_of_now")

@@ -14,12 +14,11 @@ from pytest_pafot.campaign.harness import Harness, Reference, refusals
 from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import AgainstError, Request, build_space
 from pytest_pafot.commands.revision import OF_COMMAND, Revision, revision_at, sides
-from pytest_pafot.commands.revision_process import hashes_of, name_of
+from pytest_pafot.commands.revision_process import NO_TEST, hashes_of, name_of
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.revision import RevisionError, RevisionPolicy, rolled
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
-from pytest_pafot.plugin.revision_session import NO_TEST, named_file
 from pytest_pafot.searching.space import sample
 
 REVISIONS: pytest.StashKey[Revisions] = pytest.StashKey()
@@ -92,7 +91,7 @@ class Revisions:
             except RevisionError as error:
                 if error.missing != NO_TEST:
                     raise
-                there = named_file(there)
+                there = there.with_stem(f"{there.stem}_of_now")  # not in place of the other tests of this revision
         # The revision has no such test: the present file is put into it, and all others remain as they were.
         there.parent.mkdir(parents=True, exist_ok=True)
         there.write_bytes(file.read_bytes())
@@ -163,7 +162,10 @@ def compare(item: pytest.Item, harness: Harness) -> None:
         seen = policy.call(hashes_of)
         there, now = policy.built()["factory"], name_of(harness.ads)
         is_outside = bool(now) and now == there and harness.ads.__module__ != test_module(harness)
-        differ = revision.differing(seen, found.test if is_outside else "")
+        paths = {Path(os.path.realpath(each.path)) for each in item.session.items}
+        root = revision.history.root
+        tests = {each.relative_to(root).as_posix() for each in paths if each.is_relative_to(root)} - {found.test}
+        differ = revision.differing(seen, found.test if is_outside else "", tests)
     for line in sides(revision, seen, differ):
         messages.send(item, "note", {"text": line})
     if not differ:

@@ -136,7 +136,7 @@ class Reporter:
         """End the session with the exit code of a usage error if a policy could not be compared with its reference."""
         result = yield
         if self._incomparable:
-            raise pytest.UsageError(f"nothing to compare with, in {', '.join(self._incomparable)}")
+            raise pytest.UsageError(f"the reference cannot be compared, as told by {', '.join(self._incomparable)}")
         return result
 
     @pytest.hookimpl(tryfirst=True)
