@@ -188,6 +188,7 @@ class _Process:
             self._told = self._answer(self.clock() + LONGEST_BUILD)
         except (EOFError, OSError, TimeoutError) as error:
             why = f"no answer within {LONGEST_BUILD:g} s" if isinstance(error, TimeoutError) else self._end()
+            why += self._last_words()
             self.close(at_once=True)
             raise RevisionError(f"{policy.label}: expected a process with its policy, received {why}") from None
         except BaseException:
@@ -249,17 +250,20 @@ class _Process:
         return pickle.loads(self._connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
 
     def _end(self) -> str:
-        """Return how the process ended, with its last words."""
+        """Return how the process ended."""
         if self._popen is None:
             return "no process"
         with suppress(subprocess.TimeoutExpired):
             self._popen.wait(FAREWELL)
+        hung = "hung, ignored every interrupt and was ended"
+        return hung if self._popen.returncode == STUCK else ending(self._popen.returncode)
+
+    def _last_words(self) -> str:
+        """Return the last line that the process has printed, for an end that nothing else explains."""
         self._log.seek(0)
         lines = [line.strip() for line in self._log.read()[-4000:].decode("utf-8", "replace").splitlines()]
         words = next((line for line in reversed(lines) if line), "")
-        how = "hung, ignored every interrupt and was ended" if self._popen.returncode == STUCK else ""
-        how = how or ending(self._popen.returncode)
-        return f"{how}{f' ({one_line(visible(words))})' if words else ''}"
+        return f" ({one_line(visible(words))})" if words else ""
 
     def close(self, *, at_once: bool = False) -> None:
         """End the process; unless ``at_once``, it may first tear its fixtures down."""

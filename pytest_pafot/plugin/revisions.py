@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.campaign.harness import Harness, Reference, refusals
 from pytest_pafot.campaign.options import REVISION
-from pytest_pafot.campaign.request import AgainstError, Request, build_space
+from pytest_pafot.campaign.request import AgainstError, Request, RequestError, build_space
 from pytest_pafot.commands.revision import OF_COMMAND, Revision, revision_at, sides
 from pytest_pafot.commands.revision_process import NO_TEST, hashes_of, name_of
 from pytest_pafot.execution.pool import ProcessLostError
@@ -153,27 +153,25 @@ def compare(item: pytest.Item, harness: Harness) -> None:
     if policy is None:
         messages.send(item, "note", {"text": f"the policy is new since {revision.label}: every failure counts"})
         return
-    with refusals():
-        scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
-        try:
+    scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
+    try:
+        with refusals():
             policy.call(rolled, "rollout", harness.world, scenario)
-        except ProcessLostError:
-            return  # Each of its runs fails, which the search reports.
-        seen = policy.call(hashes_of)
-        there, now = policy.built()["factory"], name_of(harness.ads)
-        is_outside = bool(now) and now == there and harness.ads.__module__ != test_module(harness)
-        paths = {Path(os.path.realpath(each.path)) for each in item.session.items}
-        root = revision.history.root
-        tests = {each.relative_to(root).as_posix() for each in paths if each.is_relative_to(root)} - {found.test}
-        differ = revision.differing(seen, found.test if is_outside else "", tests)
+            seen = policy.call(hashes_of)
+    except ProcessLostError:
+        return  # Each of its runs fails, which the search reports.
+    except RequestError as error:
+        text = str(error).removeprefix(f"{policy.label}: ").removeprefix("ads: ")
+        raise AgainstError(f"against ({policy.label}): {text}") from None
+    there, now = policy.built()["factory"], name_of(harness.ads)
+    is_outside = bool(now) and now == there and harness.ads.__module__ != item.module.__name__  # type: ignore[attr-defined]
+    paths = {Path(os.path.realpath(each.path)) for each in item.session.items}
+    root = revision.history.root
+    tests = {each.relative_to(root).as_posix() for each in paths if each.is_relative_to(root)} - {found.test}
+    differ = revision.differing(seen, found.test if is_outside else "", tests)
     for line in sides(revision, seen, differ):
         messages.send(item, "note", {"text": line})
     if not differ:
         text = f"the policy is that of {revision.label}: nothing to compare"
         messages.send(item, "note", {"text": text})
         pytest.skip(text)
-
-
-def test_module(harness: Harness) -> str:
-    """Return the name of the module in which the test function is defined."""
-    return str(getattr(harness.test, "__module__", ""))
