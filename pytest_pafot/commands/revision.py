@@ -6,8 +6,8 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -149,7 +149,9 @@ def _digest(path: Path) -> str:
 
 
 @contextmanager
-def revision_at(text: str, folder: Path, here: Path, paths: str, option: str, **how: object) -> Iterator[Revision]:
+def revision_at(
+    text: str, folder: Path, here: Path, paths: str, option: str, terminated: Callable[[], None] | None = None
+) -> Iterator[Revision]:
     """Provide a revision of the repository around a folder, and remove its copy at the end.
 
     Args:
@@ -158,22 +160,23 @@ def revision_at(text: str, folder: Path, here: Path, paths: str, option: str, **
         here: the current folder, to which ``paths`` are relative.
         paths: the files and folders to copy, with spaces between them.
         option: the name of the option for these, for errors.
-        how: see :meth:`History.revision`.
+        terminated: see :meth:`History.revision`.
 
     Raises:
         RevisionError: if there is no such revision, or it cannot be copied.
     """
     name = text.removeprefix(REVISION)
-    try:
-        if not name:
-            raise HistoryError(f"expected a revision, such as {REVISION}main, received {text!r}")
-        history = History.of([], folder)
-        commit = history.named(name)
-        extra = copied(history.root, here, shlex.split(paths), option)
-        with history.revision(commit, extra, **how) as tree:  # type: ignore[arg-type]
-            yield Revision(history, text, commit, tree)
-    except (HistoryError, ValueError) as error:
-        raise RevisionError(f"{visible(text)}: {error}") from None
+    with ExitStack() as stack:
+        try:
+            if not name:
+                raise HistoryError(f"expected a revision, such as {REVISION}main, received {text!r}")
+            history = History.of([], folder)
+            commit = history.named(name)
+            extra = copied(history.root, here, shlex.split(paths), option)
+            tree = stack.enter_context(history.revision(commit, extra, terminated))
+        except (HistoryError, ValueError) as error:
+            raise RevisionError(f"{visible(text)}: {error}") from None
+        yield Revision(history, text, commit, tree)
 
 
 def files_line(who: str, files: Mapping[str, str]) -> str:

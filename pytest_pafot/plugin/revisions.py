@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,8 @@ class OfTest:
 
     revision: Revision
     policy: RevisionPolicy | None
-    test: str  # the path of the test file in the repository; empty for the policy of a command
+    test: str = ""  # the path of the test file in the repository; empty for the policy of a command
+    put: str = ""  # the path of the present test file in the copy, if the revision does not have the test
 
 
 @dataclass(eq=False)
@@ -80,9 +81,9 @@ class Revisions:
             except RevisionError as error:
                 if not revision.lacks(error.missing):
                     raise
-                return OfTest(revision, None, "")
+                return OfTest(revision, None)
             self.stack.callback(policy.close)
-            return OfTest(revision, policy, "")
+            return OfTest(revision, policy)
         path = file.relative_to(revision.history.root)
         there, is_own = revision.tree / path, (revision.tree / path).exists()
         if is_own:
@@ -96,11 +97,12 @@ class Revisions:
         there.parent.mkdir(parents=True, exist_ok=True)
         there.write_bytes(file.read_bytes())
         try:
-            return self._started(item, revision, path, there, here)
+            found = self._started(item, revision, path, there, here)
+            return replace(found, put=there.relative_to(revision.tree).as_posix())
         except RevisionError as error:
             if not revision.lacks(error.missing):
                 raise
-            return OfTest(revision, None, path.as_posix())
+            return OfTest(revision, None)
 
     def _started(self, item: pytest.Item, revision: Revision, path: Path, there: Path, here: Path) -> OfTest:
         """Start the session of a test file in the revision."""
@@ -163,12 +165,13 @@ def compare(item: pytest.Item, harness: Harness) -> None:
     except RequestError as error:
         text = str(error).removeprefix(f"{policy.label}: ").removeprefix("ads: ")
         raise AgainstError(f"against ({policy.label}): {text}") from None
+    seen.pop(found.put, None)
     there, now = policy.built()["factory"], name_of(harness.ads)
     is_outside = bool(now) and now == there and harness.ads.__module__ != item.module.__name__  # type: ignore[attr-defined]
     paths = {Path(os.path.realpath(each.path)) for each in item.session.items}
     root = revision.history.root
     tests = {each.relative_to(root).as_posix() for each in paths if each.is_relative_to(root)} - {found.test}
-    differ = revision.differing(seen, found.test if is_outside else "", tests)
+    differ = revision.differing(seen, found.test if is_outside or found.put else "", tests)
     for line in sides(revision, seen, differ):
         messages.send(item, "note", {"text": line})
     if not differ:
