@@ -74,7 +74,10 @@ class History:
         Raises:
             HistoryError: if the folder is in no repository, if a path is outside of it, or if git is missing.
         """
-        root = Path(os.path.realpath(_git(folder, "rev-parse", "--show-toplevel").strip("\n")))
+        try:
+            root = Path(os.path.realpath(_git(folder, "rev-parse", "--show-toplevel").removesuffix("\n")))
+        except HistoryError as error:
+            raise HistoryError(f"expected a folder in a git repository, received {folder} ({error})") from None
         return cls(root, tuple(inside(root, folder, path, "--policy").as_posix() for path in paths))
 
     def named(self, revision: str) -> str:

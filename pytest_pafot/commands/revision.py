@@ -172,9 +172,13 @@ def revision_at(
                 raise HistoryError(f"expected a revision, such as {REVISION}main, received {text!r}")
             history = History.of([], folder)
             commit = history.named(name)
-            extra = copied(history.root, here, shlex.split(paths), option)
+            try:
+                names = shlex.split(paths)
+            except ValueError as error:
+                raise HistoryError(f"{option}: expected paths as in a shell, received {paths!r}: {error}") from None
+            extra = copied(history.root, here, names, option)
             tree = stack.enter_context(history.revision(commit, extra, terminated))
-        except (HistoryError, ValueError) as error:
+        except HistoryError as error:
             raise RevisionError(f"{visible(text)}: {error}") from None
         yield Revision(history, text, commit, tree)
 
