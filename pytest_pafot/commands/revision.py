@@ -15,7 +15,7 @@ from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.commands.history import History, HistoryError, copied
 from pytest_pafot.commands.revision_process import digest_of
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.execution.revision import RevisionError, RevisionPolicy
+from pytest_pafot.execution.revision import PACKAGE, RevisionError, RevisionPolicy
 from pytest_pafot.support.text import visible
 
 OF_COMMAND = "PYTEST_PAFOT_POLICY"
@@ -94,7 +94,7 @@ class Revision:
             others: the other test files of the session, which are imported whether or not the policy needs them.
         """
         root = self.history.root
-        changed = {name for name in self.history.uncommitted(self.commit) if _may_count(name)} - {test}
+        changed = {name for name in self.history.uncommitted(self.commit) if _may_count(root / name, name)} - {test}
         differ = {name for name, digest in seen.items() if _digest(root / name) != digest} - {test}
         packages = {PurePosixPath(name).parent for name in seen if name.endswith("__init__.py")}
         loaded = loaded_in(root) - {*others}
@@ -134,14 +134,10 @@ def _module(name: str) -> str:
     return path.parent.name if path.stem == "__init__" else path.stem
 
 
-def _may_count(name: str) -> bool:
-    path = PurePosixPath(name)
-    return (
-        path.suffix not in NO_PART
-        and not name.endswith(SUFFIX)
-        and path.name not in OUTPUTS
-        and path.parts[0] != ".github"
-    )
+def _may_count(path: Path, name: str) -> bool:
+    """Return whether a changed file may be part of a policy. The running pytest_pafot is that of both sides."""
+    is_part = not name.endswith(NO_PART) and path.name not in OUTPUTS and not name.startswith(".github/")
+    return is_part and not path.is_relative_to(PACKAGE)
 
 
 def _digest(path: Path) -> str:
