@@ -42,7 +42,9 @@ class Revision:
     @property
     def label(self) -> str:
         """The name of the revision and its commit, for texts."""
-        return f"{visible(self.text)} ({self.commit:.7})"
+        name = self.text.removeprefix(REVISION)
+        is_hash = len(name) >= 7 and self.commit.startswith(name)
+        return f"{REVISION}{self.commit:.7}" if is_hash else f"{visible(self.text)} ({self.commit:.7})"
 
     def policy(
         self, here: Path, program: str, name: str, *, copy: str, session: tuple[str, ...] = ()

@@ -118,9 +118,9 @@ def begun(descriptor: int) -> Iterator[Beginning]:
         yield Beginning(connection, policy, files)
 
 
-def failed(error: BaseException, missing: str = "") -> dict[str, Any]:
+def failed(policy: RevisionPolicy, error: BaseException, missing: str = "") -> dict[str, Any]:
     """Return the answer about a policy that cannot be built, with what its revision lacks, if that is why."""
-    return {"error": described(error), "missing": missing or missing_in(error)}
+    return {"error": described(error, policy.tree), "missing": missing or missing_in(error)}
 
 
 def missing_in(error: BaseException | None) -> str:
@@ -165,6 +165,6 @@ def main(descriptor: int) -> None:
         try:
             factory = ads_factory(beginning.policy.name, beginning.policy.label)
         except Exception as error:  # noqa: BLE001  (whatever it raises, the session says so)
-            beginning.connection.send(failed(error))
+            beginning.connection.send(failed(beginning.policy, error))
             return
         serve(beginning, factory)

@@ -235,7 +235,7 @@ class _Process:
             return result
         if isinstance(said, AdsFactoryError | WorldError | ScenarioError | RevisionError):
             raise said
-        text = one_line(visible(f"{type(said).__name__}: {said}"))
+        text = one_line(visible(f"{type(said).__name__}: {said}".replace(f"{self.policy.tree}{os.sep}", "")))
         raise RevisionError(
             f"{self.policy.label}: expected a policy that drives, received {text}; files that git ignores, such as "
             f"weights, need {self.policy.copy}"

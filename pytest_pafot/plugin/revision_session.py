@@ -54,7 +54,8 @@ class Serving:
         if call.excinfo is not None and self.failure is None:
             error = call.excinfo.value
             missing = f"fixture:{error.argname}" if isinstance(error, pytest.FixtureLookupError) else ""
-            self.failure = failed(error.__cause__ or error, missing)  # pytest wraps what an import raises
+            # pytest wraps what an import raises
+            self.failure = failed(self.beginning.policy, error.__cause__ or error, missing)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Remember that the test is skipped in this revision."""

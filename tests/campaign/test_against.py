@@ -5,7 +5,7 @@ import pytest
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign.events import FindTold
-from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.campaign.request import AgainstError, RequestError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.world.reference_drivers import REFERENCES
@@ -43,11 +43,34 @@ def collides(ads, scenario):
     return pafot.Run(ROAD.rollout(scenario, ads)).collision is not None
 
 
-def test_between_a_policy_and_itself_there_is_nothing():
-    exploration = pafot.explore(constant_speed.make, against=constant_speed.make, holds=never_collides, **SHORT)
+def test_policy_is_not_compared_with_itself():
+    with pytest.raises(AgainstError, match=r"against \(example_ads\.constant_speed:make\): expected a policy that dif"):
+        pafot.explore(constant_speed.make, against=constant_speed.make, holds=never_collides, **SHORT)
+    named = "example_ads.constant_speed:make"
+    with pytest.raises(AgainstError, match="would be compared with itself; give rev:main"):
+        pafot.explore(constant_speed.make, against=named, holds=never_collides, **SHORT)
+
+
+def made_again():
+    return constant_speed.make()
+
+
+def test_between_equal_policies_there_is_nothing():
+    exploration = pafot.explore(constant_speed.make, against=made_again, holds=never_collides, **SHORT)
     assert exploration.findings == ()
     assert exploration.summary.common > exploration.summary.failing == 0
-    assert exploration.summary.against == "example_ads.constant_speed:make"
+
+
+def made_with(text):
+    """Make a policy that crashes, unless the text says that it is careful."""
+    return CAREFUL() if text == "with: care" else constant_speed.make()
+
+
+def test_reference_may_have_an_argument():
+    named = f"{__name__}:made_with:with: care"
+    exploration = pafot.explore(constant_speed.make, against=named, holds=never_collides, **SHORT)
+    assert exploration.findings
+    assert {finding.expect.against for finding in exploration.findings} == {named}
 
 
 def test_finding_fails_with_policy_and_passes_with_reference():
@@ -134,6 +157,7 @@ def test_test_function_error_is_raised_despite_the_reference():
             "old_ads",
             r"pafot\.explore\(against\): expected a factory, or its name as module:factory, received 'old_ads'",
         ),
+        ("rev:main", r"received 'rev:main'; a revision is compared by pytest and by the commands search and progress"),
         (3, r"against: expected a factory such as .*, received 3"),
         (lambda model: model, r"^against \(the reference\): expected a factory that can be called without arguments"),
         (lambda: pytest.skip("old"), r"^against \(.*\): expected the factory of the reference to raise no skip"),
