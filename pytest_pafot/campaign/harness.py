@@ -23,7 +23,7 @@ from pytest_pafot.campaign.request import AgainstError, Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.revision import RevisionError, RevisionPolicy, rolled
+from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy, rolled
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.execution.separate_runs import replay_in_gym_apart
@@ -140,7 +140,7 @@ def modules_behind(factory: Any) -> set[Path]:
         path = Path(getattr(module, "__file__", None) or "")
         libraries = (own, Path(sysconfig.get_path("stdlib")))
         of_others = any(path.is_relative_to(each) for each in libraries) or "site-packages" in path.parts
-        if module is None or path.suffix != ".py" or of_others:
+        if path.suffix != ".py" or not path.is_file() or of_others:
             continue
         files.add(path)
         for value in [*vars(module).values()]:

@@ -268,11 +268,9 @@ class History:
             if not line.startswith("worktree ") or not tree.parent.name.startswith(TREES):
                 continue
             lock = next(tree.parent.glob("*-lock"), None)
-            with suppress(OSError, HistoryError):
-                if lock is not None:
-                    with open_regular(lock, "r+b") as file:
-                        if is_held(file.fileno(), pid_of(lock)):
-                            continue
+            if lock is not None and _is_in_use(lock):
+                continue
+            with suppress(HistoryError):
                 self._git("worktree", "remove", "--force", "--force", str(tree))
             if lock is not None:
                 shutil.rmtree(tree.parent, ignore_errors=True)
@@ -330,6 +328,15 @@ def _copy(source: Path, target: Path) -> None:
     elif os.path.lexists(source):
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(source, target, follow_symlinks=False)
+
+
+def _is_in_use(lock: Path) -> bool:
+    """Return whether the process that made a worktree still holds its lock."""
+    try:
+        with open_regular(lock, "r+b") as file:
+            return is_held(file.fileno(), pid_of(lock))
+    except OSError:  # of a different user
+        return True
 
 
 def _files(path: Path) -> Iterator[Path]:

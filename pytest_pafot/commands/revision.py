@@ -15,7 +15,7 @@ from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.commands.history import History, HistoryError, copied
 from pytest_pafot.commands.revision_process import digest_of
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.execution.revision import PACKAGE, RevisionError, RevisionPolicy
+from pytest_pafot.execution.revision_policy import PACKAGE, RevisionError, RevisionPolicy
 from pytest_pafot.support.text import visible
 
 OF_COMMAND = "PYTEST_PAFOT_POLICY"

@@ -13,9 +13,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.commands.policy_reference import ads_factory, described
+from pytest_pafot.commands.policy_reference import PlanError, ads_factory, described
 from pytest_pafot.execution.pool import IGNORED, portable, sendable
-from pytest_pafot.execution.revision import PACKAGE, STUCK, RevisionPolicy
+from pytest_pafot.execution.revision_policy import PACKAGE, STUCK, RevisionPolicy
+from pytest_pafot.support.text import one_line
 from pytest_pafot.world.driving.ads import preload
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
@@ -120,7 +121,8 @@ def begun(descriptor: int) -> Iterator[Beginning]:
 
 def failed(policy: RevisionPolicy, error: BaseException, missing: str = "") -> dict[str, Any]:
     """Return the answer about a policy that cannot be built, with what its revision lacks, if that is why."""
-    return {"error": described(error, policy.tree), "missing": missing or missing_in(error)}
+    told = one_line(str(error)) if isinstance(error, PlanError) else described(error, policy.tree)
+    return {"error": told, "missing": missing or missing_in(error)}
 
 
 def missing_in(error: BaseException | None) -> str:
@@ -165,6 +167,8 @@ def main(descriptor: int) -> None:
         try:
             factory = ads_factory(beginning.policy.name, beginning.policy.label)
         except Exception as error:  # noqa: BLE001  (whatever it raises, the session says so)
-            beginning.connection.send(failed(beginning.policy, error))
+            module = beginning.policy.name.partition(":")[0]
+            lacks = f"{module}:" if module in sys.modules else ""
+            beginning.connection.send(failed(beginning.policy, error, lacks))
             return
         serve(beginning, factory)

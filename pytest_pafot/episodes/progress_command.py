@@ -46,7 +46,7 @@ from pytest_pafot.episodes.rate import EpisodeRow
 from pytest_pafot.episodes.rate_command import config_of
 from pytest_pafot.episodes.rate_plan import CHUNK, PLANNER, driven
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.revision import RevisionError, RevisionPolicy
+from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy
 from pytest_pafot.execution.runner import runner_here
 from pytest_pafot.findings.severity import worsening
 from pytest_pafot.model.trace import Outcome
@@ -206,6 +206,8 @@ def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[Prog
             if not revision.lacks(error.missing):
                 raise
             raise PlanError(f"OLD: expected a revision with {name}, received {policy.label}, which lacks it") from None
+        except ProcessLostError as error:
+            raise PlanError(f"OLD: expected a policy that drives, received {policy.label}, which {error.how}") from None
         finally:
             policy.close()
 

@@ -19,7 +19,7 @@ from typing import Any, Self
 
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.prefetching import Isolated, LockStep, Processes
-from pytest_pafot.execution.revision import Elsewhere, RevisionPolicy
+from pytest_pafot.execution.revision_policy import Elsewhere, RevisionPolicy
 from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace

@@ -16,7 +16,7 @@ from pytest_pafot.campaign.request import AgainstError, Request, RequestError, b
 from pytest_pafot.commands.revision import OF_COMMAND, Revision, revision_at, sides
 from pytest_pafot.commands.revision_process import NO_TEST, hashes_of, name_of
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.revision import RevisionError, RevisionPolicy, rolled
+from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy, rolled
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.searching.space import sample
