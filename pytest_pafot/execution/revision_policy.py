@@ -33,6 +33,8 @@ T = TypeVar("T")
 
 LONGEST_BUILD = 300.0
 """The longest time for the imports and the fixtures of a revision [s]."""
+LONGEST_END = 10.0
+"""The longest time for the end of a process, which tears down the fixtures of its test [s]."""
 STUCK = 86
 """The exit code of a process whose policy ignores every interrupt."""
 PACKAGE = Path(__file__).parents[1]
@@ -272,7 +274,7 @@ class _Process:
             return
         self._connection.close()  # The process ends at the end of its requests.
         with suppress(subprocess.TimeoutExpired):
-            popen.wait(0 if at_once else FAREWELL)
+            popen.wait(0 if at_once else LONGEST_END)
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(popen.pid, signal.SIGKILL)  # Also what the policy has started, even if it has ended itself.
         popen.wait()

@@ -113,7 +113,8 @@ class Expect:
         reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
         last_chance: the last time from which a reference driver would have stayed free of fault; None if there is none.
         avoided_by: the last decision from which braking avoids the collision in simulation; None if there is none.
-        against: the reference that passed the scenario, as ``module:factory`` or the name of a fixture; empty without a
+        against: the reference that passed the scenario, as ``module:factory``, as the name of a fixture, or as a
+            revision and its commit, such as ``rev:main (1a2b3c4)``; empty without a
             reference, or if its factory has no such name.
         traceback: traceback of an ADS that raised, without addresses, process ids and temporary folders; otherwise
             empty.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -106,11 +107,11 @@ class Revisions:
 
     def _started(self, item: pytest.Item, revision: Revision, path: Path, there: Path, here: Path) -> OfTest:
         """Start the session of a test file in the revision."""
-        config, root = item.config, str(revision.history.root)
+        config, own = item.config, re.compile(rf"{re.escape(str(revision.history.root))}(?=/|$)")
         given = [str(arg) for arg in getattr(config, "workerinput", {}).get("mainargv", ("",))[1:]]
         given = given or [str(arg) for arg in config.invocation_params.args]
         others = {*map(str, config.getoption("file_or_dir", None) or ())}
-        arguments = [arg.replace(root, str(revision.tree)) for arg in given if arg not in others]
+        arguments = [own.sub(lambda _: str(revision.tree), arg) for arg in given if arg not in others]
         arguments += [str(there), *(["-n0"] if config.pluginmanager.has_plugin("xdist") else [])]
         program, name = "pytest_pafot.plugin.revision_session", qualified_name(item)
         policy = revision.policy(here, program, name, copy=COPY, session=tuple(arguments))
