@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import inspect
 import re
@@ -13,8 +14,8 @@ from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.util import resolve_name
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance, avoidance, last_decision
@@ -128,7 +129,7 @@ def _parts(factory: Any) -> object:
 
 
 def modules_behind(factory: Any) -> set[Path]:
-    """Return the files of the user's modules that a factory's module refers to, and of those that these refer to."""
+    """Return the files of the user's modules: that of a factory, those that it imports, and those that these import."""
     own = Path(__file__).parents[1]
     while isinstance(factory, partial):
         factory = factory.func
@@ -143,10 +144,24 @@ def modules_behind(factory: Any) -> set[Path]:
         if path.suffix != ".py" or not path.is_file() or of_others:
             continue
         files.add(path)
-        for value in [*vars(module).values()]:
-            left.add(value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None))
-        left -= known
+        left |= _imports(path, getattr(module, "__package__", None) or "") - known
     return files
+
+
+def _imports(path: Path, package: str) -> set[object]:
+    """Return the names of the modules that a file imports anywhere, and of all else that it imports."""
+    names: set[object] = set()
+    try:
+        nodes = [*ast.walk(ast.parse(path.read_bytes()))]
+    except SyntaxError:  # It was changed since it was imported.
+        return names
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = resolve_name(f"{'.' * node.level}{node.module or ''}", package)
+            names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
+    return names
 
 
 BY_ITS_PLACE = re.compile(rb"__file__|__path__|__spec__|__package__|resources|get_data")

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pytest_pafot.campaign.harness import Harness, Reference, refusals
+from pytest_pafot.campaign.harness import Harness, Reference, modules_behind, refusals
 from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import AgainstError, Request, RequestError, build_space
-from pytest_pafot.commands.revision import OF_COMMAND, Revision, revision_at, sides
-from pytest_pafot.commands.revision_process import NO_TEST, hashes_of, name_of
+from pytest_pafot.commands.revision import OF_COMMAND, Revision, files_line, revision_at, sides
+from pytest_pafot.commands.revision_process import NO_TEST, digest_of, hashes_of, name_of
+from pytest_pafot.corpus.layout import relative
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy, rolled
 from pytest_pafot.plugin import messages
@@ -142,19 +143,24 @@ def reference(found: OfTest) -> Reference | None:
 
 
 def compare(item: pytest.Item, harness: Harness) -> None:
-    """Send lines on both sides of a comparison with a revision. Skip the item if both policies are the same.
+    """Send lines on both sides of a comparison. Skip the item if both policies are the same.
 
-    The policy of the revision drives a run first, so that files that it opens late count as well.
+    The policy of a revision drives a run first, so that files that it opens late count as well.
 
     Raises:
-        RequestError: if the policy of the revision cannot be driven.
+        AgainstError: if the policy of the revision cannot be driven.
     """
-    found = revision_of(item, harness.request)
-    if found is None or not harness.request.settings.is_search:
+    found, against = revision_of(item, harness.request), harness.against
+    if not harness.request.settings.is_search or (found is None and against is None):
+        return
+    if found is None:
+        for who, ads in ((against.shown, against.ads), ("now", harness.ads)) if against is not None else ():
+            files = {relative(path, harness.root): digest_of(path) for path in sorted(modules_behind(ads))}
+            messages.send(item, "compared", {"text": files_line(who, files)})
         return
     revision, policy = found.revision, found.policy
     if policy is None:
-        messages.send(item, "note", {"text": f"the policy is new since {revision.label}: every failure counts"})
+        messages.send(item, "compared", {"text": f"the policy is new since {revision.label}: every failure counts"})
         return
     scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
     try:
@@ -174,8 +180,8 @@ def compare(item: pytest.Item, harness: Harness) -> None:
     tests = {each.relative_to(root).as_posix() for each in paths if each.is_relative_to(root)} - {found.test}
     differ = revision.differing(seen, found.test if is_outside or found.put else "", tests)
     for line in sides(revision, seen, differ):
-        messages.send(item, "note", {"text": line})
+        messages.send(item, "compared", {"text": line})
     if not differ:
         text = f"the policy is that of {revision.label}: nothing to compare"
-        messages.send(item, "note", {"text": text})
+        messages.send(item, "compared", {"text": text})
         pytest.skip(text)

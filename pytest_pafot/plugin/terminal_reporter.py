@@ -231,7 +231,7 @@ class Reporter:
                 self._replays.append(from_plain(terminal.ReplaySummary, data["summary"]))
             case "rate" | "merge":
                 self._lines.reports.append(data["text"])
-            case "note":
+            case "note" | "compared":
                 self._notes[data["text"]] = None
             case "incomparable":
                 self._incomparable[report.nodeid] = None

@@ -1,10 +1,14 @@
 """A search against a reference: what counts, what is counted separately, and what is refused."""
 
+import functools
+import importlib
+
 import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign.events import FindTold
+from pytest_pafot.campaign.harness import same_policy
 from pytest_pafot.campaign.request import AgainstError, RequestError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Failure
@@ -59,6 +63,28 @@ def test_between_equal_policies_there_is_nothing():
     exploration = pafot.explore(constant_speed.make, against=made_again, holds=never_collides, **SHORT)
     assert exploration.findings == ()
     assert exploration.summary.common > exploration.summary.failing == 0
+
+
+def test_copy_of_a_package_is_the_same_policy_unless_its_data_differ(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    modules = {
+        "__init__.py": "from .net import Planner\n",
+        "net.py": "from pathlib import Path\nfrom . import limits\n\nWEIGHTS = Path(__file__).parent / 'w.npz'\n\n"
+        "class Planner:\n    pass\n",
+        "limits.py": "LIMIT = 1\n",
+    }
+    for package in ("now_policy", "old_policy", "other_limits", "other_weights"):
+        (tmp_path / package).mkdir()
+        for name, text in modules.items():
+            (tmp_path / package / name).write_text(text)
+        (tmp_path / package / "w.npz").write_text(str(package == "other_weights"))
+    (tmp_path / "other_limits/limits.py").write_text("LIMIT = 2\n")
+    now, *others = (
+        importlib.import_module(name).Planner for name in ("now_policy", "old_policy", "other_limits", "other_weights")
+    )
+    assert [bool(same_policy(now, other)) for other in others] == [True, False, False]
+    assert not same_policy(functools.partial(now, "old.zip"), functools.partial(others[0], "new.zip"))
+    assert same_policy(functools.partial(now, "old.zip"), functools.partial(others[0], "old.zip"))
 
 
 def made_with(text):

@@ -117,15 +117,20 @@ OTHER_TEST = {"test_other.py": "def test_other():\n    pass\n"}
         ({"conftest.py": ""}, False),
     ],
 )
-def test_same_policy_is_not_searched_unless_a_change_may_matter(repository, changes, is_same):
+def test_same_policy_is_not_searched_unless_a_change_may_matter(
+    repository, changes, is_same, monkeypatch, tmp_path_factory
+):
     git(repository, "checkout", "-q", "pkg")
     text = (repository.path / "test_it.py").read_text()
     if "test_it.py" in changes:
         before, mark, after = text.partition("\n\n@pafot")
         changes = {"test_it.py": before + "\n" + changes["test_it.py"] + mark + after}
     write(repository, changes)
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(tmp_path_factory.mktemp("job") / "summary.md"))
     result = run(repository)
     assert result.ret == 0
+    summary = Path(os.environ["GITHUB_STEP_SUMMARY"]).read_text()
+    assert ("No search ran." in summary, "nothing to compare" in summary) == (is_same, is_same)
     same = f"note: the policy is that of rev:main ({git(repository, 'rev-parse', 'main')[:7]}): nothing to compare"
     assert (same in [line.strip() for line in result.outlines]) is is_same
     assert result.parseoutcomes().get("skipped", 0) == is_same
