@@ -101,7 +101,7 @@ class TestAPullRequest:
         inputs = inputs_of("pull-request", "pull-request", values) | {"runs": "150", "seed": "5", "requirements": ""}
         summary.write_text("")
         code, printed = run_action(inputs | changes, folder, GITHUB_STEP_SUMMARY=str(summary))
-        has_page = "nothing was written, since no search" not in " ".join(printed.split())
+        has_page = (folder / "pafot.html").exists() or "nothing" not in printed  # to write, or to compare
         for name in ("pafot.json", "pafot.xml", *["pafot.html"][:has_page]):
             assert (folder / name).is_file(), printed
         assert git(folder, "worktree", "list").count("\n") == 0
@@ -122,7 +122,12 @@ class TestAPullRequest:
         assert f"against {against}: introduces 1 failure, fixes 0, 0 as before" in " ".join(printed.split())
         assert (find.file, find.status, find.responsible) == (file, "new", "ego")
         assert find.against == against
-        assert summary.read_text() == (
+        told, _, compared = summary.read_text().partition("\n**Compared**\n\n")
+        assert [line.partition(": planner.py ")[0] for line in compared.splitlines()] == [
+            f"- rev:&#8203;{base[:7]}",
+            f"- now ({git(repository, 'rev-parse', 'HEAD')[:7]})",
+        ]
+        assert told == (
             "### pafot: 1 new\n\n"
             "1 search, 150 runs; repeat with `--pafot-runs=150 --pafot-seed=5`.\n"
             f"A run counts as a failure only if `{against}` passes it.\n\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +42,7 @@ class Revisions:
     """The revisions of this process of a session. Each worker of pytest-xdist has its own."""
 
     stack: ExitStack
-    _copies: dict[tuple[str, str, Path], Revision] = field(default_factory=dict)
+    _copies: dict[tuple[Path, str, str], Revision] = field(default_factory=dict)
     _known: dict[tuple[str, str], OfTest | RevisionError] = field(default_factory=dict)
 
     def of(self, item: pytest.Item, request: Request) -> OfTest:
@@ -66,59 +66,59 @@ class Revisions:
         return known
 
     def _built(self, item: pytest.Item, request: Request) -> OfTest:
-        here = Path(os.path.realpath(item.config.invocation_params.dir))
+        here, file = (Path(os.path.realpath(path)) for path in (item.config.invocation_params.dir, item.path))
         named = os.environ.get(OF_COMMAND, "")
-        file = Path(os.path.realpath(item.path))
-        folder = here if named else file.parent
-        text, paths = str(request.settings.against), request.settings.copy or ""
-        key = (text, paths, folder)
-        if key not in self._copies:
-            made = revision_at(text, folder, here, paths, COPY)
-            self._copies[key] = self.stack.enter_context(made)
-        revision = self._copies[key]
+        revision = self._copy(here if named else file.parent, here, request)
         if named:
-            policy = revision.named(named, here, copy=COPY)
+            return self._started(OfTest(revision, revision.named(named, here, copy=COPY)), may_be_new=True)
+        test = put = file.relative_to(revision.history.root)
+        if (revision.tree / test).exists():
+            found = OfTest(revision, _session(item, revision, test, here), test.as_posix())
             try:
-                policy.built()
-            except RevisionError as error:
-                if not revision.lacks(error.missing):
-                    raise
-                return OfTest(revision, None)
-            self.stack.callback(policy.close)
-            return OfTest(revision, policy)
-        path = file.relative_to(revision.history.root)
-        there, is_own = revision.tree / path, (revision.tree / path).exists()
-        if is_own:
-            try:
-                return self._started(item, revision, path, there, here)
+                return self._started(found, may_be_new=False)
             except RevisionError as error:
                 if error.missing != NO_TEST:
                     raise
-                there = there.with_stem(f"{there.stem}_of_now")  # not in place of the other tests of this revision
+            put = put.with_stem(f"{put.stem}_of_now")  # not in place of the other tests of this revision
         # The revision has no such test: the present file is put into it, and all others remain as they were.
-        there.parent.mkdir(parents=True, exist_ok=True)
-        there.write_bytes(file.read_bytes())
-        try:
-            found = self._started(item, revision, path, there, here)
-            return replace(found, put=there.relative_to(revision.tree).as_posix())
-        except RevisionError as error:
-            if not revision.lacks(error.missing):
-                raise
-            return OfTest(revision, None)
+        (revision.tree / put).parent.mkdir(parents=True, exist_ok=True)
+        (revision.tree / put).write_bytes(file.read_bytes())
+        found = OfTest(revision, _session(item, revision, put, here), test.as_posix(), put.as_posix())
+        return self._started(found, may_be_new=True)
 
-    def _started(self, item: pytest.Item, revision: Revision, path: Path, there: Path, here: Path) -> OfTest:
-        """Start the session of a test file in the revision."""
-        config, own = item.config, re.compile(rf"{re.escape(str(revision.history.root))}(?=/|$)")
-        given = [str(arg) for arg in getattr(config, "workerinput", {}).get("mainargv", ("",))[1:]]
-        given = given or [str(arg) for arg in config.invocation_params.args]
-        others = {*map(str, config.getoption("file_or_dir", None) or ())}
-        arguments = [own.sub(lambda _: str(revision.tree), arg) for arg in given if arg not in others]
-        arguments += [str(there), *(["-n0"] if config.pluginmanager.has_plugin("xdist") else [])]
-        program, name = "pytest_pafot.plugin.revision_session", qualified_name(item)
-        policy = revision.policy(here, program, name, copy=COPY, session=tuple(arguments))
-        policy.built()
-        self.stack.callback(policy.close)
-        return OfTest(revision, policy, path.as_posix())
+    def _copy(self, folder: Path, here: Path, request: Request) -> Revision:
+        """Return the copy of the revision of the repository around a folder; tests of one repository share it."""
+        root = next((each for each in (folder, *folder.parents) if (each / ".git").exists()), folder)
+        key = (root, str(request.settings.against), request.settings.copy or "")
+        if key not in self._copies:
+            _, text, paths = key
+            self._copies[key] = self.stack.enter_context(revision_at(text, folder, here, paths, COPY))
+        return self._copies[key]
+
+    def _started(self, found: OfTest, *, may_be_new: bool) -> OfTest:
+        """Start the process of a policy; if its revision does not have it and it may be new, return that it is new."""
+        if found.policy is None:
+            return found
+        try:
+            found.policy.built()
+        except RevisionError as error:
+            if may_be_new and found.revision.lacks(error.missing):
+                return OfTest(found.revision, None)
+            raise
+        self.stack.callback(found.policy.close)
+        return found
+
+
+def _session(item: pytest.Item, revision: Revision, test: Path, here: Path) -> RevisionPolicy:
+    """Return the policy of an item's test in a revision, with the session of this test file there."""
+    config, own = item.config, re.compile(rf"{re.escape(str(revision.history.root))}(?=/|$)")
+    given = [str(arg) for arg in getattr(config, "workerinput", {}).get("mainargv", ("",))[1:]]
+    given = given or [str(arg) for arg in config.invocation_params.args]
+    others = {*map(str, config.getoption("file_or_dir", None) or ())}
+    arguments = [own.sub(lambda _: str(revision.tree), arg) for arg in given if arg not in others]
+    arguments += [str(revision.tree / test), *(["-n0"] if config.pluginmanager.has_plugin("xdist") else [])]
+    program = "pytest_pafot.plugin.revision_session"
+    return revision.policy(here, program, qualified_name(item), copy=COPY, session=tuple(arguments))
 
 
 def revision_of(item: pytest.Item, request: Request) -> OfTest | None:
