@@ -9,15 +9,15 @@
 #   sh ci/pafot.sh merge          the finds of several machines into one corpus, and onto a branch
 #
 # Further arguments are options of pytest. Each session leaves pafot.json and pafot.xml, and pafot.html if a search or a
-# replay ran. It ends with pytest's exit code, or with 2 where pytest ends with 0 and pafot.json does not say so. The environment says the rest; what
-# is empty or not set is left out:
+# replay ran. It ends with pytest's exit code, or with 2 where pytest ends with 0 and pafot.json does not say so, and
+# where a pull request could not be compared. The environment says the rest; what is empty or not set is left out:
 #
 #   REQUIREMENTS  a file for `pip install -r`
 #   RUNS, SEED    of each search
 #   LIMIT         seconds for all searches of a session
-#   POLICY        module:factory that a pull request may change, such as planner:Planner, with its file below this folder
-#   BASE          the commit before the change
-#   AGAINST       module:factory of another reference, in place of POLICY and BASE
+#   BASE          the commit before the change; the policy of each test is compared with that of this commit
+#   AGAINST       another reference in place of BASE: rev:REVISION, or module:factory
+#   COPY          files and folders that the policy needs and git ignores, such as weights, with spaces between them
 #   STATE         the folder with the states of searches that go on
 #   BRANCH        the branch for finds, neither the default one nor that of HEAD; REMOTE has it (origin)
 #   MACHINES      the folder below this one with a folder for each machine (machines)
@@ -70,35 +70,18 @@ search() {
   session "$@"
 }
 
-# The policy of before lies beside the one of now as long as the session lasts.
+# The policy of before is built from all files of its commit, in a process of its own.
 pull_request() {
-  if [ -n "${AGAINST:-}" ]; then
-    search "--pafot-against=$AGAINST" "$@"
-    return
+  if [ -z "${AGAINST:-}" ]; then
+    [ -n "${BASE:-}" ] || fail "expected BASE or AGAINST; see the head of this file"
+    git rev-parse -q --verify "$BASE^{commit}" >/dev/null || fail "expected the commit BASE=$BASE; fetch it first"
+    AGAINST=rev:$BASE
   fi
-  [ -n "${POLICY:-}" ] && [ -n "${BASE:-}" ] || fail "expected POLICY and BASE, or AGAINST; see the head of this file"
-  case $POLICY in
-    -* | .* | *..* | */* | *.:* | :* | *: | *:*:*) factory= ;; # It would name a file elsewhere.
-    *) factory=${POLICY#"${POLICY%%:*}"} ;;
-  esac
-  [ -n "$factory" ] || fail "expected POLICY as module:factory, such as planner:Planner, received $POLICY"
-  module=${POLICY%%:*}
-  file=$(printf %s "$module" | tr . /).py
-  before=${file%.py}_before.py
-  [ -f "$file" ] || fail "expected the file of POLICY=$POLICY in $PWD, found no $file"
-  # A link that leads nowhere exists for -L alone, and would be written through.
-  [ ! -e "$before" ] && [ ! -L "$before" ] ||
-    fail "expected no file $before, where the policy of $BASE goes; rename yours"
-  commit=$(git rev-parse -q --verify "$BASE^{commit}") || fail "expected the commit BASE=$BASE; fetch it first"
-  if ! git cat-file -e "$commit:./$file" 2>/dev/null; then
-    echo "$file is new: each failure counts"
-    search "$@"
-    return
-  fi
-  trap 'rm -f "$before"' EXIT
-  trap 'exit 130' INT TERM
-  git show "$commit:./$file" >"$before"
-  search "--pafot-against=${module}_before$factory" "$@"
+  [ -z "${COPY:-}" ] || set -- "--pafot-copy=$COPY" "$@"
+  compared=0
+  search "--pafot-against=$AGAINST" "$@" || compared=$?
+  [ "$compared" != 4 ] || compared=2 # pytest's code for wrong use: there was nothing to compare with
+  return "$compared"
 }
 
 # What the remote has as the branch now: its commit in $tip, which is empty where there is none. An error ends with $1.

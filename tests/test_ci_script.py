@@ -101,9 +101,10 @@ class TestAPullRequest:
         inputs = inputs_of("pull-request", "pull-request", values) | {"runs": "150", "seed": "5", "requirements": ""}
         summary.write_text("")
         code, printed = run_action(inputs | changes, folder, GITHUB_STEP_SUMMARY=str(summary))
-        for name in ("pafot.json", "pafot.html", "pafot.xml"):
+        has_page = (folder / "pafot.html").exists() or "nothing" not in printed  # to write, or to compare
+        for name in ("pafot.json", "pafot.xml", *["pafot.html"][:has_page]):
             assert (folder / name).is_file(), printed
-        assert not (folder / "planner_before.py").exists()
+        assert git(folder, "worktree", "list").count("\n") == 0
         return code, printed
 
     def test_pull_request_fails_until_its_regression_is_fixed(self, repository, summary):
@@ -116,13 +117,20 @@ class TestAPullRequest:
         record = record_of(repository)
         (find,) = record.findings
         assert (code, record.exit) == (1, 1)
-        assert "against planner_before:Planner: introduces 1 failure, fixes 0, 0 as before" in printed
+        base = git(repository, "rev-parse", "main")
+        against = f"rev:{base[:7]}"
+        assert f"against {against}: introduces 1 failure, fixes 0, 0 as before" in " ".join(printed.split())
         assert (find.file, find.status, find.responsible) == (file, "new", "ego")
-        assert find.against == "planner_before:Planner"
-        assert summary.read_text() == (
+        assert find.against == against
+        told, _, compared = summary.read_text().partition("\n**Compared**\n\n")
+        assert [line.partition(": planner.py ")[0] for line in compared.splitlines()] == [
+            f"- rev:&#8203;{base[:7]}",
+            f"- now ({git(repository, 'rev-parse', 'HEAD')[:7]})",
+        ]
+        assert told == (
             "### pafot: 1 new\n\n"
             "1 search, 150 runs; repeat with `--pafot-runs=150 --pafot-seed=5`.\n"
-            "A run counts as a failure only if `planner_before:Planner` passes it.\n\n"
+            f"A run counts as a failure only if `{against}` passes it.\n\n"
             "**New**\n\n"
             f"- `test_safety.py::test_never_at_fault`: {find.headline}; delta-v {find.severity['delta_v']:.1f} m/s\n"
             f"  <br>`python -m pytest {file}`\n"
@@ -136,51 +144,67 @@ class TestAPullRequest:
         assert "### pafot: nothing new, 1 fixed before\n" in summary.read_text()
         assert [(each.file, each.result) for each in record_of(repository).findings] == [(file, "passed")]
 
+    def test_change_in_an_imported_module_is_a_regression(self, repository, summary):
+        own, imported = PLANNER.replace("2.0  #", "HEADWAY  #"), "HEADWAY = 2.0\n"
+        files = {"planner.py": f"from core import HEADWAY\n{own}", "core.py": imported, "test_safety.py": TEST}
+        commit(repository, files, "A planner")
+        git(repository, "switch", "-q", "-c", "closer")
+        commit(repository, {"core.py": "HEADWAY = 0.6\n"}, "Keep less distance")
+        code, printed = self.run(repository, summary)
+        assert (code, "introduces 1 failure, fixes 0, 0 as before" in " ".join(printed.split())) == (1, True), printed
+
+    def test_change_of_no_part_of_the_policy_is_not_searched(self, repository, summary):
+        commit(repository, {"planner.py": PLANNER, "test_safety.py": TEST}, "A planner")
+        git(repository, "switch", "-q", "-c", "words")
+        commit(repository, {"README.md": "It keeps its distance."}, "Say what it does")
+        code, printed = self.run(repository, summary)
+        assert (code, "nothing to compare" in " ".join(printed.split())) == (0, True), printed
+
     def test_every_failure_of_a_new_policy_counts(self, repository, summary):
         git(repository, "switch", "-q", "-c", "begins")
         commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #"), "test_safety.py": TEST}, "A planner")
         code, printed = self.run(repository, summary, runs="20")
-        assert "planner.py is new: each failure counts" in printed
-        assert "against planner_before" not in printed
+        assert "every failure counts" in " ".join(printed.split())
+        assert "against rev" not in printed
         assert code == record_of(repository).exit
 
     def test_another_reference_can_be_named(self, repository, summary):
-        commit(repository, {"planner.py": PLANNER, "test_safety.py": TEST}, "A planner")
-        code, printed = self.run(repository, summary, against="planner:Planner", runs="4")
-        assert (code, "against planner:Planner: introduces 0 failures" in printed) == (0, True)
+        slower = PLANNER.replace("22.0 -", "21.0 -")
+        commit(repository, {"planner.py": PLANNER, "before.py": slower, "test_safety.py": TEST}, "A planner")
+        code, printed = self.run(repository, summary, against="before:Planner", runs="4")
+        assert (code, "against before:Planner: introduces 0 failures" in printed) == (0, True)
+
+    def test_copy_of_a_policy_is_no_reference_of_its_own(self, repository, summary):
+        commit(repository, {"planner.py": PLANNER, "before.py": PLANNER, "test_safety.py": TEST}, "A planner")
+        code, printed = self.run(repository, summary, against="before:Planner", runs="4")
+        assert (code, record_of(repository).exit) == (2, 4)
+        assert "it would be compared with itself" in " ".join(printed.split())
+
+    def test_ignored_weights_are_copied(self, repository, summary):
+        reads = PLANNER.replace("2.0  #", "float(open('net.npz').read())  #")
+        commit(
+            repository, {"planner.py": reads, "test_safety.py": TEST, ".gitignore": "*.npz\npafot.json\n"}, "A planner"
+        )
+        (repository / "net.npz").write_text("2.0")
+        git(repository, "switch", "-q", "-c", "closer")
+        commit(repository, {"planner.py": reads.replace("open('net.npz').read()", "'0.6'")}, "Keep less distance")
+        assert self.run(repository, summary, runs="4")[0] == 2
+        code, printed = self.run(repository, summary, copy="net.npz")
+        assert (code, "introduces 1 failure" in printed) == (1, True), printed
 
 
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"base": ""}, "expected POLICY and BASE, or AGAINST"),
+        ({"base": ""}, "expected BASE or AGAINST; see the head of this file"),
         ({"base": "0123456"}, "expected the commit BASE=0123456; fetch it first"),
         ({"base": "--output=planner.py"}, "expected the commit BASE=--output=planner.py; fetch it first"),
-        ({"policy": "drivers.planner:Planner"}, "found no drivers/planner.py"),
-        ({"policy": "planner"}, "expected POLICY as module:factory, such as planner:Planner, received planner"),
-        ({"policy": "../../planner:Planner"}, "expected POLICY as module:factory"),
     ],
 )
 def test_incomparable_pull_request_is_refused_with_advice(repository, changes, expected):
     commit(repository, {"planner.py": PLANNER}, "A planner")
-    inputs = {"task": "pull-request", "policy": "planner:Planner", "base": "main"} | changes
-    code, printed = run_action(inputs, repository)
+    code, printed = run_action({"task": "pull-request", "base": "main"} | changes, repository)
     assert (code, expected in printed) == (2, True), printed
-
-
-def test_existing_planner_before_file_is_not_overwritten(repository):
-    commit(repository, {"planner.py": PLANNER, "planner_before.py": "mine"}, "A planner")
-    code, printed = run_action({"task": "pull-request", "policy": "planner:Planner", "base": "main"}, repository)
-    assert (code, "expected no file planner_before.py" in printed) == (2, True), printed
-    assert (repository / "planner_before.py").read_text() == "mine"
-
-
-def test_earlier_policy_is_not_written_through_a_link(repository, tmp_path):
-    commit(repository, {"planner.py": PLANNER}, "A planner")
-    (repository / "planner_before.py").symlink_to(tmp_path / "elsewhere.py")
-    code, printed = run_action({"task": "pull-request", "policy": "planner:Planner", "base": "main"}, repository)
-    assert (code, "expected no file planner_before.py" in printed) == (2, True), printed
-    assert not (tmp_path / "elsewhere.py").exists()
 
 
 def test_fleet_searches_with_own_seeds_and_merges(repository, summary):

@@ -220,8 +220,8 @@ class Folder:
     def command(self, block):
         assert block.first.startswith("$ "), f"a console block that does not begin with a command: {block.first}"
         program, *arguments = shlex.split(self.with_own_ids(block.first.removeprefix("$ ")))
-        if program == "python":
-            done = self.pytester.run(sys.executable, *arguments)
+        if program in ("python", "git"):
+            done = self.pytester.run(sys.executable if program == "python" else program, *arguments)
             self.compare(block, done.stdout.str())
             assert done.ret == 0
             return
@@ -255,6 +255,10 @@ def folder(pytester, monkeypatch, document):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    for name in ("AUTHOR", "COMMITTER"):  # so that a commit always has the same hash
+        for what, value in {"NAME": "Ann", "EMAIL": "ann@example.org", "DATE": "2026-10-05T09:00:00+0000"}.items():
+            monkeypatch.setenv(f"GIT_{name}_{what}", value)
+    monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # other installed plugins may print and warn
     return Folder(pytester, document)
 

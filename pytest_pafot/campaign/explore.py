@@ -186,7 +186,7 @@ def replays_of(
         records=scratch / "records",
         root=Path.cwd(),
         versions=installed_versions(),
-        against=reference_of(settings.against, fixture),
+        against=reference_of(settings.against, fixture, request.ads),
         executor=executor,
         states=None if settings.resume is None else Path.cwd() / settings.resume,
     )

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import ast
+import hashlib
 import inspect
+import re
+import sys
+import sysconfig
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from importlib.util import resolve_name
 from pathlib import Path
 from typing import Any
 
 from pytest_pafot.attribution.excuses import Escape
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance, avoidance, last_decision
-from pytest_pafot.campaign.request import Request, RequestError
+from pytest_pafot.campaign.options import REVISION
+from pytest_pafot.campaign.request import AgainstError, Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy, rolled
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.execution.separate_runs import replay_in_gym_apart
@@ -26,7 +36,7 @@ from pytest_pafot.oracle.run import ReferenceOutcome, Run
 from pytest_pafot.searching.fitness import referred_to
 from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
-from pytest_pafot.world.driving.ads import hint_at_object, preload
+from pytest_pafot.world.driving.ads import hint_at_object, preload, weights_digest
 from pytest_pafot.world.guard.failure import exits, let_through
 
 # The reference of a search: a policy with which the tested one is compared, such as its version before a change.
@@ -38,6 +48,7 @@ class Reference:
 
     ads: Callable[..., Any]  # the factory
     name: str  # the name in saved files; empty for a factory that no text can refer to
+    commit: str = ""  # the hash of the commit, if the reference is a revision
 
     @property
     def shown(self) -> str:
@@ -45,26 +56,130 @@ class Reference:
         return self.name or "the reference"
 
 
-def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) -> Reference | None:
-    """Return the reference of the option ``against``: a factory, its ``module:factory``, or the name of a fixture.
+def reference_of(
+    given: object, fixture: Callable[[str], Callable[..., Any]], ads: Callable[..., Any]
+) -> Reference | None:
+    """Return the reference of the option ``against`` for a tested policy ``ads``.
+
+    It is a factory, its ``module:factory[:argument]``, or the name of a fixture.
 
     Raises:
-        RequestError: if ``given`` is anything else, or if the module or the name does not exist.
+        AgainstError: if ``given`` is anything else, if the module or the name does not exist, or if it is the policy
+            itself.
     """
     if given is None:
         return None
+    found = _reference_of(given, fixture)
+    same = same_policy(ads, found.ads)
+    if same:
+        raise AgainstError(f"against ({found.shown}): {same}")
+    return found
+
+
+def _reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) -> Reference:
     if isinstance(given, str) and ":" not in given:
         return Reference(ads=fixture(given), name=given)
+    if isinstance(given, str) and given.startswith(REVISION):
+        raise AgainstError(
+            f"against: expected a factory or its name as module:factory, received {given!r}; a revision is compared by "
+            "pytest and by the commands search and progress"
+        )
     try:
-        ads = referred_to(given) if isinstance(given, str) else given
+        ads = given
+        if isinstance(given, str):
+            module, name, *argument = given.split(":", 2)
+            ads = referred_to(f"{module}:{name}")
+            ads = partial(ads, *argument) if argument and callable(ads) else ads
     except ValueError as error:
-        raise RequestError(f"against: {error}") from error
+        raise AgainstError(f"against: {error}") from error
+    if isinstance(ads, RevisionPolicy):
+        return Reference(ads=ads, name=ads.label, commit=ads.commit)
     if not callable(ads):
-        raise RequestError(
+        raise AgainstError(
             "against: expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a "
             f"fixture that returns a factory, received {ads!r:.100}. {hint_at_object(ads)}".removesuffix(". ")
         )
     return Reference(ads=ads, name=given if isinstance(given, str) else _name_of(ads))
+
+
+def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
+    """Return why two factories make the same policy, so that it would be compared with itself; empty if they may not.
+
+    They do if they have the same name and arguments, and all files behind them have the same content: a copy of one
+    file imports the other modules of the present policy.
+    """
+    if ads is not other:
+        parts = [_parts(each) for each in (ads, other)]
+        if None in parts or parts[0] != parts[1] or weights_digest(ads) != weights_digest(other):
+            return ""
+        modules = [modules_behind(each) for each in (ads, other)]
+        if not modules[0] or _contents(modules[0], modules[1]) != _contents(modules[1], modules[0]):
+            return ""
+    return (
+        "expected a policy that differs from the tested one, received one of the same name with the same files, so it "
+        f"would be compared with itself; give {REVISION}main, which takes all files from the branch main"
+    )
+
+
+def _parts(factory: Any) -> object:
+    """Return the name of a factory in its module, with its arguments; None if its name does not say what it makes."""
+    if isinstance(factory, partial):
+        inner = _parts(factory.func)
+        return None if inner is None else (inner, repr(factory.args), repr(factory.keywords))
+    name = getattr(factory, "__qualname__", None)
+    return None if name is None or "<" in name else name
+
+
+def modules_behind(factory: Any) -> set[Path]:
+    """Return the files of the user's modules: that of a factory, those that it imports, and those that these import."""
+    own = Path(__file__).parents[1]
+    while isinstance(factory, partial):
+        factory = factory.func
+    left, known, files = {getattr(factory, "__module__", None)}, set[object](), set[Path]()
+    while left:
+        name = left.pop()
+        known.add(name)
+        module = sys.modules.get(name) if isinstance(name, str) else None
+        path = Path(getattr(module, "__file__", None) or "")
+        libraries = (own, Path(sysconfig.get_path("stdlib")))
+        of_others = any(path.is_relative_to(each) for each in libraries) or "site-packages" in path.parts
+        if path.suffix != ".py" or not path.is_file() or of_others:
+            continue
+        files.add(path)
+        left |= _imports(path, getattr(module, "__package__", None) or "") - known
+    return files
+
+
+def _imports(path: Path, package: str) -> set[object]:
+    """Return the names of the modules that a file imports anywhere, and of all else that it imports."""
+    names: set[object] = set()
+    try:
+        nodes = [*ast.walk(ast.parse(path.read_bytes()))]
+    except SyntaxError:  # It was changed since it was imported.
+        return names
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = resolve_name(f"{'.' * node.level}{node.module or ''}", package)
+            names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
+    return names
+
+
+BY_ITS_PLACE = re.compile(rb"__file__|__path__|__spec__|__package__|resources|get_data")
+"""What a module has that opens data next to it, so that a copy of the module opens other data."""
+
+
+def _contents(modules: set[Path], others: set[Path]) -> Counter[bytes]:
+    """Return the texts of modules and, if they open data by their own place, the hashes of data that only they have."""
+    texts = [path.read_bytes() for path in modules]
+    folders = {path.parent for path in modules} - {path.parent for path in others}
+    if not any(map(BY_ITS_PLACE.search, texts)):
+        return Counter(texts)
+    data = [
+        path for each in folders for path in each.rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc")
+    ]
+    return Counter([*texts, *(hashlib.sha256(path.read_bytes()).digest() for path in data)])
 
 
 def _name_of(factory: Callable[..., Any]) -> str:
@@ -226,7 +341,7 @@ class Harness:
             return None, Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.how), is_ads=True)
         except RequestError as error:
             named = "" if self.against is None else f" ({self.against.shown})"
-            raise RequestError(f"against{named}: {str(error).removeprefix('ads: ')}") from None
+            raise AgainstError(f"against{named}: {str(error).removeprefix('ads: ')}") from None
         run = self.seen(trace, world)
         return run, self.judge(run)
 
@@ -265,7 +380,7 @@ def refusals(whose: str = "the ADS") -> Iterator[None]:
     __tracebackhide__ = True
     try:
         yield
-    except (WorldError, AdsFactoryError, ScenarioError, ExecutionError) as error:
+    except (WorldError, AdsFactoryError, ScenarioError, ExecutionError, RevisionError) as error:
         raise RequestError(str(error)) from None
     except skips() as error:  # raised by the factory: exceptions of the ADS are in the trace
         raise RequestError(no_skip(f"the factory of {whose}", error)) from None
@@ -339,11 +454,14 @@ class Simulation:
         if world is None:
             return None
         self.record.write(scenario)
+        ads = self.harness.ads
         with refusals():
-            if self.harness.request.settings.isolate:
+            if isinstance(ads, RevisionPolicy):
+                trace = ads.call(rolled, "rollout_in_gym", world, scenario)
+            elif self.harness.request.settings.isolate:
                 trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
             else:
-                trace = world.rollout_in_gym(scenario, self.harness.ads)
+                trace = world.rollout_in_gym(scenario, ads)
         self.record.clear()
         return Run(trace, decision_limit=self.harness.request.decision_limit)
 

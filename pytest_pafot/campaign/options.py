@@ -24,6 +24,9 @@ Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "addre
 
 SEED_LIMIT = 2**63
 
+REVISION = "rev:"
+"""The prefix of a reference that is a revision of the repository."""
+
 AUTO = "auto"
 
 FULL, LOCAL = "ci", "local"
@@ -135,10 +138,17 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "against",
         "text",
-        "A reference, such as the policy before a change: the module:factory of a second ADS, or in the mark also the "
-        "factory or the name of its fixture. A failure then counts only if the reference passes the same scenario; the "
-        "reference runs only if the ADS fails.",
+        "A reference, such as the policy before a change: rev:REVISION for the test's policy in another revision of "
+        "the repository, such as rev:main; or the module:factory of a second ADS; or in the mark also the factory or "
+        "the name of its fixture. A failure then counts only if the reference passes the same scenario; the reference "
+        "runs only if the ADS fails.",
         or_class=True,
+    ),
+    Option(
+        "copy",
+        "text",
+        "Files and folders that the policy of --pafot-against=rev:REVISION needs and git ignores, such as weights: "
+        "paths relative to the current folder, with spaces between them, quoted as in a shell.",
     ),
     Option(
         "max_time",
@@ -298,6 +308,7 @@ class Settings:
     seed: int
     algorithm: str | type[Algorithm[Any]]
     against: str | Callable[..., Any] | None
+    copy: str | None
     max_time: float | None
     total_time: float | None
     resume: str | None

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.campaign.harness import Harness, begins_alike, refusals
-from pytest_pafot.campaign.request import RequestError, build_space
+from pytest_pafot.campaign.request import AgainstError, RequestError, build_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import located
@@ -239,7 +239,7 @@ class Replays:
                     return
         except RequestError:  # The arguments of the test do not fit the world of the file, so nothing can be compared.
             return
-        raise RequestError(
+        raise AgainstError(
             f"against ({harness.against_name}): expected a reference that drives, received {failure.kind}: "
             f"{failure.message} in this replay and {PROBES} random scenarios; correct the reference, its factory, or "
             "the world= in which it drives"

@@ -45,6 +45,10 @@ class RequestError(Exception):
     """An error for a search that cannot be run as requested. Its message is written for the user."""
 
 
+class AgainstError(RequestError):
+    """An error for a reference that cannot be compared with the policy, so that no failure would count rightly."""
+
+
 class SearchArguments(TypedDict, total=False):
     """The types of the arguments of :func:`pytest_pafot.search`, all of which are optional."""
 
@@ -70,6 +74,7 @@ class SearchArguments(TypedDict, total=False):
     seed: int
     algorithm: str | type[Algorithm[Any]]
     against: str | Callable[..., Any]
+    copy: str
     max_time: float
     resume: str
     stop_after: int

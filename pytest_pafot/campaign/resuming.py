@@ -345,7 +345,7 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
         "blame": request.blame,
         "fitness": request.fitness,
         "decision_limit": request.decision_limit,
-        "against": None if harness.against is None else harness.against.shown,
+        "against": None if harness.against is None else harness.against.commit or harness.against.shown,
         "sight": None if sight is None else asdict(sight),
         "weights": weights_digest(harness.ads),
         "versions": harness.versions,

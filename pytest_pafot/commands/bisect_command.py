@@ -16,7 +16,7 @@ from typing import Any
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.saved_scenario import load
-from pytest_pafot.commands.history import History, HistoryError, halved, inside
+from pytest_pafot.commands.history import History, HistoryError, copied, halved, inside
 from pytest_pafot.commands.policy_reference import BAD_USE
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.support.errors import CorpusError
@@ -70,10 +70,7 @@ def _bisect(arguments: argparse.Namespace) -> int:
     test = load(found).finding.test.partition("::")[0]
     history = History.of(arguments.policy, here)
     file = inside(history.root, here, str(found), "FILE")
-    extra = [inside(history.root, here, path, "--copy").as_posix() for path in arguments.copy]
-    lost = [path for path in extra if not (history.root / path).exists()]
-    if lost:
-        raise HistoryError(f"--copy: expected files and folders, received {', '.join(map(visible, lost))}")
+    extra = copied(history.root, here, arguments.copy, "--copy")
     good, bad = (history.named(revision) for revision in (arguments.good, arguments.bad))
     commits = _commits(history, good, bad)
     above = (folder / test for folder in file.parents)

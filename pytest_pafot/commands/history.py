@@ -11,16 +11,26 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
+from pytest_pafot.support.files import hold, is_held, open_regular, pid_of
 from pytest_pafot.support.text import visible, visible_lines
 
 OF_A_CALLER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_PREFIX", "GIT_NAMESPACE")
 """Variables that a git hook or alias sets. They are removed, since git would use the user's index because of them."""
+
+OFFLINE = {"GIT_ALLOW_PROTOCOL": "", "GIT_LFS_SKIP_SMUDGE": "1", "GIT_TERMINAL_PROMPT": "0"}
+"""Variables with which git fetches nothing: no objects that a partial clone lacks, and no files of Git LFS."""
+
+TREES = "pafot-tree-"
+"""The prefix of the temporary folders of worktrees."""
 
 
 class HistoryError(ValueError):
@@ -64,7 +74,10 @@ class History:
         Raises:
             HistoryError: if the folder is in no repository, if a path is outside of it, or if git is missing.
         """
-        root = Path(os.path.realpath(_git(folder, "rev-parse", "--show-toplevel").strip("\n")))
+        try:
+            root = Path(os.path.realpath(_git(folder, "rev-parse", "--show-toplevel").removesuffix("\n")))
+        except HistoryError as error:
+            raise HistoryError(f"expected a folder in a git repository, received {folder} ({error})") from None
         return cls(root, tuple(inside(root, folder, path, "--policy").as_posix() for path in paths))
 
     def named(self, revision: str) -> str:
@@ -116,11 +129,21 @@ class History:
         plain = ("--no-color", "--no-ext-diff", "--no-textconv")
         return visible_lines(self._git("diff", *plain, before, after, "--", *self.paths)).splitlines()
 
-    def uncommitted(self) -> list[str]:
-        """Return the files in the user's folder that are not committed as they are, as paths relative to the root."""
-        changed = self._git("diff", "--name-only", "--no-renames", "-z", "HEAD")
+    def uncommitted(self, commit: str = "HEAD") -> list[str]:
+        """Return the files in the user's folder that are not as in a commit, as paths relative to the root."""
+        changed = self._git("diff", "--name-only", "--no-renames", "--ignore-submodules=none", "-z", commit, "--")
         new = self._git("ls-files", "--others", "--exclude-standard", "-z")
         return [name for name in f"{changed}{new}".split("\0") if name]
+
+    def listed(self, commit: str) -> list[str]:
+        """Return the paths of all files of a commit."""
+        return [
+            name for name in self._git("ls-tree", "-r", "-z", "--name-only", "--full-tree", commit).split("\0") if name
+        ]
+
+    def is_ignored(self, name: str) -> bool:
+        """Return whether git ignores a file in the user's folder."""
+        return bool(self._git("ls-files", "--others", "--ignored", "--exclude-standard", "-z", "--", name))
 
     def is_policy(self, name: str) -> bool:
         """Return whether a path is one of the policy's paths, or in a folder among the policy's paths."""
@@ -132,12 +155,7 @@ class History:
 
         The copy contains the files that git does not ignore, and ``extra``, which are paths relative to the root.
         """
-        folder = Path(tempfile.mkdtemp(prefix="pafot-bisect-"))
-        tree = folder / self.root.name  # a test may be imported by the name of this folder
-        # A signal that ends the process becomes an exit, so that the worktree is removed.
-        terminate = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-        try:
-            self._git("worktree", "add", "--quiet", "--detach", str(tree), "HEAD")
+        with self._tree("HEAD", terminated=lambda: sys.exit(128 + signal.SIGTERM)) as tree:
             own = [name for name in self.uncommitted() if self._is_copied(name)]
             for name in own:
                 with suppress(OSError):
@@ -145,14 +163,117 @@ class History:
             for name in [*own, *extra]:
                 _copy(self.root / name, tree / name)
             yield tree
-        finally:
-            # Ignored by git as well, which inherits it: a second Ctrl-C must not stop the clean-up.
-            interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    @contextmanager
+    def revision(
+        self, commit: str, extra: Iterable[str], terminated: Callable[[], None] | None = None
+    ) -> Iterator[Path]:
+        """Provide a copy of all files of a commit, and remove the copy at the end.
+
+        Submodules are copied from what is already cloned. ``extra`` are present files and folders, as paths relative to
+        the root; of these, the copy gets only what the commit does not have. For ``terminated`` see :meth:`_tree`.
+
+        Raises:
+            HistoryError: if git fails, or a submodule that is checked out here was not cloned with its commit.
+        """
+        with self._tree(commit, terminated) as tree:
+            places = self._git("rev-parse", "--git-dir", "--git-common-dir").splitlines()
+            modules = [Path(os.path.normpath(self.root / place / "modules")) for place in places]
+            self._put_submodules(tree, self.root, commit, modules)
+            for name in extra:
+                for path in _files(self.root / name):
+                    target = tree / path.relative_to(self.root)
+                    if not os.path.lexists(target):
+                        target.parent.mkdir(parents=True, exist_ok=True)
+                        shutil.copy2(path, target, follow_symlinks=False)
+            yield tree
+
+    def _put_submodules(self, tree: Path, root: Path, commit: str, modules: Sequence[Path], git_dir: str = "") -> None:
+        """Fill the folders of the submodules of a commit; ``modules`` are the folders in which they may be cloned."""
+        at = (f"--git-dir={git_dir}",) if git_dir else ()
+        lines = [
+            line for line in _git(self.root, *at, "ls-tree", "-r", "-z", "--full-tree", commit).split("\0") if line
+        ]
+        links = [(line.split()[2], line.partition("\t")[2]) for line in lines if line.startswith("160000 ")]
+        if not links:
+            return
+        listed = _git(tree, "config", "--file", ".gitmodules", "--null", "--get-regexp", r"^submodule\..*\.path$")
+        pairs = (each.partition("\n") for each in listed.split("\0") if each)
+        names = {path: key.removeprefix("submodule.").removesuffix(".path") for key, _, path in pairs}
+        for hash_, path in links:
+            clones = [*(folder / names.get(path, path) for folder in modules), root / path / ".git"]
+            for clone in (each for each in clones if each.is_dir()):
+                own = f"--git-dir={clone}"
+                with suppress(HistoryError):
+                    _git(tree, own, "cat-file", "-e", f"{hash_}^{{tree}}")
+                    index = {"GIT_INDEX_FILE": str(tree.parent / "index")}
+                    _git(tree, own, f"--work-tree={tree / path}", "read-tree", hash_, environ=index)
+                    _git(tree / path, own, f"--work-tree={tree / path}", "checkout-index", "-a", "-f", environ=index)
+                    self._put_submodules(tree / path, root / path, hash_, [clone / "modules"], str(clone))
+                    break
+            else:
+                if any(each.name != ".git" for each in _entries(root / path)):
+                    raise HistoryError(
+                        f"expected the submodule {visible(path)} to be cloned with its commit {hash_:.10}, received "
+                        f"{self.root} without it; nothing is fetched here: run `git -C {visible(path)} fetch` first"
+                    )
+
+    @contextmanager
+    def _tree(self, commit: str, terminated: Callable[[], None] | None) -> Iterator[Path]:
+        """Provide a worktree of a commit, and remove it at the end, also if SIGTERM ends this process.
+
+        Args:
+            commit: the commit.
+            terminated: what to do at SIGTERM, such as an exit that leaves this context. By default the worktree is
+                removed at once, and this process ends by the signal.
+        """
+        self._remove_leftovers()
+        folder, owner = Path(tempfile.mkdtemp(prefix=TREES)), os.getpid()
+        tree = folder / self.root.name  # a test may be imported by the name of this folder
+        before: Any = None
+
+        def remove() -> None:
             with suppress(HistoryError):
                 self._git("worktree", "remove", "--force", "--force", str(tree))
             shutil.rmtree(folder, ignore_errors=True)
-            signal.signal(signal.SIGINT, interrupt)
-            signal.signal(signal.SIGTERM, terminate)
+
+        def received(*_: object) -> None:
+            if terminated is not None:
+                terminated()
+            if os.getpid() == owner:
+                remove()
+            signal.signal(signal.SIGTERM, before)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+        is_main = threading.current_thread() is threading.main_thread()
+        before = signal.signal(signal.SIGTERM, received) if is_main else None
+        try:
+            # The lock shows the next run whether this process has died and left its worktree behind.
+            with (folder / f"{owner}-lock").open("xb") as lock:
+                hold(lock.fileno())
+                self._git("worktree", "add", "--quiet", "--detach", str(tree), commit)
+                yield tree
+        finally:
+            # Ignored by git as well, which inherits it: a second Ctrl-C must not stop the clean-up.
+            interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
+            remove()
+            if is_main:
+                signal.signal(signal.SIGINT, interrupt)
+                signal.signal(signal.SIGTERM, before)
+
+    def _remove_leftovers(self) -> None:
+        """Remove the worktrees of earlier runs that were killed."""
+        for line in self._git("worktree", "list", "--porcelain").split("\n"):
+            tree = Path(line.removeprefix("worktree "))
+            if not line.startswith("worktree ") or not tree.parent.name.startswith(TREES):
+                continue
+            lock = next(tree.parent.glob("*-lock"), None)
+            if lock is not None and _is_in_use(lock):
+                continue
+            with suppress(HistoryError):
+                self._git("worktree", "remove", "--force", "--force", str(tree))
+            if lock is not None:
+                shutil.rmtree(tree.parent, ignore_errors=True)
 
     def _is_copied(self, name: str) -> bool:
         is_environment = (self.root / name).is_relative_to(sys.prefix) or "__pycache__" in Path(name).parts
@@ -172,6 +293,19 @@ class History:
 
     def _git(self, *arguments: str) -> str:
         return _git(self.root, *arguments)
+
+
+def copied(root: Path, folder: Path, paths: Iterable[str], option: str) -> list[str]:
+    """Return the paths of an option for files to copy, relative to the root.
+
+    Raises:
+        HistoryError: if a path is outside of the repository, or does not exist.
+    """
+    extra = [inside(root, folder, path, option).as_posix() for path in paths]
+    lost = [path for path in extra if not (root / path).exists()]
+    if lost:
+        raise HistoryError(f"{option}: expected files and folders, received {', '.join(map(visible, lost))}")
+    return extra
 
 
 def inside(root: Path, folder: Path, path: str, what: str) -> Path:
@@ -196,19 +330,49 @@ def _copy(source: Path, target: Path) -> None:
         shutil.copy2(source, target, follow_symlinks=False)
 
 
-def _git(folder: Path, *arguments: str) -> str:
-    """Run git in a folder and return its output.
+def _is_in_use(lock: Path) -> bool:
+    """Return whether the process that made a worktree still holds its lock."""
+    try:
+        with open_regular(lock, "r+b") as file:
+            return is_held(file.fileno(), pid_of(lock))
+    except OSError:  # of a different user
+        return True
+
+
+def _files(path: Path) -> Iterator[Path]:
+    """Yield a file or a link, or all those in a folder, without those of git."""
+    if not path.is_dir() or path.is_symlink():
+        yield path
+        return
+    for entry in _entries(path):
+        if entry.name != ".git":
+            yield from _files(entry)
+
+
+def _entries(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir()) if folder.is_dir() else []
+
+
+def _git(folder: Path, *arguments: str, environ: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Run git in a folder and return its output. It fetches nothing, and runs no hook.
 
     Raises:
         HistoryError: if git fails; the message is git's own.
     """
     quiet = ("--no-optional-locks", "--literal-pathspecs", "-c", f"core.hooksPath={os.devnull}")
-    command = ["git", "-C", str(folder), *quiet, "-c", "core.fsmonitor=false", *arguments]
-    environ = {name: value for name, value in os.environ.items() if name not in OF_A_CALLER}
+    command = ["git", "-C", str(folder), *quiet, "-c", "core.fsmonitor=false", "-c", "core.sparseCheckout=false"]
+    own = {name: value for name, value in os.environ.items() if name not in OF_A_CALLER}
     try:
-        done = subprocess.run(command, env=environ, capture_output=True, check=False)  # noqa: S603  (no shell)
+        done = subprocess.run(  # noqa: S603  (no shell)
+            [*command, *arguments],
+            env={**own, **OFFLINE, **environ},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+        )
     except FileNotFoundError:
         raise HistoryError("expected the program git, received none on the PATH; install it") from None
     if done.returncode:
-        raise HistoryError(f"git {arguments[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")
+        command = [each for each in arguments if not each.startswith("--")]
+        raise HistoryError(f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")
     return os.fsdecode(done.stdout)

@@ -6,6 +6,7 @@ import difflib
 import functools
 import importlib
 import keyword
+import os
 import pkgutil
 import traceback
 from collections.abc import Callable, Iterable
@@ -100,12 +101,16 @@ def check_function(reference: str) -> Callable[..., Any]:
     return ads_factory(reference, "--check", "a function of a run")
 
 
-def described(error: BaseException) -> str:
-    """Describe an exception of the user's code in one line: its class, its message and its place."""
+def described(error: BaseException, folder: Path | None = None) -> str:
+    """Describe an exception of the user's code in one line: its class, its message and its place.
+
+    Paths below ``folder``, if there is one, are relative to it.
+    """
     frames = traceback.extract_tb(error.__traceback__)
-    text = one_line("".join(traceback.format_exception_only(error)))
+    prefix = "" if folder is None else f"{folder}{os.sep}"
+    text = one_line("".join(traceback.format_exception_only(error)).replace(prefix, ""))
     has_place = isinstance(error, SyntaxError) or not frames  # the message of a SyntaxError names the place
-    return text if has_place else f"{text} ({frames[-1].filename}:{frames[-1].lineno})"
+    return text if has_place else f"{text} ({frames[-1].filename.removeprefix(prefix)}:{frames[-1].lineno})"
 
 
 def identity(reference: str) -> dict[str, Any]:

@@ -7,14 +7,15 @@ of ``--write-test`` finds them, so they are its regression tests.
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.campaign.options import BY_NAME, REVISION
 from pytest_pafot.campaign.request import BLAMES
 from pytest_pafot.commands.policy_reference import (
     ABOUT_POLICIES,
@@ -24,6 +25,7 @@ from pytest_pafot.commands.policy_reference import (
     check_function,
     module_of,
 )
+from pytest_pafot.commands.revision import OF_COMMAND
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
 
@@ -51,6 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_blame = "which collisions are failures: any; those for which the ego is responsible; or, of these, those that a "
     of_blame += "reference driver prevents (default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
+    of_against = f"count only failures that a reference passes: {REVISION}REVISION for ADS in another revision of the "
+    of_against += f"repository, such as {REVISION}main, or module:factory[:argument]"
+    parser.add_argument("--against", metavar="REFERENCE", help=of_against)
+    of_copy = f"with --against {REVISION}REVISION, files and folders that ADS needs and git ignores, such as weights"
+    parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
     of_check = "a function of a run, which asserts what must hold (default: that there is no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     of_report = "the web page of the findings (default: %(default)s)"
@@ -74,13 +81,14 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         sys.stderr.write(f"search: {error}\n")
         return BAD_USE
     given = {"--pafot-runs": arguments.runs, "--pafot-seed": arguments.seed, "--pafot-report": arguments.report}
+    given |= {"--pafot-against": arguments.against, "--pafot-copy": shlex.join(arguments.copy) or None}
     options = [f"{name}={value}" for name, value in given.items() if value is not None]
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
         for name, text in {**files, "pytest.ini": NO_TESTS}.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
         fixed = [f"--rootdir={folder}", f"--pafot-corpus={here / CORPUS}", "-pno:cacheprovider", "-rN"]
         session = [sys.executable, "-m", "pytest", folder, *fixed, *options, *arguments.pytest]
-        code = _code_of(session)
+        code = _code_of(session, {**os.environ, OF_COMMAND: arguments.ads})
     if code == TESTS_FAILED and files_below(here / CORPUS):
         kept = f"and commit {CONFTEST}, {TEST} and {CORPUS}/; `pytest FILE` needs them, too"
         own = command[: command.index("--")] if "--" in command else command
@@ -89,9 +97,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     return BAD_USE if code == USAGE_ERROR else code
 
 
-def _code_of(session: Sequence[str]) -> int:
+def _code_of(session: Sequence[str], environ: Mapping[str, str]) -> int:
     """Run a pytest session and return its exit code. After Ctrl-C, the session can still write its summary and page."""
-    with subprocess.Popen(session) as process:  # noqa: S603  (the user's own arguments)
+    with subprocess.Popen(session, env=environ) as process:  # noqa: S603  (the user's own arguments)
         try:
             return process.wait()
         except KeyboardInterrupt:  # The terminal has interrupted the session as well.

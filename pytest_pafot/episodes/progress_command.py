@@ -7,11 +7,13 @@ import csv
 import io
 import json
 import shlex
+import signal
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from itertools import count
 from pathlib import Path
@@ -21,7 +23,8 @@ import numpy as np
 
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.campaign.explore import explore, replays_of, request_of
-from pytest_pafot.campaign.harness import source_file
+from pytest_pafot.campaign.harness import same_policy, source_file
+from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import RequestError, drawn_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, judge
@@ -34,12 +37,16 @@ from pytest_pafot.commands.policy_reference import (
     described,
 )
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
+from pytest_pafot.commands.revision import revision_at, sides
+from pytest_pafot.commands.revision_process import hashes_of
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.corpus.saved import read_saved_file
 from pytest_pafot.episodes.progress import LEVEL, PairRow, Result, lines_of, sentence_of, text_of, verdict_of
+from pytest_pafot.episodes.rate import EpisodeRow
 from pytest_pafot.episodes.rate_command import config_of
 from pytest_pafot.episodes.rate_plan import CHUNK, PLANNER, driven
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy
 from pytest_pafot.execution.runner import runner_here
 from pytest_pafot.findings.severity import worsening
 from pytest_pafot.model.trace import Outcome
@@ -64,7 +71,7 @@ that a search found, were chosen because one of the two fails in them, so they d
 """
 
 
-OTHER_VERSION = "run `git show main:planner.py > planner_before.py` and give planner_before:Planner"
+OTHER_VERSION = f"give {REVISION}main, the policy of the branch main"
 """The way out in messages for a user who has no second version of a policy."""
 
 
@@ -86,6 +93,7 @@ class ProgressPlan:
     saved: tuple[Path, ...] = ()
     check: str | None = None  # a function of a run, as ``module:function``; None for no collision
     seed: int = 0
+    revision: RevisionPolicy | None = None  # the old policy, if ``old`` is a revision
 
     @cached_property
     def traffic(self) -> World:
@@ -110,6 +118,8 @@ class ProgressPlan:
 
     def factory(self, side: str) -> Callable[..., Any]:
         """Return the factory of the ``old`` or the ``new`` policy."""
+        if side == "old" and self.revision is not None:
+            return self.revision
         return ads_factory(getattr(self, side).removesuffix(PLANNER), side.upper())
 
     def judged(self, side: str, numbers: range) -> Iterator[tuple[Run, Verdict]]:
@@ -146,12 +156,13 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
         PlanError: naming the first thing that is wrong.
         WorldError: if the environment cannot be used.
     """
-    are_planners = [name.endswith(PLANNER) for name in (plan.old, plan.new)]
+    are_planners = [name.endswith(PLANNER) for name in (plan.old, plan.new)[plan.revision is not None :]]
     for is_wrong, problem in (
         (plan.scenarios < 1, f"--scenarios: expected a whole number, at least 1, received {plan.scenarios}"),
         (plan.episodes < 0, f"--episodes: expected a whole number, at least 0, received {plan.episodes}"),
         (plan.seed < 0, f"--seed: expected a whole number, at least 0, received {plan.seed}"),
         (plan.new == plan.old, f"NEW: expected another version than OLD, received {plan.new!r} again; {OTHER_VERSION}"),
+        (plan.new.startswith(REVISION), f"NEW: expected the present policy, received {plan.new!r}; check it out"),
         (any(are_planners) and not all(are_planners), f"NEW: expected {PLANNER} after both names or none"),
         (plan.config is not None and not plan.env_id, "--config: expected an environment, received none; give --world"),
     ):
@@ -159,9 +170,46 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
             raise PlanError(problem)
     if plan.env_id:
         plan.traffic.environment.with_traffic()
+    if plan.revision is None:
+        same = same_policy(plan.factory("new"), plan.factory("old"))
+        if same:
+            raise PlanError(f"OLD: {same}")
     for side in ("old", "new"):
         _check_set_up(plan, side)
     return plan
+
+
+@contextmanager
+def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[ProgressPlan, list[str], bool]]:
+    """Provide the plan with the policy of its revision, if it names one; lines on both sides; and if they are the same.
+
+    Raises:
+        PlanError: if the revision does not have the policy.
+        RevisionError: if there is no such revision, or its policy cannot be built.
+    """
+    if not plan.old.startswith(REVISION):
+        yield plan, [], False
+        return
+    here, name = Path.cwd().resolve(), plan.new.removesuffix(PLANNER)
+    plan.factory("new")
+    end = partial(sys.exit, 128 + signal.SIGTERM)
+    with revision_at(plan.old, here, here, shlex.join(copy), "--copy", terminated=end) as revision:
+        policy = revision.named(name, here, copy="--copy")
+        try:
+            policy.built()
+            # After a run, since a policy may open its weights late.
+            next(replace(plan, revision=policy).judged("old", range(1)))
+            seen = policy.call(hashes_of)
+            differ = revision.differing(seen)
+            yield replace(plan, revision=policy), sides(revision, seen, differ), not differ
+        except RevisionError as error:
+            if not revision.lacks(error.missing):
+                raise
+            raise PlanError(f"OLD: expected a revision with {name}, received {policy.label}, which lacks it") from None
+        except ProcessLostError as error:
+            raise PlanError(f"OLD: expected a policy that drives, received {policy.label}, which {error.how}") from None
+        finally:
+            policy.close()
 
 
 def _check_set_up(plan: ProgressPlan, side: str) -> None:
@@ -207,9 +255,20 @@ def _scenarios(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]
 def _episodes(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
     for seed in range(plan.seed + numbers.start, plan.seed + numbers.stop):
         is_planner = plan.new.endswith(PLANNER)
-        rows = [driven(plan.traffic, side, plan.factory(side), seed, is_planner=is_planner) for side in ("old", "new")]
+        rows = []
+        for side in ("old", "new"):
+            factory = plan.factory(side)
+            if isinstance(factory, RevisionPolicy):
+                rows.append(factory.call(_driven, plan.traffic, side, is_planner, seed))
+            else:
+                rows.append(driven(plan.traffic, side, factory, seed, is_planner=is_planner))
         old, new = (Result(failed=row.outcome != Outcome.SAFE) for row in rows)  # an error is as bad as a crash
         yield PairRow(part="episodes", name=str(seed), old=old, new=new, told=rows[1].error or rows[0].error)
+
+
+def _driven(built: Any, world: World, side: str, is_planner: bool, seed: int) -> EpisodeRow:
+    """Drive an episode in the process of a revision."""
+    return driven(world, side, built.factory, seed, is_planner=is_planner)
 
 
 def _saved(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
@@ -262,13 +321,18 @@ _ROWS: Mapping[str, Callable[[ProgressPlan, range, Tick], Iterator[PairRow]]] = 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     of_whom = "module:factory or module:factory:argument, such as policy:make:old.zip"
-    parser.add_argument("old", metavar="OLD", help=f"the old version of the policy: {of_whom}")
+    of_old = (
+        f"the old version of the policy: {of_whom}; or {REVISION}REVISION, such as {REVISION}main: NEW as it is there"
+    )
+    parser.add_argument("old", metavar="OLD", help=of_old)
     parser.add_argument("new", metavar="NEW", help="the new version, in the same form")
     of_world = "a highway-env environment, in which its policies drive; also compare crashes in its ordinary traffic. "
     of_world += f"Write {PLANNER} after both names if the policies are planners in SI units (default: a highway in SI "
     of_world += "units, without ordinary traffic)"
     parser.add_argument("--world", default="", metavar="ID", help=of_world)
     parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
+    of_copy = f"with {REVISION}REVISION, files and folders that the policy needs and git ignores, such as weights"
+    parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
     of_scenarios = "the number of random scenarios, and of runs of each search for what only one version fails "
     of_scenarios += "(default: %(default)s)"
     parser.add_argument("--scenarios", type=int, default=200, metavar="N", help=of_scenarios)
@@ -286,41 +350,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_exit = "worse: exit with 1 if any line is worse; not-better: exit with 1 unless the new version is better "
     of_exit += "(default: exit with 0 whatever the verdict)"
     parser.add_argument("--fail-on", choices=("worse", "not-better"), help=of_exit)
-    parser.epilog = f"{ABOUT_POLICIES} For the old version of planner.py, {OTHER_VERSION}."
+    parser.epilog = ABOUT_POLICIES
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Compare the policies, print which is better, write the requested files, and return the exit code."""
     sys.path.insert(0, str(Path.cwd()))  # as with pytest, policies are in the folder where the command is run
-    given, files = arguments, [path for path in (arguments.json, arguments.report) if path is not None]
+    given = arguments
     try:
-        for path in files:  # before anything is driven
-            if not path.parent.is_dir() or path.is_dir():
-                raise PlanError(f"expected a file in a folder that exists, received {path}; give a different one")
-        if given.corpus is not None and not given.corpus.is_dir():
-            raise PlanError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
-        if given.episodes is not None and not given.world:
-            raise PlanError("--episodes: expected an environment, received none; give --world")
+        _check_arguments(given)  # before anything is driven
         episodes = EPISODES if given.episodes is None else given.episodes
         saved, config = files_below((given.corpus or Path(CORPUS)).resolve()), config_of(given.config)
         same = {name: getattr(given, name) for name in ("old", "new", "scenarios", "check", "seed")}
         same["episodes"] = episodes
-        plan = ProgressPlan(env_id=given.world, config=config, saved=tuple(saved), **same)
-        workers, job = worker_count(given.workers), checked(plan).job
-        with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
-            workers, clock = min(workers, len(job.tasks)), time.monotonic
-            results = run_job(job, Path(folder), workers=workers, told=sys.stderr, clock=clock).read_text("utf-8")
-        rows = [PairRow.of_data(json.loads(each["row"])) for each in csv.DictReader(io.StringIO(results))]
-        text, lines = text_of(plan.old, plan.new, rows), lines_of(rows)
-        verdict, shown = verdict_of(lines), f"{text}{_hint(plan, rows)}"
+        plan, workers = ProgressPlan(env_id=given.world, config=config, saved=tuple(saved), **same), given.workers
+        workers, rows = worker_count(workers), []
+        with _of_revision(plan, given.copy) as (plan, both, is_same):
+            if not is_same:
+                rows = _compared(checked(plan), workers)
+        old = plan.old if plan.revision is None else plan.revision.label
+        lines, sentence = lines_of(rows), f"the policy is that of {old}: nothing to compare"
+        verdict, shown = verdict_of(lines), f"{sentence}\n"
+        if not is_same:
+            sentence, shown = sentence_of(old, plan.new, lines), f"{text_of(old, plan.new, rows)}{_hint(plan, rows)}"
+        shown += "".join(["\n", *(f"- {line}\n" for line in both)]) if both else ""
         sys.stdout.write(shown)
         if given.json is not None:
             data = {
                 **same,
+                "old_commit": None if plan.revision is None else plan.revision.commit,
                 "world": plan.env_id,
                 "config": plan.config,
                 "verdict": verdict,
-                "sentence": sentence_of(plan.old, plan.new, lines),
+                "sentence": sentence,
                 "lines": [{**asdict(line), "verdict": line.verdict} for line in lines],
                 "rows": [asdict(row) for row in rows],
                 "versions": installed_versions(),
@@ -329,13 +391,33 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if given.report is not None:
             title = f"# From {plan.old} to {plan.new}\n\n```sh\n{shlex.join(command)}\n```"
             write_whole(given.report, f"{title}\n\n{shown}{HOW_TO_READ}")
-    except (PlanError, RequestError, WorldError, AdsFactoryError, ChildProcessError) as error:
+    except (PlanError, RequestError, RevisionError, WorldError, AdsFactoryError, ChildProcessError) as error:
         sys.stderr.write(f"progress: {error}\n")
         return BAD_USE
     except OSError as error:
         sys.stderr.write(f"progress: {error}; {way_out(error, 'or give another file')}\n")
         return BAD_USE
-    return int({"worse": "worse" in verdict, "not-better": verdict != "better"}.get(given.fail_on, False))
+    is_failed = {"worse": "worse" in verdict, "not-better": verdict != "better" and not is_same}
+    return int(is_failed.get(given.fail_on, False))
+
+
+def _check_arguments(given: argparse.Namespace) -> None:
+    for path in (each for each in (given.json, given.report) if each is not None):
+        if not path.parent.is_dir() or path.is_dir():
+            raise PlanError(f"expected a file in a folder that exists, received {path}; give a different one")
+    if given.corpus is not None and not given.corpus.is_dir():
+        raise PlanError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
+    if given.episodes is not None and not given.world:
+        raise PlanError("--episodes: expected an environment, received none; give --world")
+
+
+def _compared(plan: ProgressPlan, workers: int) -> list[PairRow]:
+    """Run all situations with both policies, and return the rows of the results."""
+    job = plan.job
+    with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
+        workers, clock = min(workers, len(job.tasks)), time.monotonic
+        results = run_job(job, Path(folder), workers=workers, told=sys.stderr, clock=clock).read_text("utf-8")
+    return [PairRow.of_data(json.loads(each["row"])) for each in csv.DictReader(io.StringIO(results))]
 
 
 def _hint(plan: ProgressPlan, rows: Sequence[PairRow]) -> str:
@@ -345,5 +427,5 @@ def _hint(plan: ProgressPlan, rows: Sequence[PairRow]) -> str:
     old, new = (name.removesuffix(PLANNER) for name in (plan.old, plan.new))
     given = ["--world", plan.env_id] if isinstance(plan.world, World) else []
     given += [] if plan.check is None else ["--check", plan.check]
-    given += ["--runs", str(plan.scenarios), "--seed", str(plan.seed), "--", f"--pafot-against={old}"]
+    given += ["--runs", str(plan.scenarios), "--seed", str(plan.seed), "--against", old]
     return f"\nsave and see it: `{shlex.join(['python', '-m', 'pytest_pafot', 'search', new, *given])}`\n"

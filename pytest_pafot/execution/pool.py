@@ -430,12 +430,12 @@ def _serve(
     with last_resort(resort), suppress(EOFError, OSError):
         while connection.poll(idle) and (task := connection.recv()) is not None:
             try:
-                said = _sendable(work(task, tell))
+                said = sendable((True, work(task, tell)))
             except MemoryError:  # Not sent as an answer: the session would run the task itself and use up its memory.
                 end(EXHAUSTED)
                 return
             except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
-                said = pickle.dumps((True, _portable(error)))
+                said = pickle.dumps((True, portable(error)))
             connection.send_bytes(said)
 
 
@@ -462,9 +462,14 @@ def _no_interrupts(method: str) -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _sendable(result: object) -> bytes:
+def sendable(result: object) -> bytes:
+    """Return a result for the session as bytes; an error that says what to do if it cannot be pickled.
+
+    Raises:
+        RuntimeError: if the result cannot be pickled.
+    """
     try:
-        return pickle.dumps((True, result))
+        return pickle.dumps(result)
     except MemoryError:
         raise
     except Exception as error:
@@ -490,7 +495,7 @@ def _limit_memory(more: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
 
 
-def _portable(error: BaseException) -> Exception:
+def portable(error: BaseException) -> Exception:
     """Return the error with its traceback as a note; if it cannot be pickled, a RuntimeError with the same text."""
     worded = RuntimeError("".join(traceback.format_exception_only(error)).strip())
     told = error if isinstance(error, Exception) else worded

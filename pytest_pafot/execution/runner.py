@@ -13,12 +13,13 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.prefetching import Isolated, LockStep, Processes
+from pytest_pafot.execution.revision_policy import Elsewhere, RevisionPolicy
 from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
@@ -124,6 +125,8 @@ def runner_for(
     Raises:
         WorldError: if the world cannot be used.
     """
+    if isinstance(job.ads, RevisionPolicy):  # Its runs are in a process of its own already.
+        job, workers, isolate, executor = replace(job, world=Elsewhere(job.world, job.ads)), 1, False, None
     if isolate:
         return Runner(job=job, record=record, processes=Isolated(job, workers=workers, executor=executor), clock=clock)
     is_asked = not (times_decisions or is_vehicle_class(job.ads) or wants_env(job.ads))

@@ -116,8 +116,9 @@ class Expect:
         avoided_by: the last decision from which braking avoids the collision in simulation; None if there is none.
         escaped_by: how a reference driver avoids a collision for which the rules left the ego too little time; None if
             it does not, and for any other failure.
-        against: the reference that passed the scenario, as ``module:factory`` or the name of a fixture; empty without a
-            reference, or if its factory has no such name.
+        against: the reference that passed the scenario, as ``module:factory``, as the name of a fixture, or as a
+            revision and its commit, such as ``rev:main (1a2b3c4)``; empty without a reference, or if its factory has no
+            such name.
         traceback: traceback of an ADS that raised, without addresses, process ids and temporary folders; otherwise
             empty.
     """

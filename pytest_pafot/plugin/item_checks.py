@@ -159,7 +159,8 @@ class Execution:
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None
-        from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
+        from pytest_pafot.campaign.request import AgainstError, RequestError  # noqa: PLC0415
+        from pytest_pafot.plugin import messages  # noqa: PLC0415
         from pytest_pafot.plugin.own_session import session_ends_if_stuck  # noqa: PLC0415
         from pytest_pafot.plugin.replay_item import run_replay  # noqa: PLC0415
         from pytest_pafot.plugin.search_item import run_search  # noqa: PLC0415
@@ -174,5 +175,7 @@ class Execution:
                 else:
                     run_replay(pyfuncitem, request, saved)
         except RequestError as error:
+            if isinstance(error, AgainstError):
+                messages.send(pyfuncitem, "incomparable", {})
             raise pytest.fail.Exception(str(error), pytrace=False) from None
         return True

@@ -41,6 +41,7 @@ class Pages:
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
         self._drafts: dict[Path, Draft] = {}
+        self._is_compared = False
         self._rows: dict[str, FindingView] = {}
         self._runs: dict[str, int] = {}
         self._labels: dict[str, str] = {}
@@ -55,6 +56,7 @@ class Pages:
         if message is not None:
             if message.kind == messages.PAGE:
                 self._take(report.nodeid, message.data)
+            self._is_compared |= message.kind == "compared"  # so that it is known why no search ran
             return
         if report.failed and (SEARCH_MARK in report.keywords or report.nodeid in self._targets):
             self._failures[report.nodeid, report.when] = report.longreprtext
@@ -76,7 +78,7 @@ class Pages:
                 lines.reports.extend(filter(None, [written]))
                 lines.problems.extend(filter(None, [problem]))
         asked = self._config.getoption(BY_NAME["report"].key)
-        if asked and not self._drafts and not self._config.getoption("collectonly", False):
+        if asked and not self._drafts and not self._is_compared and not self._config.getoption("collectonly", False):
             lines.problems.append(f"--pafot-report={asked}: nothing was written, since no search and no replay ran")
 
     def _take(self, node_id: str, data: Mapping[str, Any]) -> None:

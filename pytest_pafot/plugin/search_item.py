@@ -36,6 +36,7 @@ from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
+from pytest_pafot.plugin.revisions import compare, reference, revision_of
 from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.plugin.session_records import tell_finding
@@ -71,6 +72,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     ads, against, resume = request.ads, request.settings.against, request.settings.resume
+    revision = revision_of(item, request)
     here = item.config.invocation_params.dir
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
     tidied = item.config.stash.setdefault(TIDIED, set())
@@ -84,10 +86,15 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
+    factory = checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads
+    if revision is None:
+        compared = reference_of(against, lambda name: checked_factory(item.funcargs[name], name), factory)
+    else:
+        compared = reference(revision)
     return Harness(
         request=request,
         world=world,
-        ads=checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads,
+        ads=factory,
         test=bound_test(item, request.arg),
         test_file=source_file(item.obj, str(item.path)),
         node_id=node_ids.base_id(item),
@@ -96,7 +103,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         records=records_folder(item, request.settings),
         root=item.config.rootpath,
         versions=installed_versions(),
-        against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name)),
+        against=compared,
         executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
         states=None if resume is None else here / resume,
     )
@@ -157,6 +164,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     settings, shared = request.settings, item.config.stash[SHARED]
     harness = harness_of(item, request)
     today = date.fromisoformat(shared.today)
+    compare(item, harness)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, page_messages_of(item, settings), table_messages_of(item), settings)

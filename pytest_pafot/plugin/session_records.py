@@ -71,7 +71,7 @@ class Records:
         self._runs: dict[str, int] = {}
         self._results: dict[str, list[str]] = {}
         self._reasons: dict[str, str] = {}
-        self._texts: dict[str, list[str]] = {"rate": [], "merge": [], "warning": []}
+        self._texts: dict[str, list[str]] = {"rate": [], "merge": [], "warning": [], "compared": []}
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
@@ -189,6 +189,7 @@ class Records:
             ],
             rates=sorted(self._texts["rate"]),
             merged=sorted(self._texts["merge"]),
+            compared=list(dict.fromkeys(self._texts["compared"])),
             orphans=self._orphans() if code is not None else [],
             warnings=sorted([*self._texts["warning"], *self._lines.warnings]),
             problems=list(self._lines.problems),

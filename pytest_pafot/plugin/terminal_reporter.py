@@ -109,6 +109,7 @@ class Reporter:
         self._lines = config.stash[SUMMARY_LINES]
         self._notes: dict[str, None] = {}
         self._warnings: dict[str, None] = {}
+        self._incomparable: dict[str, None] = {}
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
@@ -128,6 +129,14 @@ class Reporter:
             self._take(report, message)
         elif report.when == "teardown":
             self._expand(report.nodeid)
+        return result
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtestloop(self) -> Generator[None, object, object]:
+        """End the session with the exit code of a usage error if a policy could not be compared with its reference."""
+        result = yield
+        if self._incomparable:
+            raise pytest.UsageError(f"the reference cannot be compared, as told by {', '.join(self._incomparable)}")
         return result
 
     @pytest.hookimpl(tryfirst=True)
@@ -179,7 +188,7 @@ class Reporter:
         unrun = self._config.stash[UNRUN]
         lines = (self._lines.problems, self._lines.reports)
         told = (unrun.orphans, unrun.strays, unrun.unmerged)
-        if not any((self._searches, self._replays, self._running, *told, *lines)):
+        if not any((self._searches, self._replays, self._running, self._notes, *told, *lines)):
             return []
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
@@ -222,8 +231,10 @@ class Reporter:
                 self._replays.append(from_plain(terminal.ReplaySummary, data["summary"]))
             case "rate" | "merge":
                 self._lines.reports.append(data["text"])
-            case "note":
+            case "note" | "compared":
                 self._notes[data["text"]] = None
+            case "incomparable":
+                self._incomparable[report.nodeid] = None
             case "warning":
                 self._warnings[data["text"]] = None
 

@@ -71,6 +71,7 @@ def _lines(record: SessionRecord) -> Iterator[str]:
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
     yield from _listed("Crashes in ordinary traffic", [plain(" ".join(each.splitlines())) for each in record.rates])
     yield from _listed("Merged", [plain(" ".join(each.splitlines())) for each in record.merged])
+    yield from _listed("Compared", [plain(each) for each in record.compared])
     lost = [f"{code(each.folder)}: {plain(each.expected)}; {plain(each.way_out)}" for each in record.orphans]
     yield from _listed("Saved scenarios whose test is gone", lost)
     yield from _listed("Warnings", [plain(each) for each in record.warnings])
@@ -81,7 +82,8 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
     """Yield a line with the number of searches and runs, and with the options that repeat them."""
     ran = [search for search in record.searches if search.began]
     if not ran:
-        yield "No search ran to its end." if record.searches else "No search was requested."
+        idle = "No search ran." if record.compared else "No search was requested."
+        yield "No search ran to its end." if record.searches else idle
         return
     options = " or ".join(code(options) for options in dict.fromkeys(search.options for search in ran))
     count = "1 search" if len(ran) == 1 else f"{len(ran)} searches"

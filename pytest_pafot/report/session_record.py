@@ -290,6 +290,8 @@ class SessionRecord:
         findings: saved scenarios that were replayed, and new findings, in the order of node ids.
         rates: a sentence for each test that counted crashes in ordinary traffic.
         merged: result of `--pafot-merge` for each test, and the reason if it failed.
+        compared: a line for each side of a comparison with a reference, with its commit and its files, and a line for
+            each reference with which there was nothing to compare.
         orphans: folders of saved scenarios that no test runs any more, in the order of their paths.
         warnings: warnings about saved scenarios that are no longer accepted, or that fail in the same way.
         problems: anything that went wrong outside the tests.
@@ -301,6 +303,7 @@ class SessionRecord:
     findings: list[FindingRecord] = field(default_factory=list)
     rates: list[str] = field(default_factory=list)
     merged: list[str] = field(default_factory=list)
+    compared: list[str] = field(default_factory=list)
     orphans: list[OrphanRecord] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -308,7 +311,9 @@ class SessionRecord:
     @property
     def is_empty(self) -> bool:
         """True if nothing in the session concerned this plugin."""
-        return not any((self.searches, self.findings, self.rates, self.merged, self.orphans, self.problems))
+        return not any(
+            (self.searches, self.findings, self.rates, self.merged, self.compared, self.orphans, self.problems)
+        )
 
 
 def to_text(record: SessionRecord) -> str:

@@ -1,11 +1,15 @@
 """A search against a reference: what counts, what is counted separately, and what is refused."""
 
+import functools
+import importlib
+
 import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign.events import FindTold
-from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.campaign.harness import same_policy
+from pytest_pafot.campaign.request import AgainstError, RequestError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.world.reference_drivers import REFERENCES
@@ -43,11 +47,56 @@ def collides(ads, scenario):
     return pafot.Run(ROAD.rollout(scenario, ads)).collision is not None
 
 
-def test_between_a_policy_and_itself_there_is_nothing():
-    exploration = pafot.explore(constant_speed.make, against=constant_speed.make, holds=never_collides, **SHORT)
+def test_policy_is_not_compared_with_itself():
+    with pytest.raises(AgainstError, match=r"against \(example_ads\.constant_speed:make\): expected a policy that dif"):
+        pafot.explore(constant_speed.make, against=constant_speed.make, holds=never_collides, **SHORT)
+    named = "example_ads.constant_speed:make"
+    with pytest.raises(AgainstError, match="would be compared with itself; give rev:main"):
+        pafot.explore(constant_speed.make, against=named, holds=never_collides, **SHORT)
+
+
+def made_again():
+    return constant_speed.make()
+
+
+def test_between_equal_policies_there_is_nothing():
+    exploration = pafot.explore(constant_speed.make, against=made_again, holds=never_collides, **SHORT)
     assert exploration.findings == ()
     assert exploration.summary.common > exploration.summary.failing == 0
-    assert exploration.summary.against == "example_ads.constant_speed:make"
+
+
+def test_copy_of_a_package_is_the_same_policy_unless_its_data_differ(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    modules = {
+        "__init__.py": "from .net import Planner\n",
+        "net.py": "from pathlib import Path\nfrom . import limits\n\nWEIGHTS = Path(__file__).parent / 'w.npz'\n\n"
+        "class Planner:\n    pass\n",
+        "limits.py": "LIMIT = 1\n",
+    }
+    for package in ("now_policy", "old_policy", "other_limits", "other_weights"):
+        (tmp_path / package).mkdir()
+        for name, text in modules.items():
+            (tmp_path / package / name).write_text(text)
+        (tmp_path / package / "w.npz").write_text(str(package == "other_weights"))
+    (tmp_path / "other_limits/limits.py").write_text("LIMIT = 2\n")
+    now, *others = (
+        importlib.import_module(name).Planner for name in ("now_policy", "old_policy", "other_limits", "other_weights")
+    )
+    assert [bool(same_policy(now, other)) for other in others] == [True, False, False]
+    assert not same_policy(functools.partial(now, "old.zip"), functools.partial(others[0], "new.zip"))
+    assert same_policy(functools.partial(now, "old.zip"), functools.partial(others[0], "old.zip"))
+
+
+def made_with(text):
+    """Make a policy that crashes, unless the text says that it is careful."""
+    return CAREFUL() if text == "with: care" else constant_speed.make()
+
+
+def test_reference_may_have_an_argument():
+    named = f"{__name__}:made_with:with: care"
+    exploration = pafot.explore(constant_speed.make, against=named, holds=never_collides, **SHORT)
+    assert exploration.findings
+    assert {finding.expect.against for finding in exploration.findings} == {named}
 
 
 def test_finding_fails_with_policy_and_passes_with_reference():
@@ -134,6 +183,7 @@ def test_test_function_error_is_raised_despite_the_reference():
             "old_ads",
             r"pafot\.explore\(against\): expected a factory, or its name as module:factory, received 'old_ads'",
         ),
+        ("rev:main", r"received 'rev:main'; a revision is compared by pytest and by the commands search and progress"),
         (3, r"against: expected a factory such as .*, received 3"),
         (lambda model: model, r"^against \(the reference\): expected a factory that can be called without arguments"),
         (lambda: pytest.skip("old"), r"^against \(.*\): expected the factory of the reference to raise no skip"),

@@ -4,10 +4,14 @@ import math
 import os
 import random
 import subprocess
+import sys
 
 import pytest
 
 from pytest_pafot.commands.history import History, HistoryError, halved
+
+LOCAL = ("-c", "protocol.file.allow=always")
+"""The option with which git clones a submodule from a folder."""
 
 
 @pytest.fixture
@@ -127,6 +131,69 @@ def test_git_hooks_and_environment_variables_are_ignored(repository, monkeypatch
             history.put(tree, history.named("main~1"))
     assert not (tmp_path / "ran").exists()
     assert state_of(repository) == before
+
+
+def test_revision_has_all_files_of_its_commit_and_ignored_copies(repository):
+    (repository / "test_it.py").write_text("not committed")
+    (repository / "models").mkdir()
+    (repository / "models/net.npz").write_text("ignored")
+    (repository / "models/old.py").write_text("not committed")
+    (repository / "policy/net.py").write_text("not committed")
+    before = state_of(repository)
+    history = History.of([], repository)
+    with history.revision(history.named("main~1"), ["models", "policy/net.py"]) as tree:
+        committed = {".gitignore", "test_it.py", "policy/net.py", "policy/old.py"}
+        assert names_in(tree) == {*committed, "models/net.npz", "models/old.py"}
+        assert (tree / "policy/net.py").read_text() == (tree / "test_it.py").read_text() == "1"
+    assert not tree.parent.exists()
+    assert state_of(repository) == before
+
+
+def test_revision_has_its_submodules_as_already_cloned(repository, tmp_path, monkeypatch):
+    for name, folder in (("inner", tmp_path / "inner"), ("outer", tmp_path / "outer")):
+        folder.mkdir()
+        git(folder, "init", "-q", "-b", "main")
+        (folder / f"{name}.py").write_text("1")
+        if name == "outer":
+            git(folder, *LOCAL, "submodule", "--quiet", "add", str(tmp_path / "inner"), "a b")
+        git(folder, "add", "-A")
+        git(folder, "commit", "-qm", "First")
+    git(repository, *LOCAL, "submodule", "--quiet", "add", str(tmp_path / "outer"), "policy/sub")
+    git(repository, *LOCAL, "submodule", "--quiet", "update", "--init", "--recursive")
+    git(repository, "commit", "-qm", "Submodule")
+    (repository / "policy/sub/outer.py").write_text("2")
+    git(repository / "policy/sub", "commit", "-qam", "Second")
+    git(repository, "commit", "-qam", "Second of it")
+    history = History.of([], repository)
+    with history.revision(history.named("main~1"), []) as tree:
+        assert (tree / "policy/sub/outer.py").read_text() == "1"
+        assert (tree / "policy/sub/a b/inner.py").read_text() == "1"
+    with history.revision(history.named("main"), []) as tree:
+        assert (tree / "policy/sub/outer.py").read_text() == "2"
+    git(tmp_path, "clone", "-q", str(repository), "clone")
+    clone = History.of([], tmp_path / "clone")
+    with clone.revision(clone.named("main~1"), []) as tree:  # where nothing is cloned now either
+        assert not list((tree / "policy/sub").iterdir())
+    (tmp_path / "clone/policy/sub/outer.py").write_text("3")
+    expected = r"expected the submodule policy/sub to be cloned with its commit .*run `git -C policy/sub fetch` first"
+    with pytest.raises(HistoryError, match=expected), clone.revision(clone.named("main~1"), []):
+        pass
+    assert state_of(repository)[3][1].count("\n") == 1
+
+
+def test_worktree_of_a_killed_process_is_removed_by_the_next(repository):
+    history = History.of([], repository)
+    with history.revision("main", []) as tree:
+        with history.revision("main", []) as other:
+            assert tree.exists()  # its process lives
+            assert other.exists()
+        code = "import os\nfrom pathlib import Path\nfrom pytest_pafot.commands.history import History\n"
+        code += f"with History.of([], Path({str(repository)!r})).revision('main', []) as tree:\n    os._exit(9)\n"
+        assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
+        assert git(repository, "worktree", "list").count("\n") == 3
+        with history.revision("main", []):
+            assert git(repository, "worktree", "list").count("\n") == 3
+    assert git(repository, "worktree", "list").count("\n") == 1
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt, SystemExit])

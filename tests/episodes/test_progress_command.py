@@ -1,6 +1,7 @@
 """The command `python -m pytest_pafot progress`: from two versions of a policy to its outputs and exit code."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -66,7 +67,88 @@ def here(tmp_path, monkeypatch):
 
 
 def progress(old, new, *more):
-    return main(["progress", f"versions:{old}", f"versions:{new}", *SHORT, *more])
+    named = (name if name.startswith("rev:") else f"versions:{name}" for name in (old, new))
+    return main(["progress", *named, *SHORT, *more])
+
+
+@pytest.fixture
+def repository(here, monkeypatch):
+    """Return the folder as a repository, in whose commit each policy drives with a limit of 20 m/s."""
+    monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
+    (here / "limits.py").write_text("LIMIT = 20.0\n")
+    text = POLICY.replace("import pytest_pafot as pafot", "import pytest_pafot as pafot\nfrom limits import LIMIT")
+    (here / "versions.py").write_text(text.replace("20.0 - ego", "LIMIT - ego"))
+    (here / ".gitignore").write_text("__pycache__/\n*.npz\n")
+    monkeypatch.delitem(sys.modules, "limits", raising=False)
+    git(here, "init", "-q", "-b", "main")
+    git(here, "add", "-A")
+    git(here, "-c", "user.name=Ann", "-c", "user.email=a@b.c", "commit", "-qm", "Begin")
+    yield here
+    assert len(git(here, "worktree", "list").splitlines()) == 1
+
+
+def git(folder, *arguments):
+    return subprocess.run(["git", *arguments], cwd=folder, check=True, capture_output=True, text=True).stdout
+
+
+@pytest.mark.processes
+def test_old_policy_may_come_from_a_revision(repository, capsys, monkeypatch):
+    (repository / "limits.py").write_text("LIMIT = 40.0\n")
+    assert progress("rev:main", "Careful", "--json", "one.json", "--workers", "2") == 0
+    out, commit = capsys.readouterr().out, git(repository, "rev-parse", "main").strip()
+    said = json.loads((repository / "one.json").read_text())
+    assert (said["old"], said["old_commit"]) == ("rev:main", commit)
+    lines = re.findall(r"^- (.*): limits.py ([0-9a-f]{7}), versions.py ([0-9a-f]{7})$", out, re.MULTILINE)
+    assert [who for who, _, _ in lines] == [f"rev:main ({commit[:7]})", f"now ({commit[:7]} and changes)"]
+    assert (lines[0][1] != lines[1][1], lines[0][2] == lines[1][2]) == (True, True)
+    (repository / "before.py").write_text((repository / "versions.py").read_text().replace("limits", "before_limits"))
+    (repository / "before_limits.py").write_text("LIMIT = 20.0\n")
+    monkeypatch.delitem(sys.modules, "before", raising=False)
+    main(["progress", "before:Careful", "versions:Careful", *SHORT, "--json", "two.json"])
+    assert json.loads((repository / "two.json").read_text())["rows"] == said["rows"]
+
+
+@pytest.mark.processes
+def test_ordinary_traffic_is_also_driven_in_the_revision(repository, capsys):
+    (repository / "limits.py").write_text("LIMIT = 40.0\n")
+    more = ("--world", "highway-fast-v0", "--episodes", "2", "--json", "p.json")
+    assert progress("rev:main", "Careful@planner", *more) == 0
+    rows = json.loads((repository / "p.json").read_text())["rows"]
+    assert [row["told"] for row in rows if row["part"] == "episodes"] == ["", ""]
+
+
+@pytest.mark.processes
+def test_policy_of_the_revision_itself_is_not_compared(repository, capsys):
+    (repository / "README.md").write_text("New.")
+    assert progress("rev:main", "Careful", "--json", "p.json", "--fail-on", "not-better") == 0
+    commit = git(repository, "rev-parse", "main")[:7]
+    assert capsys.readouterr().out.startswith(f"the policy is that of rev:main ({commit}): nothing to compare\n")
+    assert json.loads((repository / "p.json").read_text())["rows"] == []
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(
+    ("change", "new", "told"),
+    [
+        (
+            "class Newer(Careful):\n    pass\n",
+            "Newer",
+            "OLD: expected a revision with versions:Newer, received rev:main (",
+        ),
+        ("", "Unmade", "rev:main (*): expected a policy that drives, received OSError: no weights"),
+    ],
+)
+def test_revision_without_a_driving_policy_is_refused(repository, capsys, change, new, told):
+    (repository / "versions.py").write_text((repository / "versions.py").read_text() + change)
+    assert progress("rev:main", new) == 2
+    assert re.sub(r"\(\w{7}\)", "(*)", capsys.readouterr().err).count(told) == 1
+
+
+def test_policy_is_not_compared_with_itself(here, capsys, monkeypatch):
+    monkeypatch.delitem(sys.modules, "before", raising=False)
+    (here / "before.py").write_text("from versions import Careful\n")
+    assert main(["progress", "before:Careful", "versions:Careful", *SHORT]) == 2
+    assert "OLD: expected a policy that differs from the tested one" in capsys.readouterr().err
 
 
 def test_progress_reports_better_version_and_exits_by_option(here, capsys):
@@ -89,7 +171,7 @@ def test_printed_command_saves_the_new_failures(here, capsys):
     progress("Careful", "Blind", "--json", "p.json")
     rows = json.loads((here / "p.json").read_text())["rows"]
     (command,) = re.findall(r"save and see it: `python (.*)`", capsys.readouterr().out)
-    again = [sys.executable, *command.split(), "--pafot-shrink-rollouts=0"]
+    again = [sys.executable, *command.split(), "--", "--pafot-shrink-rollouts=0"]
     subprocess.run(again, capture_output=True, check=False, timeout=120)
     saved = sorted(path.name.removesuffix(".pafot.yaml") for path in here.rglob("*.pafot.yaml"))
     assert saved == sorted(row["name"] for row in rows if row["part"] == "alone" and row["new"]["failed"])
@@ -167,6 +249,7 @@ def test_same_seed_agrees_for_any_worker_count(here, capsys):
         (["Careful", "--config", "{}"], "--config: expected an environment, received none; give --world"),
         (["Careful@planner"], "NEW: expected @planner after both names or none"),
         (["Careful", "--world", "highway-v7"], "expected a registered environment, received 'highway-v7'"),
+        (["rev:main"], "NEW: expected the present policy, received 'rev:main'; check it out"),
         (["Nobody"], "NEW: expected a factory in versions, received 'versions:Nobody', which is none; it has "),
         (["Unmade"], "NEW: expected a factory of a policy, received one that raises OSError: no weights ("),
         (

@@ -7,6 +7,7 @@ import pytest
 
 from pytest_pafot.campaign import saved_scenario
 from pytest_pafot.corpus.reader import load
+from tests.helpers.tables import table
 
 KEEPS = "def make():\n    return lambda observation: (0.0, 0.0)\n"
 SPEEDS = KEEPS.replace("(0.0, 0.0)", "(1.25, 0.0)")  # the lengths differ, so that no stale copy is used
@@ -51,7 +52,7 @@ def test_saved_scenario_label_compares_policy_and_reference(changed):
         (SPEEDS, KEEPS, "introduced", "introduces 1 failure, fixes 0, 0 as before"),
         (SPEEDS, BREAKS, "common", "introduces 0 failures, fixes 0, 1 as before"),
         (KEEPS, SPEEDS, "fixed", "introduces 0 failures, fixes 1, 0 as before"),
-        (KEEPS, KEEPS, "fixed before", "introduces 0 failures, fixes 0, 0 as before"),
+        (KEEPS, f"{KEEPS}# as now\n", "fixed before", "introduces 0 failures, fixes 0, 0 as before"),
     ):
         policies(changed, now, before)
         result = changed.run(AGAINST, generations=0)
@@ -157,3 +158,24 @@ def test_search_fails_if_its_reference_always_fails(project):
     result = project.run(AGAINST)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["the search tested nothing:", "the reference itself failed in all its runs, *"])
+
+
+@table(
+    ("now", "before", "is_itself"),
+    [
+        ("from core import make\n", "from core import make\n", True),
+        (KEEPS, KEEPS, True),
+        (KEEPS, f"{KEEPS}# another text\n", False),
+        (KEEPS, "from planner import make\n", True),
+    ],
+)
+def test_policy_is_not_compared_with_itself(project, now, before, is_itself):
+    project.pytester.makepyfile(core=KEEPS)
+    project.write(TEST.replace("MORE", ""))
+    policies(project, now, before)
+    result = project.run(AGAINST, "-p", "no:cacheprovider", "--pafot-json=pafot.json")
+    code = pytest.ExitCode.USAGE_ERROR if is_itself else pytest.ExitCode.OK
+    assert (result.ret, json.loads((project.path / "pafot.json").read_text())["exit"]) == (code, code)
+    if is_itself:
+        result.assert_outcomes(failed=1)
+        result.stdout.fnmatch_lines(["*against (planner_before:make): expected a policy that differs *give rev:main*"])

@@ -1,6 +1,7 @@
 """The command `python -m pytest_pafot search`: a finding without a test file, and a test file to keep it."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -56,6 +57,33 @@ def test_search_command_saves_a_finding_and_writes_tests(here):
     code, told = python("pytest", "-q", "--pafot-generations=0")
     assert code == 1
     assert "replayed 1 saved scenario: 1 still failing" in told
+
+
+@pytest.mark.processes
+def test_search_command_counts_what_a_revision_passes(here):
+    def git(*arguments):
+        subprocess.run(["git", "-c", "user.name=A", "-c", "user.email=a@b.c", *arguments], check=True)
+
+    stops = "self.name == 'stop' and -9.0 or 0.0, 0.0"
+    named = POLICY.replace("return 0.0, 0.0", f"return {stops}").replace("return Planner()", "planner = Planner()")
+    named = named.replace('assert name == "fast"', "pass") + "\n"
+    named = named.replace(
+        "planner = Planner()", "planner = Planner()\n    planner.name = NAME or name\n    return planner"
+    )
+    (here / "a_planner.py").write_text("from core import NAME\n" + named)
+    (here / "core.py").write_text("NAME = 'stop'\n")
+    git("init", "-q", "-b", "main")
+    git("add", "-A")
+    git("commit", "-qm", "It stops")
+    (here / "core.py").write_text("NAME = ''\n")
+    given = ["a_planner:make:fast", "--runs", "8", "--seed", "2", "--against", "rev:main", "--copy", "core.py"]
+    code, told = python("pytest_pafot", "search", *given, "--", "-q", "--pafot-shrink-rollouts=0")
+    assert code == 1, told
+    assert re.search(r"^against rev:main \(\w{7}\): introduces 1 failure, fixes 0, 0 as before$", told, re.MULTILINE), (
+        told
+    )
+    code, told = python("pytest_pafot", "search", "a_planner:Planner", "--against", "rev:nothing", "--", "-q")
+    assert (code, "expected a commit, a branch or a tag" in " ".join(told.split())) == (2, True)
 
 
 def test_search_command_uses_the_requested_world_and_check(here):

@@ -1,0 +1,284 @@
+"""The policy of another revision of the user's repository, which drives in a process of its own.
+
+The process imports from a copy of that revision. It makes whole runs on request, so it may drive a policy of any kind.
+Requests and answers are pickled values between our own processes.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass, field
+from functools import cache
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn, TypeVar
+
+from pytest_pafot.execution.pool import FAREWELL, LARGEST, POLL, ProcessLostError, ending
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.support.errors import AdsFactoryError, WorldError
+from pytest_pafot.support.text import one_line, visible
+from pytest_pafot.world import protocol
+from pytest_pafot.world.guard.own_worlds import rollout_of
+
+T = TypeVar("T")
+
+LONGEST_BUILD = 300.0
+"""The longest time for the imports and the fixtures of a revision [s]."""
+LONGEST_END = 10.0
+"""The longest time for the end of a process, which tears down the fixtures of its test [s]."""
+STUCK = 86
+"""The exit code of a process whose policy ignores every interrupt."""
+PACKAGE = Path(__file__).parents[1]
+"""The folder of the running pytest_pafot, which the process imports as well, whatever the revision contains."""
+BOOT = "import sys; sys.path.insert(0, sys.argv[1]); from {program} import main; main(int(sys.argv[2]))"
+
+
+class RevisionError(Exception):
+    """An error for a revision whose policy cannot be compared. The message says what to do.
+
+    ``missing`` names what the revision lacks, if that is why: a module, ``module:name`` or ``fixture:name``.
+    """
+
+    def __init__(self, message: str, missing: str = "") -> None:
+        super().__init__(message)
+        self.missing = missing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RevisionPolicy:
+    """A policy of a revision, in place of a factory. Each process that uses it starts its own process for it.
+
+    Attributes:
+        label: the name of the revision and its commit, for texts.
+        commit: the hash of the commit.
+        root, tree: the repository of the user, and the copy of the revision.
+        folder: the current folder of the user, relative to the repository.
+        program: the module whose ``main`` is the process.
+        name: the policy: ``module:factory[:argument]``, or the name of a test in its file.
+        session: the arguments of the pytest session that sets up the fixtures of the test; empty without a test.
+        copy: the option that names files to copy, for texts.
+    """
+
+    label: str
+    commit: str
+    root: Path
+    tree: Path
+    folder: Path
+    program: str
+    name: str
+    session: tuple[str, ...] = ()
+    copy: str
+
+    def __call__(self) -> NoReturn:
+        """Refuse to make an ADS in this process."""
+        raise AdsFactoryError(f"{self.label}: expected a run in the process of this revision, received a call here")
+
+    def mapped(self, entries: Iterable[str]) -> list[str]:
+        """Return folders of imports, in which those of the repository are replaced by those of the copy."""
+        mapped = []
+        for entry in entries:
+            here = Path(os.path.realpath(entry or os.curdir))
+            is_own = here.is_relative_to(self.root) and not here.is_relative_to(os.path.realpath(sys.prefix))
+            mapped.append(str(self.tree / here.relative_to(self.root)) if is_own else str(entry))
+        return mapped
+
+    def call(self, function: Callable[..., T], *arguments: Any) -> T:
+        """Return ``function(built, *arguments)`` as the process computes it; ``built.factory`` is the factory there.
+
+        Raises:
+            RevisionError: if the process cannot be started, or the policy cannot be built there.
+            ProcessLostError: if the process dies or hangs; it names the last of the arguments.
+            Exception: what the function raises.
+        """
+        return _process(self, os.getpid()).call(function, arguments)
+
+    def built(self) -> Mapping[str, Any]:
+        """Return what the process says about the factory, which it builds now if it has not.
+
+        Raises:
+            RevisionError: if the process cannot be started, or the policy cannot be built there.
+        """
+        return _process(self, os.getpid()).started()
+
+    def close(self) -> None:
+        """End the process of this policy, if there is one."""
+        _process(self, os.getpid()).close()
+
+
+@dataclass(frozen=True, slots=True)
+class Elsewhere:
+    """A stand-in for a world, whose runs are made in the process of a revision."""
+
+    guards_ads: ClassVar[bool] = True  # in the other process
+    world: Any
+    policy: RevisionPolicy
+
+    @property
+    def hang_limit(self) -> float:
+        """The limit of the world [s]."""
+        return protocol.hang_limit(self.world)
+
+    def rollout(self, scenario: Scenario, ads: object) -> Trace:
+        """Run a scenario with the policy of the revision."""
+        return self.policy.call(rolled, "rollout", self.world, scenario)
+
+
+def rolled(built: Any, method: str, world: Any, scenario: Scenario) -> Trace:
+    """Run a scenario by a method of the world, in the process of a revision."""
+    run = rollout_of(world) if method == "rollout" else getattr(world, method)
+    trace: Trace = run(scenario, built.factory)
+    return trace
+
+
+@cache
+def _process(policy: RevisionPolicy, pid: int) -> _Process:
+    """Return this process's connection to the process of a policy. A forked process (another ``pid``) has its own."""
+    return _Process(policy)
+
+
+@dataclass(eq=False)
+class _Process:
+    """A process with the policy of a revision, started by the first call, and again after it died."""
+
+    policy: RevisionPolicy
+    _: KW_ONLY
+    clock: Callable[[], float] = time.monotonic
+    _popen: subprocess.Popen[bytes] | None = field(default=None, init=False)
+    _connection: Connection = field(init=False)
+    _log: Any = field(init=False)
+    _told: Mapping[str, Any] = field(default_factory=dict, init=False)
+
+    def started(self) -> Mapping[str, Any]:
+        if self._popen is not None:
+            return self._told
+        if not hasattr(socket, "AF_UNIX"):
+            raise RevisionError(f"{self.policy.label}: expected a system with Unix sockets, received {sys.platform}")
+        policy, (own, other) = self.policy, socket.socketpair()
+        # What the policy prints must not reach the connection, which has a descriptor of its own.
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115  (closed with the process)
+        self._connection = Connection(own.detach())
+        above = os.environ.get("PYTHONPATH", "")
+        environ = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(policy.mapped(above.split(os.pathsep))) if above else "",
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
+        command = [sys.executable, "-c", BOOT.format(program=policy.program), str(PACKAGE.parent), str(other.fileno())]
+        folder = policy.tree / policy.folder
+        folder.mkdir(parents=True, exist_ok=True)
+        with other:
+            # In its own group, so that Ctrl-C leaves it to this process, which ends it with all that it has started.
+            self._popen = subprocess.Popen(  # noqa: S603  (no shell)
+                command,
+                cwd=folder,
+                env=environ,
+                stdin=subprocess.DEVNULL,
+                stdout=self._log,
+                stderr=subprocess.STDOUT,
+                pass_fds=[other.fileno()],
+                start_new_session=True,
+            )
+        try:
+            self._connection.send((policy, policy.mapped(sys.path)))
+            self._told = self._answer(self.clock() + LONGEST_BUILD)
+        except (EOFError, OSError, TimeoutError) as error:
+            why = f"no answer within {LONGEST_BUILD:g} s" if isinstance(error, TimeoutError) else self._end()
+            why += self._last_words()
+            self.close(at_once=True)
+            raise RevisionError(f"{policy.label}: expected a process with its policy, received {why}") from None
+        except BaseException:
+            self.close(at_once=True)
+            raise
+        if "error" in self._told:
+            told = self._told
+            self.close()
+            raise RevisionError(
+                f"{policy.label}: expected the policy {policy.name} to be built from that revision, received "
+                f"{told['error']}; files that git ignores, such as weights, need {policy.copy}",
+                told["missing"],
+            )
+        return self._told
+
+    def call(self, function: Callable[..., T], arguments: tuple[Any, ...]) -> T:
+        self.started()
+        try:
+            request = pickle.dumps((function, arguments))
+        except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
+            raise RevisionError(
+                f"{self.policy.label}: expected a world that can be sent to the process of this revision, received one "
+                f"that raises {type(error).__name__}: {error}; define its class in a module"
+            ) from None
+        try:
+            self._connection.send_bytes(request)
+            said, strangers = self._answer()
+        except (EOFError, OSError):
+            how, pid, code = self._end(), self._popen.pid if self._popen else 0, self._popen and self._popen.wait()
+            self.close(at_once=True)
+            raise ProcessLostError(arguments[-1], pid=pid, how=how, is_hang=code == STUCK) from None
+        except BaseException:  # An interrupt: its answer would be taken for that of the next call.
+            self.close(at_once=True)
+            raise
+        if strangers:
+            raise RevisionError(
+                f"{self.policy.label}: expected a policy that imports and opens files of its own revision, received "
+                f"{', '.join(map(visible, strangers[:3]))}, of your present files: it would be compared with itself; "
+                "name files relative to the module (`Path(__file__).parent`), and put the folder that an editable "
+                "installation imports from on the path (pytest: `pythonpath = src`)"
+            )
+        if not isinstance(said, Exception):
+            result: T = said
+            return result
+        if isinstance(said, AdsFactoryError | WorldError | ScenarioError | RevisionError):
+            raise said
+        text = one_line(visible(f"{type(said).__name__}: {said}".replace(f"{self.policy.tree}{os.sep}", "")))
+        raise RevisionError(
+            f"{self.policy.label}: expected a policy that drives, received {text}; files that git ignores, such as "
+            f"weights, need {self.policy.copy}"
+        )
+
+    def _answer(self, until: float | None = None) -> Any:
+        while not self._connection.poll(POLL):
+            if until is not None and self.clock() > until:
+                raise TimeoutError
+            if self._popen is not None and self._popen.poll() is not None and not self._connection.poll():
+                raise EOFError
+        return pickle.loads(self._connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
+
+    def _end(self) -> str:
+        """Return how the process ended."""
+        if self._popen is None:
+            return "no process"
+        with suppress(subprocess.TimeoutExpired):
+            self._popen.wait(FAREWELL)
+        hung = "hung, ignored every interrupt and was ended"
+        return hung if self._popen.returncode == STUCK else ending(self._popen.returncode)
+
+    def _last_words(self) -> str:
+        """Return the last line that the process has printed, for an end that nothing else explains."""
+        self._log.seek(0)
+        lines = [line.strip() for line in self._log.read()[-4000:].decode("utf-8", "replace").splitlines()]
+        words = next((line for line in reversed(lines) if line), "")
+        return f" ({one_line(visible(words))})" if words else ""
+
+    def close(self, *, at_once: bool = False) -> None:
+        """End the process; unless ``at_once``, it may first tear its fixtures down."""
+        popen, self._popen = self._popen, None
+        if popen is None:
+            return
+        self._connection.close()  # The process ends at the end of its requests.
+        with suppress(subprocess.TimeoutExpired):
+            popen.wait(0 if at_once else LONGEST_END)
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(popen.pid, signal.SIGKILL)  # Also what the policy has started, even if it has ended itself.
+        popen.wait()
+        self._log.close()

@@ -1,0 +1,327 @@
+"""A session against a revision: whose files make the reference, what is the same, and what cannot be compared."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.corpus.reader import load
+from tests.helpers.tables import table
+
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(sys.platform == "win32", reason="a revision needs Unix sockets"),
+]
+
+ADAPTER = """
+from pkg.core import SPEED_UP
+
+
+class Adapter:
+    def __call__(self, observation):
+        return SPEED_UP, 0.0
+"""
+TEST = """
+from pkg.adapter import Adapter
+
+
+@pafot.search(SHORT, ads=Adapter, stop_after=1)
+def test_keeps_its_speed(run):
+    assert run.ego.speed.max() < 22.5
+"""
+NOW = "SPEED_UP = 1.25\n"
+
+
+@pytest.fixture
+def repository(project, monkeypatch, tmp_path_factory):
+    """Return a project in git whose policy keeps its speed in main, and whose present core.py makes it speed up."""
+    monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
+    monkeypatch.setenv("TMPDIR", str(tmp_path_factory.mktemp("copies")))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    for name in ("AUTHOR", "COMMITTER"):
+        monkeypatch.setenv(f"GIT_{name}_NAME", "Ann")
+        monkeypatch.setenv(f"GIT_{name}_EMAIL", "ann@example.org")
+    (project.path / "conftest.py").unlink()
+    write(project, {"pkg/__init__.py": "", "pkg/core.py": "SPEED_UP = 0.0\n", "pkg/adapter.py": ADAPTER})
+    write(project, {".gitignore": "__pycache__/\n.pytest_cache/\n*.npz\nstdout\nstderr\nrunpytest-*\n"})
+    project.write(TEST)
+    git(project, "init", "-q", "-b", "main")
+    commit(project)
+    write(project, {"pkg/core.py": NOW})
+    yield project
+    assert not list(Path(os.environ["TMPDIR"]).glob("pafot-tree-*"))
+    assert len(git(project, "worktree", "list").splitlines()) == 1
+
+
+def git(project, *arguments):
+    return subprocess.run(["git", *arguments], cwd=project.path, check=True, capture_output=True, text=True).stdout
+
+
+def write(project, files):
+    for name, text in files.items():
+        (project.path / name).parent.mkdir(parents=True, exist_ok=True)
+        (project.path / name).write_text(text)
+
+
+def commit(project, **files):
+    write(project, files)
+    git(project, "add", "-A")
+    git(project, "commit", "-qm", "Change")
+
+
+def run(project, *args, revision="rev:main", **options):
+    return project.run(f"--pafot-against={revision}", *args, fresh=True, **options)
+
+
+def test_change_in_an_imported_module_is_a_regression(repository):
+    result = run(repository, "--pafot-json=pafot.json")
+    result.assert_outcomes(failed=2)
+    name = f"rev:main ({git(repository, 'rev-parse', 'main')[:7]})"
+    result.stdout.fnmatch_lines([f"against {name}: introduces 1 failure, fixes 0, 0 as before"])
+    told = [line for line in result.outlines if "pkg/core.py" in line and "note: " in line]
+    assert [line.partition(": pkg")[0].strip() for line in told] == [
+        f"note: {name}",
+        f"note: now ({name[-8:-1]} and changes)",
+    ]
+    hashes = [line.split("pkg/core.py ")[1][:7] for line in told]
+    assert hashes[0] != hashes[1]
+    assert load(repository.only_file).expect.against == name
+    assert json.loads((repository.path / "pafot.json").read_text())["findings"][0]["against"] == name
+    write(repository, {"pkg/core.py": "SPEED_UP = 0.0  # again\n"})
+    result = run(repository)
+    result.assert_outcomes(passed=2)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed before"])
+
+
+UNNAMED = {"train.py": "import pkg.adapter\n"}
+OTHER_TEST = {"test_other.py": "def test_other():\n    pass\n"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_same"),
+    [
+        ({"README.md": "New."}, True),
+        (UNNAMED, True),
+        (OTHER_TEST, True),
+        ({**UNNAMED, "test_other.py": "import train\n"}, False),  # the policy may be what has imported it
+        ({"test_it.py": "# The function, and not the policy.\n"}, True),
+        ({"net.bin": "native code may open it"}, False),
+        ({"pkg/late.py": "LATE = 1\n"}, False),
+        ({"test_it.py": "Adapter = type('Adapter', (Adapter,), {})\n"}, False),
+        ({"conftest.py": ""}, False),
+    ],
+)
+def test_same_policy_is_not_searched_unless_a_change_may_matter(
+    repository, changes, is_same, monkeypatch, tmp_path_factory
+):
+    git(repository, "checkout", "-q", "pkg")
+    text = (repository.path / "test_it.py").read_text()
+    if "test_it.py" in changes:
+        before, mark, after = text.partition("\n\n@pafot")
+        changes = {"test_it.py": before + "\n" + changes["test_it.py"] + mark + after}
+    write(repository, changes)
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(tmp_path_factory.mktemp("job") / "summary.md"))
+    result = run(repository)
+    assert result.ret == 0
+    summary = Path(os.environ["GITHUB_STEP_SUMMARY"]).read_text()
+    assert ("No search ran." in summary, "nothing to compare" in summary) == (is_same, is_same)
+    same = f"note: the policy is that of rev:main ({git(repository, 'rev-parse', 'main')[:7]}): nothing to compare"
+    assert (same in [line.strip() for line in result.outlines]) is is_same
+    assert result.parseoutcomes().get("skipped", 0) == is_same
+
+
+def test_module_that_the_policy_may_import_later_matters(repository):
+    commit(repository, **{"late.py": "LATE = 1\n", "pkg/core.py": NOW + "\n\ndef seldom():\n    import late\n"})
+    write(repository, {"late.py": "LATE = 2\n"})
+    run(repository).stdout.no_fnmatch_line("*nothing to compare*")
+
+
+def test_fixtures_parameters_and_classes_come_from_the_revision(repository):
+    write(
+        repository,
+        {
+            "conftest.py": "import pytest\nfrom pkg.adapter import Adapter\n\n"
+            "@pytest.fixture(params=['a::b', '\u00fc'])\ndef ads(request):\n"
+            "    yield Adapter\n    open(f'{request.config.rootpath.name}-torn', 'w').close()\n",
+            "pkg/core.py": "SPEED_UP = 0.0\n",
+        },
+    )
+    repository.write(
+        "class TestIt:\n    @pafot.search(SHORT, stop_after=1)\n    def test_it(self, run):\n"
+        "        assert run.ego.speed.max() < 22.5\n"
+    )
+    commit(repository)
+    write(repository, {"pkg/core.py": NOW})
+    result = run(repository)
+    result.assert_outcomes(failed=4)
+    result.stdout.fnmatch_lines(["against rev:main (*): introduces 2 failures, fixes 0, 0 as before"])
+
+
+@pytest.mark.parametrize("name", ["test_it", "test_more"])
+def test_new_test_drives_the_policy_of_the_revision(repository, name):
+    repository.write(TEST.replace("test_keeps_its_speed", "test_new"), name=name)
+    result = run(repository, f"{name}.py")
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, fixes 0, 0 as before"])
+
+
+def test_every_failure_of_a_new_policy_counts(repository):
+    write(repository, {"pkg/newer.py": "from pkg.adapter import Adapter\n\nclass Newer(Adapter):\n    pass\n"})
+    repository.write(TEST.replace("pkg.adapter", "pkg.newer").replace("Adapter", "Newer"), name="test_new")
+    result = run(repository, "test_new.py")
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["*note: the policy is new since rev:main (*): every failure counts"])
+    write(repository, {".gitignore": "newer.py\n"})
+    result = run(repository, "test_new.py", "--pafot-save=none")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines(["*No module named 'pkg.newer' (*); files that git ignores, *need --pafot-copy*"])
+
+
+WEIGHTS = """
+from pathlib import Path
+
+SPEED_UP = float((Path(__file__).parent / "net.npz").read_text())
+"""
+
+
+def test_ignored_weights_are_copied_by_the_option(repository):
+    commit(repository, **{"pkg/core.py": WEIGHTS, "pkg/net.npz": "0.0"})
+    write(repository, {"pkg/core.py": WEIGHTS + "SPEED_UP += 1.25\n"})
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines(["*FileNotFoundError*net.npz*; files that git ignores, *need --pafot-copy*"])
+    run(repository, "--pafot-copy=pkg/net.npz").stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
+
+
+def test_policy_that_opens_present_files_is_refused(repository):
+    present = f'"{repository.path}/pkg"'
+    commit(repository, **{"pkg/core.py": WEIGHTS.replace("Path(__file__).parent", f"Path({present})")})
+    write(repository, {"pkg/net.npz": "0.0", "pkg/adapter.py": ADAPTER + "\n"})
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    expected = f"*received {repository.path}/pkg/net.npz, of your present files: it would be compared with itself; *"
+    result.stdout.fnmatch_lines([expected])
+
+
+@pytest.mark.parametrize(
+    ("policy", "received"),
+    [
+        ("raise ValueError('bad')", "received ValueError: bad (*core.py:1); files that git ignores, "),
+        ("def (", "SyntaxError"),
+        ("import os; os._exit(3)", "expected a process with its policy, received ended with exit code 3"),
+    ],
+)
+def test_revision_that_cannot_be_built_is_a_usage_error(repository, policy, received):
+    commit(repository, **{"pkg/core.py": policy + "\n"})
+    write(repository, {"pkg/core.py": NOW})
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines([f"*against*: rev:main (*{received}*"])
+
+
+@pytest.mark.parametrize(
+    ("decision", "how"),
+    [
+        ("os._exit(0)", "ProcessCrash: ended with exit code 0"),
+        ("hang()", "ProcessCrash: hung, ignored every interrupt and was ended"),
+        ("raise KeyError('x')", "KeyError: 'x'"),
+    ],
+)
+def test_reference_that_dies_hangs_or_raises_has_failed(repository, decision, how):
+    hang = "import os, time\n\ndef hang():\n    while True:\n        try:\n            time.sleep(9)\n"
+    hang += "        except BaseException:\n            pass\n\nSPEED_UP = 0.0\n"
+    broken = ADAPTER.replace("import SPEED_UP", "import *").replace("return", f"{decision}\n        return")
+    commit(repository, **{"pkg/core.py": hang, "pkg/adapter.py": broken.replace("from", "import os\nfrom", 1)})
+    write(repository, {"pkg/adapter.py": ADAPTER, "pkg/core.py": NOW})
+    text = (repository.path / "test_it.py").read_text()
+    world = "world=pafot.Highway(duration=10.0, hang_limit=0.5)"
+    write(repository, {"test_it.py": text.replace("ads=Adapter", f"ads=Adapter, {world}")})
+    result = run(repository, "--pafot-runs=1", generations=None)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines([f"*the reference itself failed in all its runs, at first with {how}*"])
+
+
+def test_prints_of_a_policy_do_not_reach_the_session(repository):
+    prints = ADAPTER.replace("return", "print('x' * 999); os.write(1, b'y' * 9999); return")
+    commit(
+        repository, **{"pkg/adapter.py": "import os\nprint('imported')\n" + prints, "pkg/core.py": "SPEED_UP = 0.0\n"}
+    )
+    write(repository, {"pkg/core.py": NOW, "pkg/adapter.py": ADAPTER})
+    result = run(repository, "-s")
+    result.stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
+    result.stdout.no_fnmatch_line("*xxx*")
+
+
+@table(
+    ("revision", "received"),
+    [
+        ("rev:", "expected a revision, such as rev:main, received 'rev:'"),
+        ("rev:nothing", "expected a commit, a branch or a tag, received 'nothing'"),
+        ("rev:--output=x", "expected a commit, a branch or a tag, received '--output=x'"),
+        ("rev:main:pkg", "expected a commit, a branch or a tag, received 'main:pkg'"),
+    ],
+)
+def test_what_is_no_revision_is_a_usage_error(repository, revision, received):
+    result = run(repository, revision=revision)
+    assert (result.ret, (repository.path / "x").exists()) == (pytest.ExitCode.USAGE_ERROR, False)
+    result.stdout.fnmatch_lines([f"*against: {revision}: {received}*"])
+
+
+def test_session_outside_a_repository_says_what_it_needs(project, monkeypatch):
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(project.path.parent))
+    project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n")
+    result = run(project)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines(["*against: rev:main: expected a folder in a git repository, received *"])
+
+
+def test_odd_branch_names_are_revisions(repository):
+    git(repository, "update-ref", "refs/heads/-x/\u00fc y".replace(" ", "_"), "main")
+    result = run(repository, revision="rev:refs/heads/-x/\u00fc_y")
+    result.stdout.fnmatch_lines(["against rev:refs/heads/-x/\\xfc_y (*): introduces 1 failure, *"])
+
+
+def test_workers_of_xdist_each_have_their_own_copy(repository):
+    repository.write(TEST.replace("test_keeps_its_speed", "test_second"), name="test_second")
+    result = run(repository, "-n2")
+    result.stdout.fnmatch_lines(["against rev:main (*): introduces 2 failures, fixes 0, 0 as before"])
+
+
+def test_resumed_search_agrees_on_the_commit_and_not_its_name(repository):
+    options = ("--pafot-resume=states", "--pafot-save=none")
+    run(repository, *options, generations=2)
+    git(repository, "branch", "same", "main")
+    result = run(repository, *options, revision="rev:same", generations=4)
+    result.stdout.fnmatch_lines(["*resumed after * of earlier sessions*"])
+    git(repository, "checkout", "-q", "pkg")
+    commit(repository, **{"other.py": ""})
+    write(repository, {"pkg/core.py": NOW})
+    result = run(repository, *options, generations=6)
+    result.stdout.no_fnmatch_line("*resumed after*")
+
+
+@table("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_copy_of_an_ended_session_is_removed(repository, number):
+    write(
+        repository, {"test_it.py": (repository.path / "test_it.py").read_text().replace("stop_after=1", "max_time=99")}
+    )
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "pafot", "--pafot-against=rev:main", "--pafot-runs=1000000"]
+    with subprocess.Popen(
+        command, cwd=repository.path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as session:
+        deadline = time.monotonic() + 60
+        while len(git(repository, "worktree", "list").splitlines()) == 1 and time.monotonic() < deadline:
+            time.sleep(0.1)
+        time.sleep(1.0)
+        session.send_signal(number)
+    assert session.returncode != 0
+    if number == signal.SIGKILL:
+        assert len(git(repository, "worktree", "list").splitlines()) == 2
+        git(repository, "checkout", "-q", "test_it.py")
+        run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces *"])  # also what the killed one ran
