@@ -244,7 +244,7 @@ def brakes_for_a_reason(run: Run) -> None:
     The value is the deceleration that lasts for 0.4 s from a tick on [m/s^2], and must be at most 5. It is 0 if there
     is a reason to brake between 1.6 s before the braking began and 0.4 s after that. docs/explanation/verdicts.md,
     rule 7, lists the reasons. A further reason is a crossing NPC that would miss the ego in their zone by less than
-    four seconds.
+    four seconds. Braking that goes on when its reason is gone is not checked here, only by the verdict on a collision.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """

@@ -59,7 +59,7 @@ def is_property(name, each):
 @table("situation", COLLISIONS[::9])
 def test_no_fault_fails_if_the_ego_is_responsible(situation):
     run = pafot.Run(situation.trace())
-    if situation.responsibility == "npc":
+    if situation.responsibility in ("npc", "none"):
         properties.no_fault(run)
     else:
         with pytest.raises(AssertionError, match=r"The ego is responsible|Both are responsible"):
@@ -360,8 +360,9 @@ def test_needless_braking_agrees_with_the_fault_rule():
         trace = situation.trace()
         made = only(properties.brakes_for_a_reason, trace)
         assert made.holds != expected_needless(trace), situation.name
-        is_hard = (braking(trace) > 5.0).any()  # verdicts count lasting braking, too
-        assert made.holds <= (situation.fault != "braked-for-nothing" or not is_hard), situation.name
+        # Verdicts also count lasting braking, and braking that goes on when its reason is gone.
+        begins_hard = (braking(trace) > 5.0).any() and "kept braking" not in situation.says
+        assert made.holds <= (situation.fault != "braked-for-nothing" or not begins_hard), situation.name
 
 
 # Cut-ins.

@@ -123,10 +123,18 @@ _WAYS_OUT: Mapping[int, str] = MappingProxyType(
 def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file and create its folders. At any time a reader finds either the whole new or the whole old content.
 
+    A pipe, or a device such as ``/dev/null``, receives the content. A file in its place would take it from everybody.
+
     Raises:
         OSError: if the file cannot be written; no partial file is left behind.
     """
-    _through_temporary(path, content.encode() if isinstance(content, str) else content, Path.replace)
+    data = content.encode() if isinstance(content, str) else content
+    with contextlib.suppress(FileNotFoundError):
+        mode = path.lstat().st_mode
+        if stat.S_ISCHR(mode) or stat.S_ISFIFO(mode):
+            path.write_bytes(data)
+            return
+    _through_temporary(path, data, Path.replace)
 
 
 def write_if_free(path: Path, content: bytes) -> bool:

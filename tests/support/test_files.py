@@ -29,6 +29,17 @@ def links(request, monkeypatch):
         monkeypatch.setattr(Path, "hardlink_to", refuse)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_pipe_receives_the_content_and_stays(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    write_whole(tmp_path / "pipe", "content")
+    assert os.read(reader, 100) == b"content"
+    os.close(reader)
+    assert [each.name for each in tmp_path.iterdir()] == ["pipe"]
+    assert (tmp_path / "pipe").is_fifo()
+
+
 @pytest.mark.parametrize("write", [write_whole, write_if_free])
 def test_file_is_written_with_folders_and_no_leftovers(path, write, links):
     write(path, b"content")

@@ -133,8 +133,8 @@ def test_last_chance_is_between_rules_and_zone_entry():
     assert fault == "did-not-give-way"
     passing, hz = Passing(trace, 0, trace.zones[0]), trace.physics_hz
     careful, braking = (found(trace, fault, world.take_over) for found in (last_chance, avoidance))
-    assert passing.last_chance() / hz <= braking.time < passing.entered() / hz
-    assert passing.last_chance() / hz <= careful.time < passing.entered() / hz
+    assert passing.chances()[0].tick / hz <= braking.time < passing.entered() / hz
+    assert passing.chances()[0].tick / hz <= careful.time < passing.entered() / hz
     assert careful.action[0] < -2.0
 
 
