@@ -398,6 +398,15 @@ class Deaf(Driven):
         return super().rollout(scenario, ads_factory)
 
 
+class Asks(Driven):
+    """The ADS is asked although its decisions are given."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        if decisions:
+            ads_factory()(None)
+        return super().rollout(scenario, ads_factory, decisions=decisions)
+
+
 class Shared(Driven):
     ads = None
 
@@ -563,6 +572,8 @@ WRONG = [
         traces("Alarmed", lambda t: replace(t, outcome=Outcome.OFF_ROAD) if t.outcome is Outcome.SAFE else t),
         "the outcome is off_road if the ego was in lane -1",
     ),
+    (traces("Wanders", lambda trace: replace(trace, off_road_tick=5)), "off_road_tick is the first tick with the ego"),
+    (Asks, "decisions= replaces calls of the ADS"),
     (Deaf, "decisions= replaces the first decisions"),
     (Shared, "rollout calls ads_factory once, for a fresh ADS"),
     (Hoards, "rollout calls ads_factory once, for a fresh ADS, received an ADS of an earlier run"),
