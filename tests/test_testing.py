@@ -10,6 +10,7 @@ import pytest
 from pytest_pafot import Cell, Highway, NpcLimits, Outcome, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
 from pytest_pafot.testing import check_world
+from pytest_pafot.testing.traces import contacts, places_at_start
 from tests.helpers.stopped_clock import StoppedClock
 from tests.helpers.tables import table
 
@@ -397,12 +398,48 @@ class Deaf(Driven):
         return super().rollout(scenario, ads_factory)
 
 
+class Asks(Driven):
+    """The ADS is asked although its decisions are given."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        if decisions:
+            ads_factory()(None)
+        return super().rollout(scenario, ads_factory, decisions=decisions)
+
+
 class Shared(Driven):
     ads = None
 
     def rollout(self, scenario, ads_factory, *, decisions=()):
         self.ads = self.ads or ads_factory()
         return super().rollout(scenario, lambda: self.ads, decisions=decisions)
+
+
+class Hoards(Driven):
+    """The world makes one ADS of each factory."""
+
+    made = None, None
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        if self.made[0] is not ads_factory:
+            self.made = ads_factory, ads_factory()
+        return super().rollout(scenario, lambda: self.made[1], decisions=decisions)
+
+
+class Asleep(Driven):
+    """The drivers keep the speed, whatever happens."""
+
+    def rollout_reference(self, scenario, name):
+        return LONGER.rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+
+    def take_over(self, trace, tick, name):
+        return LONGER.rollout(trace.scenario, lambda: lambda seen: (0.0, 0.0), decisions=trace.actions[: tick // 3])
+
+
+class Dozes(Asleep):
+    """The drivers drive, but take over in their sleep."""
+
+    rollout_reference = Driven.rollout_reference
 
 
 class Stubborn(Driven):
@@ -527,7 +564,7 @@ WRONG = [
     (traces("Mute", lambda trace: replace(trace, actions=())), "actions has one action for each decision"),
     (
         traces("Double", lambda trace: replace(trace, actions=tuple((1.0, 0.0) for _ in trace.actions))),
-        "actions are th",
+        "decisions= replaces the first decisions",
     ),
     (traces("Rare", lambda trace: replace(trace, ads_hz=3)), "the ADS decides ads_hz times a second"),
     (traces("Float", lambda trace: replace(trace, physics_hz=15.0)), "physics_hz and ads_hz are whole numbers"),
@@ -535,12 +572,18 @@ WRONG = [
         traces("Alarmed", lambda t: replace(t, outcome=Outcome.OFF_ROAD) if t.outcome is Outcome.SAFE else t),
         "the outcome is off_road if the ego was in lane -1",
     ),
+    (traces("Wanders", lambda trace: replace(trace, off_road_tick=5)), "off_road_tick is the first tick with the ego"),
+    (Asks, "decisions= replaces calls of the ADS"),
     (Deaf, "decisions= replaces the first decisions"),
     (Shared, "rollout calls ads_factory once, for a fresh ADS"),
+    (Hoards, "rollout calls ads_factory once, for a fresh ADS, received an ADS of an earlier run"),
+    (Asleep, "rollout_reference lets 'careful-human' drive"),
+    (Dozes, "take_over lets 'careful-human' drive after its tick"),
+    (columns("Bumper", X, lambda x: x + 2.5), "an ADS that receives a pafot.Observation.* sees the ego as in states"),
     (Stubborn, "NPCs follow their instructions|the scenario as executed gives the same trace"),
     (Hasty, "states depend only on the first instructions until scenario.gene_seconds|states of a run"),
     (Elsewhere, "the ego starts in scenario.ego_lane"),
-    (Parked, "actions are those that the ADS returned|the ego follows its ADS"),
+    (Parked, "the ego follows its ADS"),
     (Rewinds, "take_over repeats the run up to its tick"),
     (Idles, "take_over lets 'careful-human' drive after its tick"),
     (Refuses, "take_over runs the declared driver 'careful-human', received KeyError"),
@@ -564,8 +607,51 @@ def test_world_with_decisions_and_drivers_passes_without_warning(recwarn):
 
 
 def test_check_without_any_collision_says_so():
-    with pytest.warns(RuntimeWarning, match="no collision in 18 runs, so nothing about collisions was checked"):
+    with pytest.warns(RuntimeWarning, match="no collision in 20 runs, so nothing about collisions was checked"):
         check_world(Own(), runs=3, **SHORT)
+
+
+def test_scaled_actions_pass_where_nothing_replays_them():
+    class Slippery(Driven):
+        def rollout(self, scenario, ads_factory):
+            def slipping():
+                ads = ads_factory()
+                return lambda seen: tuple(0.5 * each for each in ads(seen))
+
+            return LONGER.rollout(scenario, slipping)
+
+    check_world(Slippery())
+
+
+def test_instructions_without_time_to_show_are_not_demanded():
+    class Late(Driven):
+        longest_run = 11.0
+
+        def rollout(self, scenario, ads_factory, *, decisions=()):
+            chains = [[chain[0]] * scenario.genes for chain in scenario.npcs]
+            world = Highway(duration=11.0)
+            trace = world.rollout(replace(scenario, npcs=chains), ads_factory, decisions=decisions)
+            return replace(trace, scenario=scenario, executed=scenario)
+
+    check_world(Late(), gene_seconds=10.0)
+
+
+def test_cell_beyond_the_road_asks_for_no_place():
+    scenario = Scenario(npcs=[[PositionInstruction(Cell.RIGHT, 20.0)]], ego_lane=1)
+    trace = Highway(duration=1.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+    behind = with_states(trace, lambda states: np.add(states[:, 1:, X], -22.0, out=states[:, 1:, X]))
+    for lanes_left, is_kept in ((trace.lanes, False), (trace.lanes[:2], True)):
+        kept = [each for each, *_ in places_at_start(replace(behind, lanes=lanes_left))]
+        assert all(kept) == is_kept
+
+
+def test_npcs_that_touch_end_the_run_as_invalid():
+    scenario = Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in (Cell.FRONT_LEFT, Cell.REAR_LEFT)])
+    trace = Highway(duration=2.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+    touching = with_states(trace, lambda states: np.copyto(states[20:, 2], states[20:, 1]))
+    ended = replace(touching, states=touching.states[:21], outcome=Outcome.INVALID)
+    for each, is_kept in ((trace, True), (touching, False), (ended, True), (replace(trace, outcome="invalid"), False)):
+        assert all(kept for kept, *_ in contacts(replace(each, outcome=Outcome(each.outcome)))) == is_kept
 
 
 def test_hang_limit_of_own_world_is_kept_for_it():

@@ -133,12 +133,28 @@ def missing(world: object) -> list[str]:
     return [name for name in REQUIRED if not hasattr(type(world), name) and not hasattr(world, name)]
 
 
+def _fits_rollout(world: Any, name: str) -> bool:
+    """Return whether a world has a method that runs scenarios like the world's own ``rollout``.
+
+    A method of a base class does not, if a derived class has replaced the ``rollout`` that the method was written for:
+    its runs would be those of the base class.
+    """
+    if not hasattr(world, name):
+        return False
+    classes = type(world).__mro__
+    rollout, method = (
+        next((n for n, each in enumerate(classes) if member in vars(each)), -1) for member in ("rollout", name)
+    )
+    replaced = [vars(each).get("rollout") for each in classes[rollout + 1 : method + 1]]
+    return all(each is None or getattr(each, "__isabstractmethod__", False) for each in replaced)
+
+
 def lock_stepping(world: Any) -> LockStepping | None:
     """Return the world if it can run scenarios in lock step, else None.
 
-    It can if it has ``rollout_batch``, unless its ``has_lock_step`` is false.
+    It can if it has ``rollout_batch`` for its ``rollout``, unless its ``has_lock_step`` is false.
     """
-    return world if hasattr(world, "rollout_batch") and getattr(world, "has_lock_step", True) else None
+    return world if _fits_rollout(world, "rollout_batch") and getattr(world, "has_lock_step", True) else None
 
 
 def resumable(world: Any) -> Resumable | None:
@@ -219,8 +235,15 @@ def has_traffic_styles(world: Any) -> bool:
 
 
 def reference_world(world: Any) -> ReferenceWorld | None:
-    """Return the world if it has reference drivers, else None."""
-    return world if hasattr(world, "rollout_reference") and hasattr(world, "reference_drivers") else None
+    """Return the world if it has reference drivers, in runs like those of its ``rollout``, else None."""
+    return world if _fits_rollout(world, "rollout_reference") and hasattr(world, "reference_drivers") else None
+
+
+def takes_over(world: Any) -> tuple[str, ...]:
+    """Return the names of drivers with which a world declares that its ``take_over`` can be called."""
+    if not _fits_rollout(world, "take_over"):
+        return ()
+    return (*getattr(world, "reference_drivers", ()), *getattr(world, "takes_over", ()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,9 +291,7 @@ def taking_over(world: Any, trace: Trace) -> TakingOver | None:
     decisions. This needs a world that accepts ``decisions``, and an ADS whose actions look like SI units. Whether they
     are is seen only in the run, in which the ego brakes at that rate or not.
     """
-    declared: tuple[str, ...] = ()
-    if hasattr(world, "take_over"):
-        declared = (*getattr(world, "reference_drivers", ()), *getattr(world, "takes_over", ()))
+    declared = takes_over(world)
     by_decisions = STEADY_BRAKING not in declared and resumable(world) is not None and looks_si(trace.actions)
     drivers = (*declared, STEADY_BRAKING) if by_decisions else declared
     return TakingOver(world, drivers, by_decisions) if drivers else None

@@ -16,7 +16,7 @@ from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED
 from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world import Highway, World, WorldError
-from pytest_pafot.world.protocol import taking_over
+from pytest_pafot.world.protocol import lock_stepping, reference_world, taking_over
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table
@@ -189,6 +189,29 @@ def test_drivers_that_take_over_are_those_declared(world, drivers):
     trace = HIGHWAY.rollout(BRAKES, changing_lanes)
     known = taking_over(world, trace)
     assert (known and known.drivers) == drivers
+
+
+class Slower(Highway):
+    def rollout(self, scenario, ads_factory):
+        return super().rollout(replace(scenario, ego_speed=scenario.ego_speed - 5.0), ads_factory)
+
+
+class Reviewed(Slower):
+    reference_drivers = ("mine",)
+
+    def rollout_reference(self, scenario, name):
+        return self.rollout(scenario, changing_lanes)
+
+    def take_over(self, trace, tick, name):
+        return self.rollout(trace.scenario, changing_lanes)
+
+
+def test_abilities_for_a_replaced_rollout_are_not_used():
+    trace = HIGHWAY.rollout(BRAKES, changing_lanes)
+    assert lock_stepping(HIGHWAY) is reference_world(HIGHWAY) is HIGHWAY
+    assert lock_stepping(Slower()) is reference_world(Slower()) is taking_over(Slower(), trace) is None
+    assert reference_world(Reviewed()).reference_drivers == ("mine",)
+    assert taking_over(Reviewed(), trace).drivers[0] == "mine"
 
 
 @table("actions", [(), (0.5, 0.5), ("left", "right"), ((1, 2, 3),), ((True, False),), ((np.nan, 0.0),), (None,)])

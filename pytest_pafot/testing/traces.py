@@ -1,0 +1,398 @@
+"""The promises of a trace, as conditions on its arrays, with the words for a trace that breaks them.
+
+The tolerances are what other simulators do a little differently, such as finding contacts by other shapes, moving with
+the speed before or after a step, and changing lanes in one step. Each is far below the smallest mistake that it has to
+show: a wrong unit or axis, or a wrong point of a vehicle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations, pairwise
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.criticality.boxes import depth, relate
+from pytest_pafot.criticality.measures import Encounters
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.trace import (
+    ACCELERATION,
+    ANGLE,
+    HEADING,
+    LANE,
+    SPEED,
+    STEERING,
+    Collision,
+    FloatArray,
+    Lane,
+    Outcome,
+    Trace,
+    X,
+    Y,
+)
+from pytest_pafot.support.errors import plain_whole
+from pytest_pafot.world.limits import NpcLimits
+
+Promises = Iterator[tuple[Any, str, str]]
+"""For each promise: whether it is kept, its words, and what was received instead. A later one may need the earlier."""
+
+ROUNDING = 1e-6
+AT_START = 0.1
+"""The largest difference from the start speed of the scenario, for the ego [m/s]; for NPCs ten times as much."""
+DEEP = 0.5
+"""The deepest overlap of two boxes that may go unreported, since the shapes of vehicles are no boxes [m]."""
+APART = 0.3
+"""The largest gap between the boxes of two vehicles in contact, besides what they drive in a tick [m]."""
+OUTLIERS = 0.1
+"""The share of ticks that may be exceptions, such as a lane change in one tick."""
+DISTANCE = 0.1, 4.0
+"""The largest difference between the way driven and the speeds: a share, and a lane width of jumps aside [m]."""
+DIRECTION = 0.4
+"""The largest median angle between the heading and the motion of a vehicle; turned wheels make it slip [rad]."""
+MOVING = 2.0
+"""The speed above which the direction of motion is known [m/s]."""
+LEAST = 10
+"""The fewest ticks from which a share is taken."""
+SMOOTH = 0.5
+"""The time over which accelerations are compared with speeds [s]; speeds may be rounded, accelerations a tick late."""
+
+
+def is_straight(trace: Trace) -> bool:
+    """Return whether the lanes of a trace are straight."""
+    return trace.track is None and not any(lane.points for lane in trace.lanes)
+
+
+def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
+    """Yield what test functions, measures and report pages rely on when they read a trace."""
+    yield trace.error is None, "the ADS of the check drives in this world", f"{trace.error}; give a different ads="
+    states, start = trace.states, trace.states[0]
+    yield states.shape[1] == len(scenario.npcs) + 1, "states contain the ego and each NPC", f"shape {states.shape}"
+    rates = [plain_whole(rate) for rate in (trace.physics_hz, trace.ads_hz)]
+    yield all(rate is not None and rate > 0 for rate in rates), "physics_hz and ads_hz are whole numbers", f"{rates}"
+    yield len(trace.lanes) > 0, "lanes has the lanes of the road", "none"
+    for vehicle in range(states.shape[1] if is_straight(trace) else 1):
+        speed, allowed = start[vehicle, SPEED], 10 * AT_START if vehicle else AT_START
+        promise = f"starts as fast as the scenario says, states[0, {vehicle}, SPEED] at scenario.ego_speed"
+        received = f"{speed:.2f} m/s for {scenario.ego_speed:g} m/s"
+        yield abs(speed - scenario.ego_speed) <= allowed, f"{_name(vehicle)} {promise}", received
+    ways = [None if told is None else told.zone for told in scenario.crossings]
+    crossing = np.array([isinstance(chain[0], CrossingInstruction) for chain in scenario.npcs])
+    on_way = np.full((len(states), len(scenario.npcs)), np.nan) if trace.on_way is None else trace.on_way
+    track = np.zeros((1, len(crossing), 1)) if trace.track is None else trace.track[:, 1:]
+    longest = float(world.longest_run) if scenario.crossings else min(float(world.longest_run), scenario.seconds)
+    for promise, is_kept in {
+        "trace.scenario is the requested scenario": trace.scenario == scenario,
+        "trace.executed has a chain for each NPC": len(trace.executed.npcs) == len(scenario.npcs),
+        "states are finite": np.isfinite(states).all(),
+        "vehicles have a length and a width": (trace.sizes > 0).all(),
+        "sizes has the length before the width": (trace.sizes[:, 0] >= trace.sizes[:, 1]).all(),
+        "the column lane is an index of lanes, or -1": np.isin(states[..., LANE], range(-1, len(trace.lanes))).all(),
+        "ads_hz divides physics_hz": trace.physics_hz % trace.ads_hz == 0,
+        "no run is longer than longest_run, or its scenario": trace.duration <= longest + 1.5 * trace.dt,
+        "there is a collision if the outcome says so": (trace.outcome is Outcome.COLLISION) == bool(trace.collision),
+        "acceleration and steering of the first row are 0": not start[:, [ACCELERATION, STEERING]].any(),
+        "states[..., STEERING] is in rad": (np.abs(states[..., STEERING]) <= math.pi / 2).all(),
+        "zones are those of the instructions": [None if zone is None else zone.way for zone in trace.zones] == ways,
+        "on_way has the places of crossing NPCs, and NaN for others": (np.isfinite(on_way) == crossing).all(),
+        "track is recorded if an NPC crosses": trace.track is not None or not crossing.any(),
+        "track has NaN only for crossing NPCs": not np.isnan(track[:, ~crossing]).any(),
+    }.items():
+        yield is_kept, promise, f"something else in {trace!r}"
+    pairs, touch = list(combinations(range(states.shape[1]), 2)), _depths(trace, slice(1))[0][:, 0] > 0
+    touching = " and ".join(map(_name, pairs[int(touch.argmax())]))
+    yield not touch.any(), "no vehicles touch at the start", touching
+
+
+def of_runs(world: Any, traces: Sequence[Trace]) -> Promises:
+    """Yield the promises of traces that have the right form."""
+    for trace in traces:
+        yield from limits(world, trace)
+        yield from road(world, trace)
+    yield from motion(traces)
+    for trace in traces:
+        yield from places_at_start(trace)
+        yield from contacts(trace)
+        yield from end(world, trace)
+
+
+def limits(world: Any, trace: Trace) -> Promises:
+    """Yield the limits of the NPCs, if the world states them."""
+    stated, npcs, dt = getattr(world, "limits", None), trace.npcs, trace.dt
+    if not isinstance(stated, NpcLimits):
+        return
+    speed = npcs[..., SPEED]
+    acceleration = np.concatenate([np.zeros_like(speed[:1]), np.diff(speed, axis=0) / dt])
+    is_standing = (speed[1:] <= ROUNDING) | (speed[:-1] <= ROUNDING)
+    jerk = np.where(is_standing, 0.0, np.diff(acceleration, axis=0) / dt)
+    turns = _wrapped(np.diff(npcs[..., HEADING], axis=0))
+    angle = npcs[..., HEADING] - trace.lanes[0].heading if trace.track is None else trace.track[:, 1:, ANGLE]
+    angle = angle[..., [zone is None for zone in trace.zones] if trace.zones else slice(None)]
+    for name, values, low, high in (
+        ("speed", speed, 0.0, stated.overspeed * world.speed_limit),
+        ("acceleration", acceleration, -stated.braking, stated.acceleration),
+        ("jerk", jerk, -stated.jerk, stated.jerk),
+        ("heading", angle, -stated.heading, stated.heading),
+        ("lateral acceleration", speed[:-1] * turns / dt, -stated.lateral_acceleration, stated.lateral_acceleration),
+    ):
+        least, most = float(np.min(values, initial=0.0)), float(np.max(values, initial=0.0))
+        is_kept = low - ROUNDING <= least and most <= high + ROUNDING
+        yield is_kept, f"the {name} of NPCs is from {low:g} to {high:g}", f"{least:g} to {most:g}"
+
+
+def road(world: Any, trace: Trace) -> Promises:
+    """Yield that the lanes are lanes, and on a straight road that each vehicle is in the lane that its state names."""
+    lanes = trace.lanes
+    for number, lane in enumerate(lanes):
+        is_lane = all(math.isfinite(each) and each > 0 for each in (lane.length, lane.width, lane.speed_limit))
+        yield is_lane, f"lanes[{number}] has a length, a width and a speed_limit", f"{lane}"
+    limit = max(lane.speed_limit for lane in lanes)
+    fits = world.speed_limit / 3 <= limit <= 3 * world.speed_limit
+    promise = "lanes have a speed_limit in m/s that fits the world's speed_limit"
+    yield fits, promise, f"{limit:g} and {world.speed_limit:g}"
+    if not is_straight(trace):
+        return
+    yield from _neighbours(lanes)
+    for vehicle in range(trace.states.shape[1]):
+        states = trace.states[:, vehicle]
+        is_off, is_inside = states[:, LANE] < 0, np.zeros(len(states), dtype=np.bool_)
+        for number, lane in enumerate(lanes):
+            x, y, cos, sin = (
+                states[:, X] - lane.x,
+                states[:, Y] - lane.y,
+                math.cos(lane.heading),
+                math.sin(lane.heading),
+            )
+            along, across = x * cos + y * sin, y * cos - x * sin
+            away = np.hypot(across, np.maximum(np.maximum(-along, along - lane.length), 0.0))
+            is_inside |= away < lane.width / 2 - DEEP
+            there = away[states[:, LANE] == number]
+            is_often_out = len(there) >= LEAST and (there > lane.width / 2 + DEEP).mean() > OUTLIERS
+            promise = f"states[..., X] and states[..., Y] of {_name(vehicle)} are within the lane of states[..., LANE]"
+            received = f"{there.max(initial=0):.1f} m from the centre line of lanes[{number}], {lane.width:g} m wide"
+            is_kept = not (there > lane.width).any() and not is_often_out
+            yield is_kept, f"{promise}, with y to the right of the driving direction", received
+        wrong = int((is_inside & is_off).sum())
+        received = f"-1 within a lane at {wrong} of {len(states)} ticks"
+        yield (
+            wrong <= OUTLIERS * len(states),
+            f"states[..., LANE] of {_name(vehicle)} is -1 only off the road",
+            received,
+        )
+
+
+def _neighbours(lanes: Sequence[Lane]) -> Promises:
+    shares: list[float] = []  # of the distances of neighbours in the widths of lanes
+    for number, (left, right) in enumerate(pairwise(lanes)):
+        across = (right.y - left.y) * math.cos(left.heading) - (right.x - left.x) * math.sin(left.heading)
+        is_alike = math.cos(right.heading - left.heading) > math.cos(0.1)
+        promise = "lanes are listed from the left, with y to the right of the driving direction"
+        yield not is_alike or across > 0, promise, f"lanes[{number + 1}] {-across:g} m to the left of lanes[{number}]"
+        shares.append(across / ((left.width + right.width) / 2) if is_alike else 1.0)
+    # Between two lanes there may be room, but not between all of them.
+    is_width = not shares or (min(shares) >= 0.6 and (len(shares) == 1 or min(shares) <= 1.5))
+    yield is_width, "lanes[...].width is the width of a lane", f"lanes {max(shares, default=1):.2g} widths apart"
+
+
+def motion(traces: Iterable[Trace]) -> Promises:
+    """Yield that the motion of the vehicles is that of their speeds, headings, accelerations and wheels.
+
+    Lateral motion, accelerations and steering show only in many runs together.
+    """
+    sideways, errors, turns = ([np.zeros((0, 2))] for _ in range(3))
+    for trace in traces:
+        # Without the impact of a collision, which changes speeds at once.
+        states, dt = trace.states[: trace.ticks + 1 - (trace.collision is not None)], trace.dt
+        speed, rows = states[..., SPEED], states[1:]
+        steps, pace = np.diff(states[..., [X, Y]], axis=0), np.abs(speed)
+        driven, forwards = np.hypot(*np.moveaxis(steps, 2, 0)), np.where(speed[1:] < 0, -1.0, 1.0)
+        course = np.arctan2(forwards * steps[..., 1], forwards * steps[..., 0])
+        is_moving = (driven > MOVING * dt) & (pace[1:] > MOVING)
+        by_speed = (pace[1:] + pace[:-1]) / 2 * dt
+        slip = np.abs(_wrapped(course - rows[..., HEADING]))
+        for vehicle, (metres, by) in enumerate(zip(driven.sum(0), by_speed.sum(0), strict=True)):
+            is_alike = abs(metres - by) <= DISTANCE[0] * max(metres, by) + DISTANCE[1]
+            promise = (
+                f"states[..., SPEED] of {_name(vehicle)} is its speed along its way, in m/s at {trace.physics_hz} Hz"
+            )
+            yield is_alike, promise, f"{metres:.1f} m driven and {by:.1f} m by the speeds"
+            away = slip[is_moving[:, vehicle], vehicle]
+            median = float(np.median(away)) if len(away) >= LEAST else 0.0
+            promise = f"states[..., HEADING] of {_name(vehicle)} is the direction of its motion in rad, {CLOCKWISE}"
+            yield median <= DIRECTION, promise, f"{median:.2f} rad between heading and motion at half of the ticks"
+        window = max(round(SMOOTH * trace.physics_hz), 1)
+        gained = np.vstack([np.zeros_like(speed[:1]), np.cumsum(rows[..., ACCELERATION] * dt, axis=0)])
+        both = [(each[window:] - each[:-window]) / (window * dt) for each in (speed, gained)]
+        errors.append(np.stack(both, axis=-1).reshape(-1, 2))
+        turn = _wrapped(np.diff(states[..., HEADING], axis=0))
+        turns.append(np.stack([turn, rows[..., STEERING]], axis=-1)[is_moving])
+        if is_straight(trace):
+            along = trace.lanes[0].heading
+            angles = np.stack([_wrapped(course - along), rows[..., HEADING] - along], axis=-1)[is_moving]
+            sideways.append(angles[(np.abs(angles[:, 0]) > 0.02) & (np.abs(angles[:, 0]) < 0.5)])
+    course, heading = np.concatenate(sideways).T
+    # A world without headings, in which all of them are along the road, is no mistake that matters.
+    agree = (np.abs(heading) < 0.01) | ((course * heading > 0) & (np.abs(heading) <= 3 * np.abs(course) + 0.1))
+    received = f"headings against lateral motion at {(~agree).sum()} of {len(agree)} ticks"
+    promise = f"states[..., HEADING] is the direction of motion in rad, {CLOCKWISE}"
+    yield len(agree) < LEAST or agree.mean() >= 0.5, promise, received
+    found, told = np.concatenate(errors).T
+    error, size = (float(np.sqrt(np.mean(np.square(each)))) if len(each) else 0.0 for each in (told - found, found))
+    promise = "states[..., ACCELERATION] is the acceleration that led to a row, in m/s^2, the difference of its speeds"
+    received = f"a root mean square difference of {error:.2f} m/s^2, where the speeds have {size:.2f} m/s^2"
+    yield error <= DEEP + 0.3 * size, promise, received
+    turned, steered = np.concatenate(turns).T
+    is_known = (np.abs(turned) > 1e-4) & (np.abs(steered) > 1e-3)
+    turned, steered = turned[is_known], steered[is_known]
+    is_right = len(turned) < LEAST or turned @ steered >= -0.5 * np.linalg.norm(turned) * np.linalg.norm(steered)
+    yield is_right, "states[..., STEERING] is positive where the vehicle turns clockwise, to the right", "the opposite"
+
+
+def places_at_start(trace: Trace) -> Promises:
+    """Yield that the vehicles start where the scenario says, on a straight road."""
+    if not is_straight(trace):
+        return
+    scenario, start, ahead = trace.scenario, trace.states[0], Encounters(trace).ahead[:, 0]
+    lane = int(start[0, LANE])
+    promise = "the ego starts in scenario.ego_lane, states[0, 0, LANE]"
+    yield lane == scenario.ego_lane, promise, f"{lane} in {scenario!r}"
+    for npc, (gene, *_) in enumerate(trace.executed.npcs):
+        if not isinstance(gene, PositionInstruction):
+            continue
+        cell, wanted = gene.cell, scenario.ego_lane + gene.cell.column
+        reach = 1.5 * float(trace.sizes[[0, npc + 1], 0].sum())
+        is_in_row = ahead[npc] * cell.row > 0 if cell.row else abs(ahead[npc]) <= reach
+        is_there = (is_in_row and start[npc + 1, LANE] == wanted) or not 0 <= wanted < len(trace.lanes)
+        promise = f"NPC {npc} starts in the cell of its first instruction in trace.executed, cell {int(cell)}"
+        received = f"{ahead[npc]:.1f} m ahead of the ego in lane {int(start[npc + 1, LANE])}, the ego in lane {lane}"
+        yield is_there, promise, received
+
+
+def contacts(trace: Trace) -> Promises:
+    """Yield that no boxes touch before the end of a run, and that its outcome and its collision agree with them."""
+    hit, end, rows = trace.collision, trace.ticks + 1, trace.states[-2:]
+    pairs, (least, most) = list(combinations(range(trace.states.shape[1]), 2)), _depths(trace)
+    is_contact = trace.outcome in (Outcome.COLLISION, Outcome.INVALID)
+    velocities = rows[..., [SPEED]] * np.stack([np.cos(rows[..., HEADING]), np.sin(rows[..., HEADING])], axis=-1)
+    for pair, deep in zip(pairs, least, strict=True):
+        # Some worlds look for contacts before they move, and several vehicles may touch in the last tick.
+        step = np.hypot(*(velocities[-1, pair[0]] - velocities[-1, pair[1]])) * trace.dt if is_contact else 0.0
+        is_deep = deep > DEEP + np.where(np.arange(end) >= end - 2, step, 0.0)
+        if is_contact and (pair[0] or hit is None or pair[1] - 1 == hit.npc):
+            is_deep[-1] = False
+        ego = "the ego's box touches no NPC's before the end of a run, and then the outcome is collision"
+        npcs = "the boxes of two NPCs do not touch before the end of a run, and then the outcome is invalid"
+        received = f"an overlap of {deep[is_deep].max(initial=0):.1f} m of {_name(pair[0])} with {_name(pair[1])} "
+        received += f"from tick {int(is_deep.argmax())} of {trace.ticks}, outcome {trace.outcome}"
+        yield not is_deep.any(), f"{npcs if pair[0] else ego}: {CENTRES}", received
+    # The gaps at the end, less what both vehicles drive in a tick towards each other.
+    gaps = [-deep[-1] - np.abs(rows[:, a, SPEED] - rows[:, b, SPEED]).max() * trace.dt
+            for (a, b), deep in zip(pairs, most, strict=True)]  # fmt: skip
+    count = trace.states.shape[1] - 1  # The pairs with the ego come first.
+    if trace.outcome is Outcome.INVALID:
+        gap = min(gaps[count:], default=np.inf)
+        yield gap <= DEEP, "boxes of two NPCs touch at the end of a run with the outcome invalid", f"{gap:.1f} m"
+    if hit is not None:
+        yield from _collision(trace, hit, gaps[:count], velocities)
+
+
+CLOCKWISE = "0 along x and growing clockwise, towards y"
+CENTRES = "states[..., X], states[..., Y] and states[..., HEADING] are of the centres of boxes with sizes"
+
+
+def _depths(trace: Trace, rows: slice = slice(None)) -> tuple[FloatArray, FloatArray]:
+    """Return how deep the boxes of each two vehicles overlap [m], at least and at most, shape [pairs, rows].
+
+    Some worlds find contacts with boxes that do not turn. So on straight roads the boxes are also taken along the road.
+    """
+    turned, heading, depths = Encounters(trace).boxes, trace.lanes[0].heading, []
+    along = replace(turned, cos=0 * turned.cos + math.cos(heading), sin=0 * turned.sin + math.sin(heading))
+    for boxes in (turned, along) if is_straight(trace) else (turned,):
+        parts = [(boxes.part(slice(n, n + 1), rows), boxes.part(slice(n + 1, None), rows))
+                 for n in range(trace.states.shape[1] - 1)]  # fmt: skip
+        depths.append(np.vstack([depth(relate(*pair)) for pair in parts]))
+    return np.min(depths, axis=0), np.max(depths, axis=0)
+
+
+def _collision(trace: Trace, hit: Collision, gaps: Sequence[float], velocities: FloatArray) -> Promises:
+    """Yield each field of a collision; ``velocities`` [m/s] are those of the vehicles in the last two rows."""
+    npcs, hz, rows = len(gaps), trace.physics_hz, trace.states[-2:]
+    yield hit.tick == trace.ticks, "collision.tick is the last tick of the run", f"{hit.tick} of {trace.ticks}"
+    received = f"{hit.time:g} s for tick {hit.tick} at {hz} Hz, which is {hit.tick / hz:g} s"
+    promise = "collision.time is the time of collision.tick, tick / physics_hz"
+    yield abs(hit.time - hit.tick / hz) <= 0.5 / hz, promise, received
+    is_npc = plain_whole(hit.npc) is not None and 0 <= hit.npc < npcs
+    yield is_npc, "collision.npc is the index of an NPC in the scenario", f"{hit.npc!r} of {npcs}"
+    is_near, other = gaps[hit.npc] <= APART, int(np.argmin(gaps))
+    received = f"a gap of {gaps[hit.npc]:.1f} m to NPC {hit.npc} at tick {hit.tick}"
+    promise = "collision.npc is the NPC that the ego touches"
+    yield is_near or min(gaps) > 0, promise, f"{received}, NPC {other} touches"
+    yield is_near, f"the boxes of the ego and of collision.npc touch at a collision: {CENTRES}", received
+    for name, vehicle, given in (("ego_speed", 0, hit.ego_speed), ("npc_speed", hit.npc + 1, hit.npc_speed)):
+        speeds = rows[:, vehicle, SPEED]
+        is_speed = speeds.min() - DEEP <= given <= speeds.max() + DEEP
+        received = f"{given:g}, states[..., SPEED] {speeds[-1]:.1f}"
+        yield is_speed, f"collision.{name} is the speed of {_name(vehicle)} at the impact in m/s", received
+    closing = [*np.hypot(*(velocities[:, hit.npc + 1] - velocities[:, 0]).T),
+               *np.abs(rows[:, 0, SPEED] - rows[:, hit.npc + 1, SPEED])]  # fmt: skip
+    is_closing = max(min(closing) - 1.0, 0.0) <= hit.closing_speed <= 1.1 * max(closing) + 1.0
+    promise = "collision.closing_speed is the difference of the two velocities at the impact in m/s"
+    yield is_closing, promise, f"{hit.closing_speed:g}, the states have {closing[1]:.1f}"
+    ego, npc = rows[0, [0, hit.npc + 1]]
+    x, y, cos, sin = npc[X] - ego[X], npc[Y] - ego[Y], math.cos(ego[HEADING]), math.sin(ego[HEADING])
+    ahead, right = x * cos + y * sin, y * cos - x * sin
+    # In line or beside, only one side is right. At a corner, either of two sides is.
+    length, width = (trace.sizes[0] + trace.sizes[hit.npc + 1]) / 2
+    is_in_line = abs(right) < width - DEEP and abs(ahead) > length - DEEP
+    is_beside = abs(ahead) < length - 2 * DEEP and abs(right) > width - DEEP
+    sides = {} if is_beside else {"front": ahead > -APART, "rear": ahead < APART}
+    sides |= {} if is_in_line else {"right": right > -APART, "left": right < APART}
+    received = f"{hit.side!r}, with the NPC {ahead:.1f} m ahead and {right:.1f} m to the right of the ego before"
+    yield sides.get(hit.side, False), "collision.side is the side of the ego that was hit", received
+    if not is_straight(trace) and (hit.cell is None or trace.track is None):
+        return
+    yield isinstance(hit.cell, Cell), "collision.cell is a cell, a pafot.Cell", f"{hit.cell!r}"
+    positions = Encounters(trace)
+    now = [positions.last_cell(hit.npc, tick) for tick in (hit.tick, max(hit.tick - 1, 0))]
+    near = {each for cell in now if cell is not None for each in (cell, *cell.neighbours)}
+    promise = "collision.cell is the cell of the NPC at the impact, or before it came into the ego's own cell"
+    yield not near or hit.cell in near, promise, f"{hit.cell!r}, the states have {now[0]!r}"
+
+
+def end(world: Any, trace: Trace) -> Promises:
+    """Yield that a run lasts as long as its outcome says, and that its ticks of events are ticks of the run."""
+    scenario, off = trace.scenario, np.flatnonzero(trace.ego[:, LANE] < 0)
+    longest = min(float(world.longest_run), scenario.seconds) if not scenario.crossings else 0.0
+    is_whole = trace.outcome is not Outcome.SAFE or trace.duration >= longest - 2.5 * trace.dt
+    promise = f"states of a run with the outcome safe last {longest:g} s, with physics_hz rows a second"
+    received = f"{trace.ticks} ticks at {trace.physics_hz} Hz, {trace.duration:g} s"
+    yield is_whole or trace.track is not None, promise, received
+    first = int(off[0]) if len(off) else None
+    received = f"off_road_tick {trace.off_road_tick}, outcome {trace.outcome}, and the first such row of states {first}"
+    is_first = trace.off_road_tick in (None, first)
+    yield is_first, "off_road_tick is the first tick with the ego in lane -1, or None", received
+    is_told = trace.outcome is not (Outcome.OFF_ROAD if first is None else Outcome.SAFE)
+    yield is_told, "the outcome is off_road if the ego was in lane -1 and nothing else ended the run", received
+    if not trace.arrivals:
+        return
+    yield len(trace.arrivals) == len(scenario.npcs), "arrivals has one entry for each NPC", f"{len(trace.arrivals)}"
+    length = scenario.gene_seconds * trace.physics_hz
+    for npc, ticks in enumerate(trace.arrivals):
+        for gene, tick in enumerate(() if scenario.crossings else ticks):
+            begin, stop = gene * length, min((gene + 1) * length, trace.ticks)
+            is_tick = tick is None or (plain_whole(tick) is not None and begin - 1 <= tick <= stop + 1)
+            received = f"{tick!r} for ticks {begin:g} to {stop:g}"
+            yield is_tick, f"arrivals[{npc}][{gene}] is a tick of this gene, or None", received
+
+
+def _name(vehicle: int) -> str:
+    return f"NPC {vehicle - 1}" if vehicle else "the ego"
+
+
+def _wrapped(angles: FloatArray) -> FloatArray:
+    """Return angles as the same angles from -pi to pi [rad]."""
+    wrapped: FloatArray = (angles + np.pi) % (2 * np.pi) - np.pi
+    return wrapped
