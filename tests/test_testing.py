@@ -138,6 +138,11 @@ class LastsAlike(Lasting):
         return self
 
 
+class LastsTooLong(Lasting):
+    def lasting(self, seconds):
+        return super().lasting(9.0)
+
+
 class LastsOtherwise(Lasting):
     def changed(self, trace):
         return with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1.0)) if self.duration else trace
@@ -255,9 +260,11 @@ BROKEN = [
     (NoTrace, "rollout returns a pafot.Trace"),
     (Unwritable, "to_dict returns plain data that a file can store"),
     (Takes, "from_dict accepts the data of to_dict"),
-    (LastsAlike, "a run lasts longer in the world of lasting"),
-    (LastsOtherwise, "a run that lasts longer begins as usual"),
+    (LastsAlike, "a run in the world of lasting lasts as long as asked, received 4 s for 6 s"),
+    (LastsOtherwise, "a run in the world of lasting begins as usual"),
     (type("LastsNot", (Lasting,), {"lasting": lambda self, seconds: 1 / 0}), "lasting returns a world"),
+    (type("LastsNone", (Lasting,), {"lasting": lambda self, seconds: None}), "lasting returns a world, received None"),
+    (LastsTooLong, "a run in the world of lasting lasts as long as asked, received 9 s for 6 s"),
     (Changed, r"from_dict\(to_dict\(\)\) has the same data"),
     (Different, r"from_dict\(to_dict\(\)\) gives the same traces"),
     (type("Lost", (Own,), {"changed": lost}), "states contain the ego and each NPC"),

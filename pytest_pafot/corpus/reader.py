@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance
-from pytest_pafot.attribution.mistakes import Manoeuvre
+from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.corpus import file_format
 from pytest_pafot.corpus.file_format import DEFAULT_GENE_SECONDS, VERSION, Keys
@@ -387,6 +387,7 @@ def _expect(field: Field, npcs: int) -> Expect:
         situation=_given(fields, "situation", lambda inner: _situation(inner, npcs)),
         responsibility=fields["responsibility"].choice(get_args(Responsibility)),
         fault=_given(fields, "fault", lambda inner: inner.choice(get_args(Fault))),
+        mistake=_given(fields, "mistake", lambda inner: inner.choice(LANE_CHANGES)),
         npc_manoeuvre=_given(fields, "npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         ego_manoeuvre=_given(fields, "ego_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         reference_drivers={

@@ -152,9 +152,13 @@ def resumable(world: Any) -> Resumable | None:
 
 
 def lasting(world: Any) -> Callable[[float], WorldLike] | None:
-    """Return a world's method ``lasting``, which makes the same world with longer runs; None if it has none."""
-    found: Callable[[float], WorldLike] | None = getattr(world, "lasting", None)
-    return found if callable(found) else None
+    """Return the method ``lasting`` that a world's own class defines, for the same world with longer runs, else None.
+
+    An inherited method is not used: a derived class may change ``rollout``, and the base class's world of longer runs
+    would then be another world.
+    """
+    found: Callable[[float], WorldLike] | None = world.lasting if "lasting" in vars(type(world)) else None
+    return found
 
 
 def gym_replaying(world: Any) -> GymReplaying | None:
