@@ -62,7 +62,8 @@ class Told(Replays):
 
 
 def harness_of(ends):
-    return SimpleNamespace(saved_node_id=str, ends=ends, judge=lambda run: PASSED, left_behind=lambda owner: [])
+    request = SimpleNamespace(settings=SimpleNamespace(isolate=True))
+    return SimpleNamespace(saved_node_id=str, ends=ends, judge=lambda run: PASSED, request=request)
 
 
 def shown(xfail=None, **ends):
