@@ -581,3 +581,8 @@ def test_hang_limit_of_own_world_is_kept_for_it():
             return Highway(duration=4.0).rollout(scenario, ads_factory)  # in which a decision may take 30 s
 
     check_world(Waits(), runs=1, **SHORT)
+
+
+def test_world_that_lasts_longer_needs_a_run_without_event():
+    with pytest.warns(RuntimeWarning, match="nothing about lasting was checked"):
+        check_world(Lasting(), runs=1, ads=lambda: lambda observation: (0.0, 0.3), **SHORT)

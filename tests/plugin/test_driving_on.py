@@ -15,6 +15,7 @@ SCENARIO = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 5.0)]], gene_secon
 second after the end."""
 POLICIES = """
 import os
+import random
 import pytest_pafot as pafot
 
 def cruising(top):
@@ -31,6 +32,10 @@ def late():  # leaves the NPC's lane, and speeds up after the end of the file
 def raising():
     drive = braking()
     return lambda seen: drive(seen) if seen.time < 8.0 else 1 / 0
+
+def dicing():  # accelerates by chance after the end of the file
+    drive = braking()
+    return lambda seen: drive(seen) if seen.time < 7.0 else (2.0 + random.random(), 0.0)
 
 def dying():
     drive = braking()
@@ -90,11 +95,11 @@ def filed(project, world, failure=HIT):
     return project
 
 
-def replay(project, policy, *args, generations=0):
+def replay(project, policy, *args, generations=0, before="", **options):
     project.pytester.makeconftest(
-        f"import pytest\nimport policies\n\n@pytest.fixture\ndef ads():\n    return policies.{policy}\n"
+        f"import pytest\nimport policies\n{before}\n@pytest.fixture\ndef ads():\n    return policies.{policy}\n"
     )
-    return project.run(*args, generations=generations)
+    return project.run(*args, generations=generations, **options)
 
 
 def test_slower_ego_with_the_same_mistake_still_fails(saved):
@@ -120,12 +125,57 @@ def test_other_failure_after_the_end_is_only_reported(saved):
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *", f"    {told}"])
 
 
+DIED = "driven on past the file's end, the process ended with exit code 9"
+
+
 def test_death_after_the_end_is_only_reported(saved):
     result = replay(saved, "dying", "--pafot-isolate")
     result.assert_outcomes(passed=1, skipped=1)
-    told = "driven on past the file's end, the process ended with exit code 9"
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *", f"    {told}"])
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *", f"    {DIED}"])
     assert not list(saved.path.rglob("*.running"))
+
+
+def test_death_after_the_end_ends_one_session_at_most(saved):
+    assert replay(saved, "dying", apart=True).ret == 9
+    for _ in range(3):
+        result = replay(saved, "dying")
+        result.assert_outcomes(passed=1, skipped=1)
+        result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *", f"    {DIED}"])
+    assert len(list(saved.path.rglob("*.inflight"))) == 1
+    replay(saved, "braking").stdout.no_fnmatch_line("*driven on*")
+    assert not list(saved.path.rglob("*.inflight"))
+
+
+def test_reference_that_dies_after_the_end_does_so_once(saved):
+    against = "--pafot-against=policies:dying"
+    assert replay(saved, "braking", against, apart=True).ret == 9
+    for _ in range(3):
+        replay(saved, "braking", against).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed before"])
+
+
+def test_file_is_not_driven_on_after_death_without_fork(saved, monkeypatch):
+    assert replay(saved, "dying", apart=True).ret == 9
+    monkeypatch.setattr("pytest_pafot.execution.scenario_pool.METHOD", "spawn")  # here, and in sessions of its own
+    before = "import pytest_pafot.execution.scenario_pool as pool\npool.METHOD = 'spawn'\n"
+    for _ in range(2):
+        result = replay(saved, "dying", before=before)
+        result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *"])
+        told = "not driven on past the file's end, because a process died in it before, and this system cannot fork"
+        assert told in " ".join(result.stdout.str().split())
+
+
+def test_failure_by_chance_after_the_end_is_flaky(saved):
+    result = replay(saved, "dicing")
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
+    told = "driven on past the file's end: the same mistake, collision at "
+    assert told in " ".join(section(result, "test_gap[saved-leader-unanswered-f0cc96]").split())
+
+
+def test_page_names_the_failure_after_the_end(saved):
+    replay(saved, "slow", "--pafot-report=report.html")
+    assert "driven on past the file&#x27;s end: the same mistake, collision at 6.5 s" in (
+        saved.path / "report.html"
+    ).read_text().replace("&#39;", "&#x27;").replace("file's", "file&#x27;s")
 
 
 @pytest.mark.parametrize("how", ["--pafot-isolate", "--pafot-strict-drift"])
@@ -156,6 +206,32 @@ def test_check_that_fails_after_the_end_still_fails(project):
     told = "*driven on past the file's end: the same failure, speed failed at *"
     replay(project, "late").stdout.fnmatch_lines([told, "*1 still failing"])
     replay(project, "braking").stdout.fnmatch_lines(["*1 fixed"])
+
+
+@pytest.mark.parametrize(
+    "broken", ["pafot.check(way, name='way', at_most=100.0)", "assert run.ego.speed.sum() / run.trace.physics_hz < 100"]
+)
+def test_value_that_grows_with_the_run_is_not_judged_later(project, broken):
+    body = f"way = float(run.ego.speed.sum() / run.trace.physics_hz)\n    {broken}"
+    project.write(TEST.replace("WORLD", WORLD).replace("assert not run.collision", body))
+    project.pytester.makepyfile(policies=POLICIES)
+    measured = Check(name="way", value=167.0, margin=-0.67, at_most=100.0)
+    failure = Failure(kind="AssertionError", assertion=broken)
+    if "check" in broken:
+        failure = Failure(kind="CheckFailed", message=str(measured), assertion="way", check=measured)
+    filed(project, pafot.Highway(lanes=3).to_dict(), failure)
+    result = replay(project, "braking")
+    result.stdout.fnmatch_lines(["*1 fixed"])
+    result.stdout.no_fnmatch_line("*driven on*")
+    replay(project, "slow").assert_outcomes(failed=1, skipped=1)
+
+
+def test_error_of_the_test_after_the_end_is_named(saved):
+    body = "missing = {}['lane'] if run.duration > 10.0 else None\n    assert not run.collision"
+    saved.write(TEST.replace("WORLD", WORLD).replace("assert not run.collision", body))
+    result = replay(saved, "braking")
+    told = "driven on past the file's end: another failure, KeyError: 'lane' (no collision in 16.0 s)"
+    result.stdout.fnmatch_lines(["*1 fixed", "  fixed: *", f"    {told}"])
 
 
 def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
@@ -192,3 +268,51 @@ def test_own_world_is_driven_on_if_it_can_last_longer(project, more, label):
     project.pytester.makepyfile(policies=POLICIES)
     filed(project, {"kind": "own", "class": "Own", "data": {}})
     replay(project, "slow").stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
+
+
+BY = "    def lasting(self, seconds):\n        "
+NOT = "not driven on past the file's end: Own.lasting"
+OTHER = f"{NOT}: expected the same world, received one in which the run begins otherwise"
+
+
+@pytest.mark.parametrize(
+    ("lasting", "told"),
+    [
+        (f"{BY}raise RuntimeError('no road')", f"{NOT}(16): expected a world, received RuntimeError: no road; "),
+        (f"{BY}return None", f"{NOT}(16): expected a world, received None; correct or remove lasting"),
+        (f"{BY}return pafot.Highway(lanes=4, headway=1.9).lasting(seconds)", OTHER),
+        (f"{BY}return pafot.Highway(lanes=3, duration=3.0)", OTHER),
+    ],
+)
+def test_wrong_lasting_is_named_and_changes_no_label(project, lasting, told):
+    project.write(OWN + lasting + "\n" + TEST.replace("WORLD", "Own()"))
+    project.pytester.makepyfile(policies=POLICIES)
+    filed(project, {"kind": "own", "class": "Own", "data": {}})
+    result = replay(project, "slow")
+    result.assert_outcomes(passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+    assert told in " ".join(result.stdout.str().split())
+
+
+def test_inherited_lasting_is_not_used(project):
+    weak = """
+class Own(pafot.Highway):
+    def to_dict(self):
+        return {}
+
+    def rollout(self, scenario, ads_factory, **given):
+        return super().rollout(scenario, ads_factory, **given)
+"""
+    project.write(weak + TEST.replace("WORLD", "Own(lanes=3)"))
+    project.pytester.makepyfile(policies=POLICIES)
+    filed(project, {"kind": "own", "class": "Own", "data": {}})
+    replay(project, "slow").stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+
+
+def test_property_that_a_test_records_is_that_of_the_file(saved):
+    body = "record_property('seconds', run.duration)\n    assert not run.collision"
+    source = TEST.replace("WORLD", WORLD).replace("(run)", "(run, record_property)")
+    saved.write(source.replace("assert not run.collision", body))
+    replay(saved, "braking", "--junitxml=junit.xml", "-o", "junit_family=xunit1")
+    text = (saved.path / "junit.xml").read_text()
+    assert (text.count('name="seconds"'), 'name="seconds" value="6.0"' in text) == (1, True)
