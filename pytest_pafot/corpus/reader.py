@@ -373,6 +373,8 @@ def _expect(field: Field, npcs: int) -> Expect:
     outcome = Outcome(fields["outcome"].choice(_OUTCOMES))
     if outcome is Outcome.COLLISION:
         field.mapping(file_format.EXPECT_IN_ZONE if "zone" in fields else file_format.EXPECT_OF_COLLISION)
+    if "mistake" in fields and ("fault" not in fields or fields["fault"].value != "entered-lane"):
+        raise fields["mistake"].error("no mistake without the fault entered-lane, because other faults say it")
     return Expect(
         failure=fields["failure"].some_text("name the class of the exception, such as AssertionError"),
         assertion=_given(fields, "assertion", Field.text, ""),
