@@ -354,10 +354,9 @@ class Replays:
         if not is_same_failure(finding, run, failure):
             return replace(passed, note=f"{PAST_END}: another failure, {when}")
         note = f"{PAST_END}: the same {'mistake' if finding.signature.mistake else 'failure'}, {when}"
-        if not self._is_repeatable(saved, world, owner, run):
-            return replace(second, label=FLAKY, note=f"{note}, but not again")
-        is_by_chance = finding.flaky is not None or failure.kind == SLOW_DECISION
-        return replace(second, label=FLAKY if is_by_chance else "still failing", note=note)
+        is_firm = finding.flaky is None and failure.kind != SLOW_DECISION
+        is_firm = is_firm and self._is_repeatable(saved, world, owner, run)
+        return replace(second, label="still failing" if is_firm else FLAKY, note=note)
 
     def _is_repeatable(self, saved: Saved, world: Any, owner: str, run: Run) -> bool:
         """Return whether a run that was driven on is the same run, and fails, when it is made again."""

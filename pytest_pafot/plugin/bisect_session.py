@@ -32,7 +32,8 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
     mark = item.get_closest_marker(SAVED_MARK)
     assert mark is not None  # noqa: S101  (for type checkers: only replays stash this)
     passes, why = judged(mark.args[0].finding, label, run, verdict)
-    why = "; ".join(filter(None, [why, note]))
+    # The sentence is cut to a line, and names a failure already.
+    why = "; ".join(filter(None, [why, note.partition(":")[0] if passes is False else note]))
     is_other = passes is None and verdict is not None and verdict.passes and label != FLAKY
     elsewhere = _imported_from_elsewhere()
     if elsewhere:

@@ -1,9 +1,14 @@
 """Replays that pass are driven on for ten seconds after the end of their file."""
 
+import json
+from dataclasses import replace
+
 import pytest
 
 import pytest_pafot as pafot
+from pytest_pafot.commands.bisect_command import TOLD
 from pytest_pafot.corpus.writer import write
+from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.checks import Check
@@ -76,7 +81,7 @@ def saved(project):
 HIT = Failure(kind="AssertionError", assertion="assert not run.collision")
 
 
-def filed(project, world, failure=HIT):
+def filed(project, world, failure=HIT, expect=None):
     """Save a failure of the fast ego, by default its collision, in a file that names a world."""
     namespace = {}
     exec(POLICIES, namespace)
@@ -89,6 +94,7 @@ def filed(project, world, failure=HIT):
         world=world,
         found=Found(seed=0, generation=0, algorithm="random", versions=dict(installed_versions())),
     )
+    finding = finding if expect is None else replace(finding, expect=expect)
     path = project.path / "pafot_corpus" / "test_it" / "test_gap" / f"{finding.id}.pafot.yaml"
     path.parent.mkdir(parents=True, exist_ok=True)
     write(path, finding)
@@ -162,6 +168,25 @@ def test_file_is_not_driven_on_after_death_without_fork(saved, monkeypatch):
         result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *"])
         told = "not driven on past the file's end, because a process died in it before, and this system cannot fork"
         assert told in " ".join(result.stdout.str().split())
+
+
+def test_death_after_the_end_of_a_crash_still_fails(project):
+    project.write(TEST.replace("WORLD", WORLD))
+    project.pytester.makepyfile(policies=POLICIES)
+    died = LostRun(SCENARIO, pid=1, how="ended with exit code 9")
+    filed(project, pafot.Highway(lanes=3).to_dict(), expect=expectation(died))
+    result = replay(project, "dying")
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["replay: still failing, driven on past the file's end", "*1 still failing"])
+
+
+def test_bisect_names_the_failure_after_the_end(saved, monkeypatch):
+    told = saved.path / "told.json"
+    monkeypatch.setenv(TOLD, json.dumps({"file": str(told), "policy": []}))
+    replay(saved, "slow", plugins=["pytest_pafot.plugin.bisect_session"])
+    assert json.loads(told.read_text())["why"] == (
+        "collision after 6.5 s at 7.6 m/s: NPC 0 ahead, ego at fault; driven on past the file's end"
+    )
 
 
 def test_failure_by_chance_after_the_end_is_flaky(saved):
