@@ -966,14 +966,16 @@ def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
             RuntimeWarning,
             stacklevel=3,
         )
-    for each in whole:
-        trace, seconds = each.trace, each.trace.duration + 2.0
+    for number, each in enumerate(whole):
+        trace, seconds = each.trace, each.trace.duration + 2.0 + number / 5  # other times for runs of one length
         with _no_error("lasting returns a world"):
             other = make(seconds)
         _promise(not missing(other), "lasting returns a world", f"{other!r:.100}")
         longer = _rollout(other, each.scenario, ads)
-        begins = _is_same(trace.states, longer.states[: len(trace.states)])
-        _promise(begins, "a run in the world of lasting begins as usual", f"other states for {each.scenario!r}")
+        begins = _is_same(trace.states, longer.states[: len(trace.states)]) and len(trace.lanes) == len(longer.lanes)
+        _promise(
+            begins, "a run in the world of lasting begins as usual", f"other states or lanes for {each.scenario!r}"
+        )
         # An event may end it earlier.
         least = seconds if longer.outcome is Outcome.SAFE else trace.duration
         _promise(

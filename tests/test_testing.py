@@ -138,6 +138,16 @@ class LastsAlike(Lasting):
         return self
 
 
+class LastsSixSeconds(Lasting):
+    def lasting(self, seconds):
+        return super().lasting(6.0)
+
+
+class LastsElsewhere(Lasting):
+    def lasting(self, seconds):
+        return replace(ROAD, lanes=ROAD.lanes + 1).lasting(seconds)
+
+
 class LastsTooLong(Lasting):
     def lasting(self, seconds):
         return super().lasting(9.0)
@@ -264,6 +274,8 @@ BROKEN = [
     (LastsOtherwise, "a run in the world of lasting begins as usual"),
     (type("LastsNot", (Lasting,), {"lasting": lambda self, seconds: 1 / 0}), "lasting returns a world"),
     (type("LastsNone", (Lasting,), {"lasting": lambda self, seconds: None}), "lasting returns a world, received None"),
+    (LastsSixSeconds, "a run in the world of lasting lasts as long as asked, received 6 s for 6.2 s"),
+    (LastsElsewhere, "a run in the world of lasting begins as usual, received other states or lanes"),
     (LastsTooLong, "a run in the world of lasting lasts as long as asked, received 9 s for 6 s"),
     (Changed, r"from_dict\(to_dict\(\)\) has the same data"),
     (Different, r"from_dict\(to_dict\(\)\) gives the same traces"),
