@@ -309,8 +309,10 @@ class Replays:
     def _driven_on(self, saved: Saved, world: Any, owner: str, first: Replayed) -> Replayed:
         """Run a scenario that passes again, and drive on after its end if the world can; a note says why it cannot."""
         __tracebackhide__ = True
-        longer, note = self._longer(saved, world)
-        is_lost = longer is not None and self._dies_untold(saved, owner)
+        harness, (longer, note) = self.harness, self._longer(saved, world)
+        # A separate session replays a whole file, so it could not tell in which part a process died.
+        has_processes = harness.request.settings.isolate or scenario_pool.METHOD == "fork" or saved.needs_own_process
+        is_lost = longer is not None and not has_processes and bool(harness.left_behind(owner))
         if is_lost:
             note = f"not {PAST_END}, because a process died in it before, and this system cannot fork processes"
         elif longer is not None:
@@ -366,15 +368,6 @@ class Replays:
         except ProcessLostError:
             return False
         return verdict.failed and is_same_run(run, again)
-
-    def _dies_untold(self, saved: Saved, owner: str) -> bool:
-        """Return whether driving on may end this session, because no other process can do it.
-
-        A separate session replays a whole file, so it could not tell in which part a process died.
-        """
-        harness = self.harness
-        has_processes = harness.request.settings.isolate or scenario_pool.METHOD == "fork"
-        return not (has_processes or saved.needs_own_process) and bool(harness.left_behind(owner))
 
     def labelled(self, saved: Saved, owner: str) -> Replayed:
         """Replay a saved scenario, and return the result.
