@@ -9,7 +9,7 @@ import pytest
 
 from pytest_pafot import Cell, Highway, NpcLimits, Outcome, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
-from pytest_pafot.testing import check_world
+from pytest_pafot.testing import _check_lasting, check_world
 from pytest_pafot.testing.traces import contacts, places_at_start
 from tests.helpers.stopped_clock import StoppedClock
 from tests.helpers.tables import table
@@ -139,6 +139,21 @@ class LastsAlike(Lasting):
         return self
 
 
+class LastsSixSeconds(Lasting):
+    def lasting(self, seconds):
+        return super().lasting(6.0)
+
+
+class LastsElsewhere(Lasting):
+    def lasting(self, seconds):
+        return replace(ROAD, lanes=ROAD.lanes + 1).lasting(seconds)
+
+
+class LastsTooLong(Lasting):
+    def lasting(self, seconds):
+        return super().lasting(9.0)
+
+
 class LastsOtherwise(Lasting):
     def changed(self, trace):
         return with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1.0)) if self.duration else trace
@@ -256,9 +271,13 @@ BROKEN = [
     (NoTrace, "rollout returns a pafot.Trace"),
     (Unwritable, "to_dict returns plain data that a file can store"),
     (Takes, "from_dict accepts the data of to_dict"),
-    (LastsAlike, "a run lasts longer in the world of lasting"),
-    (LastsOtherwise, "a run that lasts longer begins as usual"),
+    (LastsAlike, "a run in the world of lasting lasts as long as asked, received 4 s for 6 s"),
+    (LastsOtherwise, "a run in the world of lasting begins as usual"),
     (type("LastsNot", (Lasting,), {"lasting": lambda self, seconds: 1 / 0}), "lasting returns a world"),
+    (type("LastsNone", (Lasting,), {"lasting": lambda self, seconds: None}), "lasting returns a world, received None"),
+    (LastsSixSeconds, "a run in the world of lasting lasts as long as asked, received 6 s for 6.2 s"),
+    (LastsElsewhere, "a run in the world of lasting begins as usual, received other states or lanes"),
+    (LastsTooLong, "a run in the world of lasting lasts as long as asked, received 9 s for 6 s"),
     (Changed, r"from_dict\(to_dict\(\)\) has the same data"),
     (Different, r"from_dict\(to_dict\(\)\) gives the same traces"),
     (type("Lost", (Own,), {"changed": lost}), "states contain the ego and each NPC"),
@@ -660,3 +679,10 @@ def test_hang_limit_of_own_world_is_kept_for_it():
             return Highway(duration=4.0).rollout(scenario, ads_factory)  # in which a decision may take 30 s
 
     check_world(Waits(), runs=1, **SHORT)
+
+
+def test_world_that_lasts_longer_needs_a_run_without_event():
+    with pytest.warns(
+        RuntimeWarning, match="no run without an event among 0 runs, so nothing about lasting was checked"
+    ):
+        _check_lasting(Lasting(), [], None)

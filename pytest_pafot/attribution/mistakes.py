@@ -57,6 +57,9 @@ behind that vehicle or after that vehicle's cut-in. It changed lanes into a vehi
 behind. It braked hard, or stopped, with nothing in its way. It did not give way to a vehicle from the left, the right,
 ahead or behind. It drove into a zone in which another vehicle visibly was."""
 
+LANE_CHANGES: tuple[Mistake, ...] = ("kept-no-distance", "moved-into-side", "moved-in-front")
+"""The mistakes of an ego that entered a lane."""
+
 NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
     {
         "left": "did-not-give-way-left",

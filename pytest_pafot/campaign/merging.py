@@ -165,13 +165,13 @@ def _replayed(replays: Replays, saved: Saved, owner: str) -> tuple[str, Signatur
         RequestError: if the file cannot be read or run.
     """
     try:
-        label, run, verdict, _ = replays.labelled(saved, owner)
+        now = replays.labelled(saved, owner)
     except ProcessLostError as error:
         observed = expectation(error).signature
         return "drifted", observed if saved.finding is not None and saved.finding.signature == observed else None
-    if label not in SHOWS_AGAIN or verdict.failure is None:
-        return label, None
-    return label, of_failure(run, verdict.failure)
+    if now.label not in SHOWS_AGAIN or now.verdict.failure is None:
+        return now.label, None
+    return now.label, of_failure(now.run, now.verdict.failure)
 
 
 def _conflict(group: Sequence[Candidate], root: Path) -> str:

@@ -12,18 +12,27 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.campaign.harness import Harness, begins_alike, refusals
+from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals
 from pytest_pafot.campaign.request import AgainstError, RequestError, build_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import Job, LostRun, expectation
 from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding, of_failure
-from pytest_pafot.findings.replay import DRIVEN_ON, HAS_EVENT, ending, is_same_failure, replay_label, unhandled
+from pytest_pafot.findings.replay import (
+    DRIVEN_ON,
+    HAS_EVENT,
+    ending,
+    has_time,
+    is_same_failure,
+    replay_label,
+    unhandled,
+)
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.scenario import Scenario, ScenarioError
@@ -31,6 +40,7 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
+from pytest_pafot.support.text import one_line
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
@@ -44,8 +54,31 @@ Sought = Callable[[Run, Failure], bool]
 PROBES = 10
 """The number of random scenarios that must end as a replay does, so that the cause is the set-up and no scenario."""
 
+PAST_END = "driven on past the file's end"
+"""The words for the time after a file's end in what is said of a replay."""
+
 BESIDE = {True: "introduced", False: "common", None: ""}
 """The label of a saved scenario that fails, by whether the reference passes the same scenario."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """The result of a replay.
+
+    Attributes:
+        label: the label of the replay.
+        run: the run that shows the failure; the first run if all of them pass.
+        verdict: the verdict on that run.
+        note: a text on the time after the file's end; empty if nothing is to be said.
+        is_lost: True if a process died or hung in that time. Then the crash record must stay, or the next session would
+            drive on in its own process, and die.
+    """
+
+    label: str
+    run: Run
+    verdict: Verdict
+    note: str = ""
+    is_lost: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,19 +128,17 @@ class Replays:
         return shown == _finding(saved).signature
 
     def _observed(self, saved: Saved, world: Any, owner: str) -> tuple[Signature | None, bool]:
-        """Return the failure that a saved scenario shows now, and whether it shows it only when it is driven on."""
+        """Return the failure that a saved scenario shows now, and whether a run that passes showed it when repeated."""
         try:
-            run, verdict = self.tried(saved, world, owner)
-            if verdict.failed and verdict.failure is not None:
-                return of_failure(run, verdict.failure), False
-            if verdict.discarded or protocol.lasting(world) is None:
-                return None, False
-            run, verdict, _ = self._driven_on(saved, world, owner)
+            first = Replayed("", *self.tried(saved, world, owner))
+            now = first
+            if not first.verdict.failed and not first.verdict.discarded and protocol.lasting(world) is not None:
+                now = self._repeated(saved, world, owner, first)
         except ProcessLostError as error:
             return expectation(error).signature, False
-        if not verdict.failed or verdict.failure is None or not is_same_failure(_finding(saved), run, verdict.failure):
+        if not now.verdict.failed or now.verdict.failure is None:
             return None, False
-        return of_failure(run, verdict.failure), True
+        return of_failure(now.run, now.verdict.failure), now.run is not first.run
 
     def world_of(self, saved: Saved) -> Any:
         """Return the world in which to replay a file, and check that the scenario fits that world.
@@ -191,35 +222,46 @@ class Replays:
     def passes_reference(self, saved: Saved, world: Any, owner: str, sought: Sought | None = None) -> bool | None:
         """Return whether the reference passes a saved scenario; None if the test has no reference."""
         __tracebackhide__ = True
-        verdict = self.of_reference(saved, world, owner, sought)
+        verdict, _ = self.of_reference(saved, world, owner, sought)
         return None if verdict is None else verdict.passes
 
-    def of_reference(self, saved: Saved, world: Any, owner: str, sought: Sought | None = None) -> Verdict | None:
+    def of_reference(
+        self, saved: Saved, world: Any, owner: str, sought: Sought | None = None
+    ) -> tuple[Verdict | None, bool]:
         """Return the verdict on the reference in a saved scenario; None if the test has no reference.
 
         The reference runs in a separate process if the ADS does. If it passes, and a failure is ``sought``, it is
-        driven on, too, and fails if it shows that failure then.
+        driven on, too, and fails if it shows that failure then. The second value is True if its process died or hung
+        in that time.
         """
         __tracebackhide__ = True
-        verdict, longer = None, None if sought is None else self._longer(saved, world)
-        for each in filter(None, (world, longer)):
-            job, isolate = self.harness.job(each, owner), self._is_apart(saved, owner)
-            with (
-                self.harness.recording(job) as record,
-                self.harness.reference_runner(job, record, isolate=isolate) or nullcontext() as runner,
-            ):
-                if runner is None:
-                    return None
-                run, now = self.harness.run_reference(runner, _finding(saved).scenario, each)
-                if verdict is None and now.is_ads and now.failure is not None:
-                    self._check_reference(runner, world, now.failure)
-            if verdict is None:
-                verdict = now
-                if not verdict.passes:
-                    break
-            elif sought is not None and run is not None and now.failure is not None and sought(run, now.failure):
-                verdict = now
-        return verdict
+        run, verdict = self._of_reference(saved, world, owner, is_checked=True)
+        longer = None if sought is None else self._longer(saved, world)[0]
+        if run is None or sought is None or verdict is None or not verdict.passes or longer is None:
+            return verdict, False
+        later, then = self._of_reference(saved, longer, owner)
+        failure = None if then is None else then.failure
+        if later is None or failure is None:
+            return verdict, later is None
+        is_shown = begins_alike(run, later) and has_time(later, failure) and sought(later, failure)
+        return then if is_shown else verdict, False
+
+    def _of_reference(
+        self, saved: Saved, world: Any, owner: str, *, is_checked: bool = False
+    ) -> tuple[Run | None, Verdict | None]:
+        """Run the reference in a world; return its run, None if its process died or hung, and the verdict on it."""
+        __tracebackhide__ = True
+        job, isolate = self.harness.job(world, owner), self._is_apart(saved, owner)
+        with (
+            self.harness.recording(job) as record,
+            self.harness.reference_runner(job, record, isolate=isolate) or nullcontext() as runner,
+        ):
+            if runner is None:
+                return None, None
+            run, verdict = self.harness.run_reference(runner, _finding(saved).scenario, world)
+            if is_checked and run is not None and verdict.is_ads and verdict.failure is not None:
+                self._check_reference(runner, world, verdict.failure)
+            return run, verdict
 
     def _check_reference(self, runner: Runner, world: Any, failure: Failure) -> None:
         """Check that the reference failed by the scenario of a replay, and not because it no longer drives at all.
@@ -245,58 +287,94 @@ class Replays:
             "the world= in which it drives"
         )
 
-    def _longer(self, saved: Saved, world: Any) -> Any | None:
-        """Return the world with runs that go on after the end of a saved scenario; None if the world cannot go on."""
+    def _longer(self, saved: Saved, world: Any) -> tuple[Any | None, str]:
+        """Return the world with runs that go on after the end of a saved scenario; None if the world cannot go on.
+
+        The text says what is wrong with a user's method ``lasting``.
+        """
         lasting = protocol.lasting(world)
-        with refusals():
-            return lasting and lasting(min(world.longest_run, _finding(saved).scenario.seconds) + DRIVEN_ON)
-
-    def _driven_on(self, saved: Saved, world: Any, owner: str) -> tuple[Run, Verdict, str]:
-        """Run a saved scenario as in :meth:`tried`, but drive on after its end if the world can.
-
-        The text says that the process died or hung in the time after the end, which is no failure of a file that is
-        about something else. The run then ends where the scenario ends.
-        """
-        __tracebackhide__ = True
-        longer = self._longer(saved, world)
+        if lasting is None:
+            return None, ""
+        seconds = min(world.longest_run, _finding(saved).scenario.seconds) + DRIVEN_ON
         try:
-            return *self.tried(saved, world if longer is None else longer, owner), ""
-        except ProcessLostError as error:
-            if longer is None or was_lost(_finding(saved), error):
-                raise
-            note = f"driven on past the file's end, the process {error.how}"
-        return *self.tried(saved, world, owner), note
+            longer: Any = lasting(seconds)
+            received = f"{longer!r:.100}" if protocol.missing(longer) else ""
+        except Exception as error:  # noqa: BLE001  (of a user's world; the replay reports it)
+            longer, received = None, f"{type(error).__name__}: {one_line(str(error))}"
+        if not received:
+            return longer, ""
+        name = f"{type(world).__name__}.lasting({seconds:g})"
+        return None, f"not {PAST_END}: {name}: expected a world, received {received}; correct or remove lasting"
 
-    def _repeated(
-        self, saved: Saved, world: Any, owner: str, label: str, run: Run, verdict: Verdict
-    ) -> tuple[str, Run, Verdict, str]:
-        """Run a scenario that passes again, and drive on; return label, run, verdict and text as in :meth:`labelled`.
+    def _driven_on(self, saved: Saved, world: Any, owner: str, first: Replayed) -> Replayed:
+        """Run a scenario that passes again, and drive on after its end if the world can; a note says why it cannot."""
+        __tracebackhide__ = True
+        harness, (longer, note) = self.harness, self._longer(saved, world)
+        # A separate session replays a whole file, so it could not tell in which part a process died.
+        has_processes = harness.request.settings.isolate or scenario_pool.METHOD == "fork" or saved.needs_own_process
+        is_lost = longer is not None and not has_processes and bool(harness.left_behind(owner))
+        if is_lost:
+            note = f"not {PAST_END}, because a process died in it before, and this system cannot fork processes"
+        elif longer is not None:
+            try:
+                run, verdict = self.tried(saved, longer, owner)
+                if codec.is_built_in(world) or begins_alike(first.run, run):
+                    return replace(first, run=run, verdict=verdict)
+                note = (
+                    f"not {PAST_END}: {type(world).__name__}.lasting: expected the same world, received one in which "
+                    "the run begins otherwise; correct or remove lasting"
+                )
+            except ProcessLostError as error:
+                if was_lost(_finding(saved), error):
+                    error.add_note(PAST_END)
+                    raise
+                # It is no failure of a file that is about something else.
+                note, is_lost = f"{PAST_END}, the process {error.how}", True
+        run, verdict = self.tried(saved, world, owner)
+        return replace(first, run=run, verdict=verdict, note=note, is_lost=is_lost)
 
-        The run is the first one, or the second one if that failed.
+    def _repeated(self, saved: Saved, world: Any, owner: str, first: Replayed) -> Replayed:
+        """Run a scenario that passes again, and drive on; return the result as in :meth:`labelled`.
+
+        Its run is that of ``first``, or the second one if that failed.
         """
         __tracebackhide__ = True
-        finding = _finding(saved)
-        again, second, note = self._driven_on(saved, world, owner)
-        is_alike = begins_alike(run, again)
-        if second.failed and second.failure is not None:
-            # The failure is in the time after the end, unless the test function or a clock decides by chance.
-            is_later = is_alike and again.trace.ticks > run.trace.ticks and not self.harness.judge(run).failed
-            is_own = is_same_failure(finding, again, second.failure)
-            if not is_later or (is_own and (finding.flaky is not None or second.failure.kind == SLOW_DECISION)):
-                return FLAKY, again, second, ""
-            what = "another failure"
-            if is_own:
-                what = "the same mistake" if of_failure(again, second.failure).mistake else "the same failure"
-            note = f"driven on past the file's end: {what}, {happened(finding, again, second.failure)}"
-            if is_own:
-                return "still failing", again, second, note
-        return (FLAKY if finding.flaky is not None or not is_alike else label), run, verdict, note
+        finding, second = _finding(saved), self._driven_on(saved, world, owner, first)
+        run, verdict, is_alike = second.run, second.verdict, begins_alike(first.run, second.run)
+        label = FLAKY if finding.flaky is not None or not is_alike else first.label
+        passed = replace(second, label=label, run=first.run, verdict=first.verdict)
+        failure = verdict.failure if verdict.failed else None
+        if failure is None:
+            return passed
+        # The failure is in the time after the end, unless the test function or a clock decides by chance.
+        if not is_alike or run.trace.ticks <= first.run.trace.ticks or self.harness.judge(first.run).failed:
+            return replace(second, label=FLAKY)
+        if not has_time(run, failure):
+            return passed
+        is_event = failure.check is not None or run.outcome in HAS_EVENT
+        when = happened(finding, run, failure) if is_event else headline(run, verdict)
+        if not is_same_failure(finding, run, failure):
+            return replace(passed, note=f"{PAST_END}: another failure, {when}")
+        note = f"{PAST_END}: the same {'mistake' if finding.signature.mistake else 'failure'}, {when}"
+        is_firm = finding.flaky is None and failure.kind != SLOW_DECISION
+        is_firm = is_firm and self._is_repeatable(saved, world, owner, run)
+        return replace(second, label="still failing" if is_firm else FLAKY, note=note)
 
-    def labelled(self, saved: Saved, owner: str) -> tuple[str, Run, Verdict, str]:
-        """Replay a saved scenario; return its label, run, verdict, and a text on the time after the scenario's end.
+    def _is_repeatable(self, saved: Saved, world: Any, owner: str, run: Run) -> bool:
+        """Return whether a run that was driven on is the same run, and fails, when it is made again."""
+        __tracebackhide__ = True
+        try:
+            again, verdict = self.tried(saved, self._longer(saved, world)[0], owner)
+        except ProcessLostError:
+            return False
+        return verdict.failed and is_same_run(run, again)
+
+    def labelled(self, saved: Saved, owner: str) -> Replayed:
+        """Replay a saved scenario, and return the result.
 
         A replay that passes is run again, and driven on for :data:`~pytest_pafot.findings.replay.DRIVEN_ON`. If it then
-        fails as the file says, it is ``still failing``. Any other failure in that time is only a text.
+        fails as the file says, and once more in a third run, it is ``still failing``. Any other failure in that time is
+        only a text.
 
         With a reference, a failure is ``introduced`` if the reference passes, otherwise ``common``. A pass is ``fixed``
         if the reference fails and the situation occurred; otherwise a label ``fixed`` becomes ``fixed before``. The
@@ -316,24 +394,27 @@ class Replays:
             label = "drifted" if verdict.failed else "fixed"  # The process survived, whatever the run shows.
         if label == "fixed" and (self.world_changes(finding) or self.sight_change(finding)):
             label = "drifted"  # It passes in another world or with another sight.
+        now = Replayed(label, run, verdict)
         if verdict.discarded:
-            return label, run, verdict, ""
-        note = ""
+            return now
         if not verdict.failed:
-            label, run, verdict, note = self._repeated(saved, world, owner, label, run, verdict)
-            if label == FLAKY:
-                return label, run, verdict, note
-        if verdict.failed:
-            shown = of_failure(run, verdict.failure) if verdict.failure is not None else None
-            reference = self.of_reference(saved, world, owner, lambda run, failure: of_failure(run, failure) == shown)
-            beside = BESIDE[None if reference is None else reference.passes]
-            return beside or label, run, replace(verdict, reference=reference), note
-        passes = self.passes_reference(saved, world, owner, partial(is_same_failure, finding))
-        if passes and label == "fixed":
-            label = "fixed before"
-        elif passes is False and not unhandled(finding, run):
-            label = "fixed"
-        return label, run, verdict, note
+            now = self._repeated(saved, world, owner, now)
+            if now.label == FLAKY:
+                return now
+        if now.verdict.failed:
+            shown = None if now.verdict.failure is None else of_failure(now.run, now.verdict.failure)
+            reference, is_lost = self.of_reference(
+                saved, world, owner, lambda run, failure: of_failure(run, failure) == shown
+            )
+            label = BESIDE[None if reference is None else reference.passes] or now.label
+            now = replace(now, label=label, verdict=replace(now.verdict, reference=reference))
+        else:
+            reference, is_lost = self.of_reference(saved, world, owner, partial(is_same_failure, finding))
+            if reference is not None and reference.passes and now.label == "fixed":
+                now = replace(now, label="fixed before")
+            elif reference is not None and not reference.passes and not unhandled(finding, now.run):
+                now = replace(now, label="fixed")
+        return replace(now, is_lost=now.is_lost or is_lost)
 
     def world_changes(self, finding: Finding) -> list[str]:
         """Return how the file's world differs from the test's world, or how the file's world cuts the run."""

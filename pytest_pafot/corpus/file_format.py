@@ -66,8 +66,9 @@ XFAIL = Keys(("reason",), ("until",))
 EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
     (
-        *("assertion", "check", "message", "npc", "cell", "zone", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
-        *("situation", "reference_drivers", "last_chance", "avoided_by", "escaped_by", "against", "traceback"),
+        *("assertion", "check", "message", "npc", "cell", "zone", "side", "fault", "mistake", "npc_manoeuvre"),
+        *("ego_manoeuvre", "situation", "reference_drivers", "last_chance", "avoided_by", "escaped_by", "against"),
+        "traceback",
     ),
 )
 EXPECT_OF_COLLISION = Keys((*EXPECT.required, "npc", "cell", "side"), EXPECT.optional)

@@ -17,7 +17,7 @@ from typing import Any, get_args
 
 from pytest_pafot.attribution.excuses import Escape
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance
-from pytest_pafot.attribution.mistakes import Manoeuvre
+from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.corpus import file_format
 from pytest_pafot.corpus.file_format import DEFAULT_GENE_SECONDS, VERSION, Keys
@@ -374,6 +374,8 @@ def _expect(field: Field, npcs: int) -> Expect:
     outcome = Outcome(fields["outcome"].choice(_OUTCOMES))
     if outcome is Outcome.COLLISION:
         field.mapping(file_format.EXPECT_IN_ZONE if "zone" in fields else file_format.EXPECT_OF_COLLISION)
+    if "mistake" in fields and ("fault" not in fields or fields["fault"].value != "entered-lane"):
+        raise fields["mistake"].error("no mistake without the fault entered-lane, because other faults say it")
     return Expect(
         failure=fields["failure"].some_text("name the class of the exception, such as AssertionError"),
         assertion=_given(fields, "assertion", Field.text, ""),
@@ -388,6 +390,7 @@ def _expect(field: Field, npcs: int) -> Expect:
         situation=_given(fields, "situation", lambda inner: _situation(inner, npcs)),
         responsibility=fields["responsibility"].choice(get_args(Responsibility)),
         fault=_given(fields, "fault", lambda inner: inner.choice(get_args(Fault))),
+        mistake=_given(fields, "mistake", lambda inner: inner.choice(LANE_CHANGES)),
         npc_manoeuvre=_given(fields, "npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         ego_manoeuvre=_given(fields, "ego_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         reference_drivers={

@@ -101,8 +101,8 @@ def kinds_in(files: Iterable[Saved]) -> set[Signature]:
 def of_one_kind(files: Iterable[Saved]) -> list[list[Saved]]:
     """Return groups of files that name the same test and have the same kind of failure, if there are two or more.
 
-    Files with a fault but no mistake of the ego are left out. They do not store where the other vehicle was, so it is
-    unknown whether two of them are of one kind.
+    Files of older versions with a fault but no mistake of the ego are left out. They do not store where the other
+    vehicle was, so it is unknown whether two of them are of one kind.
     """
     groups: dict[tuple[str, Signature], list[Saved]] = {}
     for saved in files:

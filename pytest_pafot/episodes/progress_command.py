@@ -279,7 +279,8 @@ def _saved(plan: ProgressPlan, numbers: range, _: Tick) -> Iterator[PairRow]:
         try:
             with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
                 replays = replays_of(request_of(arguments), plan.holds, plan.test, Path(scratch))
-                label, _run, verdict, _note = replays.labelled(saved, saved.id)
+                now = replays.labelled(saved, saved.id)
+            label, verdict = now.label, now.verdict
             made = {each.name for each in verdict.checks}
             is_asked = plan.check and (finding.expect.check is None or finding.expect.assertion in made)
             if finding.signature.is_property and verdict.kind == "passed" and not is_asked:

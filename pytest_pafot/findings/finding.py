@@ -15,7 +15,7 @@ from typing import Any
 
 from pytest_pafot.attribution.excuses import Escape
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance
-from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before, mistake_of
+from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake, manoeuvre_before, mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import (
@@ -110,6 +110,8 @@ class Expect:
             up. None if no NPC was involved, and in files from older versions.
         responsibility: who caused the collision.
         fault: rule by which the ego is responsible; None if it is not.
+        mistake: what the ego did wrong when it entered a lane, by the place of the other vehicle; None for any other
+            fault, which says it, and in files from older versions.
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision; None without a collision.
         reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
         last_chance: the last time from which a reference driver would have stayed free of fault; None if there is none.
@@ -136,6 +138,7 @@ class Expect:
     situation: Situation | ZoneSituation | None = None
     responsibility: Responsibility = "none"
     fault: Fault | None = None
+    mistake: Mistake | None = None
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
     reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
@@ -153,9 +156,7 @@ class Expect:
     @property
     def signature(self) -> Signature:
         """The identity of the failure, as far as these fields determine it; for a run see :func:`of_failure`."""
-        return Signature(
-            **{part.name: getattr(self, part.name) for part in fields(Signature) if part.name != "mistake"}
-        )
+        return Signature(**{part.name: getattr(self, part.name) for part in fields(Signature)})
 
     @property
     def preventable_by(self) -> tuple[str, ...]:
@@ -219,6 +220,7 @@ class Expect:
             situation=situation_of(run, failure, event.time),
             responsibility=run.attribution.responsibility,
             fault=run.attribution.fault,
+            mistake=mistake_of(trace) if run.attribution.fault == "entered-lane" else None,
             npc_manoeuvre=None if hit is None or event.zone else manoeuvre_before(trace, hit.npc + 1, hit.tick),
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             reference_drivers=dict(reference_drivers or {}),

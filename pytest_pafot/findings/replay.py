@@ -97,10 +97,19 @@ def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> b
 def is_same_failure(finding: Finding, run: Run, failure: Failure) -> bool:
     """Return whether a run fails as a file says, at whatever time: by the same mistake, or in the same check."""
     then, now = finding.signature, of_failure(run, failure)
-    if then.fault is not None and then.mistake is None:  # Of a lane change, a file names the mistake only in its id.
-        is_named = now.fault == then.fault and finding.id.startswith(f"{now.slug}-")
-        return is_named and now == replace(then, mistake=now.mistake)
+    if then.fault is not None and then.mistake is None:  # an older file, which does not store it
+        return now.fault == then.fault and now == replace(then, mistake=now.mistake)
     return now == then
+
+
+def has_time(run: Run, failure: Failure) -> bool:
+    """Return whether a failure occurs at a time, so that it can be judged in a run that is driven on.
+
+    A check without a time and an assertion on a measure may be about the whole run, such as a distance, which grows
+    with the run.
+    """
+    check = failure.check
+    return not of_failure(run, failure).is_property if check is None else check.time is not None
 
 
 def ending(run: Run) -> str:

@@ -28,10 +28,12 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
     """Write the result of the replay of a saved scenario to the file that the command reads."""
     if REPLAYED not in item.stash:
         return
-    label, run, verdict = item.stash[REPLAYED]
+    label, run, verdict, note = item.stash[REPLAYED]
     mark = item.get_closest_marker(SAVED_MARK)
     assert mark is not None  # noqa: S101  (for type checkers: only replays stash this)
     passes, why = judged(mark.args[0].finding, label, run, verdict)
+    # The sentence is cut to a line, and names a failure already.
+    why = "; ".join(filter(None, [why, note.partition(":")[0] if passes is False else note]))
     is_other = passes is None and verdict is not None and verdict.passes and label != FLAKY
     elsewhere = _imported_from_elsewhere()
     if elsewhere:

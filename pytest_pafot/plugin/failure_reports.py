@@ -30,8 +30,11 @@ if TYPE_CHECKING:
 
 SUMMARY = pytest.StashKey[str]()  # the summary line of a failing item
 
-REPLAYED = pytest.StashKey[tuple[str, Run | None, "Verdict | None"]]()
-"""The label, run and verdict of a replay, for other plugins. Run and verdict are None if its process died or hung."""
+REPLAYED = pytest.StashKey[tuple[str, Run | None, "Verdict | None", str]]()
+"""The label, run and verdict of a replay, and a text on the time after its file's end, for other plugins.
+
+Run and verdict are None if its process died or hung.
+"""
 
 SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+(, position rule: \w+)?(, [a-z]+ traffic.*)?")
 """The last line of ``run.explain()``. It is left out, since the saved file and the report page contain it, too."""

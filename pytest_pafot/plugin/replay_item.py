@@ -51,25 +51,26 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     path, lost = relative(saved.path, harness.root), None
     try:
-        label, run, verdict, note = replays.labelled(saved, item.nodeid)
+        now = replays.labelled(saved, item.nodeid)
     except ProcessLostError as error:
         lost = error
     beside = ""
     if lost is not None:  # Outside of the handler, so that pytest does not print the error twice, once as a cause.
         beside = BESIDE[replays.passes_reference(saved, replays.world_of(saved), item.nodeid)]
-    for leftover in harness.left_behind(item.nodeid):
+    for leftover in harness.left_behind(item.nodeid) if lost is not None or not now.is_lost else ():
         leftover.discard()  # The item reports its result now.
     if lost is not None:
         _conclude_lost(item, replays, saved, finding, lost, beside)
+    label, run, verdict, note = now.label, now.run, now.verdict, now.note
     _check_set_up(item, replays, saved, run, verdict)
     worse = _worsening(verdict) if label == BESIDE[False] else ""
     told = [note, _against(replays), f"worse: {worse}" if worse else "", *replays.setting_changes(finding)]
     detail = "; ".join(filter(None, told))
-    item.stash[REPLAYED] = label, run, verdict
+    item.stash[REPLAYED] = label, run, verdict, note
     if label in ("drifted", FLAKY):
-        detail = replays.changes(finding, happened(finding, run, verdict.failure))
-    if label == "drifted" and not verdict.failed:
-        detail = "; ".join(filter(None, [unhandled(finding, run), detail, note]))
+        missed = unhandled(finding, run) if label == "drifted" and not verdict.failed else ""
+        told = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
+        detail = "; ".join(filter(None, told))
     line = headline(run, verdict) if verdict.failed else ""
     sentences = finding.expect.sentences_on(run) if verdict.failed else ()
     _tell(item, replays, saved, label, headline=line, sentences=sentences, detail=detail, verdict=verdict, worse=worse)
@@ -79,7 +80,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         page.replayed(
             finding,
             run.trace,
-            headline=line,
+            headline="; ".join(filter(None, [line, note])) if line else "",
             label=label,
             detail=detail,
             path=path,
@@ -134,11 +135,13 @@ def _conclude_lost(
     __tracebackhide__ = True
     path = relative(saved.path, replays.harness.root)
     label = "still failing" if was_lost(finding, lost) else "drifted"
-    item.stash[REPLAYED] = label, None, None
+    note = "; ".join(getattr(lost, "__notes__", ()))
+    item.stash[REPLAYED] = label, None, None, note
     label = beside or label
-    detail = "; ".join(filter(None, [_against(replays), *replays.setting_changes(finding)]))
+    told = [_against(replays), *replays.setting_changes(finding)]
     if label == "drifted":
-        detail = replays.changes(finding, f"the process {lost.how}")
+        told = [replays.changes(finding, f"the process {lost.how}")]
+    detail = "; ".join(filter(None, [note, *told]))
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
     _tell(item, replays, saved, label, headline=line, detail=detail)
     page = page_messages_of(item, replays.harness.request.settings)

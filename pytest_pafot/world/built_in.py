@@ -73,6 +73,10 @@ BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01,
 """The fields that both built-in worlds have, with their smallest and largest accepted values."""
 
 
+LASTS = (0.01, 86400.0)
+"""The smallest and the largest accepted duration of runs that last longer [s]."""
+
+
 class BuiltInWorld(ABC):
     """The base class of this package's worlds, in which reference drivers can take the ego's place."""
 
@@ -80,6 +84,7 @@ class BuiltInWorld(ABC):
     headway: float
     limits: NpcLimits
     hang_limit: float
+    lasts: float | None
     engine: str = "auto"
     """The engine that simulates runs in SI units; see :class:`pytest_pafot.Highway`."""
 
@@ -94,9 +99,17 @@ class BuiltInWorld(ABC):
         return None
 
     @property
-    @abstractmethod
     def rules(self) -> Rules:
         """The settings that all runs have in common."""
+        rules, lasts = self._rules, self.lasts
+        if lasts is not None and isinstance(rules.road, StraightRoad):
+            lasts = min(lasts, (rules.road.lanes[0].length - rules.ego_start) / TOP_SPEED)
+        return rules if lasts is None else replace(rules, lasts=lasts)
+
+    @property
+    @abstractmethod
+    def _rules(self) -> Rules:
+        """The settings that all runs have in common if their scenario and ``duration`` decide how long they last."""
 
     @property
     @abstractmethod
@@ -156,12 +169,12 @@ class BuiltInWorld(ABC):
         The road, the environment and its configuration stay the same, so a run begins as in this world, to the last
         bit. After their last instruction, NPCs go on with it. On a straight road, runs end before an ego at top speed
         could reach the end of the road.
+
+        Raises:
+            WorldError: if ``seconds`` is not a number from 0.01 to 86400.
         """
-        rules = self.rules
-        if isinstance(rules.road, StraightRoad):
-            seconds = min(seconds, (rules.road.lanes[0].length - rules.ego_start) / TOP_SPEED)
-        longer = copy.copy(self)
-        vars(longer)["rules"] = replace(rules, lasts=seconds)  # replaces the cached property of the frozen world
+        longer = copy.copy(self)  # with its road and environment, which take long to make
+        object.__setattr__(longer, "lasts", number_within("lasting", seconds, *LASTS))
         return longer
 
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
@@ -238,6 +251,8 @@ class BuiltInWorld(ABC):
     def _check_fields(self) -> None:
         for name, low, high in BOUNDS:
             object.__setattr__(self, name, number_within(name, getattr(self, name), low, high))
+        if self.lasts is not None:
+            object.__setattr__(self, "lasts", number_within("lasts", self.lasts, *LASTS))
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
 

@@ -61,6 +61,7 @@ class World(BuiltInWorld):
         planner_hz: decisions per second of an ADS that is a callable from :class:`pytest_pafot.Observation` to
             ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`; a divisor of the environment's
             ``simulation_frequency``. None if the ADS uses the environment's own observation and action.
+        lasts: as in :class:`pytest_pafot.Highway`.
 
     Raises:
         WorldError: if an argument cannot be used. The environment itself is made and checked at the first use, or by
@@ -76,6 +77,7 @@ class World(BuiltInWorld):
     hang_limit: float = HANG_LIMIT
     wrappers: Sequence[Callable[[Any], Any]] | None = None
     planner_hz: int | None = None
+    lasts: float | None = field(default=None, compare=False)
 
     guards_ads = True
 
@@ -258,7 +260,7 @@ class World(BuiltInWorld):
         data = {"kind": "gym", **asdict(replace(self, wrappers=None))}
         data["config"] = self.environment.whole_config
         data["duration"] = self._wanted if is_straight else min(self._wanted, self._longest)
-        del data["wrappers"]
+        del data["wrappers"], data["lasts"]
         if self.planner_hz is None:
             del data["planner_hz"]
         return data if self.wrappers is None else {**data, "wrappers": self.environment.wrapper_names}
@@ -280,8 +282,7 @@ class World(BuiltInWorld):
         return self.environment.network
 
     @cached_property
-    def rules(self) -> Rules:
-        """The settings that all runs have in common."""
+    def _rules(self) -> Rules:
         env = self.environment.unwrapped
         config = env.config
         physics_hz = whole_within("config.simulation_frequency", config["simulation_frequency"], *PHYSICS_HZ)

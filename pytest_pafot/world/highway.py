@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
+from pytest_pafot.findings.replay import DRIVEN_ON
 from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
@@ -24,8 +25,6 @@ from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, check_divides, che
 
 LANE_WIDTH = 4.0
 """The lane width of highway-env [m]."""
-MORE = 10.0
-"""The time for which a run may be driven on after the longest run of a world, with road enough for all speeds [s]."""
 ENGINES = ("auto", "kernel", "highway-env")
 """The engines that can simulate a run; ``auto`` uses the kernel if the kernel can drive the ego, else highway-env."""
 
@@ -49,6 +48,8 @@ class Highway(BuiltInWorld):
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
         engine: the engine that simulates a run: ``"kernel"``, ``"highway-env"``, or ``"auto"``, which uses the kernel
             if the kernel can drive the ego. The results are the same, so the engine is not part of a saved world.
+        lasts: the duration of each run [s], whatever its scenario and ``duration`` say, as :meth:`lasting` sets it;
+            None if they decide. It is not part of a saved world either.
 
     Raises:
         WorldError: if a value cannot be used; the message states the possible values.
@@ -64,6 +65,7 @@ class Highway(BuiltInWorld):
     limits: NpcLimits = field(default_factory=NpcLimits)
     hang_limit: float = HANG_LIMIT
     engine: str = field(default="auto", compare=False)
+    lasts: float | None = field(default=None, compare=False)
 
     guards_ads = True
 
@@ -82,7 +84,7 @@ class Highway(BuiltInWorld):
     @cached_property
     def road(self) -> StraightRoad:
         """The road, which is so long that no vehicle reaches its end, also in a run that is driven on."""
-        length = 100.0 + 2 * ego_start(self.headway, self.clearance) + TOP_SPEED * (self.duration + MORE)
+        length = 100.0 + 2 * ego_start(self.headway, self.clearance) + TOP_SPEED * (self.duration + DRIVEN_ON)
         return StraightRoad.uniform(self.lanes, length, LANE_WIDTH, self.speed_limit)
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()) -> Trace:
@@ -136,7 +138,7 @@ class Highway(BuiltInWorld):
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
         values = asdict(self)
-        del values["engine"]  # all engines give the same results
+        del values["engine"], values["lasts"]  # all engines give the same results, and a file decides how long it runs
         return {"kind": "highway", **values}
 
     @cached_property
@@ -148,6 +150,5 @@ class Highway(BuiltInWorld):
         return ParallelLanes(straight_network(self.lanes, lane.length, lane.width, self.speed_limit))
 
     @cached_property
-    def rules(self) -> Rules:
-        """The settings that all runs have in common."""
+    def _rules(self) -> Rules:
         return self._rules_on(self.road, physics_hz=self.physics_hz, ads_hz=self.ads_hz, duration=self.duration)

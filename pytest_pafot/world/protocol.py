@@ -168,9 +168,15 @@ def resumable(world: Any) -> Resumable | None:
 
 
 def lasting(world: Any) -> Callable[[float], WorldLike] | None:
-    """Return a world's method ``lasting``, which makes the same world with longer runs; None if it has none."""
-    found: Callable[[float], WorldLike] | None = getattr(world, "lasting", None)
-    return found if callable(found) else None
+    """Return a world's ``lasting``, which gives the same world with longer runs; None if its class has none.
+
+    A method that runs like a replaced ``rollout``, or that only an object of the class has, is not used: the world of
+    longer runs would be another world.
+    """
+    found: Callable[[float], WorldLike] | None = None
+    if hasattr(type(world), "lasting") and _fits_rollout(world, "lasting"):
+        found = world.lasting
+    return found
 
 
 def gym_replaying(world: Any) -> GymReplaying | None:

@@ -103,13 +103,23 @@ def test_join_leaves_the_simplest_file_of_each_kind(tmp_path, capsys):
     assert join(tmp_path, capsys, "--write") == (0, ["nothing to join"])
 
 
-def test_join_leaves_files_with_entered_lane_fault_alone(tmp_path, capsys):
-    """Moving into a vehicle's side or in front of it are two failures, but the file has one fault for both."""
+def test_join_leaves_older_files_with_entered_lane_fault_alone(tmp_path, capsys):
+    """Moving into a vehicle's side or in front of it are two failures, but older files have one fault for both."""
     entered = {"expect": replace(plain_finding().expect, fault="entered-lane")}
     unanswered = {"expect": replace(plain_finding().expect, fault="leader-unanswered")}
     save(tmp_path, a=(1, entered), b=(2, entered), c=(1, unanswered), d=(2, unanswered))
     assert join(tmp_path, capsys, "--write")[0] == 0
     assert names(tmp_path) == ["a", "b", "c"]
+
+
+def test_join_knows_the_mistake_of_a_lane_change(tmp_path, capsys):
+    side, front = (
+        {"expect": replace(plain_finding().expect, fault="entered-lane", mistake=mistake)}
+        for mistake in ("moved-into-side", "moved-in-front")
+    )
+    save(tmp_path, a=(1, side), b=(2, side), c=(1, front))
+    assert join(tmp_path, capsys, "--write")[0] == 0
+    assert names(tmp_path) == ["a", "c"]
 
 
 def test_join_loses_no_acceptance_and_keeps_firm_ones(tmp_path, capsys):

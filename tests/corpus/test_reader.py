@@ -235,6 +235,14 @@ def test_last_chance_requires_time_driver_and_two_actions(path, chance, field):
 
 
 @table(
+    "fault_and_mistake", ["fault: entered-lane, mistake: moved", "fault: braked-for-nothing, mistake: moved-in-front"]
+)
+def test_mistake_is_one_of_those_of_a_lane_change(path, fault_and_mistake):
+    error = fault(path, swapped(DRIVERS, f"{DRIVERS}, {fault_and_mistake}"))
+    assert (error.line, error.field) == (14, "expect.mistake")
+
+
+@table(
     ("avoided", "field"),
     [
         ("6.0", ""),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.excuses import Escape
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance
-from pytest_pafot.attribution.mistakes import Manoeuvre
+from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.corpus.file_format import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
@@ -171,6 +171,7 @@ def expectations(draw, npcs):
         side=draw(some(draw(st.sampled_from(["front", "rear", "left", "right"])))),
         situation=draw(st.none() | situations(npcs)),
         responsibility=draw(st.sampled_from(["ego", "npc", "both", "none"])),
+        **draw(st.sampled_from([{}, *({"fault": "entered-lane", "mistake": each} for each in LANE_CHANGES)])),
         npc_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         reference_drivers=draw(st.dictionaries(keys(), st.sampled_from(get_args(ReferenceOutcome)), max_size=3)),

@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import pytest
 
 from pytest_pafot.findings.finding import Finding, Found, of_failure
-from pytest_pafot.findings.replay import is_same_failure, replay_label
+from pytest_pafot.findings.replay import has_time, is_same_failure, replay_label
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
@@ -160,3 +162,32 @@ def test_lane_change_behind_another_is_its_own_failure():
     assert behind.attribution.fault == ahead.attribution.fault == "entered-lane"
     for one, other, expected in ((behind, behind, True), (behind, ahead, False), (ahead, behind, False)):
         assert is_same_failure(saved(one), other, FAILS) is expected
+
+
+def test_file_of_another_name_has_the_same_failure():
+    beside, ahead = Run(situations.hit(*BESIDE)), lane_change(2.0, faster=4.0)
+    for finding in (saved(ahead), replace(saved(ahead), id="old-bug"), replace(saved(ahead), id="entered-behind-1")):
+        assert finding.expect.mistake == "moved-in-front"
+        assert is_same_failure(finding, ahead, FAILS)
+        assert not is_same_failure(finding, beside, FAILS)
+
+
+def test_older_file_without_mistake_knows_only_the_fault():
+    beside, ahead = Run(situations.hit(*BESIDE)), lane_change(2.0, faster=4.0)
+    older = replace(saved(ahead), expect=replace(saved(ahead).expect, mistake=None))
+    assert [is_same_failure(older, run, FAILS) for run in (ahead, beside, crash())] == [True, True, False]
+    assert saved().expect.mistake is None, "the fault says it"
+
+
+@table(
+    ("failure", "expected"),
+    [
+        (FAILS, True),
+        (jerk(2.0), True),
+        (replace(jerk(), check=replace(jerk().check, time=None)), False),
+        (Failure(kind="AssertionError", assertion="assert run.ego.speed.sum() < 100"), False),
+        (Failure(kind="KeyError", message="'lane'"), True),
+    ],
+)
+def test_value_of_a_whole_run_has_no_time(failure, expected):
+    assert has_time(crash(), failure) is expected

@@ -1,9 +1,14 @@
 """Replays that pass are driven on for ten seconds after the end of their file."""
 
+import json
+from dataclasses import replace
+
 import pytest
 
 import pytest_pafot as pafot
+from pytest_pafot.commands.bisect_command import TOLD
 from pytest_pafot.corpus.writer import write
+from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.checks import Check
@@ -15,15 +20,19 @@ SCENARIO = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 5.0)]], gene_secon
 second after the end."""
 POLICIES = """
 import os
+import random
 import pytest_pafot as pafot
 
 def cruising(top):
     return lambda: lambda seen: (min(max(top - seen.ego.speed, -1.0), 1.0), 0.0)
 
-fast, slow = cruising(30.0), cruising(20.0)
+fast, slow, slower = cruising(30.0), cruising(20.0), cruising(19.9)
 
 def braking():
     return lambda seen: (-4.0 if seen.ego.speed > 4.0 else 0.0, 0.0)
+
+def gentle():
+    return lambda seen: (-3.9 if seen.ego.speed > 4.0 else 0.0, 0.0)
 
 def late():  # leaves the NPC's lane, and speeds up after the end of the file
     return lambda seen: (-2.0 if seen.time < 7.0 else 2.0, 0.05 if 0.5 < seen.time < 1.0 else 0.0)
@@ -31,6 +40,10 @@ def late():  # leaves the NPC's lane, and speeds up after the end of the file
 def raising():
     drive = braking()
     return lambda seen: drive(seen) if seen.time < 8.0 else 1 / 0
+
+def dicing():  # accelerates by chance after the end of the file
+    drive = braking()
+    return lambda seen: drive(seen) if seen.time < 7.0 else (2.0 + random.random(), 0.0)
 
 def dying():
     drive = braking()
@@ -71,7 +84,7 @@ def saved(project):
 HIT = Failure(kind="AssertionError", assertion="assert not run.collision")
 
 
-def filed(project, world, failure=HIT):
+def filed(project, world, failure=HIT, expect=None):
     """Save a failure of the fast ego, by default its collision, in a file that names a world."""
     namespace = {}
     exec(POLICIES, namespace)
@@ -84,17 +97,18 @@ def filed(project, world, failure=HIT):
         world=world,
         found=Found(seed=0, generation=0, algorithm="random", versions=dict(installed_versions())),
     )
+    finding = finding if expect is None else replace(finding, expect=expect)
     path = project.path / "pafot_corpus" / "test_it" / "test_gap" / f"{finding.id}.pafot.yaml"
     path.parent.mkdir(parents=True, exist_ok=True)
     write(path, finding)
     return project
 
 
-def replay(project, policy, *args, generations=0):
+def replay(project, policy, *args, generations=0, before="", **options):
     project.pytester.makeconftest(
-        f"import pytest\nimport policies\n\n@pytest.fixture\ndef ads():\n    return policies.{policy}\n"
+        f"import pytest\nimport policies\n{before}\n@pytest.fixture\ndef ads():\n    return policies.{policy}\n"
     )
-    return project.run(*args, generations=generations)
+    return project.run(*args, generations=generations, **options)
 
 
 def test_slower_ego_with_the_same_mistake_still_fails(saved):
@@ -120,12 +134,76 @@ def test_other_failure_after_the_end_is_only_reported(saved):
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *", f"    {told}"])
 
 
+DIED = "driven on past the file's end, the process ended with exit code 9"
+
+
 def test_death_after_the_end_is_only_reported(saved):
     result = replay(saved, "dying", "--pafot-isolate")
     result.assert_outcomes(passed=1, skipped=1)
-    told = "driven on past the file's end, the process ended with exit code 9"
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *", f"    {told}"])
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *", f"    {DIED}"])
     assert not list(saved.path.rglob("*.running"))
+
+
+def test_death_after_the_end_ends_one_session_at_most(saved):
+    assert replay(saved, "dying", apart=True).ret == 9
+    for _ in range(3):
+        result = replay(saved, "dying")
+        result.assert_outcomes(passed=1, skipped=1)
+        result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *", f"    {DIED}"])
+    assert len(list(saved.path.rglob("*.inflight"))) == 1
+    replay(saved, "braking").stdout.no_fnmatch_line("*driven on*")
+    assert not list(saved.path.rglob("*.inflight"))
+
+
+def test_reference_that_dies_after_the_end_does_so_once(saved):
+    against = "--pafot-against=policies:dying"
+    assert replay(saved, "braking", against, apart=True).ret == 9
+    for _ in range(3):
+        replay(saved, "braking", against).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed before"])
+
+
+def test_file_is_not_driven_on_after_death_without_fork(saved, monkeypatch):
+    assert replay(saved, "dying", apart=True).ret == 9
+    monkeypatch.setattr("pytest_pafot.execution.scenario_pool.METHOD", "spawn")  # here, and in sessions of its own
+    before = "import pytest_pafot.execution.scenario_pool as pool\npool.METHOD = 'spawn'\n"
+    for _ in range(2):
+        result = replay(saved, "dying", before=before)
+        result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed", "  fixed: *"])
+        told = "not driven on past the file's end, because a process died in it before, and this system cannot fork"
+        assert told in " ".join(result.stdout.str().split())
+
+
+def test_death_after_the_end_of_a_crash_still_fails(project):
+    project.write(TEST.replace("WORLD", WORLD))
+    project.pytester.makepyfile(policies=POLICIES)
+    died = LostRun(SCENARIO, pid=1, how="ended with exit code 9")
+    filed(project, pafot.Highway(lanes=3).to_dict(), expect=expectation(died))
+    result = replay(project, "dying")
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["replay: still failing, driven on past the file's end", "*1 still failing"])
+
+
+def test_bisect_names_the_failure_after_the_end(saved, monkeypatch):
+    told = saved.path / "told.json"
+    monkeypatch.setenv(TOLD, json.dumps({"file": str(told), "policy": []}))
+    replay(saved, "slow", plugins=["pytest_pafot.plugin.bisect_session"])
+    assert json.loads(told.read_text())["why"] == (
+        "collision after 6.5 s at 7.6 m/s: NPC 0 ahead, ego at fault; driven on past the file's end"
+    )
+
+
+def test_failure_by_chance_after_the_end_is_flaky(saved):
+    result = replay(saved, "dicing")
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
+    told = "driven on past the file's end: the same mistake, collision at "
+    assert told in " ".join(section(result, "test_gap[saved-leader-unanswered-f0cc96]").split())
+
+
+def test_page_names_the_failure_after_the_end(saved):
+    replay(saved, "slow", "--pafot-report=report.html")
+    assert "driven on past the file&#x27;s end: the same mistake, collision at 6.5 s" in (
+        saved.path / "report.html"
+    ).read_text().replace("&#39;", "&#x27;").replace("file's", "file&#x27;s")
 
 
 @pytest.mark.parametrize("how", ["--pafot-isolate", "--pafot-strict-drift"])
@@ -158,6 +236,32 @@ def test_check_that_fails_after_the_end_still_fails(project):
     replay(project, "braking").stdout.fnmatch_lines(["*1 fixed"])
 
 
+@pytest.mark.parametrize(
+    "broken", ["pafot.check(way, name='way', at_most=100.0)", "assert run.ego.speed.sum() / run.trace.physics_hz < 100"]
+)
+def test_value_that_grows_with_the_run_is_not_judged_later(project, broken):
+    body = f"way = float(run.ego.speed.sum() / run.trace.physics_hz)\n    {broken}"
+    project.write(TEST.replace("WORLD", WORLD).replace("assert not run.collision", body))
+    project.pytester.makepyfile(policies=POLICIES)
+    measured = Check(name="way", value=167.0, margin=-0.67, at_most=100.0)
+    failure = Failure(kind="AssertionError", assertion=broken)
+    if "check" in broken:
+        failure = Failure(kind="CheckFailed", message=str(measured), assertion="way", check=measured)
+    filed(project, pafot.Highway(lanes=3).to_dict(), failure)
+    result = replay(project, "braking")
+    result.stdout.fnmatch_lines(["*1 fixed"])
+    result.stdout.no_fnmatch_line("*driven on*")
+    replay(project, "slow").assert_outcomes(failed=1, skipped=1)
+
+
+def test_error_of_the_test_after_the_end_is_named(saved):
+    body = "missing = {}['lane'] if run.duration > 10.0 else None\n    assert not run.collision"
+    saved.write(TEST.replace("WORLD", WORLD).replace("assert not run.collision", body))
+    result = replay(saved, "braking")
+    told = "driven on past the file's end: another failure, KeyError: 'lane' (no collision in 16.0 s)"
+    result.stdout.fnmatch_lines(["*1 fixed", "  fixed: *", f"    {told}"])
+
+
 def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
     path = saved.only_file
     path.write_text(path.read_text().replace('# xfail: "reason"', 'xfail: "a known mistake"'))
@@ -174,10 +278,10 @@ def test_search_knows_the_failure_of_a_slower_ego(saved):
     ("now", "before", "label"),
     [
         ("fast", "slow", "common"),
-        ("slow", "slow", "common"),
+        ("slow", "slower", "common"),
         ("slow", "braking", "introduced"),
         ("braking", "slow", "fixed"),
-        ("braking", "braking", "fixed before"),
+        ("braking", "gentle", "fixed before"),
         ("braking", "raising", "fixed before"),
     ],
 )
@@ -192,3 +296,51 @@ def test_own_world_is_driven_on_if_it_can_last_longer(project, more, label):
     project.pytester.makepyfile(policies=POLICIES)
     filed(project, {"kind": "own", "class": "Own", "data": {}})
     replay(project, "slow").stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
+
+
+BY = "    def lasting(self, seconds):\n        "
+NOT = "not driven on past the file's end: Own.lasting"
+OTHER = f"{NOT}: expected the same world, received one in which the run begins otherwise"
+
+
+@pytest.mark.parametrize(
+    ("lasting", "told"),
+    [
+        (f"{BY}raise RuntimeError('no road')", f"{NOT}(16): expected a world, received RuntimeError: no road; "),
+        (f"{BY}return None", f"{NOT}(16): expected a world, received None; correct or remove lasting"),
+        (f"{BY}return pafot.Highway(lanes=4, headway=1.9).lasting(seconds)", OTHER),
+        (f"{BY}return pafot.Highway(lanes=3, duration=3.0)", OTHER),
+    ],
+)
+def test_wrong_lasting_is_named_and_changes_no_label(project, lasting, told):
+    project.write(OWN + lasting + "\n" + TEST.replace("WORLD", "Own()"))
+    project.pytester.makepyfile(policies=POLICIES)
+    filed(project, {"kind": "own", "class": "Own", "data": {}})
+    result = replay(project, "slow")
+    result.assert_outcomes(passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+    assert told in " ".join(result.stdout.str().split())
+
+
+def test_inherited_lasting_is_not_used(project):
+    weak = """
+class Own(pafot.Highway):
+    def to_dict(self):
+        return {}
+
+    def rollout(self, scenario, ads_factory, **given):
+        return super().rollout(scenario, ads_factory, **given)
+"""
+    project.write(weak + TEST.replace("WORLD", "Own(lanes=3)"))
+    project.pytester.makepyfile(policies=POLICIES)
+    filed(project, {"kind": "own", "class": "Own", "data": {}})
+    replay(project, "slow").stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+
+
+def test_property_that_a_test_records_is_that_of_the_file(saved):
+    body = "record_property('seconds', run.duration)\n    assert not run.collision"
+    source = TEST.replace("WORLD", WORLD).replace("(run)", "(run, record_property)")
+    saved.write(source.replace("assert not run.collision", body))
+    replay(saved, "braking", "--junitxml=junit.xml", "-o", "junit_family=xunit1")
+    text = (saved.path / "junit.xml").read_text()
+    assert (text.count('name="seconds"'), 'name="seconds" value="6.0"' in text) == (1, True)

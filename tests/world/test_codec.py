@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError, from_dict
-from pytest_pafot.world.codec import cuts, of_file
+from pytest_pafot.world.codec import cuts, elsewhere, of_file
 from tests.helpers.tables import table
 
 positive = st.floats(0.1, 20)
@@ -193,3 +193,12 @@ def test_gym_world_is_cut_before_environment_is_made(config):
     world = of_file(data, SIX_GENES, Highway(duration=20.0))
     assert world.duration == pytest.approx(20 * 15 / (config or {}).get("simulation_frequency", 15), rel=1e-9)
     assert "environment" not in vars(world)
+
+
+def test_duration_that_the_road_cuts_is_no_change():
+    own = World("intersection-v0", planner_hz=5, config={"destination": "o1", "duration": 20})
+    data = own.to_dict()
+    assert (data["duration"], own.longest_run < 20.0) == (20.0, True)
+    assert cuts(data, SIX_GENES, own) == []
+    assert elsewhere(data, SIX_GENES, own) == []
+    assert cuts({**data, "duration": 25.0}, SIX_GENES, own) == ["world.duration 25.0 in the file, 20.0 now"]

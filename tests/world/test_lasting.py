@@ -1,6 +1,8 @@
 """Runs that go on after the end of their scenario and of their world's own duration."""
 
+import pickle
 import random
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -10,7 +12,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from example_ads.junctions import CarefulDriver
 from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import LANE, Outcome, X
-from pytest_pafot.world import Highway, World
+from pytest_pafot.support.errors import WorldError
+from pytest_pafot.world import Highway, World, from_dict
 from pytest_pafot.world.protocol import lasting
 from tests.helpers.world_cases import EGOS, chains, constant_speed
 
@@ -106,3 +109,27 @@ def test_run_ends_before_the_end_of_a_straight_road(world):
     assert world.longest_run < longer.longest_run < 3000.0
     assert trace.ego[:, X].max() <= world.road.lanes[0].length
     assert (trace.ego[:, LANE] >= 0).all()
+
+
+@pytest.mark.parametrize("seconds", [-5.0, 0, float("nan"), float("inf"), "20", None, True])
+def test_duration_that_is_no_positive_number_is_refused(seconds):
+    for world in (Highway(), World("highway-v0")):
+        with pytest.raises(WorldError, match=r"^lasting: expected a number from 0\.01 to 86400, received "):
+            world.lasting(seconds)
+
+
+def test_longer_world_survives_copies_and_shows_its_duration():
+    longer = Highway().lasting(20.0)
+    for copied in (replace(longer, lanes=5), pickle.loads(pickle.dumps(longer)), Highway(lasts=20.0)):
+        assert copied.longest_run == 20.0
+    assert "lasts=20.0" in repr(longer)
+    with pytest.raises(WorldError, match=r"^lasts: expected a number from"):
+        Highway(lasts=-1.0)
+    with pytest.raises(WorldError, match="lasts"):
+        from_dict({**Highway().to_dict(), "lasts": 20.0})
+
+
+def test_world_with_another_rollout_does_not_last_by_an_inherited_method():
+    assert lasting(type("Own", (Highway,), {"rollout": lambda self, scenario, ads: None})()) is None
+    assert lasting(type("Around", (), {"__getattr__": lambda self, name: getattr(Highway(), name)})()) is None
+    assert lasting(type("Named", (Highway,), {})()) is not None
