@@ -66,37 +66,30 @@ def reference_of(
     """
     if given is None:
         return None
-    found = _reference_of(given, fixture)
-    same = same_policy(ads, found.ads)
-    if same:
-        raise AgainstError(f"against ({found.shown}): {same}")
-    return found
-
-
-def _reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) -> Reference:
-    if isinstance(given, str) and ":" not in given:
-        return Reference(ads=fixture(given), name=given)
+    if isinstance(given, RevisionPolicy):
+        return Reference(ads=given, name=given.label, commit=given.commit)
     if isinstance(given, str) and given.startswith(REVISION):
         raise AgainstError(
             f"against: expected a factory or its name as module:factory, received {given!r}; a revision is compared by "
             "pytest and by the commands search and progress"
         )
-    try:
-        ads = given
-        if isinstance(given, str):
-            module, name, *argument = given.split(":", 2)
-            ads = referred_to(f"{module}:{name}")
-            ads = partial(ads, *argument) if argument and callable(ads) else ads
-    except ValueError as error:
-        raise AgainstError(f"against: {error}") from error
-    if isinstance(ads, RevisionPolicy):
-        return Reference(ads=ads, name=ads.label, commit=ads.commit)
-    if not callable(ads):
+    found: Any = given
+    if isinstance(given, str):
+        module, *names = given.split(":", 2)
+        try:
+            found = referred_to(f"{module}:{names[0]}") if names else fixture(given)
+        except ValueError as error:
+            raise AgainstError(f"against: {error}") from error
+        found = partial(found, names[1]) if names[1:] and callable(found) else found
+    if not callable(found):
         raise AgainstError(
             "against: expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a "
-            f"fixture that returns a factory, received {ads!r:.100}. {hint_at_object(ads)}".removesuffix(". ")
+            f"fixture that returns a factory, received {found!r:.100}. {hint_at_object(found)}".removesuffix(". ")
         )
-    return Reference(ads=ads, name=given if isinstance(given, str) else name_of(ads))
+    reference = Reference(ads=found, name=given if isinstance(given, str) else name_of(found))
+    if same := same_policy(ads, found):
+        raise AgainstError(f"against ({reference.shown}): {same}")
+    return reference
 
 
 def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:

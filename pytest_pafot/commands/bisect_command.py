@@ -184,15 +184,15 @@ class Trials:
         told = self.tree.parent / "told.json"
         told.unlink(missing_ok=True)
         policy = [str(self.history.root / path) for path in self.history.paths]
-        moved = [Path(entry) for entry in mapped(sys.path, self.history.root, self.tree)]
+        moved = [
+            entry for entry in mapped(sys.path, self.history.root, self.tree) if Path(entry).is_relative_to(self.tree)
+        ]
         above = [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
         environ = {
             **os.environ,
             TOLD: json.dumps({"file": str(told), "policy": policy}),
             # First the worktree: otherwise an editable installation would import the user's own files.
-            "PYTHONPATH": os.pathsep.join(
-                [*(str(path) for path in moved if path.is_relative_to(self.tree) and path.is_dir()), *above]
-            ),
+            "PYTHONPATH": os.pathsep.join([*filter(os.path.isdir, moved), *above]),
             # Python takes a compiled file as valid if the source has the same size and time in seconds. Two commits
             # checked out within a second may agree in both.
             "PYTHONDONTWRITEBYTECODE": "1",

@@ -149,7 +149,7 @@ class History:
 
         The copy contains the files that git does not ignore, and ``extra``, which are paths relative to the root.
         """
-        with self._tree("HEAD", terminated=lambda: sys.exit(128 + signal.SIGTERM)) as tree:
+        with self._tree("HEAD", exits=True) as tree:
             own = [name for name in self.uncommitted() if self._is_copied(name)]
             for name in own:
                 with suppress(OSError):
@@ -158,18 +158,16 @@ class History:
             yield tree
 
     @contextmanager
-    def revision(
-        self, commit: str, extra: Iterable[str], terminated: Callable[[], None] | None = None
-    ) -> Iterator[Path]:
+    def revision(self, commit: str, extra: Iterable[str], *, exits: bool = False) -> Iterator[Path]:
         """Provide a copy of all files of a commit, and remove the copy at the end.
 
         Submodules are copied from what is already cloned. ``extra`` are present files and folders, as paths relative to
-        the root; of these, the copy gets only what the commit does not have. For ``terminated`` see :meth:`_tree`.
+        the root; of these, the copy gets only what the commit does not have. For ``exits`` see :meth:`_tree`.
 
         Raises:
             HistoryError: if git fails, or a submodule that is checked out here was not cloned with its commit.
         """
-        with self._tree(commit, terminated) as tree:
+        with self._tree(commit, exits=exits) as tree:
             places = self._git("rev-parse", "--git-dir", "--git-common-dir").splitlines()
             modules = [Path(os.path.normpath(self.root / place / "modules")) for place in places]
             self._put_submodules(tree, self.root, commit, modules)
@@ -187,9 +185,7 @@ class History:
     def _put_submodules(self, tree: Path, root: Path, commit: str, modules: Sequence[Path], git_dir: str = "") -> None:
         """Fill the folders of the submodules of a commit; ``modules`` are the folders in which they may be cloned."""
         at = (f"--git-dir={git_dir}",) if git_dir else ()
-        lines = [
-            line for line in _git(self.root, *at, "ls-tree", "-r", "-z", "--full-tree", commit).split("\0") if line
-        ]
+        lines = _git(self.root, *at, "ls-tree", "-r", "-z", "--full-tree", commit).split("\0")
         links = [(line.split()[2], line.partition("\t")[2]) for line in lines if line.startswith("160000 ")]
         if not links:
             return
@@ -215,13 +211,13 @@ class History:
                     )
 
     @contextmanager
-    def _tree(self, commit: str, terminated: Callable[[], None] | None) -> Iterator[Path]:
+    def _tree(self, commit: str, *, exits: bool) -> Iterator[Path]:
         """Provide a worktree of a commit, and remove it at the end, also if SIGTERM ends this process.
 
         Args:
             commit: the commit.
-            terminated: what to do at SIGTERM, such as an exit that leaves this context. By default the worktree is
-                removed at once, and this process ends by the signal.
+            exits: True if SIGTERM raises SystemExit, which leaves this context. Where that may be caught, as by pytest,
+                the worktree is removed at once, and this process ends by the signal.
         """
         self._remove_leftovers()
         folder, owner = Path(os.path.realpath(tempfile.mkdtemp(prefix=TREES))), os.getpid()
@@ -234,8 +230,8 @@ class History:
             shutil.rmtree(folder, ignore_errors=True)
 
         def received(*_: object) -> None:
-            if terminated is not None:
-                terminated()
+            if exits:
+                sys.exit(128 + signal.SIGTERM)
             if os.getpid() == owner:
                 remove()
             signal.signal(signal.SIGTERM, before)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -133,7 +133,7 @@ def _digest(path: Path) -> str:
 
 @contextmanager
 def revision_at(
-    text: str, folder: Path, here: Path, paths: str, option: str, terminated: Callable[[], None] | None = None
+    text: str, folder: Path, here: Path, paths: str, option: str, *, exits: bool = False
 ) -> Iterator[Revision]:
     """Provide a revision of the repository around a folder, and remove its copy at the end.
 
@@ -143,7 +143,7 @@ def revision_at(
         here: the current folder, to which ``paths`` are relative.
         paths: the files and folders to copy, with spaces between them.
         option: the name of the option for these, for errors.
-        terminated: see :meth:`History.revision`.
+        exits: see :meth:`History.revision`.
 
     Raises:
         RevisionError: if there is no such revision, or it cannot be copied.
@@ -160,7 +160,7 @@ def revision_at(
             except ValueError as error:
                 raise HistoryError(f"{option}: expected paths as in a shell, received {paths!r}: {error}") from None
             extra = copied(history.root, here, names, option)
-            tree = stack.enter_context(history.revision(commit, extra, terminated))
+            tree = stack.enter_context(history.revision(commit, extra, exits=exits))
         except HistoryError as error:
             raise RevisionError(f"{visible(text)}: {error}") from None
         yield Revision(history, text, commit, tree, here, option)

@@ -21,6 +21,9 @@ from pytest_pafot.support.text import one_line
 from pytest_pafot.world.driving.ads import preload
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
+NO_PART = {".git", ".pytest_cache", "__pycache__"}
+"""Folders in which no file is of a policy."""
+
 NO_TEST = "test"
 """What a revision lacks if it has no such test."""
 
@@ -34,7 +37,6 @@ class Served:
     opened: set[str]  # the files that this process has opened to read; it grows
     factory: Callable[..., Any] | None = None
     _known: set[Path] = field(default_factory=set)  # the paths that were looked at
-    _own: set[Path] = field(default_factory=set)  # those of the revision
     _strangers: set[str] = field(default_factory=set)
 
     def strangers(self) -> list[str]:
@@ -42,23 +44,19 @@ class Served:
         modules = [getattr(module, "__file__", None) for module in [*sys.modules.values()]]
         new = {Path(name) for name in [*self.opened, *modules] if isinstance(name, str)} - self._known
         self._known |= new
-        root, tree = self.policy.root, self.policy.tree
-        kept_out = [Path(os.path.realpath(each)) for each in (tree, PACKAGE, sys.prefix, root / ".git")]
-        for path in new:
-            real = Path(os.path.realpath(path))
-            if not real.is_file() or {".git", ".pytest_cache"} & {*path.parts}:
-                continue
-            if real.is_relative_to(root) and not any(map(real.is_relative_to, kept_out)):
+        kept_out = [Path(os.path.realpath(each)) for each in (self.policy.tree, PACKAGE, sys.prefix)]
+        for real in (Path(os.path.realpath(path)) for path in new if not NO_PART & {*path.parts}):
+            is_present = real.is_relative_to(self.policy.root) and not any(map(real.is_relative_to, kept_out))
+            if is_present and not NO_PART & {*real.parts} and real.is_file():
                 self._strangers.add(str(real))
-            elif path.is_relative_to(tree) and path.parent.name != "__pycache__":
-                self._own.add(path)
         return sorted(self._strangers)
 
     def hashes(self) -> dict[str, str]:
         """Return the hashes of the files of the revision that this process has seen, by path in the repository."""
         self.strangers()
-        own = sorted(path for path in self._own if path.is_file())
-        return {path.relative_to(self.policy.tree).as_posix(): digest_of(path) for path in own}
+        tree = self.policy.tree
+        own = sorted(path for path in self._known if path.is_relative_to(tree) and not NO_PART & {*path.parts})
+        return {path.relative_to(tree).as_posix(): digest_of(path) for path in own if path.is_file()}
 
 
 def digest_of(path: Path) -> str:

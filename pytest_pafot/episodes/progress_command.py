@@ -7,7 +7,6 @@ import csv
 import io
 import json
 import shlex
-import signal
 import sys
 import tempfile
 import time
@@ -190,8 +189,7 @@ def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[Prog
         return
     here, name = Path.cwd().resolve(), plan.new.removesuffix(PLANNER)
     plan.factory("new")
-    end = partial(sys.exit, 128 + signal.SIGTERM)
-    with revision_at(plan.old, here, here, shlex.join(copy), "--copy", terminated=end) as revision:
+    with revision_at(plan.old, here, here, shlex.join(copy), "--copy", exits=True) as revision:
         policy = revision.policy(PROCESS, name)
         try:
             policy.start()

@@ -74,32 +74,31 @@ class Revisions:
         if key not in self._copies:
             self._copies[key] = self.stack.enter_context(revision_at(against, folder, here, paths, COPY))
         revision = self._copies[key]
-        # The policy that a command names, or that of the revision's own test.
-        test = put = Path() if named else file.relative_to(revision.history.root)
-        if named or (revision.tree / test).exists():
-            policy = revision.policy(PROCESS, named) if named else _of_test(item, revision, test)
+        # A command names a policy. Else it is that of the revision's own test. If there is none, the present test file
+        # is put into the revision, next to all others, which remain as they were.
+        if named:
+            tried = {"": revision.policy(PROCESS, named)}
+        else:
+            test = file.relative_to(revision.history.root)
+            has_file = (revision.tree / test).exists()
+            put = test.with_stem(f"{test.stem}_of_now") if has_file else test
+            tried = {"": _of_test(item, revision, test)} if has_file else {}
+            tried[put.as_posix()] = _of_test(item, revision, put)
+        for put_at, policy in tried.items():
+            if put_at:
+                (revision.tree / put_at).parent.mkdir(parents=True, exist_ok=True)
+                (revision.tree / put_at).write_bytes(file.read_bytes())
             self.stack.callback(policy.close)
             try:
                 policy.start()
-                return OfTest(revision, policy, "" if named else test.as_posix())
+                break
             except RevisionError as error:
-                if named and revision.lacks(error.missing):
+                is_last = bool(named or put_at)
+                if is_last and revision.lacks(error.missing):
                     return OfTest(revision, None)
-                if named or error.missing != NO_TEST:
+                if is_last or error.missing != NO_TEST:
                     raise
-            put = put.with_stem(f"{put.stem}_of_now")  # not in place of the other tests of this revision
-        # The revision has no such test: the present file is put into it, and all others remain as they were.
-        (revision.tree / put).parent.mkdir(parents=True, exist_ok=True)
-        (revision.tree / put).write_bytes(file.read_bytes())
-        policy = _of_test(item, revision, put)
-        self.stack.callback(policy.close)
-        try:
-            policy.start()
-        except RevisionError as error:
-            if not revision.lacks(error.missing):
-                raise
-            return OfTest(revision, None)
-        return OfTest(revision, policy, test.as_posix(), put.as_posix())
+        return OfTest(revision, policy, "" if named else test.as_posix(), put_at)
 
 
 def _of_test(item: pytest.Item, revision: Revision, test: Path) -> RevisionPolicy:
