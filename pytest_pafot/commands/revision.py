@@ -38,18 +38,11 @@ class Revision:
     """A commit of the user's repository, with a copy of all of its files."""
 
     history: History
-    text: str  # as the user wrote it, such as rev:main
+    label: str  # its name and its commit, for texts
     commit: str
     tree: Path
     here: Path  # the current folder
     option: str  # the option that names files to copy, for texts
-
-    @property
-    def label(self) -> str:
-        """The name of the revision and its commit, for texts."""
-        name = self.text.removeprefix(REVISION)
-        is_hash = len(name) >= 7 and self.commit.startswith(name)
-        return f"{REVISION}{self.commit:.7}" if is_hash else f"{visible(self.text)} ({self.commit:.7})"
 
     def policy(self, program: str, name: str, session: tuple[str, ...] = ()) -> RevisionPolicy:
         """Return a policy of this revision; see :class:`RevisionPolicy` for the arguments."""
@@ -163,7 +156,9 @@ def revision_at(
             tree = stack.enter_context(history.revision(commit, extra, exits=exits))
         except HistoryError as error:
             raise RevisionError(f"{visible(text)}: {error}") from None
-        yield Revision(history, text, commit, tree, here, option)
+        is_hash = len(name) >= 7 and commit.startswith(name)
+        label = f"{REVISION}{commit:.7}" if is_hash else f"{visible(text)} ({commit:.7})"
+        yield Revision(history, label, commit, tree, here, option)
 
 
 def files_line(who: str, files: Mapping[str, str]) -> str:

@@ -42,38 +42,23 @@ class Revisions:
     """The revisions of this process of a session. Each worker of pytest-xdist has its own."""
 
     stack: ExitStack
-    _copies: dict[tuple[Path, str, str], Revision] = field(default_factory=dict)
-    _known: dict[tuple[str, str], OfTest | RevisionError] = field(default_factory=dict)
+    copies: dict[tuple[Path, str, str], Revision] = field(default_factory=dict)
+    known: dict[tuple[str, str], OfTest | RevisionError] = field(default_factory=dict)
 
-    def of(self, item: pytest.Item, against: str, paths: str) -> OfTest:
-        """Return the policy of an item's test in a revision, which gets present files that git ignores.
+    def built(self, item: pytest.Item, against: str, paths: str) -> OfTest:
+        """Start the process of the policy of an item's test in a revision, which gets the present files of ``paths``.
 
         Raises:
-            AgainstError: if there is no such revision, or its policy cannot be built.
+            RevisionError: if there is no such revision, or its policy cannot be built.
         """
-        key = (against, base_id(item))
-        if key not in self._known:
-            for other in self._known.values():  # Only one process at a time, since models may be large.
-                if isinstance(other, OfTest) and other.policy is not None:
-                    other.policy.close()
-            try:
-                self._known[key] = self._built(item, against, paths)
-            except RevisionError as error:
-                self._known[key] = error
-        known = self._known[key]
-        if isinstance(known, RevisionError):
-            raise AgainstError(f"against: {known}")
-        return known
-
-    def _built(self, item: pytest.Item, against: str, paths: str) -> OfTest:
         # One copy of the revision is for all tests of a repository, since it may be large.
         here, file = (Path(os.path.realpath(path)) for path in (item.config.invocation_params.dir, item.path))
         named = os.environ.get(OF_COMMAND, "")
         folder = here if named else file.parent
         key = (next((each for each in (folder, *folder.parents) if (each / ".git").exists()), folder), against, paths)
-        if key not in self._copies:
-            self._copies[key] = self.stack.enter_context(revision_at(against, folder, here, paths, COPY))
-        revision = self._copies[key]
+        if key not in self.copies:
+            self.copies[key] = self.stack.enter_context(revision_at(against, folder, here, paths, COPY))
+        revision = self.copies[key]
         # A command names a policy. Else it is that of the revision's own test. If there is none, the present test file
         # is put into the revision, next to all others, which remain as they were.
         if named:
@@ -124,7 +109,19 @@ def revision_of(item: pytest.Item, request: Request) -> OfTest | None:
     if REVISIONS not in stash:
         stash[REVISIONS] = Revisions(ExitStack())
         item.config.add_cleanup(stash[REVISIONS].stack.close)
-    return stash[REVISIONS].of(item, against, request.settings.copy or "")
+    revisions, key = stash[REVISIONS], (against, base_id(item))
+    if key not in revisions.known:
+        for other in revisions.known.values():  # Only one process at a time, since models may be large.
+            if isinstance(other, OfTest) and other.policy is not None:
+                other.policy.close()
+        try:
+            revisions.known[key] = revisions.built(item, against, request.settings.copy or "")
+        except RevisionError as error:
+            revisions.known[key] = error
+    known = revisions.known[key]
+    if isinstance(known, RevisionError):
+        raise AgainstError(f"against: {known}")
+    return known
 
 
 def compare(item: pytest.Item, harness: Harness) -> None:
