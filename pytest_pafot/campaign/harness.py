@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import inspect
 import re
-import sys
-import sysconfig
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.util import resolve_name
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +31,7 @@ from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
 from pytest_pafot.searching.fitness import referred_to
 from pytest_pafot.support.errors import DriverError
+from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object, preload, weights_digest
 from pytest_pafot.world.guard.failure import exits, let_through
@@ -69,37 +66,30 @@ def reference_of(
     """
     if given is None:
         return None
-    found = _reference_of(given, fixture)
-    same = same_policy(ads, found.ads)
-    if same:
-        raise AgainstError(f"against ({found.shown}): {same}")
-    return found
-
-
-def _reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) -> Reference:
-    if isinstance(given, str) and ":" not in given:
-        return Reference(ads=fixture(given), name=given)
+    if isinstance(given, RevisionPolicy):
+        return Reference(ads=given, name=given.label, commit=given.commit)
     if isinstance(given, str) and given.startswith(REVISION):
         raise AgainstError(
             f"against: expected a factory or its name as module:factory, received {given!r}; a revision is compared by "
             "pytest and by the commands search and progress"
         )
-    try:
-        ads = given
-        if isinstance(given, str):
-            module, name, *argument = given.split(":", 2)
-            ads = referred_to(f"{module}:{name}")
-            ads = partial(ads, *argument) if argument and callable(ads) else ads
-    except ValueError as error:
-        raise AgainstError(f"against: {error}") from error
-    if isinstance(ads, RevisionPolicy):
-        return Reference(ads=ads, name=ads.label, commit=ads.commit)
-    if not callable(ads):
+    found: Any = given
+    if isinstance(given, str):
+        module, *names = given.split(":", 2)
+        try:
+            found = referred_to(f"{module}:{names[0]}") if names else fixture(given)
+        except ValueError as error:
+            raise AgainstError(f"against: {error}") from error
+        found = partial(found, names[1]) if names[1:] and callable(found) else found
+    if not callable(found):
         raise AgainstError(
             "against: expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a "
-            f"fixture that returns a factory, received {ads!r:.100}. {hint_at_object(ads)}".removesuffix(". ")
+            f"fixture that returns a factory, received {found!r:.100}. {hint_at_object(found)}".removesuffix(". ")
         )
-    return Reference(ads=ads, name=given if isinstance(given, str) else _name_of(ads))
+    reference = Reference(ads=found, name=given if isinstance(given, str) else name_of(found))
+    if same := same_policy(ads, found):
+        raise AgainstError(f"against ({reference.shown}): {same}")
+    return reference
 
 
 def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
@@ -112,8 +102,8 @@ def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
         parts = [_parts(each) for each in (ads, other)]
         if None in parts or parts[0] != parts[1] or weights_digest(ads) != weights_digest(other):
             return ""
-        modules = [modules_behind(each) for each in (ads, other)]
-        if not modules[0] or _contents(modules[0], modules[1]) != _contents(modules[1], modules[0]):
+        files, others = source_files(ads), source_files(other)
+        if not files or _contents(files, others) != _contents(others, files):
             return ""
     return (
         "expected a policy that differs from the tested one, received one of the same name with the same files, so it "
@@ -130,59 +120,22 @@ def _parts(factory: Any) -> object:
     return None if name is None or "<" in name else name
 
 
-def modules_behind(factory: Any) -> set[Path]:
-    """Return the files of the user's modules: that of a factory, those that it imports, and those that these import."""
-    own = Path(__file__).parents[1]
-    while isinstance(factory, partial):
-        factory = factory.func
-    left, known, files = {getattr(factory, "__module__", None)}, set[object](), set[Path]()
-    while left:
-        name = left.pop()
-        known.add(name)
-        module = sys.modules.get(name) if isinstance(name, str) else None
-        path = Path(getattr(module, "__file__", None) or "")
-        libraries = (own, Path(sysconfig.get_path("stdlib")))
-        of_others = any(path.is_relative_to(each) for each in libraries) or "site-packages" in path.parts
-        if path.suffix != ".py" or not path.is_file() or of_others:
-            continue
-        files.add(path)
-        left |= _imports(path, getattr(module, "__package__", None) or "") - known
-    return files
-
-
-def _imports(path: Path, package: str) -> set[object]:
-    """Return the names of the modules that a file imports anywhere, and of all else that it imports."""
-    names: set[object] = set()
-    try:
-        nodes = [*ast.walk(ast.parse(path.read_bytes()))]
-    except SyntaxError:  # It was changed since it was imported.
-        return names
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            base = resolve_name(f"{'.' * node.level}{node.module or ''}", package)
-            names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
-    return names
-
-
 BY_ITS_PLACE = re.compile(rb"__file__|__path__|__spec__|__package__|resources|get_data")
 """What a module has that opens data next to it, so that a copy of the module opens other data."""
 
 
-def _contents(modules: set[Path], others: set[Path]) -> Counter[bytes]:
-    """Return the texts of modules and, if they open data by their own place, the hashes of data that only they have."""
-    texts = [path.read_bytes() for path in modules]
-    folders = {path.parent for path in modules} - {path.parent for path in others}
-    if not any(map(BY_ITS_PLACE.search, texts)):
-        return Counter(texts)
-    data = [
-        path for each in folders for path in each.rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc")
-    ]
-    return Counter([*texts, *(hashlib.sha256(path.read_bytes()).digest() for path in data)])
+def _contents(files: Mapping[Path, tuple[str, str]], others: Mapping[Path, tuple[str, str]]) -> Counter[str]:
+    """Return the hashes of files and, if they open data by their own place, those of data that only they have."""
+    hashes = Counter(digest for _, digest in files.values())
+    if any(path.is_file() and BY_ITS_PLACE.search(path.read_bytes()) for path in files):
+        folders = {path.parent for path in files} - {path.parent for path in others}
+        data = (path for folder in folders for path in folder.rglob("*") if path.suffix not in (".py", ".pyc"))
+        hashes.update(hashlib.sha256(path.read_bytes()).hexdigest() for path in data if path.is_file())
+    return hashes
 
 
-def _name_of(factory: Callable[..., Any]) -> str:
+def name_of(factory: Callable[..., Any]) -> str:
+    """Return ``module:name`` of a function or a class that a text can refer to; empty for any other factory."""
     name = f"{getattr(factory, '__module__', '')}:{getattr(factory, '__qualname__', '')}"
     try:
         return name if referred_to(name) is factory else ""

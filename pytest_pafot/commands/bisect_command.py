@@ -19,6 +19,7 @@ from pytest_pafot.campaign.saved_scenario import load
 from pytest_pafot.commands.history import History, HistoryError, copied, halved, inside
 from pytest_pafot.commands.policy_reference import BAD_USE
 from pytest_pafot.corpus.saved import named_file
+from pytest_pafot.execution.revision_policy import mapped
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.text import one_line, plural, visible
 
@@ -183,27 +184,21 @@ class Trials:
         told = self.tree.parent / "told.json"
         told.unlink(missing_ok=True)
         policy = [str(self.history.root / path) for path in self.history.paths]
-        moved = [self.tree / path.relative_to(self.history.root) for path in _import_folders(self.history.root)]
+        moved = [
+            entry for entry in mapped(sys.path, self.history.root, self.tree) if Path(entry).is_relative_to(self.tree)
+        ]
         above = [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
         environ = {
             **os.environ,
             TOLD: json.dumps({"file": str(told), "policy": policy}),
             # First the worktree: otherwise an editable installation would import the user's own files.
-            "PYTHONPATH": os.pathsep.join([*(str(path) for path in moved if path.is_dir()), *above]),
+            "PYTHONPATH": os.pathsep.join([*filter(os.path.isdir, moved), *above]),
             # Python takes a compiled file as valid if the source has the same size and time in seconds. Two commits
             # checked out within a second may agree in both.
             "PYTHONDONTWRITEBYTECODE": "1",
         }
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            str(self.file),
-            "-p",
-            "pafot",
-            "-p",
-            "pytest_pafot.plugin.bisect_session",
-        ]
+        plugins = ["-p", "pafot", "-p", "pytest_pafot.plugin.bisect_session"]
+        command = [sys.executable, "-m", "pytest", str(self.file), *plugins]
         self.folder.mkdir(parents=True, exist_ok=True)
         with _group(command, self.folder, environ) as session:
             try:
@@ -216,11 +211,6 @@ class Trials:
         lines = [line.strip() for line in words.splitlines() if line.strip()] or ["no word"]
         words = next((line[1:].strip() for line in lines if line.startswith("E ")), lines[-1])
         return {"passes": None, "why": one_line(visible(words))}
-
-
-def _import_folders(root: Path) -> list[Path]:
-    folders = [Path(os.path.realpath(entry)) for entry in sys.path]
-    return [folder for folder in folders if folder.is_relative_to(root) and not folder.is_relative_to(sys.prefix)]
 
 
 @contextmanager

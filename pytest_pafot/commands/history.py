@@ -135,12 +135,6 @@ class History:
         new = self._git("ls-files", "--others", "--exclude-standard", "-z")
         return [name for name in f"{changed}{new}".split("\0") if name]
 
-    def listed(self, commit: str) -> list[str]:
-        """Return the paths of all files of a commit."""
-        return [
-            name for name in self._git("ls-tree", "-r", "-z", "--name-only", "--full-tree", commit).split("\0") if name
-        ]
-
     def is_ignored(self, name: str) -> bool:
         """Return whether git ignores a file in the user's folder."""
         return bool(self._git("ls-files", "--others", "--ignored", "--exclude-standard", "-z", "--", name))
@@ -155,45 +149,43 @@ class History:
 
         The copy contains the files that git does not ignore, and ``extra``, which are paths relative to the root.
         """
-        with self._tree("HEAD", terminated=lambda: sys.exit(128 + signal.SIGTERM)) as tree:
+        with self._tree("HEAD", exits=True) as tree:
             own = [name for name in self.uncommitted() if self._is_copied(name)]
             for name in own:
                 with suppress(OSError):
                     (tree / name).unlink()  # a file that the user deleted, or a link, which must not be written through
-            for name in [*own, *extra]:
-                _copy(self.root / name, tree / name)
+            self._copy([*own, *extra], tree)
             yield tree
 
     @contextmanager
-    def revision(
-        self, commit: str, extra: Iterable[str], terminated: Callable[[], None] | None = None
-    ) -> Iterator[Path]:
+    def revision(self, commit: str, extra: Iterable[str], *, exits: bool = False) -> Iterator[Path]:
         """Provide a copy of all files of a commit, and remove the copy at the end.
 
         Submodules are copied from what is already cloned. ``extra`` are present files and folders, as paths relative to
-        the root; of these, the copy gets only what the commit does not have. For ``terminated`` see :meth:`_tree`.
+        the root; of these, the copy gets only what the commit does not have. For ``exits`` see :meth:`_tree`.
 
         Raises:
             HistoryError: if git fails, or a submodule that is checked out here was not cloned with its commit.
         """
-        with self._tree(commit, terminated) as tree:
+        with self._tree(commit, exits=exits) as tree:
             places = self._git("rev-parse", "--git-dir", "--git-common-dir").splitlines()
             modules = [Path(os.path.normpath(self.root / place / "modules")) for place in places]
             self._put_submodules(tree, self.root, commit, modules)
-            for name in extra:
-                for path in _files(self.root / name):
-                    target = tree / path.relative_to(self.root)
-                    if not os.path.lexists(target):
-                        target.parent.mkdir(parents=True, exist_ok=True)
-                        shutil.copy2(path, target, follow_symlinks=False)
+            self._copy(extra, tree, replaces=False)
             yield tree
+
+    def _copy(self, names: Iterable[str], tree: Path, *, replaces: bool = True) -> None:
+        """Copy files, links and all in folders into a worktree; without ``replaces``, only what it does not have."""
+        for path in (each for name in names for each in _files(self.root / name) if os.path.lexists(each)):
+            target = tree / path.relative_to(self.root)
+            if replaces or not os.path.lexists(target):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(path, target, follow_symlinks=False)
 
     def _put_submodules(self, tree: Path, root: Path, commit: str, modules: Sequence[Path], git_dir: str = "") -> None:
         """Fill the folders of the submodules of a commit; ``modules`` are the folders in which they may be cloned."""
         at = (f"--git-dir={git_dir}",) if git_dir else ()
-        lines = [
-            line for line in _git(self.root, *at, "ls-tree", "-r", "-z", "--full-tree", commit).split("\0") if line
-        ]
+        lines = _git(self.root, *at, "ls-tree", "-r", "-z", "--full-tree", commit).split("\0")
         links = [(line.split()[2], line.partition("\t")[2]) for line in lines if line.startswith("160000 ")]
         if not links:
             return
@@ -219,16 +211,16 @@ class History:
                     )
 
     @contextmanager
-    def _tree(self, commit: str, terminated: Callable[[], None] | None) -> Iterator[Path]:
+    def _tree(self, commit: str, *, exits: bool) -> Iterator[Path]:
         """Provide a worktree of a commit, and remove it at the end, also if SIGTERM ends this process.
 
         Args:
             commit: the commit.
-            terminated: what to do at SIGTERM, such as an exit that leaves this context. By default the worktree is
-                removed at once, and this process ends by the signal.
+            exits: True if SIGTERM raises SystemExit, which leaves this context. Where that may be caught, as by pytest,
+                the worktree is removed at once, and this process ends by the signal.
         """
         self._remove_leftovers()
-        folder, owner = Path(tempfile.mkdtemp(prefix=TREES)), os.getpid()
+        folder, owner = Path(os.path.realpath(tempfile.mkdtemp(prefix=TREES))), os.getpid()
         tree = folder / self.root.name  # a test may be imported by the name of this folder
         before: Any = None
 
@@ -238,8 +230,8 @@ class History:
             shutil.rmtree(folder, ignore_errors=True)
 
         def received(*_: object) -> None:
-            if terminated is not None:
-                terminated()
+            if exits:
+                sys.exit(128 + signal.SIGTERM)
             if os.getpid() == owner:
                 remove()
             signal.signal(signal.SIGTERM, before)
@@ -320,14 +312,6 @@ def inside(root: Path, folder: Path, path: str, what: str) -> Path:
     if not found.is_relative_to(root):
         raise HistoryError(f"{what}: expected a path inside the repository {root}, received {visible(path)}")
     return found.relative_to(root)
-
-
-def _copy(source: Path, target: Path) -> None:
-    if source.is_dir() and not source.is_symlink():  # a nested repository, or a folder of --copy
-        shutil.copytree(source, target, symlinks=True, dirs_exist_ok=True, ignore=shutil.ignore_patterns(".git"))
-    elif os.path.lexists(source):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(source, target, follow_symlinks=False)
 
 
 def _is_in_use(lock: Path) -> bool:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -16,10 +15,14 @@ from pytest_pafot.commands.history import History, HistoryError, copied
 from pytest_pafot.commands.revision_process import digest_of
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.execution.revision_policy import PACKAGE, RevisionError, RevisionPolicy
+from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import visible
 
 OF_COMMAND = "PYTEST_PAFOT_POLICY"
 """The environment variable with the policy that a command names, for the pytest session that it starts."""
+
+PROCESS = "pytest_pafot.commands.revision_process"
+"""The module whose ``main`` is the process of a policy that a command names."""
 
 NO_PART = (".md", ".rst", SUFFIX)
 """Endings of files that no policy drives by."""
@@ -35,38 +38,19 @@ class Revision:
     """A commit of the user's repository, with a copy of all of its files."""
 
     history: History
-    text: str  # as the user wrote it, such as rev:main
+    label: str  # its name and its commit, for texts
     commit: str
     tree: Path
+    here: Path  # the current folder
+    option: str  # the option that names files to copy, for texts
 
-    @property
-    def label(self) -> str:
-        """The name of the revision and its commit, for texts."""
-        name = self.text.removeprefix(REVISION)
-        is_hash = len(name) >= 7 and self.commit.startswith(name)
-        return f"{REVISION}{self.commit:.7}" if is_hash else f"{visible(self.text)} ({self.commit:.7})"
-
-    def policy(
-        self, here: Path, program: str, name: str, *, copy: str, session: tuple[str, ...] = ()
-    ) -> RevisionPolicy:
+    def policy(self, program: str, name: str, session: tuple[str, ...] = ()) -> RevisionPolicy:
         """Return a policy of this revision; see :class:`RevisionPolicy` for the arguments."""
-        root = self.history.root
-        folder = here.relative_to(root) if here.is_relative_to(root) else Path()
+        root, here = self.history.root, self.here
         return RevisionPolicy(
-            label=self.label,
-            commit=self.commit,
-            root=root,
-            tree=self.tree,
-            folder=folder,
-            program=program,
-            name=name,
-            session=session,
-            copy=copy,
-        )
-
-    def named(self, reference: str, here: Path, *, copy: str) -> RevisionPolicy:
-        """Return the policy that a command names as ``module:factory[:argument]``, in this revision."""
-        return self.policy(here, "pytest_pafot.commands.revision_process", reference, copy=copy)
+            label=self.label, commit=self.commit, root=root, tree=self.tree, copy=self.option, program=program,
+            folder=here.relative_to(root) if here.is_relative_to(root) else Path(), name=name, session=session,
+        )  # fmt: skip
 
     def lacks(self, missing: str) -> bool:
         """Return whether this revision does not have a policy yet, given what a process of it did not find there.
@@ -76,64 +60,58 @@ class Revision:
         if missing.startswith("fixture:"):
             return True
         module, colon, _ = missing.partition(":")
-        file = getattr(sys.modules.get(module), "__file__", None)
-        root = self.history.root
+        root, file = self.history.root, getattr(sys.modules.get(module), "__file__", None)
         if not module or file is None or not (here := Path(os.path.realpath(file))).is_relative_to(root):
             return False
         path = here.relative_to(root)
         return (bool(colon) or not (self.tree / path).exists()) and not self.history.is_ignored(path.as_posix())
 
-    def differing(self, seen: Mapping[str, str], test: str = "", others: Collection[str] = ()) -> list[str]:
-        """Return the files by which the present policy may differ from that of this revision; empty if it is the same.
+    def compared(self, seen: Mapping[str, str], test: str = "", others: Collection[str] = ()) -> tuple[list[str], str]:
+        """Return a line for each side, with its commit and files; and a sentence if nothing differs, else an empty one.
 
-        These are the files that it has seen and that are different now, and changed files that it may see in another
-        run: data, which native code opens unnoticed, and modules. A changed module is no part of it if it is not
-        imported now, is in no package of it, and is named nowhere in it.
+        A file differs if the policy of this revision has seen it, and it is another one now; and if it has changed and
+        the policy may see it in another run: data, which native code opens unnoticed, and modules. A changed module is
+        no part of the policy if it is not imported now, is in no package of it, and no import of it leads there.
 
         Args:
             seen: the hashes of the files that the policy of this revision has seen.
             test: the file of the test, if nothing in it is part of the policy.
             others: the other test files of the session, which are imported whether or not the policy needs them.
+
+        Raises:
+            RevisionError: if git fails.
         """
         root = self.history.root
-        changed = {name for name in self.history.uncommitted(self.commit) if _may_count(root / name, name)} - {test}
+        try:
+            head, dirty = self.history.named("HEAD"), self.history.uncommitted()
+            uncommitted = self.history.uncommitted(self.commit)
+        except HistoryError as error:
+            raise RevisionError(f"{self.label}: {error}") from None
+        modules = {}
+        for module in [*sys.modules.values()]:
+            file = getattr(module, "__file__", None)
+            if isinstance(file, str) and (path := Path(os.path.realpath(file))).is_relative_to(root):
+                modules[path.relative_to(root).as_posix()] = module
+        changed = {name for name in uncommitted if _may_count(root / name, name)} - {test}
         differ = {name for name, digest in seen.items() if _digest(root / name) != digest} - {test}
         packages = {PurePosixPath(name).parent for name in seen if name.endswith("__init__.py")}
-        loaded = loaded_in(root) - {*others}
-        left = {
+        apart = {
             name
-            for name in changed - {*seen} - loaded
+            for name in changed - {*seen} - (modules.keys() - {*others})
             if name.endswith(".py") and not name.endswith("conftest.py") and PurePosixPath(name).parent not in packages
         }
-        differ |= changed - left
-        return sorted(differ or self._reachable(seen, left))
-
-    def _reachable(self, seen: Iterable[str], changed: set[str]) -> set[str]:
-        """Return the changed modules that are named in files that were seen, or in modules named there, and so on."""
-        tree, root = self.tree, self.history.root
-        others = {name for name in self.history.listed(self.commit) if name.endswith(".py")} | changed
-        words: set[bytes] = set()
-        new = set(seen)
-        while new:
-            others -= new
-            for name in new:
-                for path in (tree / name, root / name):
-                    if path.is_file():
-                        words |= set(re.findall(rb"\w+", path.read_bytes()))
-            new = {name for name in others if os.fsencode(_module(name)) in words}
-        return changed - others
-
-
-def loaded_in(root: Path) -> set[str]:
-    """Return the files below a folder that are imported in this process, as paths relative to the folder."""
-    files = (getattr(module, "__file__", None) for module in [*sys.modules.values()])
-    paths = (Path(os.path.realpath(file)) for file in files if isinstance(file, str))
-    return {path.relative_to(root).as_posix() for path in paths if path.is_relative_to(root)}
-
-
-def _module(name: str) -> str:
-    path = PurePosixPath(name)
-    return path.parent.name if path.stem == "__init__" else path.stem
+        differ |= changed - apart
+        if not differ:  # Then what it has seen is as now, so that the present modules import what those of then did.
+            differ = apart & source_digests(*(modules[name] for name in seen if name in modules), here=root).keys()
+        # Those that differ come first, because long lists are cut.
+        names = sorted({*seen, *(differ & modules.keys())}, key=lambda name: (name not in differ, name))
+        now = {name: digest for name in names if (digest := _digest(root / name))}
+        changes = " and changes" if {*now, *seen} & {*dirty} else ""
+        lines = [
+            files_line(self.label, {name: seen[name] for name in names if name in seen}),
+            files_line(f"now ({head:.7}{changes})", now),
+        ]
+        return lines, "" if differ else f"the policy is that of {self.label}: nothing to compare"
 
 
 def _may_count(path: Path, name: str) -> bool:
@@ -148,7 +126,7 @@ def _digest(path: Path) -> str:
 
 @contextmanager
 def revision_at(
-    text: str, folder: Path, here: Path, paths: str, option: str, terminated: Callable[[], None] | None = None
+    text: str, folder: Path, here: Path, paths: str, option: str, *, exits: bool = False
 ) -> Iterator[Revision]:
     """Provide a revision of the repository around a folder, and remove its copy at the end.
 
@@ -158,7 +136,7 @@ def revision_at(
         here: the current folder, to which ``paths`` are relative.
         paths: the files and folders to copy, with spaces between them.
         option: the name of the option for these, for errors.
-        terminated: see :meth:`History.revision`.
+        exits: see :meth:`History.revision`.
 
     Raises:
         RevisionError: if there is no such revision, or it cannot be copied.
@@ -175,29 +153,16 @@ def revision_at(
             except ValueError as error:
                 raise HistoryError(f"{option}: expected paths as in a shell, received {paths!r}: {error}") from None
             extra = copied(history.root, here, names, option)
-            tree = stack.enter_context(history.revision(commit, extra, terminated))
+            tree = stack.enter_context(history.revision(commit, extra, exits=exits))
         except HistoryError as error:
             raise RevisionError(f"{visible(text)}: {error}") from None
-        yield Revision(history, text, commit, tree)
+        is_hash = len(name) >= 7 and commit.startswith(name)
+        label = f"{REVISION}{commit:.7}" if is_hash else f"{visible(text)} ({commit:.7})"
+        yield Revision(history, label, commit, tree, here, option)
 
 
 def files_line(who: str, files: Mapping[str, str]) -> str:
     """Return a line with the files of one side, each with the beginning of its hash."""
-    named = [f"{visible(name)} {digest[:7]}" for name, digest in [*files.items()][:SHOWN]]
+    named = [f"{visible(name)} {digest.removeprefix('sha256:'):.7}" for name, digest in [*files.items()][:SHOWN]]
     more = [f"and {len(files) - SHOWN} more"] if len(files) > SHOWN else []
     return f"{who}: {', '.join([*named, *more]) or 'no files'}"
-
-
-def sides(revision: Revision, seen: Mapping[str, str], differ: list[str]) -> list[str]:
-    """Return a line for each side with its commit and the user's files that it has imported or opened."""
-    root, history = revision.history.root, revision.history
-    names = [*seen, *(name for name in differ if name in loaded_in(root))]
-    now = {name: digest for name in dict.fromkeys(names) if (digest := _digest(root / name))}
-    changed = " and changes" if {*now, *seen} & {*history.uncommitted()} else ""
-    # Those that differ come first, because long lists are cut.
-    order = sorted(seen, key=lambda name: (name not in differ, name))
-    present = sorted(now, key=lambda name: (name not in differ, name))
-    return [
-        files_line(revision.label, {name: seen[name] for name in order}),
-        files_line(f"now ({history.named('HEAD'):.7}{changed})", {name: now[name] for name in present}),
-    ]

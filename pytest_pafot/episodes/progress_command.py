@@ -7,7 +7,6 @@ import csv
 import io
 import json
 import shlex
-import signal
 import sys
 import tempfile
 import time
@@ -37,8 +36,8 @@ from pytest_pafot.commands.policy_reference import (
     described,
 )
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
-from pytest_pafot.commands.revision import revision_at, sides
-from pytest_pafot.commands.revision_process import hashes_of
+from pytest_pafot.commands.revision import PROCESS, revision_at
+from pytest_pafot.commands.revision_process import Served
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.corpus.saved import read_saved_file
 from pytest_pafot.episodes.progress import LEVEL, PairRow, Result, lines_of, sentence_of, text_of, verdict_of
@@ -170,38 +169,33 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
             raise PlanError(problem)
     if plan.env_id:
         plan.traffic.environment.with_traffic()
-    if plan.revision is None:
-        same = same_policy(plan.factory("new"), plan.factory("old"))
-        if same:
-            raise PlanError(f"OLD: {same}")
+    if same := same_policy(plan.factory("new"), plan.factory("old")):
+        raise PlanError(f"OLD: {same}")
     for side in ("old", "new"):
         _check_set_up(plan, side)
     return plan
 
 
 @contextmanager
-def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[ProgressPlan, list[str], bool]]:
-    """Provide the plan with the policy of its revision, if it names one; lines on both sides; and if they are the same.
+def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[ProgressPlan, list[str], str]]:
+    """Provide the plan with the policy of its revision, if it names one; lines on both sides; why they are the same.
 
     Raises:
         PlanError: if the revision does not have the policy.
         RevisionError: if there is no such revision, or its policy cannot be built.
     """
     if not plan.old.startswith(REVISION):
-        yield plan, [], False
+        yield plan, [], ""
         return
     here, name = Path.cwd().resolve(), plan.new.removesuffix(PLANNER)
     plan.factory("new")
-    end = partial(sys.exit, 128 + signal.SIGTERM)
-    with revision_at(plan.old, here, here, shlex.join(copy), "--copy", terminated=end) as revision:
-        policy = revision.named(name, here, copy="--copy")
+    with revision_at(plan.old, here, here, shlex.join(copy), "--copy", exits=True) as revision:
+        policy = revision.policy(PROCESS, name)
         try:
-            policy.built()
+            policy.start()
             # After a run, since a policy may open its weights late.
             next(replace(plan, revision=policy).judged("old", range(1)))
-            seen = policy.call(hashes_of)
-            differ = revision.differing(seen)
-            yield replace(plan, revision=policy), sides(revision, seen, differ), not differ
+            yield replace(plan, revision=policy), *revision.compared(policy.call(Served.hashes))
         except RevisionError as error:
             if not revision.lacks(error.missing):
                 raise
@@ -366,13 +360,13 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         same["episodes"] = episodes
         plan, workers = ProgressPlan(env_id=given.world, config=config, saved=tuple(saved), **same), given.workers
         workers, rows = worker_count(workers), []
-        with _of_revision(plan, given.copy) as (plan, both, is_same):
-            if not is_same:
+        with _of_revision(plan, given.copy) as (plan, both, same_as):
+            if not same_as:
                 rows = _compared(checked(plan), workers)
         old = plan.old if plan.revision is None else plan.revision.label
-        lines, sentence = lines_of(rows), f"the policy is that of {old}: nothing to compare"
-        verdict, shown = verdict_of(lines), f"{sentence}\n"
-        if not is_same:
+        lines = lines_of(rows)
+        verdict, sentence, shown = verdict_of(lines), same_as, f"{same_as}\n"
+        if not same_as:
             sentence, shown = sentence_of(old, plan.new, lines), f"{text_of(old, plan.new, rows)}{_hint(plan, rows)}"
         shown += "".join(["\n", *(f"- {line}\n" for line in both)]) if both else ""
         sys.stdout.write(shown)
@@ -398,7 +392,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     except OSError as error:
         sys.stderr.write(f"progress: {error}; {way_out(error, 'or give another file')}\n")
         return BAD_USE
-    is_failed = {"worse": "worse" in verdict, "not-better": verdict != "better" and not is_same}
+    is_failed = {"worse": "worse" in verdict, "not-better": verdict != "better" and not same_as}
     return int(is_failed.get(given.fail_on, False))
 
 

@@ -6,6 +6,7 @@ Requests and answers are pickled values between our own processes.
 
 from __future__ import annotations
 
+import math
 import os
 import pickle
 import signal
@@ -14,9 +15,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -79,18 +80,14 @@ class RevisionPolicy:
     session: tuple[str, ...] = ()
     copy: str
 
+    @property
+    def hint(self) -> str:
+        """The likely way out if the policy cannot be used."""
+        return f"files that git ignores, such as weights, need {self.copy}"
+
     def __call__(self) -> NoReturn:
         """Refuse to make an ADS in this process."""
         raise AdsFactoryError(f"{self.label}: expected a run in the process of this revision, received a call here")
-
-    def mapped(self, entries: Iterable[str]) -> list[str]:
-        """Return folders of imports, in which those of the repository are replaced by those of the copy."""
-        mapped = []
-        for entry in entries:
-            here = Path(os.path.realpath(entry or os.curdir))
-            is_own = here.is_relative_to(self.root) and not here.is_relative_to(os.path.realpath(sys.prefix))
-            mapped.append(str(self.tree / here.relative_to(self.root)) if is_own else str(entry))
-        return mapped
 
     def call(self, function: Callable[..., T], *arguments: Any) -> T:
         """Return ``function(built, *arguments)`` as the process computes it; ``built.factory`` is the factory there.
@@ -102,13 +99,13 @@ class RevisionPolicy:
         """
         return _process(self, os.getpid()).call(function, arguments)
 
-    def built(self) -> Mapping[str, Any]:
-        """Return what the process says about the factory, which it builds now if it has not.
+    def start(self) -> str:
+        """Start the process, if there is none. Return ``module:name`` of the factory there; empty if it has none.
 
         Raises:
             RevisionError: if the process cannot be started, or the policy cannot be built there.
         """
-        return _process(self, os.getpid()).started()
+        return _process(self, os.getpid()).start()
 
     def close(self) -> None:
         """End the process of this policy, if there is one."""
@@ -140,6 +137,16 @@ def rolled(built: Any, method: str, world: Any, scenario: Scenario) -> Trace:
     return trace
 
 
+def mapped(entries: Iterable[str], root: Path, tree: Path) -> list[str]:
+    """Return folders of imports, in which those of the repository ``root`` are replaced by those of its copy."""
+    folders = []
+    for entry in entries:
+        here = Path(os.path.realpath(entry or os.curdir))
+        is_own = here.is_relative_to(root) and not here.is_relative_to(os.path.realpath(sys.prefix))
+        folders.append(str(tree / here.relative_to(root)) if is_own else str(entry))
+    return folders
+
+
 @cache
 def _process(policy: RevisionPolicy, pid: int) -> _Process:
     """Return this process's connection to the process of a policy. A forked process (another ``pid``) has its own."""
@@ -151,37 +158,33 @@ class _Process:
     """A process with the policy of a revision, started by the first call, and again after it died."""
 
     policy: RevisionPolicy
-    _: KW_ONLY
     clock: Callable[[], float] = time.monotonic
     _popen: subprocess.Popen[bytes] | None = field(default=None, init=False)
     _connection: Connection = field(init=False)
-    _log: Any = field(init=False)
-    _told: Mapping[str, Any] = field(default_factory=dict, init=False)
+    _factory: str = field(default="", init=False)
+    _log: Any = field(init=False)  # what the process prints, which must not reach the connection
+    _last_words: str = field(default="", init=False)  # the last line that an ended process has printed
 
-    def started(self) -> Mapping[str, Any]:
+    def start(self) -> str:
         if self._popen is not None:
-            return self._told
+            return self._factory
+        policy, above = self.policy, os.environ.get("PYTHONPATH", "")
         if not hasattr(socket, "AF_UNIX"):
-            raise RevisionError(f"{self.policy.label}: expected a system with Unix sockets, received {sys.platform}")
-        policy, (own, other) = self.policy, socket.socketpair()
-        # What the policy prints must not reach the connection, which has a descriptor of its own.
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115  (closed with the process)
+            raise RevisionError(f"{policy.label}: expected a system with Unix sockets, received {sys.platform}")
+        own, other = socket.socketpair()
         self._connection = Connection(own.detach())
-        above = os.environ.get("PYTHONPATH", "")
-        environ = {
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(policy.mapped(above.split(os.pathsep))) if above else "",
-            "PYTHONDONTWRITEBYTECODE": "1",
-        }
-        command = [sys.executable, "-c", BOOT.format(program=policy.program), str(PACKAGE.parent), str(other.fileno())]
-        folder = policy.tree / policy.folder
-        folder.mkdir(parents=True, exist_ok=True)
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115  (closed with the process)
+        (policy.tree / policy.folder).mkdir(parents=True, exist_ok=True)
         with other:
             # In its own group, so that Ctrl-C leaves it to this process, which ends it with all that it has started.
             self._popen = subprocess.Popen(  # noqa: S603  (no shell)
-                command,
-                cwd=folder,
-                env=environ,
+                [sys.executable, "-c", BOOT.format(program=policy.program), str(PACKAGE.parent), str(other.fileno())],
+                cwd=policy.tree / policy.folder,
+                env={
+                    **os.environ,
+                    "PYTHONPATH": os.pathsep.join(self._mapped(above.split(os.pathsep) if above else [])),
+                    "PYTHONDONTWRITEBYTECODE": "1",
+                },
                 stdin=subprocess.DEVNULL,
                 stdout=self._log,
                 stderr=subprocess.STDOUT,
@@ -189,48 +192,30 @@ class _Process:
                 start_new_session=True,
             )
         try:
-            self._connection.send((policy, policy.mapped(sys.path)))
-            self._told = self._answer(self.clock() + LONGEST_BUILD)
-        except (EOFError, OSError, TimeoutError) as error:
-            why = f"no answer within {LONGEST_BUILD:g} s" if isinstance(error, TimeoutError) else self._end()
-            why += self._last_words()
-            self.close(at_once=True)
+            said = self._ask(pickle.dumps((policy, self._mapped(sys.path))), None, LONGEST_BUILD)
+        except ProcessLostError as error:
+            why = f"{error.how}{self._last_words and f' ({self._last_words})'}"
             raise RevisionError(f"{policy.label}: expected a process with its policy, received {why}") from None
-        except BaseException:
-            self.close(at_once=True)
-            raise
-        if "error" in self._told:
-            told = self._told
+        if isinstance(said, RevisionError):
             self.close()
-            raise RevisionError(
-                f"{policy.label}: expected the policy {policy.name} to be built from that revision, received "
-                f"{told['error']}; files that git ignores, such as weights, need {policy.copy}",
-                told["missing"],
-            )
-        return self._told
+            raise said
+        self._factory = said
+        return self._factory
 
     def call(self, function: Callable[..., T], arguments: tuple[Any, ...]) -> T:
-        self.started()
+        self.start()
+        label = self.policy.label
         try:
             request = pickle.dumps((function, arguments))
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise RevisionError(
-                f"{self.policy.label}: expected a world that can be sent to the process of this revision, received one "
-                f"that raises {type(error).__name__}: {error}; define its class in a module"
+                f"{label}: expected a world that can be sent to the process of this revision, received one that raises "
+                f"{type(error).__name__}: {error}; define its class in a module"
             ) from None
-        try:
-            self._connection.send_bytes(request)
-            said, strangers = self._answer()
-        except (EOFError, OSError):
-            how, pid, code = self._end(), self._popen.pid if self._popen else 0, self._popen and self._popen.wait()
-            self.close(at_once=True)
-            raise ProcessLostError(arguments[-1], pid=pid, how=how, is_hang=code == STUCK) from None
-        except BaseException:  # An interrupt: its answer would be taken for that of the next call.
-            self.close(at_once=True)
-            raise
+        said, strangers = self._ask(request, arguments[-1] if arguments else function)
         if strangers:
             raise RevisionError(
-                f"{self.policy.label}: expected a policy that imports and opens files of its own revision, received "
+                f"{label}: expected a policy that imports and opens files of its own revision, received "
                 f"{', '.join(map(visible, strangers[:3]))}, of your present files: it would be compared with itself; "
                 "name files relative to the module (`Path(__file__).parent`), and put the folder that an editable "
                 "installation imports from on the path (pytest: `pythonpath = src`)"
@@ -241,44 +226,46 @@ class _Process:
         if isinstance(said, AdsFactoryError | WorldError | ScenarioError | RevisionError):
             raise said
         text = one_line(visible(f"{type(said).__name__}: {said}".replace(f"{self.policy.tree}{os.sep}", "")))
-        raise RevisionError(
-            f"{self.policy.label}: expected a policy that drives, received {text}; files that git ignores, such as "
-            f"weights, need {self.policy.copy}"
-        )
+        raise RevisionError(f"{label}: expected a policy that drives, received {text}; {self.policy.hint}")
 
-    def _answer(self, until: float | None = None) -> Any:
-        while not self._connection.poll(POLL):
-            if until is not None and self.clock() > until:
-                raise TimeoutError
-            if self._popen is not None and self._popen.poll() is not None and not self._connection.poll():
-                raise EOFError
-        return pickle.loads(self._connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
+    def _ask(self, request: bytes, task: object, limit: float = math.inf) -> Any:
+        """Return the answer to a request; without one, end the process, so that the next call starts another."""
+        popen, until = self._popen, self.clock() + limit
+        try:
+            self._connection.send_bytes(request)
+            while not self._connection.poll(POLL):
+                if self.clock() > until:
+                    raise TimeoutError
+                if popen is not None and popen.poll() is not None and not self._connection.poll():
+                    raise EOFError
+            return pickle.loads(self._connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
+        except BaseException as error:  # also an interrupt: its answer would be taken for that of the next call
+            is_lost = popen is not None and isinstance(error, EOFError | OSError)
+            self.close(FAREWELL if is_lost else 0.0)
+            if popen is None or not is_lost:
+                raise
+            is_hang, how = popen.returncode == STUCK, ending(popen.returncode)
+            if isinstance(error, TimeoutError):
+                how = f"no answer within {limit:g} s"
+            elif is_hang:
+                how = "hung, ignored every interrupt and was ended"
+            raise ProcessLostError(task, pid=popen.pid, how=how, is_hang=is_hang) from None
 
-    def _end(self) -> str:
-        """Return how the process ended."""
-        if self._popen is None:
-            return "no process"
-        with suppress(subprocess.TimeoutExpired):
-            self._popen.wait(FAREWELL)
-        hung = "hung, ignored every interrupt and was ended"
-        return hung if self._popen.returncode == STUCK else ending(self._popen.returncode)
+    def _mapped(self, entries: Iterable[str]) -> list[str]:
+        return mapped(entries, self.policy.root, self.policy.tree)
 
-    def _last_words(self) -> str:
-        """Return the last line that the process has printed, for an end that nothing else explains."""
-        self._log.seek(0)
-        lines = [line.strip() for line in self._log.read()[-4000:].decode("utf-8", "replace").splitlines()]
-        words = next((line for line in reversed(lines) if line), "")
-        return f" ({one_line(visible(words))})" if words else ""
-
-    def close(self, *, at_once: bool = False) -> None:
-        """End the process; unless ``at_once``, it may first tear its fixtures down."""
+    def close(self, patience: float = LONGEST_END) -> None:
+        """End the process, if there is one. It has some time to tear its fixtures down and to end by itself [s]."""
         popen, self._popen = self._popen, None
         if popen is None:
             return
         self._connection.close()  # The process ends at the end of its requests.
         with suppress(subprocess.TimeoutExpired):
-            popen.wait(0 if at_once else LONGEST_END)
+            popen.wait(patience)
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(popen.pid, signal.SIGKILL)  # Also what the policy has started, even if it has ended itself.
         popen.wait()
-        self._log.close()
+        with self._log as log:
+            log.seek(max(0, log.seek(0, os.SEEK_END) - 4000))
+            lines = [line for line in log.read().decode("utf-8", "replace").splitlines() if line.strip()]
+        self._last_words = one_line(visible(lines[-1].strip())) if lines else ""

@@ -11,10 +11,12 @@ import pytest
 
 from pytest_pafot.campaign.harness import checked_factory
 from pytest_pafot.campaign.options import OPTIONS
-from pytest_pafot.commands.revision_process import NO_TEST, Beginning, begun, failed, serve
+from pytest_pafot.commands.revision_process import NO_TEST, Served, begun, failed, serve
+from pytest_pafot.execution.revision_policy import RevisionError
 from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.item_checks import REQUEST
 from pytest_pafot.plugin.node_ids import qualified_name
+from pytest_pafot.world.driving.ads import preload
 
 WITHOUT: Mapping[str, object] = {
     **dict.fromkeys([*(option.key for option in OPTIONS), "xmlpath", "htmlpath", "basetemp", "report_log"]),
@@ -27,10 +29,10 @@ WITHOUT: Mapping[str, object] = {
 class Serving:
     """The hooks that select the test, and drive its policy in place of the test."""
 
-    def __init__(self, beginning: Beginning) -> None:
-        self.beginning = beginning
-        self.failure: dict[str, Any] | None = None
-        self.is_over = False
+    def __init__(self, served: Served) -> None:
+        self.served, self.policy = served, served.policy
+        self.failure: RevisionError | None = None
+        self.is_served = False
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_configure(self, config: pytest.Config) -> None:
@@ -42,7 +44,7 @@ class Serving:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> Generator[None, None, None]:
         """Select the search of the test, whatever the user's own options select."""
-        own = [each for each in items if is_search(each) and qualified_name(each) == self.beginning.policy.name]
+        own = [each for each in items if is_search(each) and qualified_name(each) == self.policy.name]
         yield
         items[:] = own[:1]
         for item in items:
@@ -55,12 +57,12 @@ class Serving:
             error = call.excinfo.value
             missing = f"fixture:{error.argname}" if isinstance(error, pytest.FixtureLookupError) else ""
             # pytest wraps what an import raises
-            self.failure = failed(self.beginning.policy, error.__cause__ or error, missing)
+            self.failure = failed(self.policy, error.__cause__ or error, missing)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Remember that the test is skipped in this revision."""
-        if report.skipped and self.failure is None and not self.is_over:
-            self.failure = {"error": f"a test that is skipped there: {report.longrepr}", "missing": ""}
+        if report.skipped and self.failure is None and not self.is_served:
+            self.failure = failed(self.policy, f"a test that is skipped there: {report.longrepr}")
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_call(self, item: pytest.Item) -> None:
@@ -69,21 +71,22 @@ class Serving:
         ads = request.ads
         fixtures = getattr(item, "funcargs", {})
         factory = checked_factory(fixtures[ads], ads) if isinstance(ads, str) else ads
-        self.is_over = True
-        serve(self.beginning, factory)
+        preload(factory)
+        self.is_served = True
+        serve(self.served, factory)
         pytest.skip("the user's session has ended")  # in place of the search of this revision
 
 
 def main(descriptor: int) -> None:
     """Set up the fixtures of a test, and serve its policy."""
     os.environ.pop("GITHUB_STEP_SUMMARY", None)
-    with begun(descriptor) as beginning:
-        serving = Serving(beginning)
-        code = pytest.main(list(beginning.policy.session), plugins=[serving])
-        if serving.is_over:
+    with begun(descriptor) as served:
+        serving = Serving(served)
+        code = pytest.main(list(served.policy.session), plugins=[serving])
+        if serving.is_served:
             sys.exit(0)
         if serving.failure is None and code in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
-            serving.failure = {"error": "no such test", "missing": NO_TEST}
+            serving.failure = failed(served.policy, "no such test", NO_TEST)
         if serving.failure is not None:
-            beginning.connection.send(serving.failure)
+            served.connection.send(serving.failure)
         sys.exit(code)  # An error of pytest's own is in its last words.

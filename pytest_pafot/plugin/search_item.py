@@ -36,7 +36,7 @@ from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
-from pytest_pafot.plugin.revisions import compare, reference, revision_of
+from pytest_pafot.plugin.revisions import compare, revision_of
 from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.plugin.session_records import tell_finding
@@ -87,10 +87,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
     factory = checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads
-    if revision is None:
-        compared = reference_of(against, lambda name: checked_factory(item.funcargs[name], name), factory)
-    else:
-        compared = reference(revision)
+    given = against if revision is None else revision.policy
     return Harness(
         request=request,
         world=world,
@@ -103,7 +100,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         records=records_folder(item, request.settings),
         root=item.config.rootpath,
         versions=installed_versions(),
-        against=compared,
+        against=reference_of(given, lambda name: checked_factory(item.funcargs[name], name), factory),
         executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
         states=None if resume is None else here / resume,
     )

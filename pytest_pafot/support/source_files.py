@@ -30,10 +30,19 @@ class _Source(NamedTuple):
 
 
 def source_digests(*values: object, here: Path) -> dict[str, str]:
-    """Return the hashes of the user's source files that define some objects, and of all files that these import.
+    """Return the hashes of the files of :func:`source_files`, sorted by their names.
 
-    The keys are paths relative to the folder ``here``, or the names of modules that are not below it, sorted. An object
-    is a module, a class, a function, or anything that can be called; other objects have no source.
+    The keys are paths relative to the folder ``here``, or the names of modules that are not below it.
+    """
+    files = source_files(*values).items()
+    return dict(sorted((_key(name, file, here.resolve()), digest) for file, (name, digest) in files))
+
+
+def source_files(*values: object) -> dict[Path, tuple[str, str]]:
+    """Return the user's source files that define some objects, and all files that these import.
+
+    Each path has the name of its module and the hash of its content. An object is a module, a class, a function, or
+    anything that can be called; other objects have no source.
     """
     found: dict[Path, tuple[str, str]] = {}
     left = [source for value in values for source in _defining(value, set())]
@@ -45,11 +54,11 @@ def source_digests(*values: object, here: Path) -> dict[str, str]:
         try:
             content = file.read_bytes()
         except OSError as error:  # as for a module in an archive, or a file that was removed after its import
-            found[file] = _key(source, file, here), f"unreadable: {error.strerror}"
+            found[file] = source.name, f"unreadable: {error.strerror}"
             continue
-        found[file] = _key(source, file, here), f"sha256:{hashlib.sha256(content).hexdigest()[:16]}"
+        found[file] = source.name, f"sha256:{hashlib.sha256(content).hexdigest()[:16]}"
         left += _imported(source, content)
-    return dict(sorted(found.values()))
+    return found
 
 
 def _defining(value: object, seen: set[int]) -> Iterator[_Source]:
@@ -166,5 +175,5 @@ def _library_folders() -> tuple[str, ...]:
     return tuple(str(Path(paths[name]).resolve()) for name in ("stdlib", "platstdlib"))
 
 
-def _key(source: _Source, file: Path, here: Path) -> str:
-    return file.relative_to(here.resolve()).as_posix() if file.is_relative_to(here.resolve()) else source.name
+def _key(name: str, file: Path, here: Path) -> str:
+    return file.relative_to(here).as_posix() if file.is_relative_to(here) else name

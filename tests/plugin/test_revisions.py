@@ -11,7 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from pytest_pafot.commands.revision import PROCESS
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.revision_policy import RevisionPolicy
 from tests.helpers.tables import table
 
 pytestmark = [
@@ -245,6 +248,43 @@ def test_reference_that_dies_hangs_or_raises_has_failed(repository, decision, ho
     result = run(repository, "--pafot-runs=1", generations=None)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines([f"*the reference itself failed in all its runs, at first with {how}*"])
+
+
+def test_weights_that_cannot_be_loaded_are_named(repository):
+    loads = "class Lost:\n    def preload(self):\n        raise OSError('no net')\n"
+    loads += "    def __call__(self):\n        return lambda seen: (0.0, 0.0)\n\nAdapter = Lost()\n"
+    commit(repository, **{"pkg/adapter.py": loads})
+    write(repository, {"pkg/adapter.py": ADAPTER})
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines(["*against: rev:main (*received OSError: no net (*adapter.py:3); files that git *"])
+
+
+def test_branch_without_a_commit_is_a_usage_error(repository):
+    git(repository, "checkout", "-q", "--orphan", "empty")
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines(["*against (rev:main (*)): *received 'HEAD', which does not exist in *"])
+
+
+def dies(served):
+    os._exit(7)
+
+
+def test_process_that_dies_in_any_call_is_lost_and_starts_again(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path / "present")
+    (tmp_path / "planner.py").write_text("def make():\n    return lambda seen: (0.0, 0.0)\n")
+    policy = RevisionPolicy(
+        label="rev:main", commit="", root=tmp_path / "present", tree=tmp_path, folder=Path(), copy="--copy",
+        program=PROCESS, name="planner:make",
+    )  # fmt: skip
+    try:
+        for _ in range(2):
+            with pytest.raises(ProcessLostError, match="ended with exit code 7"):
+                policy.call(dies)
+        assert policy.start() == "planner:make"
+    finally:
+        policy.close()
 
 
 def test_prints_of_a_policy_do_not_reach_the_session(repository):
