@@ -129,12 +129,13 @@ def write_whole(path: Path, content: str | bytes) -> None:
         OSError: if the file cannot be written; no partial file is left behind.
     """
     data = content.encode() if isinstance(content, str) else content
-    with contextlib.suppress(FileNotFoundError):
+    mode = 0
+    with contextlib.suppress(OSError):  # If it cannot be looked at, writing it fails as well, or there is no such file.
         mode = path.lstat().st_mode
-        if stat.S_ISCHR(mode) or stat.S_ISFIFO(mode):
-            path.write_bytes(data)
-            return
-    _through_temporary(path, data, Path.replace)
+    if stat.S_ISCHR(mode) or stat.S_ISFIFO(mode):
+        path.write_bytes(data)
+    else:
+        _through_temporary(path, data, Path.replace)
 
 
 def write_if_free(path: Path, content: bytes) -> bool:
