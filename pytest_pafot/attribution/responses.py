@@ -246,7 +246,8 @@ def _fewer(phases: list[_Stretch], due: int | None, lasting: int) -> list[_Stret
         place = min(inner, key=lambda at: found[at].change)
         left, after, before = found[place], found[place + 1], found[place - 1] if place else None
         if before is None or left.is_rise == after.is_rise or before.is_rise != after.is_rise:
-            del found[place]
+            is_part = not left.is_rise and after.doing in (Doing.BRAKED_HARDER, Doing.EASED_OFF)
+            found[place : place + 2] = [left.joined(after) if is_part else after]
         else:
             both = before.joined(after)
             if left.change >= CLEAR or after.begin - before.over >= lasting:

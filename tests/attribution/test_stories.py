@@ -101,6 +101,7 @@ FALSE = [
     ("The ego should have braked from 1.7 s. It braked with up to 2.9 m/s^2 from 3.0 s on.", ["braked up to"]),
     ("The ego should have braked from 1.7 s. It braked with up to 1.9 m/s^2 from 3.0 s on.", ["speeding up is told"]),
     ("The ego should have braked harder from 1.7 s but did not.", ["braking when it was due"]),
+    ("The ego should have braked from 1.7 s. It eased off to at most 1.9 m/s^2 at 4.0 s.", ["harder than before"]),
     ("The ego should have kept braking hard from 4.0 s on.", ["braking so hard when due"]),
     ("The ego should have waited but set off at 5.2 s.", ["set off"]),
     ("The ego should not have sped up from 3.0 s on, to 18.1 m/s.", ["braking is told"]),

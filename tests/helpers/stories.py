@@ -112,6 +112,14 @@ class Story:
         return sorted(wrong)
 
     def claims(self, entry):
+        names = [name for name, _ in self.deeds]
+        yield (
+            "harder than before",
+            not any(
+                name in ("harder", "eased") and (not at or names[at - 1] not in (*BRAKED, "rose repeatedly"))
+                for at, name in enumerate(names)
+            ),
+        )
         times = [float(found["time"]) for name, found in self.deeds if name != "further"]
         yield "order", times == sorted(times)
         if self.duty in ("braked", "braked harder", "kept braking"):
