@@ -81,7 +81,8 @@ CLEAR = 1.0
 """The least change of speed in between that separates two brakings, however short the pause, and for which a vehicle
 braked, or sped up, again and again [m/s]."""
 MOST = 3
-"""The largest number of phases that are told of a vehicle's response."""
+EARLIER = 2
+"""The largest number of phases that are told of a vehicle's response, and of those before braking was due besides."""
 
 
 def room_to_leave(follower: float, mover: float) -> float:
@@ -231,7 +232,9 @@ def _fewer(phases: list[_Stretch], due: int | None, lasting: int) -> list[_Stret
     ``lasting`` is the number of ticks for which a pause between two brakings is not hidden.
     """
     found = list(phases)
-    while len(found) > MOST:
+    early = 0 if due is None else sum(each.begin <= due for each in found[1:])
+    most = MOST + min(early, EARLIER)
+    while len(found) > most:
         alike = [
             at
             for at in range(len(found) - 2)
@@ -329,7 +332,7 @@ class Conduct:
         return fact._replace(what=what, due_s=None, phases=told, mistake=risen[-1])
 
     def phases(self) -> tuple[Phase, ...]:
-        """Return what the vehicle did up to the impact, in its order, in at most three phases and how they ended.
+        """Return what the vehicle did up to the impact, in its order, in a few phases and how they ended.
 
         A phase that had begun before the danger counts from its beginning, and a clear braking that ended just before
         the danger belongs to it. Of more phases, those with the least change of speed are left out, but never the last

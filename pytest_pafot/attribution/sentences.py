@@ -252,8 +252,8 @@ def _answer(fact: Fact) -> list[str]:
     at, is_braking = _begun(fact)
     asked = due if due is not None else phases[at].time_s if at else fact.time_s
     late = next((each for each in phases[at:] if each.doing in BEGUN and each.time_s > asked), None)
-    is_hidden = not at or any(each.doing in REPEATED for each in phases)
-    if late is not None and late.is_again and is_hidden:
+    is_repeated = any(each.doing in REPEATED for each in phases)
+    if late is not None and late.is_again and (is_repeated or not at):
         late = None  # an earlier braking may have been left out
     told = [_clause(each, is_late=each is late) for each in phases]
     if fact.what is What.DROVE:
@@ -262,7 +262,7 @@ def _answer(fact: Fact) -> list[str]:
     if fact.what is What.SHOULD_HAVE_BRAKED and due is not None:
         duty = f"should have braked {'harder ' if is_braking else 'again ' if at else ''}from {due:.1f} s"
         if not phases[at:]:
-            duty += " but did not"
+            duty += "" if is_repeated else " but did not"
         elif phases[at].doing in RISING:
             instead = "Instead it" if phases[at].time_s <= due else "It did not, but"
     elif fact.what is What.SHOULD_HAVE_BRAKED_ON:

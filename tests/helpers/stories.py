@@ -112,6 +112,9 @@ class Story:
         return sorted(wrong)
 
     def claims(self, entry):
+        if "but did not" in self.text and self.duty == "braked":
+            due = self.ticks(self.due["time"])[-1]
+            yield "did not", all(lost < CLEAR for *_, lost in self.brakings(due, self.end))
         names = [name for name, _ in self.deeds]
         yield (
             "harder than before",
