@@ -67,6 +67,8 @@ braking may end that belongs to it; and the least duration of a gentle end of a 
 vehicle then released the brakes [s]."""
 LOST = 0.2
 """The least loss of speed that counts as braking in the sentences of a verdict [m/s]."""
+HARDLY = 0.05
+"""The difference from the hardest required braking that rounding hides [m/s^2]."""
 HARD, EASED = 0.5, 0.75
 """The shares of the hardest deceleration of a braking at which its hard part begins, and below which it ends."""
 STEADY = 0.3
@@ -132,6 +134,8 @@ def answer(
     if until is not None:
         recent = range(until, max(until - math.ceil(PAUSE * hz), -1), -1)
         held = next((tick for tick in recent if slowed[tick] >= BRAKES), None)
+        if held is not None and slowed[held] < HARDEST - HARDLY and not avoids(held, float(slowed[held])):
+            held = None
     conduct = Conduct(
         vehicle=vehicle,
         speeds=trace.states[:, vehicle, SPEED],
@@ -139,7 +143,7 @@ def answer(
         since=since,
         danger=since if danger is None else min(danger, since),
         due=until,
-        held=held if held is not None and avoids(held, float(slowed[held])) else None,
+        held=held,
         entry=entry,
         is_in_time=is_due and until is not None and (entry is None or entry > since),
     )
