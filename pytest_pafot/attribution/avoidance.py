@@ -138,10 +138,14 @@ class Pursuit:
             is_hit = self._is_hit(since, self._driven(since, *_later(spare, response, emergency))[1])
         return None if is_hit else since
 
-    def is_avoided_by_braking(self, since: int) -> bool:
-        """Return whether braking to a standstill from a tick on, with the recorded speed at that tick, avoids a hit."""
+    def is_avoided_by_braking(self, since: int, rate: float = HARDEST) -> bool:
+        """Return whether braking at a rate [m/s^2] to a standstill from a tick on avoids a hit.
+
+        The braking begins with the recorded speed at that tick.
+        """
         hz, end = self.hz, len(self.ahead) - 1
-        speeds = np.maximum(self.speeds[0][since] - np.arange(end - since + HORIZON * hz) * (HARDEST / hz), 0.0)
+        steps = end - since + math.ceil(max(HORIZON, float(self.speeds[0][since]) / rate) * hz)
+        speeds = np.maximum(self.speeds[0][since] - np.arange(steps) * (rate / hz), 0.0)
         until, after = speeds[: end - since], speeds[end - since :]
         lost = np.concatenate(([0.0], np.cumsum(self.speeds[0][since:end] - until) / hz))
         if self._touches(slice(since, end + 1), lost):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
 from pytest_pafot.attribution.sentences import avoidance_sentence, last_chance_sentence
 from pytest_pafot.criticality.boxes import depth
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, STEERING, Outcome, Trace
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, Outcome, Trace, X, Y
 
 DRIVER = "careful-human"
 """The reference driver that takes over from the ego to find its last chance, in worlds that declare it."""
@@ -174,8 +175,9 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
     """Return the last of the ego's decisions from which braking with 6 m/s^2 in its lane avoids the collision.
 
     Braking avoids the collision if the ego is seen to brake at that rate until it stands, and touches no vehicle in the
-    12 s after the decision, or until the end of the run, and no two NPCs touch. The decisions of the last 10 s before
-    the impact are tried, the latest first. None if braking from none of them avoids the collision, if the fault is not
+    12 s after the decision, and no two NPCs touch. If the run ends before, the vehicles are assumed to drive straight
+    on: the ego brakes on, and an NPC keeps its speed, or its braking. The decisions of the last 10 s before the impact
+    are tried, the latest first. None if braking from none of them avoids the collision, if the fault is not
     a missing response to a vehicle ahead or crossing, if ``take_over`` does not know ``steady-braking``, or if a
     repetition of the run differs from the trace. See :func:`last_chance` for the arguments.
     """
@@ -185,7 +187,7 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
         is_long = taken.ticks > tick + FREE_FOR * taken.physics_hz
         is_free = is_long or taken.outcome not in (Outcome.COLLISION, *UNSAID)
         # A run that ends before the impact, such as at the end of a road, does not show that the impact is avoided.
-        if is_free and taken.ticks >= trace.ticks and brakes_untouched(taken, tick):
+        if is_free and taken.ticks >= trace.ticks and brakes_untouched(_driven_on(taken), tick):
             return Avoidance(time=round(tick / trace.physics_hz, 3), braking=FOLLOWING.deceleration)
     return None
 
@@ -198,6 +200,25 @@ def brakes_untouched(trace: Trace, tick: int) -> bool:
     is_braking = np.abs(speed - wanted) <= BRAKING_SHARE * (speed[0] - wanted) + BRAKING_TICKS * rate
     lane, depths = trace.ego[tick:until, LANE], depth(Encounters(trace).pairs)[:, tick:until]
     return bool(is_braking.all() and (lane == lane[0]).all() and not (depths > TOUCHING).any())
+
+
+def _driven_on(trace: Trace) -> Trace:
+    """Return a run whose vehicles drive straight on after its end, until the ego would stand if it brakes hard.
+
+    The ego brakes with 6 m/s^2, and each other vehicle keeps its speed, or its braking.
+    """
+    last, hz = trace.states[-1], trace.physics_hz
+    rates = np.maximum(trace.states[-2, :, SPEED] - last[:, SPEED], 0.0)
+    rates[0] = FOLLOWING.deceleration / hz
+    ticks = np.arange(1, math.ceil(max(last[0, SPEED], 0.0) / rates[0]) + 1)[:, None]
+    speeds = np.maximum(last[:, SPEED] - rates * ticks, np.minimum(last[:, SPEED], 0.0))
+    driven = (np.cumsum(speeds, axis=0) + last[:, SPEED] - speeds) / hz  # a step is driven with the speed before it
+    states = np.repeat(last[None], len(ticks), axis=0)
+    states[..., X] += driven * np.cos(last[:, HEADING])
+    states[..., Y] += driven * np.sin(last[:, HEADING])
+    states[..., SPEED] = speeds
+    track = None if trace.track is None else np.concatenate((trace.track, trace.track[-1:].repeat(len(ticks), axis=0)))
+    return replace(trace, states=np.concatenate((trace.states, states)), track=track, on_way=None)
 
 
 def _taken_over(trace: Trace, until: int, take_over: TakeOver, driver: str) -> Iterator[tuple[int, Trace]]:

@@ -15,7 +15,7 @@ import numpy as np
 from pytest_pafot.attribution.avoidance import HARDEST, SPED_UP, Braking, Emergency
 from pytest_pafot.attribution.lane_changes import stretches
 from pytest_pafot.attribution.needless_braking import STANDING_SPEED
-from pytest_pafot.attribution.sentences import RISING, Doing, Fact, Phase, What
+from pytest_pafot.attribution.sentences import BEGUN, BRAKING, RISING, Doing, Fact, Phase, What
 from pytest_pafot.criticality import RssRules
 from pytest_pafot.model.trace import SPEED, FloatArray, Trace
 
@@ -61,8 +61,14 @@ BRAKES = 0.5
 """The least deceleration that counts as braking in the sentences of a verdict [m/s^2]."""
 PAUSE = 0.4
 """Brakings with a shorter pause between them are one in the sentences of a verdict [s]."""
+COASTED = 1.0
+"""The time without braking that is told even if the vehicle then sped up; the time before a danger in which a clear
+braking may end that belongs to it; and the least duration of a gentle end of a braking that is told although the
+vehicle then released the brakes [s]."""
 LOST = 0.2
 """The least loss of speed that counts as braking in the sentences of a verdict [m/s]."""
+HARDLY = 0.05
+"""The difference from the hardest required braking that rounding hides [m/s^2]."""
 HARD, EASED = 0.5, 0.75
 """The shares of the hardest deceleration of a braking at which its hard part begins, and below which it ends."""
 STEADY = 0.3
@@ -77,7 +83,8 @@ CLEAR = 1.0
 """The least change of speed in between that separates two brakings, however short the pause, and for which a vehicle
 braked, or sped up, again and again [m/s]."""
 MOST = 3
-"""The largest number of phases that are told of a vehicle's response."""
+EARLIER = 2
+"""The largest number of phases that are told of a vehicle's response, and of those before braking was due besides."""
 
 
 def room_to_leave(follower: float, mover: float) -> float:
@@ -95,9 +102,10 @@ def answer(
     vehicle: int,
     speeds: FloatArray,
     since: int,
-    avoids: Callable[[int], bool],
+    avoids: Callable[[int, float], bool],
     response: Braking = FOLLOWING,
     entry: int | None = None,
+    danger: int | None = None,
 ) -> Fact:
     """Return the fact that tells what a vehicle should have done, and what it did instead.
 
@@ -109,22 +117,33 @@ def answer(
         vehicle: index of the vehicle; 0 is the ego.
         speeds: speeds of the vehicle at every tick, as the rules read them [m/s].
         since: tick from which on the vehicle had to respond to a danger.
-        avoids: returns whether hard braking from a tick on, with the recorded speed at that tick, avoids the collision.
+        avoids: returns whether braking at a rate [m/s^2] from a tick on, with the recorded speed at that tick, avoids
+            the collision.
         response: proper response, whose delay counts from that tick.
         entry: tick at which the vehicle entered a zone; None if no zone matters.
+        danger: tick at which the danger began, if the vehicle's last chance came later.
     """
     hz, end = trace.physics_hz, trace.ticks
     deed = end if entry is None or entry <= since else entry
     due, perceived = since + round(response.delay * hz) - 1, since + round(response.perception * hz)
     is_due, until = due + 1 < deed, None if due + 1 >= end else min(due, deed - 1)
     if until is not None and not (is_due and (np.diff(speeds[perceived : until + 1]) <= 0).all()):
-        until = _last_avoiding(perceived, until, avoids)  # it did not drive like the response that avoids the collision
+        # it did not drive like the response that avoids the collision
+        until = _last_avoiding(perceived, until, lambda tick: avoids(tick, HARDEST))
+    slowed, held = -np.diff(speeds) * hz, None
+    if until is not None:
+        recent = range(until, max(until - math.ceil(PAUSE * hz), -1), -1)
+        held = next((tick for tick in recent if slowed[tick] >= BRAKES), None)
+        if held is not None and slowed[held] < HARDEST - HARDLY and not avoids(held, float(slowed[held])):
+            held = None
     conduct = Conduct(
         vehicle=vehicle,
         speeds=trace.states[:, vehicle, SPEED],
         hz=hz,
         since=since,
+        danger=since if danger is None else min(danger, since),
         due=until,
+        held=held,
         entry=entry,
         is_in_time=is_due and until is not None and (entry is None or entry > since),
     )
@@ -149,7 +168,11 @@ def _last_avoiding(first: int, last: int, avoids: Callable[[int], bool]) -> int 
 
 
 class _Stretch(NamedTuple):
-    """A phase by the ticks at which it begins and is over, with its change of speed [m/s]."""
+    """A phase by the ticks at which it begins and is over, with its change of speed [m/s].
+
+    ``then`` is what followed until the next phase if the vehicle neither braked nor sped up: it stood, or had released
+    the brakes.
+    """
 
     doing: Doing
     begin: int
@@ -157,6 +180,7 @@ class _Stretch(NamedTuple):
     figure: float
     change: float
     is_again: bool = False
+    then: Doing | None = None
 
     @property
     def is_rise(self) -> bool:
@@ -165,9 +189,9 @@ class _Stretch(NamedTuple):
     def joined(self, later: _Stretch) -> _Stretch:
         """Return this phase and a later one of the same kind as one phase."""
         figure, change = max(self.figure, later.figure), self.change + later.change
-        is_harder = (self.doing, later.doing) == (Doing.BRAKED, Doing.BRAKED_HARDER)
-        doing = Doing.BRAKED_INCREASINGLY if is_harder else self.doing
-        return self._replace(doing=doing, over=later.over, figure=figure, change=change)
+        is_harder = self.doing is Doing.BRAKED and self.figure <= HARD * later.figure
+        doing = Doing.BRAKED_INCREASINGLY if is_harder else Doing.BRAKED_REPEATEDLY if self.then else self.doing
+        return self._replace(doing=doing, over=later.over, figure=figure, change=change, then=later.then)
 
 
 def _rise(speed: FloatArray, first: int, last: int, since: int, pause: int) -> _Stretch | None:
@@ -206,24 +230,34 @@ def _braked(slowed: FloatArray, begin: int, over: int, hz: int) -> list[_Stretch
     ]
 
 
-def _fewer(phases: list[_Stretch], due: int | None) -> list[_Stretch]:
-    """Return the phases that matter: the last, the one at the tick ``due``, and those with the most change of speed."""
+def _fewer(phases: list[_Stretch], due: int | None, lasting: int) -> list[_Stretch]:
+    """Return the phases that matter: the last, the one at the tick ``due``, and those with the most change of speed.
+
+    ``lasting`` is the number of ticks for which a pause between two brakings is not hidden.
+    """
     found = list(phases)
-    ending = 2 if found and found[-1].doing in (Doing.RELEASED, Doing.STOOD) else 1
-    while len(found) > MOST + ending - 1:
-        alike = [at for at in range(len(found) - ending - 1) if found[at].is_rise == found[at + 1].is_rise]
+    early = 0 if due is None else sum(each.begin <= due for each in found[1:])
+    most = MOST + min(early, EARLIER)
+    while len(found) > most:
+        alike = [
+            at
+            for at in range(len(found) - 2)
+            if found[at].is_rise == found[at + 1].is_rise
+            and not (found[at].then and due is not None and found[at].over <= due < found[at + 1].begin)
+        ]
         if alike:
-            place = min(alike, key=lambda at: min(found[at].change, found[at + 1].change))
+            place = min(alike, key=lambda at: (found[at].then is not None, min(found[at].change, found[at + 1].change)))
             found[place : place + 2] = [found[place].joined(found[place + 1])]
             continue
-        inner = [each for each in found[:-ending] if due is None or not each.begin <= due < each.over]
-        place = found.index(min(inner, key=lambda each: each.change))
+        inner = [at for at in range(len(found) - 1) if due is None or not found[at].begin <= due < found[at + 1].begin]
+        place = min(inner, key=lambda at: found[at].change)
         left, after, before = found[place], found[place + 1], found[place - 1] if place else None
-        if before is None or left.is_rise == after.is_rise:
-            del found[place]
+        if before is None or left.is_rise == after.is_rise or before.is_rise != after.is_rise:
+            is_part = not left.is_rise and after.doing in (Doing.BRAKED_HARDER, Doing.EASED_OFF)
+            found[place : place + 2] = [left.joined(after) if is_part else after]
         else:
             both = before.joined(after)
-            if left.change >= CLEAR:
+            if left.change >= CLEAR or after.begin - before.over >= lasting:
                 both = both._replace(doing=Doing.SPED_UP_REPEATEDLY if both.is_rise else Doing.BRAKED_REPEATEDLY)
             found[place - 1 : place + 2] = [both]
     return found
@@ -238,7 +272,10 @@ class Conduct:
         speeds: speed of the vehicle along its heading at every tick [m/s].
         hz: ticks per second.
         since: tick from which on the vehicle had to respond.
+        danger: tick at which the danger began; what the vehicle did is told from here.
         due: tick from which on it should have braked; None if no braking was due or avoided the collision.
+        held: tick, at that time or just before, at which it braked hard enough to avoid the collision if it had kept
+            braking; None if it did not.
         entry: tick at which it entered a zone; None if no zone matters.
         is_in_time: whether braking at the tick ``due`` is what the rules require, and not only that it does not speed
             up.
@@ -248,30 +285,43 @@ class Conduct:
     speeds: FloatArray
     hz: int
     since: int
+    danger: int
     due: int | None
+    held: int | None
     entry: int | None
     is_in_time: bool
 
     def later(self, trace: Trace, ticks: int) -> Conduct:
         """Return the same conduct in a whole run, of which it knew only the part from a tick on."""
-        due, entry = (None if each is None else each + ticks for each in (self.due, self.entry))
+        due, held, entry = (None if each is None else each + ticks for each in (self.due, self.held, self.entry))
         speeds = trace.states[: ticks + len(self.speeds), self.vehicle, SPEED]
-        return replace(self, speeds=speeds, since=self.since + ticks, due=due, entry=entry)
+        since, danger = self.since + ticks, self.danger + ticks
+        return replace(self, speeds=speeds, since=since, danger=danger, due=due, held=held, entry=entry)
 
     def in_full(self) -> Fact:
         """Return the fact that tells what the vehicle should have done, and what it did.
 
-        If the response would have braked only after the vehicle's deed, or if the vehicle crept and then sped up when
-        braking was due, its mistake was to speed up.
+        If it braked hard enough when braking was due, its mistake was what ended or eased that braking. If the response
+        would have braked only after the vehicle's deed, or if the vehicle crept and then sped up when braking was due,
+        its mistake was to speed up.
         """
         told, pause = self.phases(), PAUSE * self.hz
+        begins = [round(each.time_s * self.hz) for each in told]
         fact = Fact(What.DROVE, self.vehicle, self.since / self.hz, phases=told)
         if self.due is not None:
-            slowed = float(self.speeds[self.due] - self.speeds[self.due + 1]) * self.hz
-            fact = fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=self.due / self.hz, braking_m_per_s2=slowed)
+            fact = fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=self.due / self.hz)
+        at = 0 if self.held is None else sum(begin <= self.held for begin in begins)
+        if self.held is not None and at and told[at - 1].doing in BRAKING:
+            kept = float(self.speeds[self.held] - self.speeds[self.held + 1]) * self.hz
+            is_lapse = at < len(told) and told[at].doing not in BEGUN
+            what = What.SHOULD_HAVE_KEPT_BRAKING if is_lapse else What.SHOULD_HAVE_BRAKED_ON
+            fact = fact._replace(what=what, mistake=at, braking_m_per_s2=kept)
         deed = len(self.speeds) if self.entry is None or self.entry <= self.since else self.entry
-        begins = [round(each.time_s * self.hz) for each in told]
-        risen = [index for index, each in enumerate(told) if each.doing in RISING and begins[index] < deed]
+        risen = [
+            index
+            for index, each in enumerate(told)
+            if each.doing in RISING and begins[index] < deed and each.until_s > fact.time_s
+        ]
         if not risen:
             return fact
         rise, begin = told[risen[-1]], begins[risen[-1]]
@@ -282,35 +332,45 @@ class Conduct:
         if begin < self.since - pause and not is_set_off:  # it had no duty when it began to speed up
             rise = rise._replace(doing=Doing.SPED_UP_FURTHER, time_s=self.since / self.hz)
         what = What.SHOULD_HAVE_WAITED if rise.doing is Doing.SET_OFF else What.SHOULD_NOT_HAVE_SPED_UP
-        return fact._replace(what=what, due_s=None, phases=(rise, *told[risen[-1] + 1 :]))
+        told = (*told[: risen[-1]], rise, *told[risen[-1] + 1 :])
+        return fact._replace(what=what, due_s=None, phases=told, mistake=risen[-1])
 
     def phases(self) -> tuple[Phase, ...]:
-        """Return what the vehicle did up to the impact, in its order, in at most three phases and how they ended.
+        """Return what the vehicle did up to the impact, in its order, in a few phases and how they ended.
 
-        A phase that had begun before it had to respond counts from its beginning. Of more phases, those with the least
-        change of speed are left out, but never the last one, nor the one at the tick ``due``.
+        A phase that had begun before the danger counts from its beginning, and a clear braking that ended just before
+        the danger belongs to it. Of more phases, those with the least change of speed are left out, but never the last
+        one, nor the one at the tick ``due``.
         """
-        hz, speed, since, due = self.hz, self.speeds, self.since, self.due
+        hz, speed, since, lasting = self.hz, self.speeds, self.danger, round(COASTED * self.hz)
         slowed, end, pause = -np.diff(speed) * hz, len(speed) - 1, math.ceil(PAUSE * hz)
         brakings: list[tuple[int, int]] = []
         for begin, over in stretches(slowed >= BRAKES):
             is_same = brakings and begin - brakings[-1][1] < pause and speed[begin] - speed[brakings[-1][1]] < CLEAR
             brakings.append((brakings.pop()[0] if is_same else begin, over))
         found: list[_Stretch] = []
-        at = max([since - round(BEFORE * hz), 0, *(over for _, over in brakings if over <= since)])
-        brakings = [(begin, over) for begin, over in brakings if over > since and speed[begin] - speed[over] >= LOST]
-        for begin, over in [*brakings, (end, end)]:
+        told = [
+            (begin, over)
+            for begin, over in brakings
+            if speed[begin] - speed[over] >= (LOST if over > since else CLEAR) and over > since - lasting
+        ]
+        first = min(told[0][0], since) if told else since
+        at = max([since - round(BEFORE * hz), 0, *(over for _, over in brakings if over <= first)])
+        for begin, over in [*told, (end, end)]:
             rise = _rise(speed, at, begin, since, pause)
-            if rise is not None:
-                found.append(rise)
-            elif found and begin == end and end - at >= pause:
-                stands = (speed[at:] <= STANDING_SPEED + ROSE).all()
-                found.append(_Stretch(Doing.STOOD if stands else Doing.RELEASED, at, end, 0.0, 0.0))
+            coasts = (begin if rise is None else rise.begin) - at >= (pause if rise is None else lasting)
+            if found and found[-1].over == at and coasts and (rise is None or rise.doing is not Doing.SET_OFF):
+                if found[-1].doing is Doing.EASED_OFF and at - found[-1].begin < lasting:
+                    tail = found.pop()
+                    found[-1] = found[-1].joined(tail)
+                stands = (speed[at : begin + 1] <= STANDING_SPEED + ROSE).all()
+                found[-1] = found[-1]._replace(then=Doing.STOOD if stands else Doing.RELEASED)
+            found += [] if rise is None else [rise]
             if begin < end:
-                parts = [part for part in _braked(slowed, begin, over, hz) if part.over > since]
-                found += [part._replace(is_again=begin > brakings[0][0]) for part in parts]
+                found += [part._replace(is_again=begin > told[0][0]) for part in _braked(slowed, begin, over, hz)]
             at = over
-        return tuple(
-            Phase(each.doing, each.begin / hz, each.over / hz, each.figure, each.is_again)
-            for each in _fewer(found, due)
-        )
+        phases: list[Phase] = []
+        for each in _fewer(found, self.due, lasting):
+            phases.append(Phase(each.doing, each.begin / hz, each.over / hz, each.figure, each.is_again))
+            phases += [] if each.then is None else [Phase(each.then, each.over / hz, end / hz, 0.0)]
+        return tuple(phases)

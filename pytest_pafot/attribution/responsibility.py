@@ -368,7 +368,7 @@ class Conflict:
         if self._gap(tick) >= first_room and self._gap(entered) > 0:
             since = pursuit.avoided_from(max(tick, self._before), FOLLOWING)  # there was room at first
             if since is not None:
-                answer = self._answer(self._npc + 1, since)
+                answer = self._answer(self._npc + 1, since, tick)
                 return self._attributed("both", tick, (crossed, answer), "entered-lane")
         chance = self._second_chance(tick, pursuit, by_ego=False)
         if chance is None and self._gap(tick) >= LEAST_ROOM:
@@ -389,8 +389,8 @@ class Conflict:
             return None
         lane = self._placed(What.KEPT_LANE, change.vehicle, kept[0])
         if change.vehicle == 0:
-            return self._npc_followed(kept[1], kept[0], (lane, self._answer(self._npc + 1, since)))
-        return self._unanswered(kept[0], lane, self._answer(0, since), "leader-unanswered", change)
+            return self._npc_followed(kept[1], kept[0], (lane, self._answer(self._npc + 1, since, kept[0])))
+        return self._unanswered(kept[0], lane, self._answer(0, since, kept[0]), "leader-unanswered", change)
 
     def _gave_way(self, change: LaneChange) -> Attribution:
         room = self._room(change.tick, self._lowest(change))
@@ -413,7 +413,7 @@ class Conflict:
         spare = SPARE if (braking(self._trace)[in_time] >= BRAKES).any() else 0.0
         since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY, spare)
         if since is not None:
-            return self._unanswered(tick, crossed, self._answer(0, since, CUT_OFF), "cut-in-unanswered", change)
+            return self._unanswered(tick, crossed, self._answer(0, since, tick, CUT_OFF), "cut-in-unanswered", change)
         has_answered = pursuit.is_no_further(seen, CUT_OFF, EMERGENCY)
         passed = None if has_answered else self._duty_passed(change, tick, pursuit)
         return self._excused_behind(tick, late, pursuit, change, seen) if passed is None else passed
@@ -526,7 +526,7 @@ class Conflict:
         if since is None and self._steered_behind:
             since = pursuit.avoided_from(self._tailing_since, FOLLOWING)
         if since is not None:
-            return self._unanswered(self._start, close, self._answer(0, since), "leader-unanswered")
+            return self._unanswered(self._start, close, self._answer(0, since, self._start), "leader-unanswered")
         late = close, self._had_no_time(0, self._start, self._before)
         return self._excused_behind(self._start, late, pursuit, seen=self._before)
 
@@ -588,7 +588,7 @@ class Conflict:
         over = max((at for at in ticks if closing[at] <= 0), default=None)
         since = None if over is None else pursuit.avoided_from(over, CUT_OFF, EMERGENCY)
         if over is not None and since is not None:
-            return self._answer(behind, since, CUT_OFF)
+            return self._answer(behind, since, tick, CUT_OFF)
         pause, slowed = math.ceil(LET_GO * self._hz), braking(self._trace, behind)
         for at in (each for each in ticks if closing[each] > 0 and each + pause <= self._end):
             has_let_go = slowed[at] >= BRAKES and (slowed[at + 1 : at + 1 + pause] < BRAKES).all()
@@ -708,7 +708,7 @@ class Conflict:
             return self._attributed("both", stop.begin, (braked, moved), fault)
         counted = self._pursuit(by_ego=False).avoided_from(since, FOLLOWING)
         if counted is not None:
-            return self._attributed("both", stop.begin, (braked, self._answer(npc, counted)), fault)
+            return self._attributed("both", stop.begin, (braked, self._answer(npc, counted, counted)), fault)
         return self._attributed("ego", stop.begin, (braked, self._had_no_time(npc, since, since)), fault)
 
     # The facts of reasons.
@@ -777,13 +777,13 @@ class Conflict:
         due, rate = self._at(since + round(response.delay * self._hz)), response.deceleration
         return Fact(What.HAD_NO_TIME, vehicle, self._at(tick), due_s=due, braking_m_per_s2=rate)
 
-    def _answer(self, vehicle: int, since: int, response: Braking = FOLLOWING) -> Fact:
+    def _answer(self, vehicle: int, since: int, danger: int, response: Braking = FOLLOWING) -> Fact:
         """Return the fact that tells what the follower should have done, and what it did instead.
 
-        The follower had to respond from the tick ``since`` on.
+        The follower had to respond from the tick ``since`` on. What it did is told from the tick ``danger`` on.
         """
         avoids = self._pursuit(by_ego=vehicle == 0, goes_on=True).is_avoided_by_braking
-        return answer(self._trace, vehicle, self._frame.speed[vehicle], since, avoids, response)
+        return answer(self._trace, vehicle, self._frame.speed[vehicle], since, avoids, response, danger=danger)
 
     def _at(self, tick: int) -> float:
         """Return the time of a tick [s]."""

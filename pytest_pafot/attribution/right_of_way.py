@@ -160,9 +160,9 @@ def stopping(speed: float, deceleration: float, delay: float = FOLLOWING.delay) 
     return speed * delay + speed**2 / (2 * deceleration)
 
 
-def braked(speed: float, hz: int) -> float:
-    """Return the distance in which a vehicle stops from a speed [m/s] if it brakes hard at once, tick by tick [m]."""
-    return speed**2 / (2 * HARDEST) + speed / (2 * hz)
+def braked(speed: float, hz: int, rate: float) -> float:
+    """Return the distance in which a vehicle that brakes at a rate [m/s^2] loses a speed [m/s], tick by tick [m]."""
+    return speed**2 / (2 * rate) + speed / (2 * hz)
 
 
 class ZoneConflict:
@@ -224,20 +224,20 @@ class ZoneConflict:
         is_behind = is_taken and self._zone.kind == "merging"
         place = float(own.places[self._reaches(own, other)]) if is_taken else own.begins
 
-        def avoids(tick: int) -> bool:
+        def avoids(tick: int, rate: float) -> bool:
             if is_behind:
-                return self._slows_down(own, other, tick)
-            return bool(place - own.places[tick] >= braked(float(own.speeds[tick]), own.hz))
+                return self._slows_down(own, other, tick, rate)
+            return bool(place - own.places[tick] >= braked(float(own.speeds[tick]), own.hz, rate))
 
         entry = own.entered()
         return answer(self._trace, own.vehicle, own.speeds, chance.tick, avoids, chance.response, entry=entry)
 
     @staticmethod
-    def _slows_down(own: Passing, other: Passing, tick: int) -> bool:
-        """Return whether a vehicle that brakes hard from a tick on stays behind one that merged ahead."""
+    def _slows_down(own: Passing, other: Passing, tick: int, rate: float) -> bool:
+        """Return whether a vehicle that brakes at a rate [m/s^2] from a tick on stays behind one that merged ahead."""
         lead = float(own.ends - own.places[tick] - (other.ends - other.places[tick]))
         closing = max(float(own.speeds[tick] - other.speeds[tick:].min()), 0.0)
-        return lead - own.half_length - other.half_length >= braked(closing, own.hz)
+        return lead - own.half_length - other.half_length >= braked(closing, own.hz, rate)
 
     def _did_not_give_way(self, own: Passing, other: Passing) -> Chance | None:
         """Return the chance at which a vehicle could foresee another in the zone at the same time; None without one.

@@ -45,12 +45,21 @@ class What(Enum):
     BRAKED_LESS = "{who} already braked and should have kept braking, but braked less from {at} on."
     ANSWERED = "answered"
     SHOULD_HAVE_BRAKED = "should have braked"
+    SHOULD_HAVE_KEPT_BRAKING = "should have kept braking"
+    SHOULD_HAVE_BRAKED_ON = "should have braked on"
     SHOULD_HAVE_WAITED = "should have waited"
     SHOULD_NOT_HAVE_SPED_UP = "should not have sped up"
     DROVE = "drove"
 
 
-ANSWERS = (What.SHOULD_HAVE_BRAKED, What.SHOULD_HAVE_WAITED, What.SHOULD_NOT_HAVE_SPED_UP, What.DROVE)
+ANSWERS = (
+    What.SHOULD_HAVE_BRAKED,
+    What.SHOULD_HAVE_KEPT_BRAKING,
+    What.SHOULD_HAVE_BRAKED_ON,
+    What.SHOULD_HAVE_WAITED,
+    What.SHOULD_NOT_HAVE_SPED_UP,
+    What.DROVE,
+)
 """The facts on what a vehicle should have done in a danger, and what it did. Their sentences depend on its phases."""
 LONGEST = 97
 """The largest number of characters in a line, so that it fits on one line of an explanation."""
@@ -78,6 +87,10 @@ BEGUN = (Doing.BRAKED, Doing.BRAKED_HARDER, Doing.BRAKED_INCREASINGLY, Doing.BRA
 """The phases that begin when a vehicle begins to brake, or to brake harder."""
 BRAKING = (*BEGUN, Doing.EASED_OFF)
 """The phases in which a vehicle braked."""
+
+
+REPEATED = (Doing.BRAKED_REPEATEDLY, Doing.SPED_UP_REPEATEDLY)
+"""The phases in which a vehicle braked, and sped up, more than once."""
 
 
 class Phase(NamedTuple):
@@ -118,15 +131,16 @@ class Fact(NamedTuple):
         faster_m_per_s: speed of the other minus speed of the vehicle [m/s]. The sentence does not mention it if
             ``leader_m_per_s2`` is not 0.
         leader_m_per_s2: hardest braking of the NPC, if it was ahead and braked visibly [m/s^2].
-        braking_m_per_s2: hardest braking of the vehicle; if it should have braked, its braking at that time; if it had
-            too little time, the required braking unless there is an emergency [m/s^2].
+        braking_m_per_s2: hardest braking of the vehicle [m/s^2]; if it should have kept braking, its braking at that
+            time; if it had too little time, the required braking unless there is an emergency.
         lasting_s: time for which the vehicle stood before the impact [s].
         lane: lane that the vehicle moved into; None if it has no number.
         zone: zone that the vehicle entered.
         unread: the rest of the fact; None if there is none. It is worked out when somebody reads the fact, because a
             search needs many verdicts and displays few.
-        phases: what the vehicle did when it had to respond, in its order. The first is the mistake if the vehicle
-            should have waited, or should not have sped up.
+        phases: what the vehicle did from the beginning of the danger on, in its order.
+        mistake: index of the phase that was the mistake, if the vehicle should have kept braking, should have waited,
+            or should not have sped up. If it braked on, but for less, the number of phases that had begun by then.
     """
 
     what: What
@@ -146,6 +160,7 @@ class Fact(NamedTuple):
     zone: Zone | None = None
     unread: Unread | None = None
     phases: tuple[Phase, ...] = ()
+    mistake: int = 0
 
     @property
     def in_full(self) -> Fact:
@@ -156,7 +171,10 @@ class Fact(NamedTuple):
     def is_unanswered(self) -> bool:
         """True if the vehicle had to respond to a danger and did not brake."""
         full = self.in_full
-        return full.what in ANSWERS and not any(each.doing in BRAKING for each in full.phases)
+        if full.what in (What.SHOULD_HAVE_KEPT_BRAKING, What.SHOULD_HAVE_BRAKED_ON) or full.what not in ANSWERS:
+            return False
+        later = [each for each in full.phases[full.mistake :] if each.until_s > full.time_s]
+        return not any(each.doing in BRAKING for each in later)
 
 
 class Unread(Protocol):
@@ -180,11 +198,11 @@ def due_by(reason: Reason, latest: float) -> Reason:
     """
 
     def changed(fact: Fact) -> Fact:
-        if fact.what is not What.SHOULD_HAVE_BRAKED or fact.due_s is None or fact.due_s <= latest:
+        if fact.what not in ANSWERS or fact.due_s is None or fact.due_s <= latest:
             return fact
         if latest < fact.time_s:
-            return fact._replace(what=What.DROVE, due_s=None)
-        return fact._replace(due_s=latest, braking_m_per_s2=0.0)
+            return fact._replace(what=What.DROVE, due_s=None, mistake=0)
+        return fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=latest, braking_m_per_s2=0.0, mistake=0)
 
     return tuple(changed(fact.in_full) for fact in reason)
 
@@ -229,52 +247,76 @@ def _sentence(fact: Fact) -> str:
 
 
 def _answer(fact: Fact) -> list[str]:
-    """Return the sentences that say what a vehicle should have done, and what it did instead."""
-    who, phases, due = _name(fact.vehicle), fact.phases, fact.due_s
-    told = [_clause(each, due) for each in phases]
-    if due is not None:
-        is_braking = any(each.doing in BRAKING and each.time_s <= due < each.until_s for each in phases)
-        duty = f"{who} should have braked {'harder ' if is_braking else ''}from {due:.1f} s"
-        if fact.braking_m_per_s2 > HARDEST - 0.05:
-            duty = f"{who} should have kept braking hard from {due:.1f} s on"
-        if not phases:
-            return [capitalised(f"{duty} but did not.")]
-        instead = "It"
-        if phases[0].doing in RISING:
-            instead = "Instead it" if phases[0].time_s <= due else "It did not, but"
-        return [capitalised(f"{duty}."), *_deeds(instead, phases, told)]
+    """Return the sentences that say what a vehicle should have done, and what it did before and instead."""
+    who, phases, due = capitalised(_name(fact.vehicle)), fact.phases, fact.due_s
+    at, is_braking = _begun(fact)
+    asked = due if due is not None else phases[at].time_s if at else fact.time_s
+    late = next((each for each in phases[at:] if each.doing in BEGUN and each.time_s > asked), None)
+    is_repeated = any(each.doing in REPEATED for each in phases)
+    if late is not None and late.is_again and (is_repeated or not at):
+        late = None  # an earlier braking may have been left out
+    told = [_clause(each, is_late=each is late) for each in phases]
     if fact.what is What.DROVE:
-        return _deeds(capitalised(who), phases, told or [f"did not brake from {fact.time_s:.1f} s on"])
-    begin, figure = f"{phases[0].time_s:.1f} s", f"to {phases[0].figure:.1f} m/s"
-    if fact.what is What.SHOULD_HAVE_WAITED:
-        duty = f"{who} should have waited but set off at {begin}."
-    elif phases[0].doing is Doing.SPED_UP_FURTHER:
-        duty = f"{who} should not have sped up further after {begin}, {figure}."
+        return _deeds(who, phases, told or [f"did not brake from {fact.time_s:.1f} s on"])
+    before, instead = _deeds(who, phases[:at], told[:at]), "It"
+    if fact.what is What.SHOULD_HAVE_BRAKED and due is not None:
+        duty = f"should have braked {'harder ' if is_braking else 'again ' if at else ''}from {due:.1f} s"
+        if not phases[at:]:
+            duty += "" if is_repeated else " but did not"
+        elif phases[at].doing in RISING:
+            instead = "Instead it" if phases[at].time_s <= due else "It did not, but"
+    elif fact.what is What.SHOULD_HAVE_BRAKED_ON:
+        rate = "hard" if fact.braking_m_per_s2 > HARDEST - 0.05 else f"with {fact.braking_m_per_s2:.1f} m/s^2"
+        duty = f"should have kept braking {rate} from {due:.1f} s on"
     else:
-        duty = f"{who} should not have sped up from {begin} on, {figure}."
-    return [capitalised(duty), *_deeds("It", phases[1:], told[1:])]
+        duty, at = _mistake(fact.what, phases[at], told[at]), at + 1
+    return [*before, f"{'It' if before else who} {duty}.", *_deeds(instead, phases[at:], told[at:])]
 
 
-def _clause(phase: Phase, due: float | None) -> str:
-    """Return the words for one phase of a response by braking that was due at a time [s]."""
+def _begun(fact: Fact) -> tuple[int, bool]:
+    """Return how many phases are told before what the vehicle should have done, and whether it braked at that time.
+
+    If it had braked before braking was due, and no longer did, that is told first.
+    """
+    if fact.what is not What.SHOULD_HAVE_BRAKED or fact.due_s is None:
+        return fact.mistake, False
+    begun = [each for each in fact.phases if each.time_s <= fact.due_s]
+    if begun and begun[-1].doing in BRAKING and fact.due_s < begun[-1].until_s:
+        return 0, True
+    return len(begun) if any(each.doing in BRAKING for each in begun) else 0, False
+
+
+def _mistake(what: What, phase: Phase, told: str) -> str:
+    """Return the words for what a vehicle should have done, if one phase was its mistake."""
+    if what is What.SHOULD_HAVE_KEPT_BRAKING:
+        return f"should have kept braking but {told}"
+    if what is What.SHOULD_HAVE_WAITED:
+        return f"should have waited but set off at {phase.time_s:.1f} s"
+    if phase.doing is Doing.SPED_UP_FURTHER:
+        return f"should not have sped up further after {phase.time_s:.1f} s, to {phase.figure:.1f} m/s"
+    return f"should not have sped up from {phase.time_s:.1f} s on, to {phase.figure:.1f} m/s"
+
+
+def _clause(phase: Phase, *, is_late: bool) -> str:
+    """Return the words for one phase; ``is_late`` is whether the vehicle then began to brake after it was due."""
     words = phase.doing.value.format(at=f"{phase.time_s:.1f} s", figure=phase.figure)
     if phase.doing is Doing.BRAKED and phase.is_again:
-        return words.replace("braked", "braked again")
-    is_late = due is None or phase.time_s > due
-    return words.replace("from", "only from") if phase.doing in BEGUN and is_late else words
+        words = words.replace("braked", "braked again")
+    return words.replace("from", "only from") if is_late else words
 
 
-def _deeds(who: str, phases: tuple[Phase, ...], told: Sequence[str]) -> list[str]:
-    """Return one sentence on the first two phases if it is short enough, and one on each other phase."""
-    if not told:
-        return []
-    first, *others = told
-    if not others:
-        return [f"{who} {first}."]
-    pair = f"{who} {first}, {'and' if phases[1].doing in (*BEGUN, Doing.STOOD) else 'but'} {others[0]}."
-    if len(pair) > LONGEST:
-        return [f"{who} {first}.", *(f"Then it {each}." for each in others)]
-    return [pair, *(f"Then it {each}." for each in others[1:])]
+def _deeds(who: str, phases: Sequence[Phase], told: Sequence[str]) -> list[str]:
+    """Return sentences on one or two phases each, as far as they are short enough."""
+    made: list[str] = []
+    at = 0
+    while at < len(told):
+        begin, end = f"{'Then it' if made else who} {told[at]}", ""
+        if at + 1 < len(told):
+            end = f", {'and' if phases[at + 1].doing in (*BEGUN, Doing.STOOD) else 'but'} {told[at + 1]}"
+        end = end if len(begin + end) < LONGEST else ""
+        made.append(f"{begin}{end}.")
+        at += 2 if end else 1
+    return made
 
 
 def _name(vehicle: int) -> str:

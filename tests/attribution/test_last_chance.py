@@ -141,6 +141,17 @@ def test_braking_avoids_only_if_ego_brakes_untouched(taken, is_free):
     assert {*names} == {"steady-braking"}
 
 
+@table(("npc_speed", "is_free"), [(10.0, False), (17.0, True)])
+def test_run_that_ends_before_ego_stands_is_driven_on(npc_speed, is_free):
+    """At its end the ego is 2 m behind the NPC with 17.6 m/s, and brakes."""
+    taken = braked(ticks=33)
+    states = taken.states.copy()
+    states[28:, 1, SPEED] = npc_speed
+    taken = replace(taken, states=states)
+    found = avoidance(crash(), "leader-unanswered", lambda trace, tick, name: taken if tick == 27 else trace)
+    assert (found is not None) == is_free
+
+
 def test_braking_through_another_vehicle_avoids_nothing():
     through = braked()
     states = through.states.copy()

@@ -7,6 +7,7 @@ from pytest_pafot.attribution.sentences import What, due_by, sentences
 from tests.helpers import junctions
 from tests.helpers.drives import crash, driven
 from tests.helpers.junctions import plan
+from tests.helpers.situations import SITUATIONS
 from tests.helpers.stories import Story, entry_of, story_of
 from tests.helpers.tables import table
 
@@ -36,6 +37,24 @@ STORIES = {
         (50.0, 10.0),
         "It braked with up to 4.0 m/s^2 only from 2.0 s on, but sped up from 3.5 s on, to 20.0 m/s. "
         "Then it braked again with up to 4.0 m/s^2 from 5.0 s on.",
+    ),
+    "braked hard enough when it was due, then let go": (
+        [(0.5, 4.0, 14.0)],
+        (40.0, 10.0),
+        "The ego braked with up to 4.0 m/s^2 from 0.5 s on. It should have kept braking but released the brakes at "
+        "2.1 s.",
+    ),
+    "braked just before the danger": (
+        [(1.0, 4.0, 16.0)],
+        (56.0, 10.0),
+        "The ego braked with up to 4.0 m/s^2 from 1.0 s on, but released the brakes at 2.0 s. "
+        "It should have braked again from 3.2 s but did not.",
+    ),
+    "coasted between two brakings": (
+        [(2.0, 4.0, 16.0), (4.5, 4.0, 14.0)],
+        (55.0, 8.0),
+        "It braked with up to 4.0 m/s^2 only from 2.0 s on, but released the brakes at 3.0 s. "
+        "Then it braked again with up to 4.0 m/s^2 from 4.5 s on.",
     ),
     "sped up when braking was due": (
         [(1.0, -2.0, 30.0)],
@@ -82,7 +101,8 @@ FALSE = [
     ("The ego should have braked from 1.7 s. It braked with up to 2.9 m/s^2 from 3.0 s on.", ["braked up to"]),
     ("The ego should have braked from 1.7 s. It braked with up to 1.9 m/s^2 from 3.0 s on.", ["speeding up is told"]),
     ("The ego should have braked harder from 1.7 s but did not.", ["braking when it was due"]),
-    ("The ego should have kept braking hard from 4.0 s on.", ["braking hard when due"]),
+    ("The ego should have braked from 1.7 s. It eased off to at most 1.9 m/s^2 at 4.0 s.", ["harder than before"]),
+    ("The ego should have kept braking hard from 4.0 s on.", ["braking so hard when due"]),
     ("The ego should have waited but set off at 5.2 s.", ["set off"]),
     ("The ego should not have sped up from 3.0 s on, to 18.1 m/s.", ["braking is told"]),
     ("The ego should not have sped up from 5.2 s on, to 19.1 m/s.", ["to"]),
@@ -97,6 +117,30 @@ FALSE = [
         ["order"],
     ),
 ]
+
+
+OF_KEPT_BRAKING = [
+    ("The ego should have braked harder from 0.9 s. It braked with up to 4.0 m/s^2 from 0.5 s on.", "harder is needed"),
+    ("The ego should have braked harder from 0.9 s. It braked with up to 4.0 m/s^2 from 0.5 s on.", "release is told"),
+    ("The ego should have braked again from 3.2 s but did not.", "braking is told"),
+    ("The ego should have kept braking with 5.0 m/s^2 from 0.9 s on.", "braking so hard when due"),
+]
+
+
+@table("told, wrong", OF_KEPT_BRAKING)
+def test_the_oracle_misses_no_braking_after_the_danger(told, wrong):
+    brakes, (ahead, speed), _ = STORIES["braked hard enough when it was due, then let go"]
+    trace = crash(driven(0.0, brakes=brakes), driven(ahead, speed=speed))
+    assert wrong in Story(trace, told, rss_rule(trace).sentences[0]).wrong()
+
+
+def test_braking_that_answered_a_cut_in_is_told_before_the_second_chance():
+    named = {each.name: each for group in SITUATIONS.values() for each in group}
+    found = rss_rule(named["sped-up-after-it-had-survived-a-cut-in"].trace())
+    assert found.sentences[1:] == (
+        "The ego braked with up to 8.0 m/s^2 from 2.6 s on, but released the brakes at 3.3 s.",
+        "Then it sped up from 4.4 s on, to 20.6 m/s. It should have braked again from 5.9 s but did not.",
+    )
 
 
 @table("told, wrong", FALSE)

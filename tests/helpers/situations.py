@@ -533,7 +533,7 @@ SITUATIONS = {
             "An NPC that is 4 m/s slower moves in slowly, close ahead. The ego brakes until it is slower than the NPC."
             " A second later it speeds up into the NPC.",
             lambda: cut_in(4.0, slower=4.0, lasts=4.0, ego_brakes=[(2.6, 8.0, 15.0), (4.4, -3.0, 24.0)]),
-            "both", "leader-unanswered", "4c", "The ego should have braked from",
+            "both", "leader-unanswered", "4c", "It should have braked again from 5.9 s but did not.",
         ),
         Situation(
             "cut-in-answered-with-nothing-to-spare",
@@ -602,7 +602,7 @@ SITUATIONS = {
                 driven(0.0, brakes=[(2.9, 8.0, 10.0), (8.0, -2.0, 20.0)]),
                 driven(48.3, LEFT, speed=10.0, shifts=[(2.0, 2.2, 1.1)]),
             ),
-            "ego", "leader-unanswered", "4c", "The ego should have braked from",
+            "ego", "leader-unanswered", "4c", "It should have braked again from 9.3 s but did not.",
         ),
     ),
     "The ego changes lanes": (
@@ -924,7 +924,7 @@ SITUATIONS = {
                 plan("north straight", 2.46, 10, (1.5, -3.1, 0.0)),
                 priority="ego",
             ),
-            "both", "entered-taken-zone", "9", "The ego should have braked from",
+            "both", "entered-taken-zone", "9", "It should have braked again from 3.5 s but did not.",
         ),
         Situation(
             "crossing-one-stands-in-it-ego-has-priority",
@@ -1094,7 +1094,7 @@ SITUATIONS = {
             "The ego turns right with 4 m/s in front of an NPC with 12 m/s that has priority. The NPC brakes hard to 5"
             " m/s, keeps that speed, and runs into the ego after both have left the zone.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.3, 12, (6.5, -6.0, 5.0))),
-            "both", "did-not-give-way", "9", "NPC 0 should have kept braking hard from 7.5 s on.",
+            "both", "did-not-give-way", "9", "It should have kept braking but released the brakes at 7.7 s.",
         ),
         Situation(
             "npc-turns-right-in-front",

@@ -17,13 +17,15 @@ from tests.helpers.polygons import corners, polygon_distance
 
 WHO = r"(?P<who>[Tt]he ego|NPC \d+)"
 TIME, FIGURE = r"(?P<time>\d+\.\d) s", r"(?P<figure>\d+\.\d) m/s"
+SHOULD = r"(?:[Tt]he ego|NPC \d+|It) should"
 DUTIES = {
-    "braked": rf"{WHO} should have braked from {TIME}",
-    "braked harder": rf"{WHO} should have braked harder from {TIME}",
-    "kept braking": rf"{WHO} should have kept braking hard from {TIME} on",
-    "waited": rf"{WHO} should have waited but set off at {TIME}",
-    "not sped up": rf"{WHO} should not have sped up from {TIME} on, to {FIGURE}",
-    "not sped up further": rf"{WHO} should not have sped up further after {TIME}, to {FIGURE}",
+    "braked": rf"{SHOULD} have braked (?P<again>again )?from {TIME}",
+    "braked harder": rf"{SHOULD} have braked harder from {TIME}",
+    "kept braking": rf"{SHOULD} have kept braking (?:hard|with {FIGURE}\^2) from {TIME} on",
+    "kept its braking": rf"{SHOULD} have kept braking but .*?{TIME}",
+    "waited": rf"{SHOULD} have waited but set off at {TIME}",
+    "not sped up": rf"{SHOULD} not have sped up from {TIME} on, to {FIGURE}",
+    "not sped up further": rf"{SHOULD} not have sped up further after {TIME}, to {FIGURE}",
 }
 DEEDS = {
     "braked": rf"braked (?P<again>again )?with up to {FIGURE}\^2 (?P<only>only )?from {TIME} on",
@@ -43,12 +45,14 @@ BRAKED = ("braked", "increasingly", "repeatedly", "harder", "eased")
 ROSE = ("sped up", "rose repeatedly", "further", "set off")
 PAUSE, SMALL, CLEAR = 0.4, 0.31, 1.0
 """The pause between two brakings [s], and the changes of speed that need not be told and that must be told [m/s]."""
+COASTED = 1.0
+"""The time without braking from which on the end of a braking must be told [s]."""
 
 
 class Story:
     """The claims of the sentences about one vehicle, and the vehicle's motion."""
 
-    def __init__(self, trace, told):
+    def __init__(self, trace, told, first=""):
         self.trace, self.text, self.hz = trace, told, trace.physics_hz
         who = re.match(WHO, told)["who"]
         self.vehicle = 0 if who.lower() == "the ego" else int(who[4:]) + 1
@@ -57,11 +61,15 @@ class Story:
         self.slowed = -np.diff(self.speed) * self.hz
         self.duty, self.due = None, None
         for name, pattern in DUTIES.items():
-            found = re.match(pattern, told)
+            found = re.search(pattern, told)
             if found:
                 self.duty, self.due = name, found
+        self.danger = None
+        if re.search(r"(?:crossed|moved|kept its lane|was only) .*?\d+\.\d s", first):
+            self.danger = round(float(re.search(TIME, first)["time"]) * self.hz)
         found = [(each.start(), name, each) for name, pattern in DEEDS.items() for each in re.finditer(pattern, told)]
         self.deeds = [(name, each) for _, name, each in sorted(found, key=lambda each: each[0])]
+        self.later = sum(each.start() < self.due.start() for _, each in self.deeds) if self.due else 0
 
     def ticks(self, printed):
         """Return the ticks that a printed time may mean."""
@@ -75,9 +83,11 @@ class Story:
         name, found = self.deeds[index]
         if name != "further":
             return self.ticks(found["time"])
-        if index or self.duty is None:
+        if index > self.later or self.duty is None:
             return [self.end]
         due = self.ticks(self.due["time"])[0]
+        if index < min(self.later, len(self.deeds) - 1):
+            due = min(due, self.begins(index + 1)[0])
         return range(max(due - round(1.6 * self.hz), 0), due + 1)
 
     def parts(self, index):
@@ -102,6 +112,17 @@ class Story:
         return sorted(wrong)
 
     def claims(self, entry):
+        if "but did not" in self.text and self.duty == "braked":
+            due = self.ticks(self.due["time"])[-1]
+            yield "did not", all(lost < CLEAR for *_, lost in self.brakings(due, self.end))
+        names = [name for name, _ in self.deeds]
+        yield (
+            "harder than before",
+            not any(
+                name in ("harder", "eased") and (not at or names[at - 1] not in (*BRAKED, "rose repeatedly"))
+                for at, name in enumerate(names)
+            ),
+        )
         times = [float(found["time"]) for name, found in self.deeds if name != "further"]
         yield "order", times == sorted(times)
         if self.duty in ("braked", "braked harder", "kept braking"):
@@ -110,21 +131,32 @@ class Story:
             yield "due in time", any(self.is_free(at) for at in range(max(due[0] - 2, 0), due[-1] + 1))
             if self.duty == "braked harder":
                 yield "could brake harder", any(self.slowed[at] < 6.0 for at in due)
+                yield "harder is needed", not all(self.suffices(at, entry) for at in due)
             is_braking = any(self.slowed[at] >= 0.5 for at in due if at < self.end)
             yield "braking when it was due", is_braking == (self.duty != "braked") or len(self.deeds) > 1
-            yield "braking hard when due", self.duty != "kept braking" or any(self.slowed[at] >= 5.99 for at in due)
+            if self.duty == "kept braking":
+                kept = range(max(due[0] - round(PAUSE * self.hz), 0), due[-1] + 1)
+                rate = self.due["figure"]
+                kept = [at for at in kept if (f"{self.slowed[at]:.1f}" == rate if rate else self.slowed[at] >= 5.94)]
+                yield "braking so hard when due", bool(kept)
+                yield "it was enough", any(self.may_suffice(at, entry) for at in kept)
+        elif self.duty == "kept its braking":
+            ended = self.ticks(self.due["time"])
+            kept = range(max(ended[0] - 2 * self.hz, 0), ended[-1] + 1)
+            yield "it was enough", any(self.may_suffice(at, entry) for at in kept if self.slowed[at] >= 0.5)
         elif self.duty:
             ticks = self.ticks(self.due["time"])
             yield "set off", self.duty != "waited" or any(self.speed[at] <= 0.3 for at in ticks)
             yield "rises", any(self.speed[at:].max() > self.speed[at] + 0.2 for at in ticks)
             if "figure" in self.due.groupdict():
-                after = self.begins(0) if self.deeds else [self.end]
+                after = self.begins(self.later) if self.deeds[self.later :] else [self.end]
                 tops = {f"{self.speed[a : b + 1].max():.1f}" for a in ticks for b in after if a <= b}
                 yield "to", self.due["figure"] in tops
         for index, (name, found) in enumerate(self.deeds):
             yield from self.of_deed(index, name, found)
         if self.duty is None or self.due.groupdict().get("time"):
             yield from self.unsaid()
+            yield from self.released()
 
     def of_deed(self, index, name, found):
         parts = [(a, b) for a, b in self.parts(index) if a <= b]
@@ -148,7 +180,7 @@ class Story:
         if name == "nothing":
             yield "did not brake", all(lost < SMALL for *_, lost in self.brakings(parts[0][0], self.end))
         if name == "released":
-            yield "released", all(lost < SMALL for *_, lost in self.brakings(parts[-1][0] + 1, self.end))
+            yield "released", all(lost < SMALL for *_, lost in self.brakings(parts[-1][0] + 1, parts[0][1] - before))
         if name == "stood":
             yield "stood", any((self.speed[a:] <= 0.2).all() for a, _ in parts)
         if name in ROSE:
@@ -168,10 +200,10 @@ class Story:
 
     def unsaid(self):
         """Check that each clear braking or gain in speed from the time on that is due is in a phase that is told."""
-        first = self.ticks(self.due["time"])[0] if self.duty else self.begins(0)[0]
+        first = self.since()
         told = {"braked": [], "rose": []}
         if self.duty in ("waited", "not sped up", "not sped up further"):
-            told["rose"].append((first, self.begins(0)[-1] if self.deeds else self.end))
+            told["rose"].append((first, self.begins(self.later)[-1] if self.deeds[self.later :] else self.end))
         for index, (name, _) in enumerate(self.deeds):
             for kind, names in (("braked", (*BRAKED, "rose repeatedly")), ("rose", (*ROSE, "repeatedly"))):
                 told[kind] += list(self.parts(index)) if name in names else []
@@ -184,25 +216,66 @@ class Story:
         if gain[top] >= CLEAR:
             yield "speeding up is told", any(first + top >= c for c, _ in told["rose"])
 
-    def is_free(self, tick):
-        """Return whether it touches the other nowhere if it brakes with 6 m/s^2 on its path from a tick on.
+    def since(self):
+        """Return the tick of the danger in the first sentence, or of the first duty or deed if that is earlier."""
+        first = self.ticks(self.due["time"])[0] if self.duty else self.begins(0)[0]
+        return first if self.danger is None else min(first, self.danger)
 
-        Until the impact the other moves as recorded, then straight on with its last speed.
+    def released(self):
+        """Check that the end of each clear braking is told if the vehicle then did not brake for a second."""
+        brakings = [each for each in self.brakings(0, self.end) if each[2] >= SMALL]
+        for (_, over, lost), (later, *_) in itertools.pairwise([*brakings, (self.end, self.end, 0.0)]):
+            if over <= self.since() or lost < CLEAR or later - over < COASTED * self.hz:
+                continue
+            near = {*range(over - 3, over + round(COASTED * self.hz) + 3)}
+            ends = {name for index, (name, _) in enumerate(self.deeds) if near & {*self.begins(index)}}
+            if self.duty in ("waited", "not sped up") and near & {*self.ticks(self.due["time"])}:
+                ends.add("sped up")
+            for index, (name, _) in enumerate(self.deeds):
+                if "repeatedly" in name and any(a < later and over < b for a, b in self.parts(index)):
+                    ends.add("released")
+            stands = bool((self.speed[over:later] <= 0.2).all())
+            yield "release is told", stands or bool(ends & {"released", "stood", *ROSE})
+
+    def suffices(self, tick, entry, share=0.9):
+        """Return whether a share of the braking at a tick, kept up to a standstill, avoids the collision.
+
+        At a zone, it does if it ends before the place at which the vehicle was when it entered the zone.
+        """
+        rate = share * self.slowed[tick]
+        if rate < 0.5:
+            return False
+        if entry is None:
+            return self.is_free(tick, rate, brakes_on=True)
+        driven = np.hypot(*np.diff(self.trace.states[tick : entry + 1, self.vehicle][:, [X, Y]], axis=0).T).sum()
+        return self.speed[tick] ** 2 / (2 * rate) + self.speed[tick] / (2 * self.hz) < driven
+
+    def may_suffice(self, tick, entry):
+        """Return whether a little more than the braking at a tick, kept up, avoids the collision in some way."""
+        return self.suffices(tick, entry, 1.1) or self.is_free(tick, 1.1 * self.slowed[tick])
+
+    def is_free(self, tick, rate=6.0, *, brakes_on=False):
+        """Return whether it touches the other nowhere if it brakes at a rate [m/s^2] on its path from a tick on.
+
+        Until the impact the other moves as recorded, then straight on with its last speed, or its last braking.
         """
         own, other = self.trace.states[:, self.vehicle], self.trace.states[:, self.other]
         driven = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(own[:, [X, Y]], axis=0).T))))
         place, speed, at = float(driven[tick]), float(own[tick, SPEED]), tick
+        slowing = max(float(other[-2, SPEED] - other[-1, SPEED]) * self.hz, 0.0) if brakes_on else 0.0
         while speed > 0.0 or at < self.end:
             at += 1
-            place, speed = place + speed / self.hz, max(speed - 6.0 / self.hz, 0.0)
+            place, speed = place + speed / self.hz, max(speed - rate / self.hz, 0.0)
             mine = [float(np.interp(place, driven, own[:, column])) for column in (X, Y)]
             heading = float(np.interp(place, driven, np.unwrap(own[:, HEADING])))
             beyond = max(place - float(driven[-1]), 0.0)
             mine = [mine[0] + beyond * math.cos(heading), mine[1] + beyond * math.sin(heading), heading]
             late = max(at - self.end, 0) / self.hz
             theirs = other[min(at, self.end)]
-            x = theirs[X] + late * theirs[SPEED] * math.cos(theirs[HEADING])
-            y = theirs[Y] + late * theirs[SPEED] * math.sin(theirs[HEADING])
+            late = min(late, theirs[SPEED] / slowing) if slowing > 0.0 else late
+            further = late * theirs[SPEED] - slowing * late**2 / 2
+            x = theirs[X] + further * math.cos(theirs[HEADING])
+            y = theirs[Y] + further * math.sin(theirs[HEADING])
             if math.hypot(x - mine[0], y - mine[1]) > 12.0:
                 continue
             boxes = (mine, self.trace.sizes[self.vehicle]), ((x, y, theirs[HEADING]), self.trace.sizes[self.other])
@@ -218,7 +291,7 @@ def story_of(trace, sentences):
     is_one = re.search("should (have braked|have kept braking hard|have waited|not have sped)", told) or any(
         re.match(rf"{WHO} {pattern}", told) for name, pattern in DEEDS.items() if name != "set off"
     )
-    return Story(trace, told) if is_one and "towards" not in told else None
+    return Story(trace, told, sentences[0]) if is_one and "towards" not in told else None
 
 
 def entry_of(trace, sentences, vehicle):
