@@ -782,7 +782,10 @@ class Conflict:
 
         The follower had to respond from the tick ``since`` on. What it did is told from the tick ``danger`` on.
         """
-        avoids = self._pursuit(by_ego=vehicle == 0, goes_on=True).is_avoided_by_braking
+
+        def avoids(tick: int, rate: float) -> bool:
+            return self._pursuit(by_ego=vehicle == 0, goes_on=True).is_avoided_by_braking(tick, rate)
+
         return answer(self._trace, vehicle, self._frame.speed[vehicle], since, avoids, response, danger=danger)
 
     def _at(self, tick: int) -> float:
