@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -15,7 +15,6 @@ from pytest_pafot.commands.history import History, HistoryError, copied
 from pytest_pafot.commands.revision_process import digest_of
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.execution.revision_policy import PACKAGE, RevisionError, RevisionPolicy
-from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import visible
 
 OF_COMMAND = "PYTEST_PAFOT_POLICY"
@@ -25,7 +24,9 @@ PROCESS = "pytest_pafot.commands.revision_process"
 """The module whose ``main`` is the process of a policy that a command names."""
 
 NO_PART = (".md", ".rst", SUFFIX)
-"""Endings of files that no policy drives by."""
+"""Endings of files that no policy drives by. Pictures are not among them: a policy may drive by a map."""
+TESTS = ("test_*.py", "*_test.py")
+"""Patterns of the names of test modules."""
 OUTPUTS = ("pafot.json", "pafot.html", "pafot.xml")
 """Files that jobs leave in the folder in which they run."""
 
@@ -66,17 +67,16 @@ class Revision:
         path = here.relative_to(root)
         return (bool(colon) or not (self.tree / path).exists()) and not self.history.is_ignored(path.as_posix())
 
-    def compared(self, seen: Mapping[str, str], test: str = "", others: Collection[str] = ()) -> tuple[list[str], str]:
+    def compared(self, seen: Mapping[str, str], test: str = "", *, is_whole: bool = True) -> tuple[list[str], str]:
         """Return a line for each side, with its commit and files; and a sentence if nothing differs, else an empty one.
 
-        A file differs if the policy of this revision has seen it, and it is another one now; and if it has changed and
-        the policy may see it in another run: data, which native code opens unnoticed, and modules. A changed module is
-        no part of the policy if it is not imported now, is in no package of it, and no import of it leads there.
+        A file differs if the policy of this revision has seen it, and it is another one now; and if git reports it as
+        changed, because the policy may see any file in another run: only documents and tests are no part of a policy.
 
         Args:
             seen: the hashes of the files that the policy of this revision has seen.
-            test: the file of the test, if nothing in it is part of the policy.
-            others: the other test files of the session, which are imported whether or not the policy needs them.
+            test: the file of the test, which counts, since it may set the policy up.
+            is_whole: False if the policy has files of the user outside of the repository, which no revision has.
 
         Raises:
             RevisionError: if git fails.
@@ -84,40 +84,24 @@ class Revision:
         root = self.history.root
         try:
             head, dirty = self.history.named("HEAD"), self.history.uncommitted()
-            uncommitted = self.history.uncommitted(self.commit)
+            changed = {name for name in self.history.uncommitted(self.commit) if name == test or _may_count(root, name)}
         except HistoryError as error:
             raise RevisionError(f"{self.label}: {error}") from None
-        modules = {}
-        for module in [*sys.modules.values()]:
-            file = getattr(module, "__file__", None)
-            if isinstance(file, str) and (path := Path(os.path.realpath(file))).is_relative_to(root):
-                modules[path.relative_to(root).as_posix()] = module
-        changed = {name for name in uncommitted if _may_count(root / name, name)} - {test}
-        differ = {name for name, digest in seen.items() if _digest(root / name) != digest} - {test}
-        packages = {PurePosixPath(name).parent for name in seen if name.endswith("__init__.py")}
-        apart = {
-            name
-            for name in changed - {*seen} - (modules.keys() - {*others})
-            if name.endswith(".py") and not name.endswith("conftest.py") and PurePosixPath(name).parent not in packages
-        }
-        differ |= changed - apart
-        if not differ:  # Then what it has seen is as now, so that the present modules import what those of then did.
-            differ = apart & source_digests(*(modules[name] for name in seen if name in modules), here=root).keys()
+        differ = changed | {name for name, digest in seen.items() if _digest(root / name) != digest}
         # Those that differ come first, because long lists are cut.
-        names = sorted({*seen, *(differ & modules.keys())}, key=lambda name: (name not in differ, name))
-        now = {name: digest for name in names if (digest := _digest(root / name))}
-        changes = " and changes" if {*now, *seen} & {*dirty} else ""
-        lines = [
-            files_line(self.label, {name: seen[name] for name in names if name in seen}),
-            files_line(f"now ({head:.7}{changes})", now),
-        ]
-        return lines, "" if differ else f"the policy is that of {self.label}: nothing to compare"
+        names = sorted({*seen, *differ}, key=lambda name: (name not in differ, name))
+        before, now = ({name: digest for name in names if (digest := _digest(at / name))} for at in (self.tree, root))
+        changes = " and changes" if {*names} & {*dirty} else ""
+        lines = [files_line(self.label, before), files_line(f"now ({head:.7}{changes})", now)]
+        is_same = seen and is_whole and not differ
+        return lines, f"the policy is that of {self.label}: nothing to compare" if is_same else ""
 
 
-def _may_count(path: Path, name: str) -> bool:
+def _may_count(root: Path, name: str) -> bool:
     """Return whether a changed file may be part of a policy. The running pytest_pafot is that of both sides."""
-    is_part = not name.endswith(NO_PART) and path.name not in OUTPUTS and not name.startswith(".github/")
-    return is_part and not path.is_relative_to(PACKAGE)
+    path = PurePosixPath(name)
+    is_other = name.endswith(NO_PART) or path.name in OUTPUTS or any(map(path.match, TESTS))
+    return not is_other and not (root / name).is_relative_to(PACKAGE)
 
 
 def _digest(path: Path) -> str:
