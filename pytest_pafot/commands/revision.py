@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 
 from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.commands.history import History, HistoryError, copied
-from pytest_pafot.commands.revision_process import digest_of
+from pytest_pafot.commands.revision_process import digest_of, imported_elsewhere
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.execution.revision_policy import PACKAGE, RevisionError, RevisionPolicy
 from pytest_pafot.support.text import visible
@@ -67,7 +67,7 @@ class Revision:
         path = here.relative_to(root)
         return (bool(colon) or not (self.tree / path).exists()) and not self.history.is_ignored(path.as_posix())
 
-    def compared(self, seen: Mapping[str, str], test: str = "", *, is_whole: bool = True) -> tuple[list[str], str]:
+    def compared(self, seen: Mapping[str, str], test: str = "", *, is_whole: bool) -> tuple[list[str], str]:
         """Return a line for each side, with its commit and files; and a sentence if nothing differs, else an empty one.
 
         A file differs if the policy of this revision has seen it, and it is another one now; and if git reports it as
@@ -79,9 +79,11 @@ class Revision:
             is_whole: False if the policy has files of the user outside of the repository, which no revision has.
 
         Raises:
-            RevisionError: if git fails.
+            RevisionError: if git fails, or if the present modules of the repository are not imported from it.
         """
         root = self.history.root
+        if elsewhere := imported_elsewhere([*sys.modules], root, self.tree, root):
+            raise RevisionError(f"{self.label}: {elsewhere}")
         try:
             head, dirty = self.history.named("HEAD"), self.history.uncommitted()
             changed = {name for name in self.history.uncommitted(self.commit) if name == test or _may_count(root, name)}
@@ -93,7 +95,7 @@ class Revision:
         before, now = ({name: digest for name in names if (digest := _digest(at / name))} for at in (self.tree, root))
         changes = " and changes" if {*names} & {*dirty} else ""
         lines = [files_line(self.label, before), files_line(f"now ({head:.7}{changes})", now)]
-        is_same = seen and is_whole and not differ
+        is_same = seen.keys() - {test} and is_whole and not differ
         return lines, f"the policy is that of {self.label}: nothing to compare" if is_same else ""
 
 

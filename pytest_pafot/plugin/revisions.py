@@ -148,7 +148,7 @@ def compare(item: pytest.Item, harness: Harness) -> None:
                 policy.call(rolled, "rollout", harness.world, scenario)
                 seen = policy.call(Served.hashes)
                 seen.pop(found.put, None)
-                lines, same = revision.compared(seen, found.test)
+                lines, same = revision.compared(seen, found.test, is_whole=policy.call(Served.is_whole))
         except ProcessLostError:
             return  # Each of its runs fails, which the search reports.
         except RequestError as error:
