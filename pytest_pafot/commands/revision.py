@@ -44,6 +44,7 @@ class Revision:
     tree: Path
     here: Path  # the current folder
     option: str  # the option that names files to copy, for texts
+    copies: tuple[str, ...] = ()  # the present files and folders that it has got
 
     def policy(self, program: str, name: str, session: tuple[str, ...] = ()) -> RevisionPolicy:
         """Return a policy of this revision; see :class:`RevisionPolicy` for the arguments."""
@@ -68,7 +69,7 @@ class Revision:
         return (bool(colon) or not (self.tree / path).exists()) and not self.history.is_ignored(path.as_posix())
 
     def compared(self, seen: Mapping[str, str], test: str = "", *, is_whole: bool) -> tuple[list[str], str]:
-        """Return a line for each side, with its commit and files; and a sentence if nothing differs, else an empty one.
+        """Return lines on the files of both sides; and a sentence if nothing differs, else an empty one.
 
         A file differs if the policy of this revision has seen it, and it is another one now; and if git reports it as
         changed, because the policy may see any file in another run: only documents and tests are no part of a policy.
@@ -95,6 +96,8 @@ class Revision:
         before, now = ({name: digest for name in names if (digest := _digest(at / name))} for at in (self.tree, root))
         changes = " and changes" if {*names} & {*dirty} else ""
         lines = [files_line(self.label, before), files_line(f"now ({head:.7}{changes})", now)]
+        if self.copies:
+            lines.append(f"copied, so the same on both sides: {', '.join(map(visible, self.copies[:SHOWN]))}")
         is_same = seen.keys() - {test} and is_whole and not differ
         return lines, f"the policy is that of {self.label}: nothing to compare" if is_same else ""
 
@@ -139,12 +142,13 @@ def revision_at(
             except ValueError as error:
                 raise HistoryError(f"{option}: expected paths as in a shell, received {paths!r}: {error}") from None
             extra = copied(history.root, here, names, option)
+            copies = tuple(each for each in extra if (history.root / each).is_dir() or not history.has(commit, each))
             tree = stack.enter_context(history.revision(commit, extra, exits=exits))
         except HistoryError as error:
             raise RevisionError(f"{visible(text)}: {error}") from None
         is_hash = len(name) >= 7 and commit.startswith(name)
         label = f"{REVISION}{commit:.7}" if is_hash else f"{visible(text)} ({commit:.7})"
-        yield Revision(history, label, commit, tree, here, option)
+        yield Revision(history, label, commit, tree, here, option, copies)
 
 
 def files_line(who: str, files: Mapping[str, str]) -> str:

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from importlib.machinery import PathFinder
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,9 @@ from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
 NO_PART = {".git", ".pytest_cache", "__pycache__"}
 """Folders in which no file is of a policy."""
+
+LOOKING = {"_pytest", "_frozen_importlib", "_frozen_importlib_external", "_distutils_hack", "six"}
+"""The packages of finders that leave it to the folders of imports where the user's modules are."""
 
 NO_TEST = "test"
 """What a revision lacks if it has no such test."""
@@ -45,11 +49,17 @@ class Served:
     def refused(self) -> str:
         """Return why this is not the policy of the revision, with the way out; empty if nothing shows that."""
         if strangers := self._present():
+            # pytest has a finder of its own there, which looks into the folders.
+            others = sys.meta_path[: sys.meta_path.index(PathFinder)] if PathFinder in sys.meta_path else []
+            names = {getattr(each, "__module__", type(each).__module__) for each in others}
+            first = sorted(name for name in names if name.partition(".")[0] not in LOOKING)
+            way = "put the folder that an editable installation imports from on the path (pytest: `pythonpath = src`)"
+            if first:
+                way = f"uninstall what {', '.join(map(visible, first))} imports, whose finder is asked first, and {way}"
             return (
                 "expected a policy that imports and opens files of its own revision, received "
                 f"{', '.join(map(visible, strangers[:3]))}, of your present files: it would be compared with itself; "
-                "name files relative to the module (`Path(__file__).parent`), and put the folder that an editable "
-                "installation imports from on the path (pytest: `pythonpath = src`)"
+                f"name files relative to the module (`Path(__file__).parent`), and {way}"
             )
         new = sys.modules.keys() - self._modules
         self._modules |= new

@@ -39,6 +39,8 @@ LONGEST_END = 10.0
 """The longest time for the end of a process, which tears down the fixtures of its test [s]."""
 STUCK = 86
 """The exit code of a process whose policy ignores every interrupt."""
+MISSING = ("FileNotFoundError", "ImportError", "ModuleNotFoundError")
+"""The exceptions of a policy that lacks a file, such as one that git ignores."""
 PACKAGE = Path(__file__).parents[1]
 """The folder of the running pytest_pafot, which the process imports as well, whatever the revision contains."""
 BOOT = "import sys; sys.path.insert(0, sys.argv[1]); from {program} import main; main(int(sys.argv[2]))"
@@ -131,9 +133,17 @@ class Elsewhere:
 
 
 def rolled(built: Any, method: str, world: Any, scenario: Scenario) -> Trace:
-    """Run a scenario by a method of the world, in the process of a revision."""
+    """Run a scenario by a method of the world, in the process of a revision.
+
+    Raises:
+        RevisionError: if the policy did not find a file or a module, which says nothing about how it drives.
+    """
     run = rollout_of(world) if method == "rollout" else getattr(world, method)
     trace: Trace = run(scenario, built.factory)
+    if trace.error is not None and trace.error.kind in MISSING:
+        policy: RevisionPolicy = built.policy
+        text = f"{trace.error.kind}: {trace.error.message}".replace(f"{policy.tree}{os.sep}", "")
+        raise RevisionError(f"{policy.label}: expected a policy that drives, received {text} in a run; {policy.hint}")
     return trace
 
 

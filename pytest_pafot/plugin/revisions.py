@@ -78,7 +78,7 @@ class Revisions:
                 policy.start()
                 break
             except RevisionError as error:
-                is_last = bool(named or put_at)
+                is_last = bool(named or put_at) or error.missing.startswith("fixture:")
                 if is_last and revision.lacks(error.missing):
                     return OfTest(revision, None)
                 if is_last or error.missing != NO_TEST:
