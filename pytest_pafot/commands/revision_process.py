@@ -42,7 +42,7 @@ class Served:
     policy: RevisionPolicy
     opened: set[str]  # the files that this process has opened to read, or started; it grows
     factory: Callable[..., Any] | None = None
-    _known: set[Path] = field(default_factory=set)  # the paths that were looked at
+    _known: set[str] = field(default_factory=set)  # the paths that were looked at
     _modules: set[str] = field(default_factory=set)  # the names of modules that were looked at
     _strangers: set[str] = field(default_factory=set)
 
@@ -65,7 +65,7 @@ class Served:
         self._modules |= new
         if elsewhere := imported_elsewhere(new, self.policy.tree, self.policy.tree, self.policy.root):
             return elsewhere
-        files = [] if self.factory is None else [*source_files(self.factory)]
+        files = [*source_files(self.factory)] if new else []
         if files and not any(file.is_relative_to(self.policy.tree) for file in files):
             return (
                 f"expected a policy of the repository {visible(str(self.policy.root))}, received that of "
@@ -84,10 +84,10 @@ class Served:
     def _present(self) -> list[str]:
         """Return the files of the user's present checkout that this process has opened, imported, mapped or started."""
         modules = [getattr(module, "__file__", None) for module in [*sys.modules.values()]]
-        new = {Path(name) for name in [*self.opened, *modules, *_in_memory()] if isinstance(name, str)} - self._known
+        new = {name for name in [*self.opened, *modules, *_in_memory()] if isinstance(name, str)} - self._known
         self._known |= new
         kept_out = [Path(os.path.realpath(each)) for each in (self.policy.tree, PACKAGE, sys.prefix)]
-        for real in (Path(os.path.realpath(path)) for path in new if not _is_no_part(path)):
+        for real in (Path(os.path.realpath(path)) for path in map(Path, new) if not _is_no_part(path)):
             is_present = real.is_relative_to(self.policy.root) and not any(map(real.is_relative_to, kept_out))
             if is_present and not _is_no_part(real) and real.is_file():
                 self._strangers.add(str(real))
@@ -97,7 +97,7 @@ class Served:
         """Return the hashes of the files of the revision that this process has seen, by path in the repository."""
         self._present()
         tree = self.policy.tree
-        own = sorted(path for path in self._known if path.is_relative_to(tree) and not _is_no_part(path))
+        own = sorted(path for path in map(Path, self._known) if path.is_relative_to(tree) and not _is_no_part(path))
         return {path.relative_to(tree).as_posix(): digest_of(path) for path in own if path.is_file()}
 
 
