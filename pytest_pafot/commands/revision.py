@@ -23,8 +23,8 @@ OF_COMMAND = "PYTEST_PAFOT_POLICY"
 PROCESS = "pytest_pafot.commands.revision_process"
 """The module whose ``main`` is the process of a policy that a command names."""
 
-NO_PART = (".md", ".rst", SUFFIX)
-"""Endings of files that no policy drives by. Pictures are not among them: a policy may drive by a map."""
+NO_PART = (".md", ".rst", ".pyc", SUFFIX)
+"""Endings of files that no policy drives by, or that are made from others. Pictures are not among them: a policy may drive by a map."""
 TESTS = ("test_*.py", "*_test.py")
 """Patterns of the names of test modules."""
 OUTPUTS = ("pafot.json", "pafot.html", "pafot.xml")
@@ -91,8 +91,9 @@ class Revision:
         except HistoryError as error:
             raise RevisionError(f"{self.label}: {error}") from None
         differ = changed | {name for name, digest in seen.items() if _digest(root / name) != digest}
-        # Those that differ come first, because long lists are cut.
-        names = sorted({*seen, *differ}, key=lambda name: (name not in differ, name))
+        # Those that differ come first, because long lists are cut. New files other than modules are often outputs.
+        told = {name for name in differ if name.endswith(".py") or (self.tree / name).exists()}
+        names = sorted({*seen, *told}, key=lambda name: (name not in differ, name))
         before, now = ({name: digest for name in names if (digest := _digest(at / name))} for at in (self.tree, root))
         changes = " and changes" if {*names} & {*dirty} else ""
         lines = [files_line(self.label, before), files_line(f"now ({head:.7}{changes})", now)]
