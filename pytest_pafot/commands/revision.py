@@ -23,8 +23,8 @@ OF_COMMAND = "PYTEST_PAFOT_POLICY"
 PROCESS = "pytest_pafot.commands.revision_process"
 """The module whose ``main`` is the process of a policy that a command names."""
 
-NO_PART = (".md", ".rst", ".pyc", SUFFIX)
-"""Endings of files that no policy drives by, or that are made from others. Pictures are not among them: a policy may drive by a map."""
+NO_PART = (".md", ".rst", SUFFIX)
+"""Endings of files that no policy drives by. Pictures are not among them: a policy may drive by a map."""
 TESTS = ("test_*.py", "*_test.py")
 """Patterns of the names of test modules."""
 OUTPUTS = ("pafot.json", "pafot.html", "pafot.xml")
@@ -106,7 +106,9 @@ class Revision:
 def _may_count(root: Path, name: str) -> bool:
     """Return whether a changed file may be part of a policy. The running pytest_pafot is that of both sides."""
     path = PurePosixPath(name)
-    is_other = name.endswith(NO_PART) or path.name in OUTPUTS or any(map(path.match, TESTS))
+    is_other = (
+        name.endswith(NO_PART) or path.name in OUTPUTS or "__pycache__" in path.parts or any(map(path.match, TESTS))
+    )
     return not is_other and not (root / name).is_relative_to(PACKAGE)
 
 

@@ -102,7 +102,7 @@ class Served:
 
 
 def _is_no_part(path: Path) -> bool:
-    return path.suffix == ".pyc" or bool(NO_PART & {*path.parts})
+    return path.match(f"*.{sys.implementation.cache_tag}*.pyc") or bool(NO_PART & {*path.parts})
 
 
 def _in_memory() -> set[str]:
