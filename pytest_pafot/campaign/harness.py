@@ -293,8 +293,9 @@ class Harness:
         except ProcessLostError as error:
             return None, Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.how), is_ads=True)
         except RequestError as error:
-            named = "" if self.against is None else f" ({self.against.shown})"
-            raise AgainstError(f"against{named}: {str(error).removeprefix('ads: ')}") from None
+            text = str(error).removeprefix("ads: ").removeprefix(f"{self.against_name}: ")
+            named = f" ({self.against_name})" if self.against_name else ""
+            raise AgainstError(f"against{named}: {text}") from None
         run = self.seen(trace, world)
         return run, self.judge(run)
 

@@ -139,6 +139,10 @@ class History:
         """Return whether git ignores a file in the user's folder."""
         return bool(self._git("ls-files", "--others", "--ignored", "--exclude-standard", "-z", "--", name))
 
+    def has(self, commit: str, name: str) -> bool:
+        """Return whether a commit has a file or a folder."""
+        return bool(self._git("ls-tree", "-z", commit, "--", name))
+
     def is_policy(self, name: str) -> bool:
         """Return whether a path is one of the policy's paths, or in a folder among the policy's paths."""
         return any(Path(name).is_relative_to(path) for path in self.paths)

@@ -5,17 +5,16 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.commands.history import History, HistoryError, copied
-from pytest_pafot.commands.revision_process import digest_of
+from pytest_pafot.commands.revision_process import digest_of, imported_elsewhere
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.execution.revision_policy import PACKAGE, RevisionError, RevisionPolicy
-from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import visible
 
 OF_COMMAND = "PYTEST_PAFOT_POLICY"
@@ -25,7 +24,9 @@ PROCESS = "pytest_pafot.commands.revision_process"
 """The module whose ``main`` is the process of a policy that a command names."""
 
 NO_PART = (".md", ".rst", SUFFIX)
-"""Endings of files that no policy drives by."""
+"""Endings of files that no policy drives by. Pictures are not among them: a policy may drive by a map."""
+TESTS = ("test_*.py", "*_test.py")
+"""Patterns of the names of test modules."""
 OUTPUTS = ("pafot.json", "pafot.html", "pafot.xml")
 """Files that jobs leave in the folder in which they run."""
 
@@ -43,6 +44,7 @@ class Revision:
     tree: Path
     here: Path  # the current folder
     option: str  # the option that names files to copy, for texts
+    copies: tuple[str, ...] = ()  # the present files and folders that it has got
 
     def policy(self, program: str, name: str, session: tuple[str, ...] = ()) -> RevisionPolicy:
         """Return a policy of this revision; see :class:`RevisionPolicy` for the arguments."""
@@ -66,58 +68,48 @@ class Revision:
         path = here.relative_to(root)
         return (bool(colon) or not (self.tree / path).exists()) and not self.history.is_ignored(path.as_posix())
 
-    def compared(self, seen: Mapping[str, str], test: str = "", others: Collection[str] = ()) -> tuple[list[str], str]:
-        """Return a line for each side, with its commit and files; and a sentence if nothing differs, else an empty one.
+    def compared(self, seen: Mapping[str, str], test: str = "", *, is_whole: bool) -> tuple[list[str], str]:
+        """Return lines on the files of both sides; and a sentence if nothing differs, else an empty one.
 
-        A file differs if the policy of this revision has seen it, and it is another one now; and if it has changed and
-        the policy may see it in another run: data, which native code opens unnoticed, and modules. A changed module is
-        no part of the policy if it is not imported now, is in no package of it, and no import of it leads there.
+        A file differs if the policy of this revision has seen it, and it is another one now; and if git reports it as
+        changed, because the policy may see any file in another run: only documents and tests are no part of a policy.
 
         Args:
             seen: the hashes of the files that the policy of this revision has seen.
-            test: the file of the test, if nothing in it is part of the policy.
-            others: the other test files of the session, which are imported whether or not the policy needs them.
+            test: the file of the test, which counts, since it may set the policy up.
+            is_whole: False if the policy has files of the user outside of the repository, which no revision has.
 
         Raises:
-            RevisionError: if git fails.
+            RevisionError: if git fails, or if the present modules of the repository are not imported from it.
         """
         root = self.history.root
+        if elsewhere := imported_elsewhere([*sys.modules], root, self.tree, root):
+            raise RevisionError(f"{self.label}: {elsewhere}")
         try:
             head, dirty = self.history.named("HEAD"), self.history.uncommitted()
-            uncommitted = self.history.uncommitted(self.commit)
+            changed = {name for name in self.history.uncommitted(self.commit) if name == test or _may_count(root, name)}
         except HistoryError as error:
             raise RevisionError(f"{self.label}: {error}") from None
-        modules = {}
-        for module in [*sys.modules.values()]:
-            file = getattr(module, "__file__", None)
-            if isinstance(file, str) and (path := Path(os.path.realpath(file))).is_relative_to(root):
-                modules[path.relative_to(root).as_posix()] = module
-        changed = {name for name in uncommitted if _may_count(root / name, name)} - {test}
-        differ = {name for name, digest in seen.items() if _digest(root / name) != digest} - {test}
-        packages = {PurePosixPath(name).parent for name in seen if name.endswith("__init__.py")}
-        apart = {
-            name
-            for name in changed - {*seen} - (modules.keys() - {*others})
-            if name.endswith(".py") and not name.endswith("conftest.py") and PurePosixPath(name).parent not in packages
-        }
-        differ |= changed - apart
-        if not differ:  # Then what it has seen is as now, so that the present modules import what those of then did.
-            differ = apart & source_digests(*(modules[name] for name in seen if name in modules), here=root).keys()
-        # Those that differ come first, because long lists are cut.
-        names = sorted({*seen, *(differ & modules.keys())}, key=lambda name: (name not in differ, name))
-        now = {name: digest for name in names if (digest := _digest(root / name))}
-        changes = " and changes" if {*now, *seen} & {*dirty} else ""
-        lines = [
-            files_line(self.label, {name: seen[name] for name in names if name in seen}),
-            files_line(f"now ({head:.7}{changes})", now),
-        ]
-        return lines, "" if differ else f"the policy is that of {self.label}: nothing to compare"
+        differ = changed | {name for name, digest in seen.items() if _digest(root / name) != digest}
+        # Those that differ come first, because long lists are cut. New files other than modules are often outputs.
+        told = {name for name in differ if name.endswith(".py") or (self.tree / name).exists()}
+        names = sorted({*seen, *told}, key=lambda name: (name not in differ, name))
+        before, now = ({name: digest for name in names if (digest := _digest(at / name))} for at in (self.tree, root))
+        changes = " and changes" if {*names} & {*dirty} else ""
+        lines = [files_line(self.label, before), files_line(f"now ({head:.7}{changes})", now)]
+        if self.copies:
+            lines.append(f"copied, so the same on both sides: {', '.join(map(visible, self.copies[:SHOWN]))}")
+        is_same = seen.keys() - {test} and is_whole and not differ
+        return lines, f"the policy is that of {self.label}: nothing to compare" if is_same else ""
 
 
-def _may_count(path: Path, name: str) -> bool:
+def _may_count(root: Path, name: str) -> bool:
     """Return whether a changed file may be part of a policy. The running pytest_pafot is that of both sides."""
-    is_part = not name.endswith(NO_PART) and path.name not in OUTPUTS and not name.startswith(".github/")
-    return is_part and not path.is_relative_to(PACKAGE)
+    path = PurePosixPath(name)
+    is_other = (
+        name.endswith(NO_PART) or path.name in OUTPUTS or "__pycache__" in path.parts or any(map(path.match, TESTS))
+    )
+    return not is_other and not (root / name).is_relative_to(PACKAGE)
 
 
 def _digest(path: Path) -> str:
@@ -153,12 +145,13 @@ def revision_at(
             except ValueError as error:
                 raise HistoryError(f"{option}: expected paths as in a shell, received {paths!r}: {error}") from None
             extra = copied(history.root, here, names, option)
+            copies = tuple(each for each in extra if (history.root / each).is_dir() or not history.has(commit, each))
             tree = stack.enter_context(history.revision(commit, extra, exits=exits))
         except HistoryError as error:
             raise RevisionError(f"{visible(text)}: {error}") from None
         is_hash = len(name) >= 7 and commit.startswith(name)
         label = f"{REVISION}{commit:.7}" if is_hash else f"{visible(text)} ({commit:.7})"
-        yield Revision(history, label, commit, tree, here, option)
+        yield Revision(history, label, commit, tree, here, option, copies)
 
 
 def files_line(who: str, files: Mapping[str, str]) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import tempfile
@@ -35,6 +36,8 @@ TESTS_FAILED, USAGE_ERROR = 1, 4
 """Exit codes of pytest. They are copied, because importing pytest would slow down the help of commands."""
 LAST_SECONDS = 30
 """The time that an interrupted session has for its summary [s]. After that it is killed."""
+ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""The signals that end the command and its session."""
 NO_TESTS = "[pytest]\n"
 """An empty configuration of pytest, so that the project's settings do not apply to the session."""
 
@@ -98,16 +101,33 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def _code_of(session: Sequence[str], environ: Mapping[str, str]) -> int:
-    """Run a pytest session and return its exit code. After Ctrl-C, the session can still write its summary and page."""
+    """Run a pytest session and return its exit code.
+
+    After Ctrl-C, the session can still write its summary and page. SIGTERM and SIGHUP end it, unless they are ignored.
+    A session that goes on for LAST_SECONDS is ended, and killed at last.
+    """
+
+    def received(number: int, _: object) -> None:
+        process.terminate()
+        raise SystemExit(128 + number)
+
     with subprocess.Popen(session, env=environ) as process:  # noqa: S603  (the user's own arguments)
+        before = {number: signal.getsignal(number) for number in ENDS}
+        mine = [number for number in ENDS if before[number] != signal.SIG_IGN]
+        for number in mine:
+            signal.signal(number, received)
         try:
             return process.wait()
-        except KeyboardInterrupt:  # The terminal has interrupted the session as well.
-            try:
-                process.wait(LAST_SECONDS)
-            except subprocess.TimeoutExpired:
-                process.terminate()
-            raise
+        finally:
+            for number in mine:
+                signal.signal(number, signal.SIG_IGN)
+            for end in (process.terminate, process.kill):
+                try:
+                    process.wait(LAST_SECONDS)
+                except subprocess.TimeoutExpired:
+                    end()
+            for number in mine:
+                signal.signal(number, before[number])
 
 
 def _written(here: Path, files: dict[str, str]) -> int:

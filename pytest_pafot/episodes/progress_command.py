@@ -195,7 +195,8 @@ def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[Prog
             policy.start()
             # After a run, since a policy may open its weights late.
             next(replace(plan, revision=policy).judged("old", range(1)))
-            yield replace(plan, revision=policy), *revision.compared(policy.call(Served.hashes))
+            seen, is_whole = policy.call(Served.hashes), policy.call(Served.is_whole)
+            yield replace(plan, revision=policy), *revision.compared(seen, is_whole=is_whole)
         except RevisionError as error:
             if not revision.lacks(error.missing):
                 raise

@@ -39,6 +39,8 @@ LONGEST_END = 10.0
 """The longest time for the end of a process, which tears down the fixtures of its test [s]."""
 STUCK = 86
 """The exit code of a process whose policy ignores every interrupt."""
+MISSING = ("FileNotFoundError", "ImportError", "ModuleNotFoundError")
+"""The exceptions of a policy that lacks a file, such as one that git ignores."""
 PACKAGE = Path(__file__).parents[1]
 """The folder of the running pytest_pafot, which the process imports as well, whatever the revision contains."""
 BOOT = "import sys; sys.path.insert(0, sys.argv[1]); from {program} import main; main(int(sys.argv[2]))"
@@ -131,10 +133,32 @@ class Elsewhere:
 
 
 def rolled(built: Any, method: str, world: Any, scenario: Scenario) -> Trace:
-    """Run a scenario by a method of the world, in the process of a revision."""
+    """Run a scenario by a method of the world, in the process of a revision.
+
+    Raises:
+        RevisionError: if the policy did not find a file or a module, which says nothing about how it drives.
+    """
     run = rollout_of(world) if method == "rollout" else getattr(world, method)
     trace: Trace = run(scenario, built.factory)
+    if trace.error is not None and trace.error.kind in MISSING:
+        policy: RevisionPolicy = built.policy
+        text = f"{trace.error.kind}: {trace.error.message}".replace(f"{policy.tree}{os.sep}", "")
+        raise RevisionError(f"{policy.label}: expected a policy that drives, received {text} in a run; {policy.hint}")
     return trace
+
+
+def in_copy(text: str, root: Path, tree: Path) -> str:
+    """Return the value of a variable, in which paths of the repository ``root`` are those of its copy, if it has them.
+
+    A value is a path, a list of paths, or words of which some are paths.
+    """
+    here = Path(os.path.realpath(text)) if Path(text).is_absolute() else Path()
+    if here.is_relative_to(root) and not here.is_relative_to(os.path.realpath(sys.prefix)):
+        copy = tree / here.relative_to(root)
+        if copy.exists():
+            return str(copy)
+    mark = next((each for each in (os.pathsep, " ", "=") if each in text), "")
+    return mark.join(in_copy(each, root, tree) for each in text.split(mark)) if mark else text
 
 
 def mapped(entries: Iterable[str], root: Path, tree: Path) -> list[str]:
@@ -181,7 +205,7 @@ class _Process:
                 [sys.executable, "-c", BOOT.format(program=policy.program), str(PACKAGE.parent), str(other.fileno())],
                 cwd=policy.tree / policy.folder,
                 env={
-                    **os.environ,
+                    **{name: in_copy(value, policy.root, policy.tree) for name, value in os.environ.items()},
                     "PYTHONPATH": os.pathsep.join(self._mapped(above.split(os.pathsep) if above else [])),
                     "PYTHONDONTWRITEBYTECODE": "1",
                 },
@@ -212,14 +236,9 @@ class _Process:
                 f"{label}: expected a world that can be sent to the process of this revision, received one that raises "
                 f"{type(error).__name__}: {error}; define its class in a module"
             ) from None
-        said, strangers = self._ask(request, arguments[-1] if arguments else function)
-        if strangers:
-            raise RevisionError(
-                f"{label}: expected a policy that imports and opens files of its own revision, received "
-                f"{', '.join(map(visible, strangers[:3]))}, of your present files: it would be compared with itself; "
-                "name files relative to the module (`Path(__file__).parent`), and put the folder that an editable "
-                "installation imports from on the path (pytest: `pythonpath = src`)"
-            )
+        said, refused = self._ask(request, arguments[-1] if arguments else function)
+        if refused:
+            raise RevisionError(f"{label}: {refused}")
         if not isinstance(said, Exception):
             result: T = said
             return result

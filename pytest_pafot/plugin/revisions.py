@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pytest_pafot.campaign.harness import Harness, name_of, refusals
+from pytest_pafot.campaign.harness import Harness, refusals
 from pytest_pafot.campaign.options import REVISION
 from pytest_pafot.campaign.request import AgainstError, Request, RequestError, build_space
 from pytest_pafot.commands.revision import OF_COMMAND, PROCESS, Revision, files_line, revision_at
@@ -78,7 +78,7 @@ class Revisions:
                 policy.start()
                 break
             except RevisionError as error:
-                is_last = bool(named or put_at)
+                is_last = bool(named or put_at) or error.missing.startswith("fixture:")
                 if is_last and revision.lacks(error.missing):
                     return OfTest(revision, None)
                 if is_last or error.missing != NO_TEST:
@@ -141,19 +141,14 @@ def compare(item: pytest.Item, harness: Harness) -> None:
     elif found is not None and found.policy is None:
         lines = [f"the policy is new since {found.revision.label}: every failure counts"]
     elif found is not None and found.policy is not None:
-        revision, policy, root = found.revision, found.policy, found.revision.history.root
+        revision, policy = found.revision, found.policy
         scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
-        # The test file is no part of a policy with the same name on both sides, which is that of another module.
-        there, now = policy.start(), name_of(harness.ads)
-        is_outside = bool(now) and now == there and harness.ads.__module__ != item.module.__name__  # type: ignore[attr-defined]
-        paths = {Path(os.path.realpath(each.path)) for each in item.session.items}
-        tests = {each.relative_to(root).as_posix() for each in paths if each.is_relative_to(root)} - {found.test}
         try:
             with refusals():
                 policy.call(rolled, "rollout", harness.world, scenario)
                 seen = policy.call(Served.hashes)
                 seen.pop(found.put, None)
-                lines, same = revision.compared(seen, found.test if is_outside or found.put else "", tests)
+                lines, same = revision.compared(seen, found.test, is_whole=policy.call(Served.is_whole))
         except ProcessLostError:
             return  # Each of its runs fails, which the search reports.
         except RequestError as error:

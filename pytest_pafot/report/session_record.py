@@ -290,8 +290,8 @@ class SessionRecord:
         findings: saved scenarios that were replayed, and new findings, in the order of node ids.
         rates: a sentence for each test that counted crashes in ordinary traffic.
         merged: result of `--pafot-merge` for each test, and the reason if it failed.
-        compared: a line for each side of a comparison with a reference, with its commit and its files, and a line for
-            each reference with which there was nothing to compare.
+        compared: a line for each side of a comparison with a reference, with its commit and its files, a line for files
+            that were copied into a revision, and one for each reference with which there was nothing to compare.
         orphans: folders of saved scenarios that no test runs any more, in the order of their paths.
         warnings: warnings about saved scenarios that are no longer accepted, or that fail in the same way.
         problems: anything that went wrong outside the tests.

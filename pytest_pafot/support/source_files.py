@@ -49,7 +49,7 @@ def source_files(*values: object) -> dict[Path, tuple[str, str]]:
     while left:
         source = left.pop()
         file = source.file.resolve()
-        if file in found or not _is_users(file):
+        if file in found or not is_users(file):
             continue
         try:
             content = file.read_bytes()
@@ -164,7 +164,8 @@ def _imported(source: _Source, content: bytes) -> Iterator[_Source]:
                 yield from _of_module(name)
 
 
-def _is_users(file: Path) -> bool:
+def is_users(file: Path) -> bool:
+    """Return whether a file is the user's, and not of an installed package, the standard library or this package."""
     folders = (*map(Path, _library_folders()), Path(__file__).resolve().parents[1])
     return not any(part in INSTALLED for part in file.parts) and not any(map(file.is_relative_to, folders))
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -102,7 +103,7 @@ def test_change_in_an_imported_module_is_a_regression(repository):
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed before"])
 
 
-UNNAMED = {"train.py": "import pkg.adapter\n"}
+UNNAMED = {"train.py": "LATE = 1\n"}
 OTHER_TEST = {"test_other.py": "def test_other():\n    pass\n"}
 
 
@@ -110,10 +111,11 @@ OTHER_TEST = {"test_other.py": "def test_other():\n    pass\n"}
     ("changes", "is_same"),
     [
         ({"README.md": "New."}, True),
-        (UNNAMED, True),
         (OTHER_TEST, True),
-        ({**UNNAMED, "test_other.py": "import train\n"}, False),  # the policy may be what has imported it
-        ({"test_it.py": "# The function, and not the policy.\n"}, True),
+        (UNNAMED, False),  # a policy may import a module by a computed name, and start any file as a program
+        ({"run-planner": "exec python train.py\n"}, False),
+        ({"map.png": "native code may open it"}, False),
+        ({"test_it.py": "# It may set the policy up.\n"}, False),
         ({"net.bin": "native code may open it"}, False),
         ({"pkg/late.py": "LATE = 1\n"}, False),
         ({"test_it.py": "Adapter = type('Adapter', (Adapter,), {})\n"}, False),
@@ -137,12 +139,6 @@ def test_same_policy_is_not_searched_unless_a_change_may_matter(
     same = f"note: the policy is that of rev:main ({git(repository, 'rev-parse', 'main')[:7]}): nothing to compare"
     assert (same in [line.strip() for line in result.outlines]) is is_same
     assert result.parseoutcomes().get("skipped", 0) == is_same
-
-
-def test_module_that_the_policy_may_import_later_matters(repository):
-    commit(repository, **{"late.py": "LATE = 1\n", "pkg/core.py": NOW + "\n\ndef seldom():\n    import late\n"})
-    write(repository, {"late.py": "LATE = 2\n"})
-    run(repository).stdout.no_fnmatch_line("*nothing to compare*")
 
 
 def test_fixtures_parameters_and_classes_come_from_the_revision(repository):
@@ -202,6 +198,54 @@ def test_ignored_weights_are_copied_by_the_option(repository):
     run(repository, "--pafot-copy=pkg/net.npz").stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
 
 
+def test_weights_that_only_some_runs_need_are_no_failure_with_both(repository):
+    late = ADAPTER.replace(
+        "        return", "        open(__file__ + '.npz') if observation.time > 1.0 else None\n        return"
+    )
+    commit(repository, **{"pkg/adapter.py": late, "pkg/core.py": "SPEED_UP = 0.0\n"})
+    write(repository, {"pkg/core.py": NOW, "pkg/adapter.py.npz": ""})
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines(["*FileNotFoundError: * in a run; files that git ignores, *need --pafot-copy*"])
+    result = run(repository, "--pafot-copy=pkg/adapter.py.npz pkg/core.py")
+    told = [
+        "*note: copied, so the same on both sides: pkg/adapter.py.npz",
+        "against rev:main (*): introduces 1 failure, *",
+    ]
+    for line in told:
+        result.stdout.fnmatch_lines([line])
+
+
+def test_policy_without_its_fixture_in_the_revision_is_new(repository):
+    fixture = "import pytest\nfrom pkg.adapter import Adapter\n\n@pytest.fixture\ndef ads():\n    return Adapter\n"
+    repository.write(TEST.replace("ads=Adapter, ", "").replace("(run)", "(run, ads)"))
+    commit(repository)
+    write(repository, {"conftest.py": fixture})
+    run(repository).stdout.fnmatch_lines(["*note: the policy is new since rev:main (*): every failure counts"])
+
+
+def test_finder_that_is_asked_first_is_named(repository, monkeypatch, tmp_path_factory):
+    in_src(repository)
+    write(repository, {"src/pkg/core.py": NOW})
+    site = tmp_path_factory.mktemp("site")
+    finder = "import sys\nfrom importlib.util import spec_from_file_location as found\n\n\nclass Finder:\n"
+    finder += "    def find_spec(name, path=None, target=None):\n        if name == 'pkg':\n"
+    finder += (
+        "            return found(name, SRC + '/pkg/__init__.py', submodule_search_locations=[SRC + '/pkg'])\n\n\n"
+    )
+    (site / "own_finder.py").write_text(f"SRC = '{repository.path}/src'\n{finder}sys.meta_path.insert(0, Finder)\n")
+    (site / "sitecustomize.py").write_text("import own_finder\n")
+    write(repository, {"pytest.ini": "[pytest]\npythonpath = src\n"})
+    commit(repository)
+    write(repository, {"src/pkg/core.py": NOW + "\n"})
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines(["*uninstall what own_finder imports, whose finder is asked first, and put*"])
+    monkeypatch.delenv("PYTHONPATH")
+    run(repository, "--pafot-save=none").stdout.fnmatch_lines(["against rev:main (*): introduces 0 failures, *"])
+
+
 def test_policy_that_opens_present_files_is_refused(repository):
     present = f'"{repository.path}/pkg"'
     commit(repository, **{"pkg/core.py": WEIGHTS.replace("Path(__file__).parent", f"Path({present})")})
@@ -210,6 +254,91 @@ def test_policy_that_opens_present_files_is_refused(repository):
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     expected = f"*received {repository.path}/pkg/net.npz, of your present files: it would be compared with itself; *"
     result.stdout.fnmatch_lines([expected])
+
+
+@table(
+    "opens",
+    [
+        "import numpy; numpy.memmap(FILE, mode='r+')",
+        "import sqlite3; sqlite3.connect(FILE)",
+        "import sqlite3; sqlite3.connect('file:' + FILE + '?mode=ro', uri=True)",
+        "import ctypes, suppress; suppress.all(lambda: ctypes.CDLL(FILE))",
+        "import subprocess; subprocess.run(['cat', FILE])",
+        "import subprocess; subprocess.run('cat ' + FILE, shell=True)",
+        "import subprocess; subprocess.run(['cat', 'net.npz'], cwd=FILE.removesuffix('net.npz'))",
+    ],
+)
+def test_present_files_are_refused_however_they_are_opened(repository, opens):
+    catches = "def all(call):\n    try:\n        call()\n    except OSError:\n        pass\n"
+    present = f"FILE = '{repository.path}/pkg/net.npz'\n{opens}\nSPEED_UP = 0.0\n"
+    commit(repository, **{"pkg/core.py": present, "suppress.py": catches})
+    write(repository, {"pkg/net.npz": "0.0", "pkg/core.py": NOW})
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines([f"*received {repository.path}/pkg/net.npz, of your present files: *"])
+
+
+def test_variables_name_the_files_of_the_revision(repository, monkeypatch):
+    reads = "import os\n\nSPEED_UP = float(open(os.environ['NETS'].split(os.pathsep)[1]).read())\n"
+    commit(repository, **{"pkg/core.py": reads, "a net": "0.0"})
+    write(repository, {"a net": "1.25"})
+    monkeypatch.setenv("NETS", f"/dev/null{os.pathsep}{repository.path}/a net")
+    run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
+
+
+def in_src(repository):
+    """Move the package to a folder that is on no path, and commit it as it was."""
+    git(repository, "checkout", "-q", "pkg")
+    (repository.path / "src").mkdir()
+    (repository.path / "pkg").rename(repository.path / "src" / "pkg")
+    commit(repository)
+
+
+def test_installed_copy_of_the_policy_is_refused(repository, monkeypatch, tmp_path_factory):
+    in_src(repository)
+    write(repository, {"src/pkg/core.py": NOW})
+    site = tmp_path_factory.mktemp("installed")
+    shutil.copytree(repository.path / "src" / "pkg", site / "pkg")
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    where = (
+        f"*received pkg.adapter from {site}/pkg/adapter.py, which is the same on both sides; run where*PYTHONPATH=src"
+    )
+    result.stdout.fnmatch_lines([where])
+    monkeypatch.setenv("PYTHONPATH", f"src{os.pathsep}{site}")
+    run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
+
+
+def test_policy_of_another_repository_is_refused(repository, monkeypatch, tmp_path_factory):
+    site = tmp_path_factory.mktemp("other")
+    (site / "other.py").write_text(ADAPTER.replace("from pkg.core import SPEED_UP", "SPEED_UP = 1.25"))
+    repository.write(TEST.replace("pkg.adapter", "other"))
+    commit(repository)
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines([f"*expected a policy of the repository*received that of {site}/other.py, which is *"])
+
+
+def test_files_outside_the_repository_are_a_reason_to_search(repository, monkeypatch, tmp_path_factory):
+    site = tmp_path_factory.mktemp("other")
+    (site / "other.py").write_text("SPEED_UP = 1.25\n")
+    commit(repository, **{"pkg/core.py": "from other import SPEED_UP\n"})
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces 0 failures, *"])
+
+
+def test_programs_of_a_policy_import_from_its_revision(repository, monkeypatch, tmp_path_factory):
+    in_src(repository)
+    asks = "import subprocess, sys\n\nSPEED_UP = float(subprocess.run([sys.executable, '-c', 'import pkg.net'],"
+    asks += " cwd='/', capture_output=True, text=True).stdout)\n"
+    commit(repository, **{"src/pkg/core.py": asks, "src/pkg/net.py": "print(0.0)\n"})
+    write(repository, {"src/pkg/net.py": "print(1.25)\n"})
+    site = tmp_path_factory.mktemp("site")  # it does what an editable installation does
+    (site / "sitecustomize.py").write_text(f"import sys\nsys.path.append('{repository.path}/src')\n")
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
 
 
 @pytest.mark.parametrize(

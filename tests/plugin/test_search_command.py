@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -141,6 +142,28 @@ def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
     assert "ended: interrupted" in rest
     assert "report: pafot.html (1 " in rest  # an error, if the interrupt comes while the finding is drawn
     assert (here / "pafot.html").exists()
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(os.name == "nt", reason="a revision needs Unix sockets")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_factory, name):
+    places = tmp_path_factory.mktemp("places")
+    monkeypatch.setenv("TMPDIR", str(places))
+    git = ["git", "-c", "user.name=Ann", "-c", "user.email=ann@example.org"]
+    for arguments in (["init", "-q", "-b", "main"], ["add", "a_planner.py"], ["commit", "-qm", "Begin"]):
+        subprocess.run([*git, *arguments], cwd=here, check=True)
+    (here / "a_planner.py").write_text((here / "a_planner.py").read_text() + "\n")
+    command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
+    with subprocess.Popen([*command, "--against", "rev:main"], stdout=subprocess.PIPE, text=True) as search:
+        deadline = time.monotonic() + 60.0
+        while not [*places.glob("pafot-tree-*/*/a_planner.py")] and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert [*places.glob("pafot-tree-*/*/a_planner.py")]
+        search.send_signal(getattr(signal, name))
+        search.communicate(timeout=60)  # It also waits for the session, which has the same output.
+    assert search.returncode == 128 + getattr(signal, name)
+    assert not [*places.glob("pafot-*")]
 
 
 @pytest.mark.parametrize(
