@@ -196,7 +196,7 @@ Reason = tuple[Fact, ...]
 
 
 def due_by(reason: Reason, latest: float) -> Reason:
-    """Return facts that require no braking after the latest time at which braking avoids the collision [s].
+    """Return facts that require no braking of the ego after the latest time at which it avoids the collision [s].
 
     If that time is before the danger, the facts say only what the vehicle did.
     """

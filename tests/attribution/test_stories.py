@@ -186,6 +186,12 @@ def test_both_vehicles_that_failed_at_a_crossing_are_told():
     assert [each.wrong(entry_of(trace, found.sentences, each.vehicle)) for each in stories] == [[], []]
 
 
+def test_braking_of_the_ego_does_not_move_what_the_npc_owed():
+    facts = rss_rule(collision("by hand, junctions", 45, seed=2).trace).facts
+    assert [f"{each.in_full.due_s:.1f}" for each in facts[1:]] == ["3.9", "5.5"]
+    assert [f"{each.due_s:.1f}" for each in due_by(facts, 3.8)[1:]] == ["3.8", "5.5"]
+
+
 OF_KEPT_BRAKING = [
     ("The ego should have braked harder from 0.9 s. It braked with up to 4.0 m/s^2 from 0.5 s on.", "harder is needed"),
     ("The ego should have braked harder from 0.9 s. It braked with up to 4.0 m/s^2 from 0.5 s on.", "release is told"),

@@ -41,12 +41,11 @@ DEEDS = {
     "stood": rf"stood from {TIME} on",
     "sped up": rf"(?<!not have )sped up from {TIME} on, to {FIGURE}",
     "rose repeatedly": rf"sped up again and again from {TIME} on, to {FIGURE}",
-    "further": rf"(?<!not have )sped up further, to {FIGURE}",
     "set off": rf"set off at {TIME} and sped up to {FIGURE}",
     "nothing": rf"did not brake from {TIME} on",
 }
 BRAKED = ("braked", "increasingly", "repeatedly", "harder", "eased")
-ROSE = ("sped up", "rose repeatedly", "further", "set off")
+ROSE = ("sped up", "rose repeatedly", "set off")
 EASED = ("eased", "released", "stood", *ROSE)
 PAUSE, SMALL, CLEAR = 0.4, 0.31, 1.0
 """The pause between two brakings [s], and the changes of speed that need not be told and that must be told [m/s]."""
@@ -85,20 +84,12 @@ class Story:
 
     def begins(self, index):
         """Return the ticks at which a deed may begin."""
-        name, found = self.deeds[index]
-        if name != "further":
-            return self.ticks(found["time"])
-        if index > self.later or self.duty is None:
-            return [self.end]
-        due = self.ticks(self.due["time"])[0]
-        if index < min(self.later, len(self.deeds) - 1):
-            due = min(due, self.begins(index + 1)[0])
-        return range(max(due - round(1.6 * self.hz), 0), due + 1)
+        return self.ticks(self.deeds[index][1]["time"])
 
     def parts(self, index):
         """Return the pairs of ticks between which a deed may have been."""
-        after = [each for each in range(index + 1, len(self.deeds)) if self.deeds[each][0] != "further"]
-        return itertools.product(self.begins(index), self.begins(after[0]) if after else [self.end])
+        after = self.begins(index + 1) if index + 1 < len(self.deeds) else [self.end]
+        return itertools.product(self.begins(index), after)
 
     def brakings(self, first, last):
         """Return the brakings between two ticks as first tick, last tick and loss of speed."""
@@ -128,7 +119,7 @@ class Story:
                 for at, name in enumerate(names)
             ),
         )
-        times = [float(found["time"]) for name, found in self.deeds if name != "further"]
+        times = [float(found["time"]) for _, found in self.deeds]
         yield "order", times == sorted(times)
         if self.duty in ("braked", "braked harder", "kept braking"):
             due = self.ticks(self.due["time"])
