@@ -231,9 +231,12 @@ def _rise(speed: FloatArray, first: int, last: int, since: int, hz: int) -> _Str
     return _Stretch(doing, begin, first + top, float(part[top]), float(part[top] - speed[begin]))
 
 
-def _presses(slowed: FloatArray, begin: int, over: int, hz: int) -> list[tuple[int, int]]:
-    """Return the parts of one braking, each of which became clearly harder again after a lull."""
-    found: list[tuple[int, int]] = []
+def _presses(slowed: FloatArray, begin: int, over: int, hz: int) -> list[tuple[int, int, int]]:
+    """Return the parts of one braking, each of which became clearly harder again after a lull.
+
+    Each part is the ticks at which it begins, is weakest in the lull at its end, and is over.
+    """
+    found: list[tuple[int, int, int]] = []
     while True:
         part = slowed[begin:over]
         weak = stretches(part < CLEARLY * np.maximum.accumulate(part))
@@ -244,31 +247,27 @@ def _presses(slowed: FloatArray, begin: int, over: int, hz: int) -> list[tuple[i
         lasting = (at for at, last in strong if last - at >= round(STEADY * hz) or last == len(rest))
         up = next(lasting, None)
         if up is None:
-            return [*found, (begin, over)]
-        weakest = begin + low + int(np.flatnonzero(rest[:up] <= lowest[up - 1])[-1])
-        found.append((begin, weakest))
-        begin = weakest
+            return [*found, (begin, over, over)]
+        found.append((begin, begin + low + int(rest[:up].argmin()), begin + low + up))
+        begin += low + up
 
 
 def _braked(slowed: FloatArray, begin: int, over: int, hz: int) -> list[_Stretch]:
     """Return the phases of one braking: its hard parts, and gentler parts before, between and after if they last."""
     steady = round(STEADY * hz)
     found: list[tuple[Doing, int, int]] = []
-    for start, end in _presses(slowed, begin, over, hz):
-        share = slowed[start:end] / slowed[start:end].max()
+    for start, weakest, end in _presses(slowed, begin, over, hz):
+        share = slowed[start:weakest] / slowed[start:weakest].max()
         first = start + int(np.flatnonzero(share >= HARD)[0])
         last = start + int(np.flatnonzero(share >= EASED)[-1]) + 1
-        last = last if end - last >= steady else end
+        last = end if end == over and end - last < steady else last
         if found:
-            found[-1] = (Doing.EASED_OFF, found[-1][1], first)
+            parts = [(Doing.BRAKED_HARDER, start, last)]
         elif first - start < steady:
-            first = start
-        parts = [(Doing.BRAKED, start, first), (Doing.BRAKED_HARDER, first, last), (Doing.EASED_OFF, last, end)]
-        if found:
-            parts = parts[1:]
-        elif first == start:
-            parts[:2] = [(Doing.BRAKED, start, last)]
-        found += parts
+            parts = [(Doing.BRAKED, start, last)]
+        else:
+            parts = [(Doing.BRAKED, start, first), (Doing.BRAKED_HARDER, first, last)]
+        found += [*parts, (Doing.EASED_OFF, last, end)]
     return [
         _Stretch(doing, begin, over, _extreme(doing, slowed[begin:over]), float(slowed[begin:over].sum()) / hz)
         for doing, begin, over in found

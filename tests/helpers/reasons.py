@@ -119,7 +119,7 @@ class Reading:
         if one in crossing.blind:
             return crossing.last_to_slow_down(one) if crossing.is_merge else crossing.last_to_stop_short(one)
         assert one in crossing.rude
-        assert not crossing.blind
+        assert one is crossing.ego or not crossing.blind
         return crossing.chance_not_taken(one)
 
     def is_due(self, story):
