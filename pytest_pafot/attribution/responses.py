@@ -290,7 +290,7 @@ def _fewer(phases: list[_Stretch], due: int | None, lasting: int) -> list[_Stret
     most = MOST + min(early, EARLIER)
     while len(found) > most:
         is_lull = [each.doing for each in found[-2:]] == [Doing.EASED_OFF, Doing.BRAKED_HARDER]
-        kept = 3 if is_lull else 1
+        kept = 3 if is_lull else 2 if found[-1].doing is Doing.EASED_OFF else 1
         alike = [
             at
             for at in range(len(found) - max(kept, 2))
@@ -413,6 +413,7 @@ class Conduct:
             if speed[begin] - speed[over] >= (LOST if over > since else CLEAR) and over > since - lasting
         ]
         first = min(told[0][0], since) if told else since
+        told = [each for each in brakings if told and each[0] >= told[0][0] and speed[each[0]] - speed[each[1]] >= LOST]
         at = max([0, *(over for begin, over in brakings if over <= first and speed[begin] - speed[over] >= LOST)])
         for begin, over in [*told, (end, end)]:
             rise = _rise(speed, at, begin, since, hz)

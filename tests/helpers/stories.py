@@ -256,7 +256,9 @@ class Story:
         """Check that what it did instead of braking went on when braking was due."""
         if "Instead it sped" in self.text or "Instead it set" in self.text:
             due = self.ticks(self.due["time"])
-            yield "instead", any(self.speed[at : at + 2].max() > self.speed[max(at - 1, 0)] for at in due)
+            later = [each for index in range(len(self.deeds)) for each in self.begins(index) if each > due[-1]]
+            over = max(min([self.end, *later]), due[-1] + 1)
+            yield "instead", any(self.speed[at : over + 1].max() > self.speed[max(at - 1, 0)] for at in due)
 
     def unsaid(self):
         """Check that each clear braking or gain in speed from the time on that is due is in a phase that is told."""
