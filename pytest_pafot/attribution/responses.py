@@ -75,8 +75,10 @@ STEADY = 0.3
 """The least duration of a gentle part of a braking that is told apart from its hard part [s]."""
 ROSE = 0.1
 """The gain from which on a speed has begun to rise [m/s]."""
-BEFORE = 3.0
-"""The time before a response is required in which the beginning of speeding up is looked for [s]."""
+LULL, CLEARLY = 0.5, 0.7
+"""The least time of a lull between two hard parts of a braking [s], and the share of the braking before and after it
+below which it lies; and the share of the hardest braking of a phase below which the first half second of the phase
+lies, on average, if the time of the hardest braking is told."""
 CREEPING = 2.0
 """The speed up to which a vehicle only creeps, so that its mistake may be to speed up [m/s]."""
 CLEAR = 1.0
@@ -170,8 +172,8 @@ def _last_avoiding(first: int, last: int, avoids: Callable[[int], bool]) -> int 
 class _Stretch(NamedTuple):
     """A phase by the ticks at which it begins and is over, with its change of speed [m/s].
 
-    ``then`` is what followed until the next phase if the vehicle neither braked nor sped up: it stood, or had released
-    the brakes.
+    ``then`` is what followed until the next phase if the vehicle neither braked nor sped up: it stood, had released the
+    brakes, or went on to ease them off.
     """
 
     doing: Doing
@@ -194,11 +196,24 @@ class _Stretch(NamedTuple):
         return self._replace(doing=doing, over=later.over, figure=figure, change=change, then=later.then)
 
 
-def _rise(speed: FloatArray, first: int, last: int, since: int, pause: int) -> _Stretch | None:
-    """Return the largest gain in speed between two ticks that goes on after the tick ``since``; None if it is small.
+def rising_since(speed: FloatArray, hz: int, first: int, tick: int) -> int:
+    """Return the tick, not before ``first``, at which the rise of a speed that goes on at a tick began.
 
-    If the speed rose already before the first of these ticks, the vehicle sped up further.
+    The rise goes back as far as the speed gained 0.5 m/s in each second, or half of what it gains after the tick if
+    that is less.
     """
+    ahead = speed[tick + 1 : tick + 1 + hz]
+    least = min(BRAKES, float(ahead.max(initial=0.0) - speed[tick]) / 2)
+    begin = tick
+    while begin > first and speed[begin] - speed[max(begin - hz, first)] > least:
+        begin -= 1
+    recent = speed[max(begin - hz, first) : tick + 1]
+    lowest = begin - max(begin - hz, first) + 1
+    return max(begin - hz, first) + int(np.flatnonzero(recent <= recent[:lowest].min() + ROSE)[-1])
+
+
+def _rise(speed: FloatArray, first: int, last: int, since: int, hz: int) -> _Stretch | None:
+    """Return the largest gain in speed between two ticks that goes on after the tick ``since``; None if it is small."""
     part = speed[first : last + 1]
     lowest = np.minimum.accumulate(part)
     gain = np.where(np.arange(first, last + 1) > since, part - lowest, 0.0)
@@ -206,28 +221,63 @@ def _rise(speed: FloatArray, first: int, last: int, since: int, pause: int) -> _
     if not gain.size or gain[top] <= SPED_UP:
         return None
     begin = first + int(np.flatnonzero(part[: top + 1] <= lowest[top] + ROSE)[-1])
+    if begin < since:
+        rest = part[since - first : top + 1]
+        if rest[-1] - rest.min() <= SPED_UP:
+            return _rise(speed, since, last, since, hz)  # it had ended by then
+        goes_on = since + int(np.flatnonzero(rest <= rest.min() + ROSE)[-1])
+        begin = rising_since(speed, hz, begin, goes_on)
     doing = Doing.SET_OFF if speed[begin] <= STANDING_SPEED + ROSE else Doing.SPED_UP
-    if begin < since and part[since - first] > part[top] - SPED_UP:
-        return _rise(speed, since, last, since, pause)  # it had ended by then
-    if speed[first] - speed[max(first - pause, 0) : first + 1].min() > ROSE and begin - first < pause:
-        begin, doing = max(begin, since), Doing.SPED_UP_FURTHER
-    return _Stretch(doing, begin, first + top, float(part[top]), float(gain[top]))
+    return _Stretch(doing, begin, first + top, float(part[top]), float(part[top] - speed[begin]))
+
+
+def _presses(slowed: FloatArray, begin: int, over: int, hz: int) -> list[tuple[int, int, int]]:
+    """Return the parts of one braking, each of which became clearly harder again after a lull.
+
+    Each part is the ticks at which it begins, is weakest in the lull at its end, and is over.
+    """
+    found: list[tuple[int, int, int]] = []
+    while True:
+        part = slowed[begin:over]
+        weak = stretches(part < CLEARLY * np.maximum.accumulate(part))
+        low = next((first for first, last in weak if last - first >= LULL * hz), len(part))
+        rest = part[low:]
+        lowest = np.minimum.accumulate(rest)
+        strong = stretches((CLEARLY * rest > lowest) & (rest - lowest >= BRAKES))
+        lasting = (at for at, last in strong if last - at >= round(STEADY * hz) or last == len(rest))
+        up = next(lasting, None)
+        if up is None:
+            return [*found, (begin, over, over)]
+        found.append((begin, begin + low + int(rest[:up].argmin()), begin + low + up))
+        begin += low + up
 
 
 def _braked(slowed: FloatArray, begin: int, over: int, hz: int) -> list[_Stretch]:
-    """Return the phases of one braking: its hard part, and gentler parts before and after it if they last."""
-    steady, share = round(STEADY * hz), slowed[begin:over] / slowed[begin:over].max()
-    first = begin + int(np.flatnonzero(share >= HARD)[0])
-    last = begin + int(np.flatnonzero(share >= EASED)[-1]) + 1
-    first, last = first if first - begin >= steady else begin, last if over - last >= steady else over
-    parts = [(Doing.BRAKED, begin, first), (Doing.BRAKED_HARDER, first, last), (Doing.EASED_OFF, last, over)]
-    if first == begin:
-        parts = [(Doing.BRAKED, begin, last), parts[2]]
+    """Return the phases of one braking: its hard parts, and gentler parts before, between and after if they last."""
+    steady = round(STEADY * hz)
+    found: list[tuple[Doing, int, int]] = []
+    for start, weakest, end in _presses(slowed, begin, over, hz):
+        share = slowed[start:weakest] / slowed[start:weakest].max()
+        first = start + int(np.flatnonzero(share >= HARD)[0])
+        last = start + int(np.flatnonzero(share >= EASED)[-1]) + 1
+        last = end if end == over and end - last < steady else last
+        if found:
+            parts = [(Doing.BRAKED_HARDER, start, last)]
+        elif first - start < steady:
+            parts = [(Doing.BRAKED, start, last)]
+        else:
+            parts = [(Doing.BRAKED, start, first), (Doing.BRAKED_HARDER, first, last)]
+        found += [*parts, (Doing.EASED_OFF, last, end)]
     return [
-        _Stretch(doing, begin, over, float(slowed[begin:over].max()), float(slowed[begin:over].sum()) / hz)
-        for doing, begin, over in parts
+        _Stretch(doing, begin, over, _extreme(doing, slowed[begin:over]), float(slowed[begin:over].sum()) / hz)
+        for doing, begin, over in found
         if begin < over
     ]
+
+
+def _extreme(doing: Doing, slowed: FloatArray) -> float:
+    """Return the hardest braking of a phase, or its weakest if the vehicle eased off [m/s^2]."""
+    return max(float(slowed.min() if doing is Doing.EASED_OFF else slowed.max()), 0.0)
 
 
 def _fewer(phases: list[_Stretch], due: int | None, lasting: int) -> list[_Stretch]:
@@ -239,17 +289,25 @@ def _fewer(phases: list[_Stretch], due: int | None, lasting: int) -> list[_Stret
     early = 0 if due is None else sum(each.begin <= due for each in found[1:])
     most = MOST + min(early, EARLIER)
     while len(found) > most:
+        is_lull = [each.doing for each in found[-2:]] == [Doing.EASED_OFF, Doing.BRAKED_HARDER]
+        kept = 3 if is_lull else 2 if found[-1].doing is Doing.EASED_OFF else 1
         alike = [
             at
-            for at in range(len(found) - 2)
+            for at in range(len(found) - max(kept, 2))
             if found[at].is_rise == found[at + 1].is_rise
+            and found[at].doing is not Doing.EASED_OFF
             and not (found[at].then and due is not None and found[at].over <= due < found[at + 1].begin)
         ]
         if alike:
             place = min(alike, key=lambda at: (found[at].then is not None, min(found[at].change, found[at + 1].change)))
-            found[place : place + 2] = [found[place].joined(found[place + 1])]
+            both = found[place].joined(found[place + 1])
+            is_again = found[place + 1].doing is Doing.EASED_OFF and found[place + 2].doing is Doing.BRAKED_HARDER
+            found[place : place + 2 + is_again] = [both.joined(found[place + 2]) if is_again else both]
             continue
-        inner = [at for at in range(len(found) - 1) if due is None or not found[at].begin <= due < found[at + 1].begin]
+        ends = range(len(found) - kept)
+        inner = [at for at in ends if due is None or not found[at].begin <= due < found[at + 1].begin]
+        if not inner:
+            return found
         place = min(inner, key=lambda at: found[at].change)
         left, after, before = found[place], found[place + 1], found[place - 1] if place else None
         if before is None or left.is_rise == after.is_rise or before.is_rise != after.is_rise:
@@ -355,22 +413,33 @@ class Conduct:
             if speed[begin] - speed[over] >= (LOST if over > since else CLEAR) and over > since - lasting
         ]
         first = min(told[0][0], since) if told else since
-        at = max([since - round(BEFORE * hz), 0, *(over for _, over in brakings if over <= first)])
+        told = [each for each in brakings if told and each[0] >= told[0][0] and speed[each[0]] - speed[each[1]] >= LOST]
+        at = max([0, *(over for begin, over in brakings if over <= first and speed[begin] - speed[over] >= LOST)])
         for begin, over in [*told, (end, end)]:
-            rise = _rise(speed, at, begin, since, pause)
+            rise = _rise(speed, at, begin, since, hz)
             coasts = (begin if rise is None else rise.begin) - at >= (pause if rise is None else lasting)
             if found and found[-1].over == at and coasts and (rise is None or rise.doing is not Doing.SET_OFF):
-                if found[-1].doing is Doing.EASED_OFF and at - found[-1].begin < lasting:
+                stands = (speed[at : begin + 1] <= STANDING_SPEED + ROSE).all()
+                is_smooth = not stands and (slowed[at : at + pause] > LOST).all()
+                if found[-1].doing is Doing.EASED_OFF and at - found[-1].begin < lasting and not is_smooth:
                     tail = found.pop()
                     found[-1] = found[-1].joined(tail)
-                stands = (speed[at : begin + 1] <= STANDING_SPEED + ROSE).all()
-                found[-1] = found[-1]._replace(then=Doing.STOOD if stands else Doing.RELEASED)
+                then = Doing.STOOD if stands else Doing.EASED_OFF if is_smooth else Doing.RELEASED
+                found[-1] = found[-1]._replace(then=None if then is found[-1].doing else then)
             found += [] if rise is None else [rise]
             if begin < end:
                 found += [part._replace(is_again=begin > told[0][0]) for part in _braked(slowed, begin, over, hz)]
             at = over
         phases: list[Phase] = []
         for each in _fewer(found, self.due, lasting):
-            phases.append(Phase(each.doing, each.begin / hz, each.over / hz, each.figure, each.is_again))
-            phases += [] if each.then is None else [Phase(each.then, each.over / hz, end / hz, 0.0)]
+            part = slowed[each.begin : each.over]
+            peak = int((part >= each.figure - HARDLY).argmax()) if each.doing in BEGUN else 0
+            is_late = 2 * peak > hz and part[: math.ceil(hz / 2)].mean() < CLEARLY * each.figure
+            peak_s = (each.begin + peak) / hz if is_late else None
+            phases.append(Phase(each.doing, each.begin / hz, each.over / hz, each.figure, each.is_again, peak_s))
+            if each.then is Doing.EASED_OFF:
+                weakest = max(float(slowed[each.over : each.over + pause].min()), 0.0)
+                phases.append(Phase(each.then, each.over / hz, each.over / hz, weakest))
+            elif each.then is not None:
+                phases.append(Phase(each.then, each.over / hz, end / hz, 0.0))
         return tuple(phases)

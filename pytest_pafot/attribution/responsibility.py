@@ -41,6 +41,7 @@ from pytest_pafot.attribution.responses import (
     HELD,
     VISIBLY,
     answer,
+    rising_since,
     room_to_leave,
 )
 from pytest_pafot.attribution.right_of_way import Blame, ZoneConflict
@@ -481,6 +482,7 @@ class Conflict:
         if not (would_answer or pursuit.stays_off_unless_faster(since, nearer)):
             return None
         (began, until), ahead = gain, 0 if behind else self._npc + 1
+        began = rising_since(self._frame.speed[behind], self._hz, 0, began)
         speed = float(self._frame.speed[behind, until])
         return Fact(What.SPED_UP_INTO, behind, self._at(began), other=ahead, speed_m_per_s=speed)
 

@@ -207,11 +207,14 @@ class ZoneConflict:
         entered = Fact(
             What.ENTERED, first.vehicle, at, other.vehicle, later_s=other.entered() / other.hz, zone=self._zone
         )
+        answers = [self._answer(owing, chance, is_taken=bool(taken))]
+        if first is self.ego and owing is self.npc:
+            answers.insert(0, self._answer(first, missed[first], is_taken=False))
         return Blame(
             did_not_give_way=tuple(each.vehicle for each in without),
             entered_taken_zone=tuple(each.vehicle for each in taken),
             tick=first.entered(),
-            facts=(entered, self._answer(owing, chance, is_taken=bool(taken))),
+            facts=(entered, *answers),
         )
 
     def _answer(self, own: Passing, chance: Chance, *, is_taken: bool) -> Fact:

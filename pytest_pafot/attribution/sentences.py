@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import Enum
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 from pytest_pafot.attribution.avoidance import HARDEST
@@ -72,7 +73,7 @@ class Doing(Enum):
     BRAKED_HARDER = "braked harder, with up to {figure:.1f} m/s^2, from {at} on"
     BRAKED_INCREASINGLY = "braked more and more, with up to {figure:.1f} m/s^2, from {at} on"
     BRAKED_REPEATEDLY = "braked again and again, with up to {figure:.1f} m/s^2, from {at} on"
-    EASED_OFF = "eased off to at most {figure:.1f} m/s^2 at {at}"
+    EASED_OFF = "eased off from {at} on, to {figure:.1f} m/s^2"
     RELEASED = "released the brakes at {at}"
     STOOD = "stood from {at} on"
     SPED_UP = "sped up from {at} on, to {figure:.1f} m/s"
@@ -101,8 +102,10 @@ class Phase(NamedTuple):
         time_s: time at which the phase began [s]; for a vehicle that sped up further, the time from which on it had to
             respond.
         until_s: time at which the phase was over [s].
-        figure: hardest braking [m/s^2], or highest speed [m/s], in the phase; 0 if the vehicle did neither.
+        figure: hardest braking [m/s^2], weakest if it eased off, or highest speed [m/s], in the phase; 0 if the vehicle
+            did none of these.
         is_again: whether the vehicle braked and had already braked before, since it had to respond.
+        peak_s: time at which the vehicle first braked so hard, if that was late in the phase [s].
     """
 
     doing: Doing
@@ -110,6 +113,7 @@ class Phase(NamedTuple):
     until_s: float
     figure: float
     is_again: bool = False
+    peak_s: float | None = None
 
 
 class Fact(NamedTuple):
@@ -192,13 +196,13 @@ Reason = tuple[Fact, ...]
 
 
 def due_by(reason: Reason, latest: float) -> Reason:
-    """Return facts that require no braking after the latest time at which braking avoids the collision [s].
+    """Return facts that require no braking of the ego after the latest time at which it avoids the collision [s].
 
     If that time is before the danger, the facts say only what the vehicle did.
     """
 
     def changed(fact: Fact) -> Fact:
-        if fact.what not in ANSWERS or fact.due_s is None or fact.due_s <= latest:
+        if fact.vehicle or fact.what not in ANSWERS or fact.due_s is None or fact.due_s <= latest:
             return fact
         if latest < fact.time_s:
             return fact._replace(what=What.DROVE, due_s=None, mistake=0)
@@ -255,6 +259,8 @@ def _answer(fact: Fact) -> list[str]:
     is_repeated = any(each.doing in REPEATED for each in phases)
     if late is not None and late.is_again and (is_repeated or not at):
         late = None  # an earlier braking may have been left out
+    if any(left.doing is Doing.EASED_OFF and right is late for left, right in pairwise(phases)):
+        late = None  # it may have braked so hard before it eased off
     told = [_clause(each, is_late=each is late) for each in phases]
     if fact.what is What.DROVE:
         return _deeds(who, phases, told or [f"did not brake from {fact.time_s:.1f} s on"])
@@ -263,7 +269,7 @@ def _answer(fact: Fact) -> list[str]:
         duty = f"should have braked {'harder ' if is_braking else 'again ' if at else ''}from {due:.1f} s"
         if not phases[at:]:
             duty += "" if is_repeated else " but did not"
-        elif phases[at].doing in RISING:
+        elif phases[at].doing in RISING and phases[at].until_s > due:
             instead = "Instead it" if phases[at].time_s <= due else "It did not, but"
     elif fact.what is What.SHOULD_HAVE_BRAKED_ON:
         rate = "hard" if fact.braking_m_per_s2 > HARDEST - 0.05 else f"with {fact.braking_m_per_s2:.1f} m/s^2"
@@ -302,6 +308,9 @@ def _clause(phase: Phase, *, is_late: bool) -> str:
     words = phase.doing.value.format(at=f"{phase.time_s:.1f} s", figure=phase.figure)
     if phase.doing is Doing.BRAKED and phase.is_again:
         words = words.replace("braked", "braked again")
+    if phase.peak_s is not None:
+        what, figure = words.removesuffix(begun := f" from {phase.time_s:.1f} s on").rstrip(",").split(" with up to ")
+        words = f"{what.rstrip(',')}{begun}, with up to {figure} at {phase.peak_s:.1f} s"
     return words.replace("from", "only from") if is_late else words
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 
 from tests.helpers.pencil_and_paper import Crash, Crossing, Response, gap, giving_way, is_behind, part_of, safe_along
-from tests.helpers.stories import entry_of, story_of
+from tests.helpers.stories import entry_of, stories_of
 
 NUMBER = r"(-?\d+\.\d\d?)"
 WHO = r"(?:the ego|The ego|NPC #)"
@@ -119,7 +119,7 @@ class Reading:
         if one in crossing.blind:
             return crossing.last_to_slow_down(one) if crossing.is_merge else crossing.last_to_stop_short(one)
         assert one in crossing.rude
-        assert not crossing.blind
+        assert one is crossing.ego or not crossing.blind
         return crossing.chance_not_taken(one)
 
     def is_due(self, story):
@@ -150,7 +150,15 @@ class Reading:
 
     def sped_up_towards(self, said):
         """Return the speed that it sped up to, and since when."""
-        return [self.crash.sped_up_to, self.time(self.crash.sped_up)]
+        speed, hz, begin = self.who(said)[0].speed, self.crash.hz, self.crash.sped_up
+        gain = max(max(speed[begin + 1 : begin + 1 + hz], default=0.0) - speed[begin], 0.0)
+        went_up, since = min(0.5, gain / 2), begin
+        while since > 0 and speed[since] - speed[max(since - hz, 0)] > went_up:
+            since -= 1
+        slowest = min(speed[max(since - hz, 0) : since + 1])
+        while speed[begin] > slowest + 0.1:
+            begin -= 1
+        return [self.crash.sped_up_to, self.time(begin)]
 
     def braked_on(self, said):
         """Return how hard the ego braked at most when the reason was gone, and since when."""
@@ -218,12 +226,12 @@ def numbers(trace, attribution):
     """
     reading = Reading(trace, attribution.tick)
     said, true = [], []
-    story = story_of(trace, attribution.sentences)
-    if story is not None:
+    stories = stories_of(trace, attribution.sentences)
+    for story in stories:
         true += story.wrong(entry_of(trace, attribution.sentences, story.vehicle))
         is_told = story.duty in ("braked", "braked harder", "kept braking")
         true += [] if not is_told or reading.is_due(story) else ["due by the rules"]
-    for sentence in attribution.sentences[: None if story is None else 1]:
+    for sentence in attribution.sentences[: 1 if stories else None]:
         found, compute = known(sentence, trace.collision.npc)
         printed = [number for number in found.groups() if number is not None]
         values = compute(reading, sentence)

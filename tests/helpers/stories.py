@@ -17,6 +17,10 @@ from tests.helpers.polygons import corners, polygon_distance
 
 WHO = r"(?P<who>[Tt]he ego|NPC \d+)"
 TIME, FIGURE = r"(?P<time>\d+\.\d) s", r"(?P<figure>\d+\.\d) m/s"
+HOW = (
+    rf"(?:with up to {FIGURE}\^2,? )?(?P<only>only )?from {TIME} on"
+    r"(?:, with up to (?P<top>\d+\.\d) m/s\^2 at (?P<peak>\d+\.\d) s)?"
+)
 SHOULD = r"(?:[Tt]he ego|NPC \d+|It) should"
 DUTIES = {
     "braked": rf"{SHOULD} have braked (?P<again>again )?from {TIME}",
@@ -28,21 +32,21 @@ DUTIES = {
     "not sped up further": rf"{SHOULD} not have sped up further after {TIME}, to {FIGURE}",
 }
 DEEDS = {
-    "braked": rf"braked (?P<again>again )?with up to {FIGURE}\^2 (?P<only>only )?from {TIME} on",
-    "increasingly": rf"braked more and more, with up to {FIGURE}\^2, (?P<only>only )?from {TIME} on",
-    "repeatedly": rf"braked again and again, with up to {FIGURE}\^2, (?P<only>only )?from {TIME} on",
-    "harder": rf"braked harder, with up to {FIGURE}\^2, (?P<only>only )?from {TIME} on",
-    "eased": rf"eased off to at most {FIGURE}\^2 at {TIME}",
+    "braked": rf"braked (?P<again>again )?{HOW}",
+    "increasingly": rf"braked more and more,? {HOW}",
+    "repeatedly": rf"braked again and again,? {HOW}",
+    "harder": rf"braked harder,? {HOW}",
+    "eased": rf"eased off from {TIME} on, to {FIGURE}\^2",
     "released": rf"released the brakes at {TIME}",
     "stood": rf"stood from {TIME} on",
     "sped up": rf"(?<!not have )sped up from {TIME} on, to {FIGURE}",
     "rose repeatedly": rf"sped up again and again from {TIME} on, to {FIGURE}",
-    "further": rf"(?<!not have )sped up further, to {FIGURE}",
     "set off": rf"set off at {TIME} and sped up to {FIGURE}",
     "nothing": rf"did not brake from {TIME} on",
 }
 BRAKED = ("braked", "increasingly", "repeatedly", "harder", "eased")
-ROSE = ("sped up", "rose repeatedly", "further", "set off")
+ROSE = ("sped up", "rose repeatedly", "set off")
+EASED = ("eased", "released", "stood", *ROSE)
 PAUSE, SMALL, CLEAR = 0.4, 0.31, 1.0
 """The pause between two brakings [s], and the changes of speed that need not be told and that must be told [m/s]."""
 COASTED = 1.0
@@ -80,20 +84,12 @@ class Story:
 
     def begins(self, index):
         """Return the ticks at which a deed may begin."""
-        name, found = self.deeds[index]
-        if name != "further":
-            return self.ticks(found["time"])
-        if index > self.later or self.duty is None:
-            return [self.end]
-        due = self.ticks(self.due["time"])[0]
-        if index < min(self.later, len(self.deeds) - 1):
-            due = min(due, self.begins(index + 1)[0])
-        return range(max(due - round(1.6 * self.hz), 0), due + 1)
+        return self.ticks(self.deeds[index][1]["time"])
 
     def parts(self, index):
         """Return the pairs of ticks between which a deed may have been."""
-        after = [each for each in range(index + 1, len(self.deeds)) if self.deeds[each][0] != "further"]
-        return itertools.product(self.begins(index), self.begins(after[0]) if after else [self.end])
+        after = self.begins(index + 1) if index + 1 < len(self.deeds) else [self.end]
+        return itertools.product(self.begins(index), after)
 
     def brakings(self, first, last):
         """Return the brakings between two ticks as first tick, last tick and loss of speed."""
@@ -123,7 +119,7 @@ class Story:
                 for at, name in enumerate(names)
             ),
         )
-        times = [float(found["time"]) for name, found in self.deeds if name != "further"]
+        times = [float(found["time"]) for _, found in self.deeds]
         yield "order", times == sorted(times)
         if self.duty in ("braked", "braked harder", "kept braking"):
             due = self.ticks(self.due["time"])
@@ -156,6 +152,8 @@ class Story:
             yield from self.of_deed(index, name, found)
         if self.duty is None or self.due.groupdict().get("time"):
             yield from self.unsaid()
+            yield from self.eased()
+            yield from self.instead()
             yield from self.released()
 
     def of_deed(self, index, name, found):
@@ -163,10 +161,9 @@ class Story:
         yield "order", bool(parts)
         before = round(PAUSE * self.hz)
         if name in BRAKED:
-            peaks = {f"{self.slowed[a:b].max(initial=0.0):.1f}" for a, b in parts}
-            yield "braked up to", found["figure"] in peaks
+            yield from self.of_braking(name, found, parts)
         if name == "braked":
-            half = float(found["figure"]) / 2
+            half = float(found["figure"] or 0.0) / 2
             starts = {a for a, _ in parts}
             quiet = [a for a in starts if all(lost < SMALL for *_, lost in self.brakings(a - before + 1, a))]
             yield "braked from", any((self.slowed[a : a + 2] >= 0.5).any() for a in quiet)
@@ -195,8 +192,73 @@ class Story:
                     for a, b in parts
                 ),
             )
+            yield "beginning of the rise", any(self.is_beginning(a) for a, _ in parts)
         if name == "set off":
             yield "set off", any(self.speed[a] <= 0.3 for a, _ in parts)
+
+    def of_braking(self, name, found, parts):
+        before = round(PAUSE * self.hz)
+        figures = set()
+        for a, b in parts:
+            part = self.slowed[min(a, self.end - 1) : b if name != "eased" or b > a + before else a + before]
+            kept = part[part >= 0.5]
+            if name == "eased":
+                figures |= {f"{max(each.min(initial=99.0), 0.0):.1f}" for each in (part, kept)}
+            else:
+                figures.add(f"{part.max(initial=0.0):.1f}")
+        yield "braked up to", (found["figure"] or found["top"]) in figures
+        if name != "eased":
+            yield "place of the peak", any(self.has_peak(found, a, b) for a, b in parts if a < min(b, self.end))
+
+    def has_peak(self, found, begin, over):
+        """Return whether a phase is hardest near the printed tick, or if none is printed, early or nearly so."""
+        hardest = self.slowed[begin:over].max()
+        if found["peak"]:
+            near = {tick for at in self.ticks(found["peak"]) for tick in (at - 1, at, at + 1) if 0 <= tick < self.end}
+            return any(self.slowed[tick] >= hardest - 0.11 for tick in near)
+        early = self.slowed[begin : begin + self.hz // 2 + 2]
+        return early.max() >= hardest - 0.1 or early[: self.hz // 2 + 1].mean() >= 0.65 * hardest
+
+    def is_beginning(self, tick):
+        """Return whether a rise that is told from a tick on neither began earlier nor ended before the danger."""
+        braked = np.flatnonzero(self.slowed[:tick] >= 0.5)
+        first = max(tick - self.hz, 0, *(braked[-1:] + 1))
+        gained = self.speed[tick] - self.speed[first : tick + 1].min()
+        brakes = np.flatnonzero(self.slowed[tick + 1 :] >= 0.5)
+        rising = self.speed[tick : min([max(self.since(), tick), *(tick + 1 + brakes[:1])]) + 1]
+        return gained <= 0.6 and (np.maximum.accumulate(rising) - rising).max() <= 0.5
+
+    def eased(self):
+        """Check that the last lull of a clear braking before the impact is told, and the braking that followed it."""
+        for begin, over, lost in self.brakings(0, self.end)[-1:]:
+            part = self.slowed[begin:over]
+            weak = part < 0.45 * np.maximum.accumulate(part)
+            edges = np.flatnonzero(np.diff([0, *weak, 0]))
+            lulls = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 0.6 * self.hz]
+            if lost < CLEAR or not lulls or begin + lulls[-1][1] <= self.since():
+                continue
+            low, high = lulls[-1]
+            peak = int(part[:low].argmax())
+            near = set(range(begin + peak, begin + high + round(PAUSE * self.hz) + 1))
+            is_told = any(near & {*self.begins(at)} for at, (name, _) in enumerate(self.deeds) if name in EASED)
+            is_told |= any("repeatedly" in name for name, _ in self.deeds)
+            kept = [at for at in self.ticks(self.due["time"]) if at in near] if self.duty == "kept its braking" else []
+            yield "easing is told", is_told or bool(kept)
+            rest = part[low:]
+            trough = int(rest.argmin())
+            strong = rest[trough:] >= max(2.5 * rest[trough], rest[trough] + 0.6)
+            if strong.sum() > 0.4 * self.hz:
+                later = [name for at, (name, _) in enumerate(self.deeds) if max(self.begins(at)) > begin + low]
+                later += [name for name, _ in self.deeds if name == "repeatedly"]
+                yield "braking after the lull is told", bool({*later} & {*BRAKED[:-1]})
+
+    def instead(self):
+        """Check that what it did instead of braking went on when braking was due."""
+        if "Instead it sped" in self.text or "Instead it set" in self.text:
+            due = self.ticks(self.due["time"])
+            later = [each for index in range(len(self.deeds)) for each in self.begins(index) if each > due[-1]]
+            over = max(min([self.end, *later]), due[-1] + 1)
+            yield "instead", any(self.speed[at : over + 1].max() > self.speed[max(at - 1, 0)] for at in due)
 
     def unsaid(self):
         """Check that each clear braking or gain in speed from the time on that is due is in a phase that is told."""
@@ -227,6 +289,8 @@ class Story:
         for (_, over, lost), (later, *_) in itertools.pairwise([*brakings, (self.end, self.end, 0.0)]):
             if over <= self.since() or lost < CLEAR or later - over < COASTED * self.hz:
                 continue
+            if (self.slowed[over : over + round(PAUSE * self.hz)] > 0.15).all() and "eased" in dict(self.deeds):
+                continue  # it let go little by little
             near = {*range(over - 3, over + round(COASTED * self.hz) + 3)}
             ends = {name for index, (name, _) in enumerate(self.deeds) if near & {*self.begins(index)}}
             if self.duty in ("waited", "not sped up") and near & {*self.ticks(self.due["time"])}:
@@ -234,7 +298,8 @@ class Story:
             for index, (name, _) in enumerate(self.deeds):
                 if "repeatedly" in name and any(a < later and over < b for a, b in self.parts(index)):
                     ends.add("released")
-            stands = bool((self.speed[over:later] <= 0.2).all())
+            left = [at for index, (name, _) in enumerate(self.deeds) if name == "set off" for at in self.begins(index)]
+            stands = bool((self.speed[over : min([later, *(at for at in left if at > over)])] <= 0.2).all())
             yield "release is told", stands or bool(ends & {"released", "stood", *ROSE})
 
     def suffices(self, tick, entry, share=0.9):
@@ -285,13 +350,22 @@ class Story:
         return True
 
 
-def story_of(trace, sentences):
-    """Return the story in the sentences of a verdict, or None if they tell none."""
-    told = " ".join(sentences[1:])
+def stories_of(trace, sentences):
+    """Return the stories in the sentences of a verdict, each about one vehicle; none if they tell none."""
+    told = []
+    for line in sentences[1:]:
+        if told and not re.match(WHO, line):
+            told[-1] += f" {line}"
+        else:
+            told.append(line)
+    return [Story(trace, each, sentences[0]) for each in told if is_story(each)]
+
+
+def is_story(told):
     is_one = re.search("should (have braked|have kept braking hard|have waited|not have sped)", told) or any(
         re.match(rf"{WHO} {pattern}", told) for name, pattern in DEEDS.items() if name != "set off"
     )
-    return Story(trace, told, sentences[0]) if is_one and "towards" not in told else None
+    return bool(is_one) and "towards" not in told
 
 
 def entry_of(trace, sentences, vehicle):
