@@ -21,6 +21,7 @@ from pytest_pafot.support.text import visible
 if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding
     from pytest_pafot.findings.severity import Severity
+    from pytest_pafot.model.trace import Trace
     from pytest_pafot.oracle.run import Run
 
 
@@ -79,7 +80,8 @@ class OfOneRun:
 
     properties: Properties  # of the item
     _shown: list[tuple[str, Any]] = field(default_factory=list)  # those of one call, which are among the item's
-    _recorded: WeakKeyDictionary[Run, list[tuple[str, Any]]] = field(default_factory=WeakKeyDictionary)
+    # by the trace, which a run keeps when more becomes known of it
+    _recorded: WeakKeyDictionary[Trace, list[tuple[str, Any]]] = field(default_factory=WeakKeyDictionary)
 
     @contextmanager
     def call(self, run: Run) -> Iterator[None]:
@@ -89,7 +91,7 @@ class OfOneRun:
         try:
             yield
         finally:
-            self._shown = self._recorded[run] = list(self.properties[count:])
+            self._shown = self._recorded[run.trace] = list(self.properties[count:])
 
     def show(self, run: Run | None, properties: Properties | None = None) -> None:
         """Replace the properties of the last call by those of the call for a run; by none if there was no such call.
@@ -97,7 +99,7 @@ class OfOneRun:
         ``properties`` are those of a report that was made of the item; by default those of the item itself.
         """
         changed = self.properties if properties is None else properties
-        shown = [] if run is None else self._recorded.get(run, [])
+        shown = [] if run is None else self._recorded.get(run.trace, [])
         ours = set(map(id, self._shown))  # by identity, because a fixture may have recorded an equal one before
         changed[:] = [*(each for each in changed if id(each) not in ours), *shown]
         if properties is None:

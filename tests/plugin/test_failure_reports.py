@@ -107,6 +107,15 @@ def test_the_words_of_a_message_are_not_broken(explained, monkeypatch):
     assert all(each in narrow for each in told)
 
 
+def test_finding_with_an_avoidance_keeps_its_recorded_property(explained):
+    recording = "(run, record_property):\n    record_property('speed', 1)"
+    explained.write(EXPLAINED.replace("(run):", recording))
+    search(explained, "--junitxml=junit.xml", "-ojunit_family=xunit1")
+    assert load(explained.only_file).expect.avoided_by is not None
+    cases = ElementTree.parse(explained.path / "junit.xml").getroot().iter("testcase")
+    assert [sum(each.get("name") == "speed" for each in case.iter("property")) for case in cases] == [1, 1]
+
+
 def test_record_contains_explanation_and_avoidance_of_the_collision(explained):
     results = [search(explained, "--pafot-json=1.json"), search(explained, "--pafot-json=2.json", generations=0)]
     records = [read_record((explained.path / name).read_text(encoding="utf-8")) for name in ("1.json", "2.json")]
