@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_pafot.attribution.last_chance import FREE_FOR, ROUNDING, TakeOver, drivers_of, relief_of
+from pytest_pafot.attribution.last_chance import FREE_FOR, UNSAID, TakeOver, drivers_of, relief_of, repeats
 from pytest_pafot.attribution.needless_braking import braking
 from pytest_pafot.attribution.responses import BRAKES
 from pytest_pafot.attribution.responsibility import rss_rule
@@ -16,7 +16,7 @@ from pytest_pafot.model.trace import Outcome, Trace
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Escape:
-    """How a driver that takes over avoids a collision for which the rules left the ego too little time.
+    """A driver took over and avoided a collision for which the rules left the ego too little time.
 
     Attributes:
         time: time of the ego's decision at which the driver takes over [s], to milliseconds.
@@ -36,7 +36,7 @@ class Escape:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What the driver does, and in what the rules require less."""
+        """The sentences that say what the driver does, and in what the rules require less."""
         return escape_sentences(self.time, self.driver, self.braking, self.braking_from, self.due, self.required)
 
 
@@ -63,10 +63,9 @@ def escape(trace: Trace, take_over: TakeOver) -> Escape | None:
     hz, every = trace.physics_hz, trace.physics_hz // trace.ads_hz
     tick = min(round(excuse.time_s * hz), trace.ticks - 1) // every * every
     taken = take_over(trace, tick, driver)
-    repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
-    if repeated.shape != recorded.shape or not (np.abs(repeated - recorded) <= ROUNDING).all():
+    if not repeats(taken, trace, tick):
         return None
-    has_ended = taken.outcome in (Outcome.COLLISION, Outcome.INVALID, Outcome.ADS_ERROR, Outcome.HANG)
+    has_ended = taken.outcome in (Outcome.COLLISION, *UNSAID)
     if taken.ticks < trace.ticks or (has_ended and taken.ticks <= tick + FREE_FOR * hz):
         return None
     slowed = braking(taken)[tick + 1 : trace.ticks + 1]

@@ -230,10 +230,15 @@ def _taken_over(trace: Trace, until: int, take_over: TakeOver, driver: str) -> I
     every, first = trace.physics_hz // trace.ads_hz, max(until - round(SCANNED * trace.physics_hz), 0)
     for tick in range((until - 1) // every * every, first - 1, -every):
         taken = take_over(trace, tick, driver)
-        repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
-        if repeated.shape != recorded.shape or not (np.abs(repeated - recorded) <= ROUNDING).all():
+        if not repeats(taken, trace, tick):
             return
         yield tick, taken
+
+
+def repeats(taken: Trace, trace: Trace, tick: int) -> bool:
+    """Return whether a run in which a driver takes over at a tick is the same as the recorded run up to that tick."""
+    repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
+    return repeated.shape == recorded.shape and bool((np.abs(repeated - recorded) <= ROUNDING).all())
 
 
 def _action(trace: Trace, tick: int) -> tuple[float, float]:

@@ -323,7 +323,7 @@ def _fewer(phases: list[_Stretch], due: int | None, lasting: int) -> list[_Stret
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Conduct:
-    """What a vehicle did in a danger up to the impact. It is put into words only if somebody reads them.
+    """The deeds of a vehicle in a danger up to the impact, which are put into words only if somebody reads them.
 
     Attributes:
         vehicle: index of the vehicle; 0 is the ego.

@@ -67,7 +67,7 @@ LONGEST = 97
 
 
 class Doing(Enum):
-    """What a vehicle did in one phase of its response, each with its words."""
+    """The deeds of a vehicle in one phase of its response, each with its words."""
 
     BRAKED = "braked with up to {figure:.1f} m/s^2 from {at} on"
     BRAKED_HARDER = "braked harder, with up to {figure:.1f} m/s^2, from {at} on"

@@ -106,7 +106,7 @@ class Plan:
 
     @property
     def identities(self) -> dict[str, Any]:
-        """What identifies each algorithm and its version, by its name in files.
+        """The identity of each algorithm and its version, by its name in files.
 
         The code of an algorithm of this package has the version of this package.
         """
