@@ -7,8 +7,9 @@ rules clause by clause, with their sources.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
@@ -32,7 +33,6 @@ from pytest_pafot.attribution.needless_braking import (
 )
 from pytest_pafot.attribution.responses import (
     ALREADY_BRAKING,
-    BRAKES,
     CUT_OFF,
     DISTANCES,
     EMERGENCY,
@@ -45,7 +45,7 @@ from pytest_pafot.attribution.responses import (
     room_to_leave,
 )
 from pytest_pafot.attribution.right_of_way import Blame, ZoneConflict
-from pytest_pafot.attribution.sentences import Fact, Reason, What, sentences
+from pytest_pafot.attribution.sentences import BRAKES, Fact, Reason, What, sentences
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ALONG, LANE, SPEED, Trace
@@ -145,6 +145,11 @@ class Attribution:
 
     def __hash__(self) -> int:
         return hash(self._said)
+
+    def __reduce__(self) -> tuple[Callable[[], Attribution], tuple[()]]:
+        facts = tuple(fact.in_full for fact in self.facts)  # what is still unread needs the trace
+        whole = partial(Attribution, responsibility=self.responsibility, tick=self.tick, time=self.time)
+        return partial(whole, fault=self.fault, facts=facts), ()
 
     @property
     def _said(self) -> tuple[object, ...]:
@@ -788,7 +793,7 @@ class Conflict:
         def avoids(tick: int, rate: float) -> bool:
             return self._pursuit(by_ego=vehicle == 0, goes_on=True).is_avoided_by_braking(tick, rate)
 
-        return answer(self._trace, vehicle, self._frame.speed[vehicle], since, avoids, response, danger=danger)
+        return answer(self._trace, vehicle, since, avoids, response, danger=danger)
 
     def _at(self, tick: int) -> float:
         """Return the time of a tick [s]."""

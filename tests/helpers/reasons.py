@@ -123,25 +123,18 @@ class Reading:
         return crossing.chance_not_taken(one)
 
     def is_due(self, story):
-        """Return whether braking was due when the story says so: when the response begins to brake, or before.
-
-        It is before if the vehicle sped up meanwhile, so that braking at once avoids the collision only until then.
-        """
+        """Return whether braking was due when the story says so: at the last tick at which it avoids the collision."""
         vehicle, other = (self.npc, self.ego) if story.vehicle else (self.ego, self.npc)
-        since, told = self.since_when(vehicle) + self.since, story.ticks(story.due["time"])
-        by_rule = [since + round(delay * story.hz) - 1 for delay in (0.4, 1.0, 1.4)]
-        if any(tick in told for tick in by_rule):
-            return True
+        since, told = self.since_when(vehicle) + self.since, story.ticks(story.due[story.due.re.groups - 1])
         if self.crossing is not None and self.crossing.decides == "priority":
             one = self.crossing.npc if story.vehicle else self.crossing.ego
-            return since <= told[-1] <= by_rule[1] and told[0] < one.enters
+            return since <= told[-1] and told[0] < one.enters
 
         def avoids(tick):
             drive = Response(self.crash, vehicle, other, tick - self.since, delay=0.0, perceived=0.0)
             return drive.is_free(lambda tick: 6.0, brakes_on=True)
 
-        too_late = told[-1] + 2
-        return since <= told[-1] <= by_rule[2] and avoids(told[0]) and not avoids(too_late)
+        return since <= told[-1] and any(avoids(tick) for tick in told) and not avoids(told[-1] + 2)
 
     def hard_braking(self, said):
         braker, _ = self.who(said)
@@ -229,8 +222,7 @@ def numbers(trace, attribution):
     stories = stories_of(trace, attribution.sentences)
     for story in stories:
         true += story.wrong(entry_of(trace, attribution.sentences, story.vehicle))
-        is_told = story.duty in ("braked", "braked harder", "kept braking")
-        true += [] if not is_told or reading.is_due(story) else ["due by the rules"]
+        true += ["due by the rules"] if story.duty == "braked" and not reading.is_due(story) else []
     for sentence in attribution.sentences[: 1 if stories else None]:
         found, compute = known(sentence, trace.collision.npc)
         printed = [number for number in found.groups() if number is not None]
