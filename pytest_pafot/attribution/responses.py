@@ -17,7 +17,7 @@ from pytest_pafot.attribution.lane_changes import stretches
 from pytest_pafot.attribution.needless_braking import STANDING_SPEED
 from pytest_pafot.attribution.sentences import BRAKES, Doing, Fact, Phase, What
 from pytest_pafot.criticality import RssRules
-from pytest_pafot.model.trace import SPEED, FloatArray, Trace
+from pytest_pafot.model.trace import LANE, SPEED, FloatArray, Trace
 
 DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=6.0, hardest_braking=8.0)
 """The safe distances of attribution. The usual headway of two seconds to a leader of equal speed must never be a fault:
@@ -61,11 +61,13 @@ ROSE = 0.1
 """The gain from which on a speed has begun to rise [m/s]."""
 BEFORE = 2.0
 """The time before a danger from which on the sentences tell what a vehicle did [s]."""
-NEAR = 0.4
+NEAR = 0.5
 """The largest difference between the recorded speed and the speed that the sentences tell [m/s], if at most
 :data:`MOST` phases can tell it."""
 MOST = 6
 """The largest number of phases in the sentences."""
+MOVES = 2
+"""The largest number of changes of lane in the sentences, from the last back."""
 LEAST = 0.2
 """The least time for which braking hard has to avoid a collision at each tick, so that the sentences tell its end [s].
 Shorter times are those in which two boxes only just miss each other."""
@@ -157,8 +159,12 @@ class Conduct:
         hz, before = self.trace.physics_hz, self.before
         whole = self.trace if self.whole is None else self.whole
         speeds = whole.states[: before + self.trace.ticks + 1, self.vehicle, SPEED]
-        phases = phases_of(speeds, hz, max(before + self.danger - round(BEFORE * hz), 0))
-        fact = Fact(What.DROVE, self.vehicle, (before + self.since) / hz, phases=phases)
+        begin = max(before + self.danger - round(BEFORE * hz), 0)
+        phases = phases_of(speeds, hz, begin)
+        lanes = whole.states[begin : len(speeds), self.vehicle, LANE]
+        changes = () if whole.track is not None else np.flatnonzero((np.diff(lanes) != 0) & (lanes[1:] >= 0))
+        moves = tuple(((begin + int(tick) + 1) / hz, int(lanes[tick + 1])) for tick in changes[-MOVES:])
+        fact = Fact(What.DROVE, self.vehicle, (before + self.since) / hz, phases=phases, moves=moves)
         free = [self.avoids(tick, HARDEST) for tick in range(self.perceived, self.deed)]
         lasting = [last for first, last in stretches(np.array(free, dtype=bool)) if last - first >= LEAST * hz]
         due = before + (self.perceived + lasting[-1] if lasting else self.deed) - 1

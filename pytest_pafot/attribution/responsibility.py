@@ -380,7 +380,7 @@ class Conflict:
         if chance is None and self._gap(tick) >= LEAST_ROOM:
             chance = self._sped_up(self._npc + 1, tick, pursuit)
         if chance is not None:
-            return self._attributed("both", tick, (crossed, chance), "entered-lane")
+            return self._attributed("both", tick, (crossed, *self._told(chance, tick)), "entered-lane")
         asked = Fact(What.LEFT_TOO_LITTLE, 0, self._at(tick), other=self._npc + 1, asked_m=room)
         return self._attributed("ego", tick, (crossed, asked), "entered-lane")
 
@@ -580,7 +580,7 @@ class Conflict:
         if chance is None:
             return self._excused(tick, reason)
         if self._pushed_in(change):
-            return self._attributed("both", tick, (reason[0], chance), "leader-unanswered")
+            return self._attributed("both", tick, (reason[0], *self._told(chance, tick)), "leader-unanswered")
         return self._blamed_unless_standing(tick, (reason[0], chance), "leader-unanswered")
 
     def _second_chance(self, tick: int, pursuit: Pursuit, *, by_ego: bool) -> Fact | None:
@@ -794,6 +794,11 @@ class Conflict:
             return self._pursuit(by_ego=vehicle == 0, goes_on=True).is_avoided_by_braking(tick, rate)
 
         return answer(self._trace, vehicle, since, avoids, response, danger=danger)
+
+    def _told(self, chance: Fact, tick: int) -> Reason:
+        """Return the fact on a second chance that the follower missed, with what it should have done and did."""
+        since = max(tick, self._before)
+        return (chance,) if chance.what is What.ANSWERED else (chance, self._answer(chance.vehicle, since, tick))
 
     def _at(self, tick: int) -> float:
         """Return the time of a tick [s]."""

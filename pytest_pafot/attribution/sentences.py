@@ -119,6 +119,7 @@ class Fact(NamedTuple):
         unread: the rest of the fact; None if there is none. It is worked out when somebody reads the fact, because a
             search needs many verdicts and displays few.
         phases: what the vehicle did from shortly before the danger on, in its order.
+        moves: times [s] at which its centre came into another lane meanwhile, each with the number of the lane.
     """
 
     what: What
@@ -138,6 +139,7 @@ class Fact(NamedTuple):
     zone: Zone | None = None
     unread: Unread | None = None
     phases: tuple[Phase, ...] = ()
+    moves: tuple[tuple[float, int], ...] = ()
 
     @property
     def in_full(self) -> Fact:
@@ -247,6 +249,7 @@ def _answer(fact: Fact) -> list[str]:
         count = 2 if len(both) < LONGEST else 1
         made.append(f"{capitalised('; '.join(told[:count]))}.")
         told = told[count:]
+    made += [f"It changed into lane {lane} at {time:.1f} s." for time, lane in fact.moves]
     return made
 
 

@@ -119,7 +119,7 @@ def test_phases_join_to_nearly_the_recorded_speed(steps, hz):
 
 
 FALSE = [
-    ("The ego should have braked hard by 6.6 s. {deeds}", "due in time"),
+    ("The ego should have braked hard by 6.2 s. {deeds}", "due in time"),
     ("The ego should have braked hard by 1.7 s. {deeds}", "due as late as it helps"),
     ("The ego should have braked harder by 5.7 s. {deeds}", "braking when it was due"),
     ("The ego should have braked hard by 5.7 s but did not brake. {deeds}", "did not brake"),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from tests.helpers.pencil_and_paper import Crash, Crossing, Response, gap, giving_way, is_behind, part_of, safe_along
+from tests.helpers.pencil_and_paper import Crash, Crossing, gap, giving_way, is_behind, part_of, safe_along
 from tests.helpers.stories import entry_of, stories_of
 
 NUMBER = r"(-?\d+\.\d\d?)"
@@ -123,18 +123,13 @@ class Reading:
         return crossing.chance_not_taken(one)
 
     def is_due(self, story):
-        """Return whether braking was due when the story says so: at the last tick at which it avoids the collision."""
-        vehicle, other = (self.npc, self.ego) if story.vehicle else (self.ego, self.npc)
+        """Return whether braking was due after the danger had begun, and where ways meet before the vehicle entered."""
+        vehicle = self.npc if story.vehicle else self.ego
         since, told = self.since_when(vehicle) + self.since, story.ticks(story.due[story.due.re.groups - 1])
-        if self.crossing is not None and self.crossing.decides == "priority":
-            one = self.crossing.npc if story.vehicle else self.crossing.ego
-            return since <= told[-1] and told[0] < one.enters
-
-        def avoids(tick):
-            drive = Response(self.crash, vehicle, other, tick - self.since, delay=0.0, perceived=0.0)
-            return drive.is_free(lambda tick: 6.0, brakes_on=True)
-
-        return since <= told[-1] and any(avoids(tick) for tick in told) and not avoids(told[-1] + 2)
+        if self.crossing is None or self.crossing.decides != "priority":
+            return since <= told[-1]
+        one = self.crossing.npc if story.vehicle else self.crossing.ego
+        return since <= told[-1] and told[0] < one.enters
 
     def hard_braking(self, said):
         braker, _ = self.who(said)

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pytest_pafot.model.trace import HEADING, SPEED, X, Y
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
 from tests.helpers.polygons import corners, polygon_distance
 
 WHO = r"(?P<who>[Tt]he ego|NPC \d+)"
@@ -30,7 +30,7 @@ DEEDS = {
     "sped up": rf"sped up to {FIGURE}",
     "stood": "stood",
 }
-NEAR, MOST, KEPT = 0.4, 6, 0.55
+NEAR, MOST, KEPT = 0.5, 6, 0.55
 """The largest error of the speed that is told [m/s], the largest number of phases, with which it may be larger, and the
 largest change of a speed that was kept [m/s]."""
 
@@ -39,7 +39,9 @@ class Story:
     """The claims of the sentences about one vehicle, and the vehicle's motion."""
 
     def __init__(self, trace, told):
-        self.trace, self.text, self.hz = trace, told, trace.physics_hz
+        self.trace, self.hz = trace, trace.physics_hz
+        self.moves = re.findall(rf"It changed into lane (\d+) at {TIME}\.", told)
+        self.text = re.sub(r" It changed into lane .*", "", told)
         who = re.match(WHO, told)["who"]
         self.vehicle = 0 if who.lower() == "the ego" else int(who[4:]) + 1
         self.other = 0 if self.vehicle else trace.collision.npc + 1
@@ -115,6 +117,9 @@ class Story:
             yield "set off", any(self.speed[at] <= 0.3 for at in self.ticks(self.due[2]))
         elif self.duty == "not sped up":
             yield "speeds up", any(name == "sped up" for name, *_ in self.phases)
+        for lane, time in self.moves:
+            lanes = self.trace.states[:, self.vehicle, LANE]
+            yield "lane", any(lanes[at] == int(lane) != lanes[at - 1] for at in self.ticks(time))
         yield from self.of_phases([each[len(each) // 2] for each in begins])
 
     def of_phases(self, begins):
@@ -129,7 +134,7 @@ class Story:
             is_constant = "kept" in [name for name, *_ in self.phases]
             yield "speed", far <= NEAR + 0.06 + min(steepest, 0.6) + KEPT * is_constant
         for (name, _, before, after, braking), begin, over in zip(self.phases, at[:-1], at[1:], strict=True):
-            near = range(max(begin - 1, 0), begin + 2), range(over - 1, min(over + 2, self.end + 1))
+            near = range(max(begin - 1, 0), begin + 2), range(over - 3, min(over + 4, self.end + 1))
             told = [abs(float(self.speed[tick]) - after) for tick in near[1]]
             yield "speed at the end", min(told) <= (KEPT if name in ("kept", "stood") else 0.05)
             if name == "braked":
