@@ -215,7 +215,13 @@ def phases_of(speeds: FloatArray, hz: int, begin: int) -> tuple[Phase, ...]:
         through = least[:, None] + error
         corners.append(through.argmin(axis=0))
         least = through.min(axis=0)
-    return tuple(_phase(speeds, hz, int(first), int(last), step) for first, last in pairwise(ticks[sorted({*found})]))
+    phases: list[Phase] = []
+    for first, last in pairwise(ticks[sorted({*found})]):
+        phase = _phase(speeds, hz, int(first), int(last), step)
+        if phases and phase.doing is phases[-1].doing is Doing.STOOD:
+            phase = phase._replace(time_s=phases.pop().time_s)
+        phases.append(phase)
+    return tuple(phases)
 
 
 def _phase(speeds: FloatArray, hz: int, first: int, last: int, step: int) -> Phase:
@@ -231,7 +237,8 @@ def _phase(speeds: FloatArray, hz: int, first: int, last: int, step: int) -> Pha
     elif max(-lost, -lost / seconds) >= BRAKES:
         doing = Doing.SPED_UP
     hardest = max(0.0, float(inner.max()))
-    return Phase(doing, first / hz, last / hz, float(speeds[first]), float(speeds[last]), hardest)
+    before, after = (max(0.0, float(speeds[tick])) for tick in (first, last))  # some vehicles roll back a little
+    return Phase(doing, first / hz, last / hz, before, after, hardest)
 
 
 def rising_since(speed: FloatArray, hz: int, first: int, tick: int) -> int:

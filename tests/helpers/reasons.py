@@ -114,7 +114,7 @@ class Reading:
         """Return the tick from which a vehicle owed the answer that the sentence describes."""
         crossing = self.crossing
         if crossing is None or crossing.decides != "priority":
-            return self.crash.ticks["answer"]
+            return self.crash.ticks.get("answer", self.tick)
         one = crossing.ego if vehicle is self.ego else crossing.npc
         if one in crossing.blind:
             return crossing.last_to_slow_down(one) if crossing.is_merge else crossing.last_to_stop_short(one)

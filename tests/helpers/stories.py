@@ -103,10 +103,8 @@ class Story:
             yield "due before the deed", due[0] < deed
             if entry is None:
                 yield "due in time", any(self.is_free(at) for at in range(max(due[0] - 2, 0), due[-1] + 1))
-                yield (
-                    "due as late as it helps",
-                    not all(self.is_free(at) for at in range(due[-1] + 1, due[-1] + 5) if at < deed),
-                )
+                later = [self.is_free(at) for at in range(due[-1] + 1, due[-1] + 5) if at < deed]
+                yield "due as late as it helps", not later or not all(later)
             elif self.trace.zones[self.trace.collision.npc].kind == "crossing":
                 yield "due in time", any(self.stops_short(at, self.end) for at in due) or self.is_free(due[0])
             is_braking = {bool(self.slowed[at] >= 0.5) for at in due if at < self.end}
