@@ -57,14 +57,14 @@ GIVING_WAY = Braking(delay=0.4, deceleration=3.0)
 HEADWAY = 1.0
 """The gap that must remain ahead of the vehicle behind after it has slowed down for a lane change, as a time at the
 speed of the vehicle that changes lanes [s]."""
-ROSE = 0.1
-"""The gain from which on a speed has begun to rise [m/s]."""
+LOST = 0.2
+"""The least loss of speed without a pause that counts as braking in the sentences of a verdict [m/s]."""
 BEFORE = 2.0
 """The time before a danger from which on the sentences tell what a vehicle did [s]."""
-NEAR = 0.5
-"""The largest difference between the recorded speed and the speed that the sentences tell [m/s], if at most
-:data:`MOST` phases can tell it."""
-MOST = 6
+NEAR, AT_REST = 0.3, 0.1
+"""The largest difference between the recorded speed and the speed that the sentences tell [m/s], and that of a vehicle
+that stands, if at most :data:`MOST` phases can tell it."""
+MOST = 7
 """The largest number of phases in the sentences."""
 MOVES = 2
 """The largest number of changes of lane in the sentences, from the last back."""
@@ -91,7 +91,7 @@ def answer(
     trace: Trace,
     vehicle: int,
     since: int,
-    avoids: Callable[[int, float], bool],
+    avoids: Callable[[int, float], bool] | None,
     response: Braking = FOLLOWING,
     entry: int | None = None,
     danger: int | None = None,
@@ -103,7 +103,7 @@ def answer(
         vehicle: index of the vehicle; 0 is the ego.
         since: tick from which on the vehicle had to respond to a danger.
         avoids: returns whether braking at a rate [m/s^2] from a tick on, with the recorded speed at that tick, avoids
-            the collision.
+            the collision; None if only what the vehicle did is to be told.
         response: proper response, whose time of perception counts from that tick.
         entry: tick at which the vehicle entered a zone; None if no zone matters.
         danger: tick at which the danger began, if the vehicle's last chance came later.
@@ -131,7 +131,8 @@ class Conduct:
         danger: tick at which the danger began; what the vehicle did is told from a little earlier on.
         perceived: first tick at which the vehicle could have braked.
         deed: tick of the impact, or just before the vehicle entered a zone that it should not have entered.
-        avoids: returns whether braking at a rate [m/s^2] from a tick on avoids the collision.
+        avoids: returns whether braking at a rate [m/s^2] from a tick on avoids the collision; None if braking
+            was not the duty.
         before: number of ticks of the run before this part.
         whole: trace of the whole run; None if it is the same.
     """
@@ -142,7 +143,7 @@ class Conduct:
     danger: int
     perceived: int
     deed: int
-    avoids: Callable[[int, float], bool]
+    avoids: Callable[[int, float], bool] | None
     before: int = 0
     whole: Trace | None = None
 
@@ -164,7 +165,12 @@ class Conduct:
         lanes = whole.states[begin : len(speeds), self.vehicle, LANE]
         changes = () if whole.track is not None else np.flatnonzero((np.diff(lanes) != 0) & (lanes[1:] >= 0))
         moves = tuple(((begin + int(tick) + 1) / hz, int(lanes[tick + 1])) for tick in changes[-MOVES:])
-        fact = Fact(What.DROVE, self.vehicle, (before + self.since) / hz, phases=phases, moves=moves)
+        slowed = -np.diff(speeds[begin:])
+        lost = [slowed[first:last].sum() for first, last in stretches(slowed * hz >= BRAKES)]
+        fact = Fact(What.DROVE, self.vehicle, (before + self.since) / hz, has_braked=max(lost, default=0.0) >= LOST)
+        fact = fact._replace(phases=phases, moves=moves)
+        if self.avoids is None:
+            return fact
         free = [self.avoids(tick, HARDEST) for tick in range(self.perceived, self.deed)]
         lasting = [last for first, last in stretches(np.array(free, dtype=bool)) if last - first >= LEAST * hz]
         due = before + (self.perceived + lasting[-1] if lasting else self.deed) - 1
@@ -209,8 +215,8 @@ def phases_of(speeds: FloatArray, hz: int, begin: int) -> tuple[Phase, ...]:
         for back in reversed(corners):
             found.append(int(back[found[-1]]))
         found.reverse()
-        far = np.abs(np.interp(at, found, speed[found]) - speed).max()
-        if far <= NEAR or number == MOST:
+        far = np.abs(np.interp(at, found, speed[found]) - speed)
+        if number == MOST or (far <= np.where(speed <= STANDING_SPEED, AT_REST, NEAR)).all():
             break
         through = least[:, None] + error
         corners.append(through.argmin(axis=0))
@@ -230,7 +236,7 @@ def _phase(speeds: FloatArray, hz: int, first: int, last: int, step: int) -> Pha
     slowed = -np.diff(speeds[first : last + 1]) * hz
     inner = slowed[step:-step] if step > 1 and len(slowed) > 2 * step else slowed
     doing = Doing.KEPT
-    if max(speeds[first], speeds[last]) <= STANDING_SPEED + ROSE:
+    if max(speeds[first], speeds[last]) <= STANDING_SPEED:
         doing = Doing.STOOD
     elif max(lost, lost / seconds) >= BRAKES:
         doing = Doing.BRAKED if inner.max() >= BRAKES else Doing.SLOWED
@@ -239,19 +245,3 @@ def _phase(speeds: FloatArray, hz: int, first: int, last: int, step: int) -> Pha
     hardest = max(0.0, float(inner.max()))
     before, after = (max(0.0, float(speeds[tick])) for tick in (first, last))  # some vehicles roll back a little
     return Phase(doing, first / hz, last / hz, before, after, hardest)
-
-
-def rising_since(speed: FloatArray, hz: int, first: int, tick: int) -> int:
-    """Return the tick, not before ``first``, at which the rise of a speed that goes on at a tick began.
-
-    The rise goes back as far as the speed gained 0.5 m/s in each second, or half of what it gains after the tick if
-    that is less.
-    """
-    ahead = speed[tick + 1 : tick + 1 + hz]
-    least = min(BRAKES, float(ahead.max(initial=0.0) - speed[tick]) / 2)
-    begin = tick
-    while begin > first and speed[begin] - speed[max(begin - hz, first)] > least:
-        begin -= 1
-    recent = speed[max(begin - hz, first) : tick + 1]
-    lowest = begin - max(begin - hz, first) + 1
-    return max(begin - hz, first) + int(np.flatnonzero(recent <= recent[:lowest].min() + ROSE)[-1])

@@ -41,7 +41,6 @@ from pytest_pafot.attribution.responses import (
     HELD,
     VISIBLY,
     answer,
-    rising_since,
     room_to_leave,
 )
 from pytest_pafot.attribution.right_of_way import Blame, ZoneConflict
@@ -371,18 +370,19 @@ class Conflict:
         if self._gap(tick) >= room:  # the gap was too small only when the two had come into one track
             crossed = self._placed(What.CAME_IN, 0, entered)
             room = self._room(entered, float(self._frame.speed[0, entered]))
+        drove = answer(self._trace, 0, max(tick, self._before), None, danger=tick)
         if self._gap(tick) >= first_room and self._gap(entered) > 0:
             since = pursuit.avoided_from(max(tick, self._before), FOLLOWING)  # there was room at first
             if since is not None:
-                answer = self._answer(self._npc + 1, since, tick)
-                return self._attributed("both", tick, (crossed, answer), "entered-lane")
+                facts = (crossed, drove, self._answer(self._npc + 1, since, tick))
+                return self._attributed("both", tick, facts, "entered-lane")
         chance = self._second_chance(tick, pursuit, by_ego=False)
         if chance is None and self._gap(tick) >= LEAST_ROOM:
             chance = self._sped_up(self._npc + 1, tick, pursuit)
         if chance is not None:
-            return self._attributed("both", tick, (crossed, *self._told(chance, tick)), "entered-lane")
+            return self._attributed("both", tick, (crossed, drove, *self._told(chance, tick)), "entered-lane")
         asked = Fact(What.LEFT_TOO_LITTLE, 0, self._at(tick), other=self._npc + 1, asked_m=room)
-        return self._attributed("ego", tick, (crossed, asked), "entered-lane")
+        return self._attributed("ego", tick, (crossed, asked, drove), "entered-lane")
 
     def _duty_passed(self, change: LaneChange, tick: int, pursuit: Pursuit) -> Attribution | None:
         """Attribute to the follower if it could still have avoided a leader that had kept its new lane for a while.
@@ -486,10 +486,8 @@ class Conflict:
         would_answer = behind == 0 and pursuit.avoided_from(tick, CUT_OFF, EMERGENCY) is not None
         if not (would_answer or pursuit.stays_off_unless_faster(since, nearer)):
             return None
-        (began, until), ahead = gain, 0 if behind else self._npc + 1
-        began = rising_since(self._frame.speed[behind], self._hz, 0, began)
-        speed = float(self._frame.speed[behind, until])
-        return Fact(What.SPED_UP_INTO, behind, self._at(began), other=ahead, speed_m_per_s=speed)
+        began, until = gain
+        return Fact(What.SPED_UP, behind, self._at(began), speed_m_per_s=float(self._frame.speed[behind, until]))
 
     def _gives_way(self, change: LaneChange) -> bool:
         """Return whether the ego leaves enough room to the NPC that drives behind it when it changes lanes.

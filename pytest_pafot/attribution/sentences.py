@@ -39,7 +39,7 @@ class What(Enum):
     NONE_FORESAW = "Neither could have foreseen the other in time, by the rules."
     TOUCHED_ELSEWHERE = "{who} touched {whom} at {at}, outside the zone where their ways meet."
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
-    SPED_UP_INTO = "{who} sped up to {it.speed_m_per_s:.1f} m/s from {at} on, towards {whom}."
+    SPED_UP = "{who} should not have sped up to {it.speed_m_per_s:.1f} m/s after {at}."
     LET_BRAKES_GO = "{who} should have kept braking but released the brakes at {at}."
     BRAKED_LESS = "{who} already braked and should have kept braking, but braked less from {at} on."
     ANSWERED = "answered"
@@ -118,6 +118,7 @@ class Fact(NamedTuple):
         zone: zone that the vehicle entered.
         unread: the rest of the fact; None if there is none. It is worked out when somebody reads the fact, because a
             search needs many verdicts and displays few.
+        has_braked: whether it braked in the time of the phases.
         phases: what the vehicle did from shortly before the danger on, in its order.
         moves: times [s] at which its centre came into another lane meanwhile, each with the number of the lane.
     """
@@ -138,6 +139,7 @@ class Fact(NamedTuple):
     lane: int | None = None
     zone: Zone | None = None
     unread: Unread | None = None
+    has_braked: bool = False
     phases: tuple[Phase, ...] = ()
     moves: tuple[tuple[float, int], ...] = ()
 
@@ -231,7 +233,7 @@ def _answer(fact: Fact) -> list[str]:
     elif fact.what is What.SHOULD_NOT_HAVE_SPED_UP:
         made = [f"{who} should not have sped up."]
     elif fact.what is What.SHOULD_HAVE_BRAKED:
-        instead = "" if any(each.doing is Doing.BRAKED for each in fact.phases) else " but did not brake"
+        instead = "" if fact.has_braked else " but did not brake"
         how = "harder" if fact.braking_m_per_s2 >= BRAKES else "hard"
         made = [f"{who} should have braked {how} by {at}{instead}."]
     told = []

@@ -43,7 +43,7 @@ STORIES = {
         [(2.0, 4.0, 16.0), (3.5, -3.0, 20.0), (5.0, 4.0, 16.0)],
         (50.0, 10.0),
         "From 3.0 s it kept 16.0 m/s; from 3.5 s it sped up to 20.0 m/s. "
-        "From 4.8 s it braked at up to 4.0 m/s^2, to 19.2 m/s.",
+        "From 4.8 s it kept 20.0 m/s; from 5.0 s it braked at up to 4.0 m/s^2, to 19.2 m/s.",
     ),
     "braked hard enough, then let go": (
         [(0.5, 4.0, 14.0)],

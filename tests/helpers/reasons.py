@@ -136,17 +136,9 @@ class Reading:
         first, last = self.crash.hard_braking(braker)
         return [max(braker.deceleration(tick) for tick in range(first, last + 1)), self.time(first - 1)]
 
-    def sped_up_towards(self, said):
+    def sped_up(self, said):
         """Return the speed that it sped up to, and since when."""
-        speed, hz, begin = self.who(said)[0].speed, self.crash.hz, self.crash.sped_up
-        gain = max(max(speed[begin + 1 : begin + 1 + hz], default=0.0) - speed[begin], 0.0)
-        went_up, since = min(0.5, gain / 2), begin
-        while since > 0 and speed[since] - speed[max(since - hz, 0)] > went_up:
-            since -= 1
-        slowest = min(speed[max(since - hz, 0) : since + 1])
-        while speed[begin] > slowest + 0.1:
-            begin -= 1
-        return [self.crash.sped_up_to, self.time(begin)]
+        return [self.crash.sped_up_to, self.time(self.crash.sped_up)]
 
     def braked_on(self, said):
         """Return how hard the ego braked at most when the reason was gone, and since when."""
@@ -198,7 +190,7 @@ SENTENCES = {
         reading.time(reading.crash.ticks["npc's moment"])
     ],
     rf"{WHO} had too little time to respond, by the rules\.": lambda reading, said: [],
-    rf"{WHO} sped up to {NUMBER} m/s from {NUMBER} s on, towards {WHO}\.": Reading.sped_up_towards,
+    rf"{WHO} should not have sped up to {NUMBER} m/s after {NUMBER} s\.": Reading.sped_up,
     rf"{WHO} should have kept braking but released the brakes at {NUMBER} s\.": lambda reading, said: [
         reading.time(reading.crash.ticks["brakes let go"])
     ],

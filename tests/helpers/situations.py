@@ -547,7 +547,7 @@ SITUATIONS = {
             "An NPC that is 2 m/s slower moves in 2.5 m ahead and speeds up to nearly the ego's speed. The ego speeds "
             "up into it.",
             lambda: cut_in(2.5, slower=2.0, brakes=[(2.3, -3.0, 19.6)], ego_brakes=[(3.9, -3.0, 26.0)]),
-            "both", "leader-unanswered", "4c", "The ego sped up to",
+            "both", "leader-unanswered", "4c", "The ego should not have sped up to",
         ),
         Situation(
             "sped-up-behind-a-cut-in-and-braked-at-last",
@@ -556,7 +556,7 @@ SITUATIONS = {
             lambda: cut_in(
                 12.0, slower=4.0, brakes=[(4.3, 8.0, 0.0)], ego_brakes=[(2.8, -2.0, 23.0), (4.7, 8.0, 0.0)]
             ),
-            "both", "leader-unanswered", "4c", "The ego sped up to",
+            "both", "leader-unanswered", "4c", "The ego should not have sped up to",
         ),
         Situation(
             "recovered-its-speed-behind-a-cut-in",
@@ -694,13 +694,13 @@ SITUATIONS = {
             "The ego changes lanes 6 m ahead of an NPC that drives only 4.5 m/s. The NPC at once speeds up with 5 "
             "m/s^2.",
             lambda: lane_change(6.9, faster=-1.5, speed=6.0, npc_brakes=[(2.1, -5.0, 20.0)]),
-            "npc", None, "3", "NPC 0 sped up to",
+            "npc", None, "3", "NPC 0 should not have sped up to",
         ),
         Situation(
             "follower-floors-it-behind-a-close-lane-change",
             "The ego changes lanes 6 m ahead of an NPC of equal speed. The NPC at once speeds up with 4 m/s^2.",
             lambda: lane_change(6.0, faster=0.0, npc_brakes=[(2.6, -4.0, 30.0)]),
-            "both", "entered-lane", "3", "NPC 0 sped up to",
+            "both", "entered-lane", "3", "NPC 0 should not have sped up to",
         ),
         Situation(
             "npc-moves-in-behind-an-ego-over-the-line",
@@ -798,7 +798,7 @@ SITUATIONS = {
                 driven(0.0, LEFT, speed=8.0, shifts=[(2.0, OWN, 2.0)]),
                 driven(-11.0, RIGHT, speed=8.0, shifts=[(2.2, OWN, 2.0)], brakes=[(2.7, -5.0, 20.0)]),
             ),
-            "npc", None, "3", "NPC 0 sped up to",
+            "npc", None, "3", "NPC 0 should not have sped up to",
         ),
         Situation(
             "both-enter-behind-a-slower-one",

@@ -30,7 +30,7 @@ DEEDS = {
     "sped up": rf"sped up to {FIGURE}",
     "stood": "stood",
 }
-NEAR, MOST, KEPT = 0.5, 6, 0.55
+NEAR, MOST, KEPT = 0.3, 7, 0.55
 """The largest error of the speed that is told [m/s], the largest number of phases, with which it may be larger, and the
 largest change of a speed that was kept [m/s]."""
 
@@ -110,7 +110,7 @@ class Story:
             is_braking = {bool(self.slowed[at] >= 0.5) for at in due if at < self.end}
             yield "braking when it was due", (self.due["how"] == "harder") in is_braking
             if self.due["never"]:
-                yield "did not brake", self.lost(begins[0][-1]) < 2 * NEAR
+                yield "did not brake", self.lost(begins[0][-1]) < 0.25
         elif self.duty == "waited":
             yield "set off", any(self.speed[at] <= 0.3 for at in self.ticks(self.due[2]))
         elif self.duty == "not sped up":
