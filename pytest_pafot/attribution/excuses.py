@@ -8,9 +8,8 @@ import numpy as np
 
 from pytest_pafot.attribution.last_chance import FREE_FOR, UNSAID, TakeOver, drivers_of, relief_of, repeats
 from pytest_pafot.attribution.needless_braking import braking
-from pytest_pafot.attribution.responses import BRAKES
 from pytest_pafot.attribution.responsibility import rss_rule
-from pytest_pafot.attribution.sentences import What, escape_sentences
+from pytest_pafot.attribution.sentences import BRAKES, What, escape_sentences
 from pytest_pafot.model.trace import Outcome, Trace
 
 

@@ -7,8 +7,9 @@ rules clause by clause, with their sources.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
@@ -32,7 +33,6 @@ from pytest_pafot.attribution.needless_braking import (
 )
 from pytest_pafot.attribution.responses import (
     ALREADY_BRAKING,
-    BRAKES,
     CUT_OFF,
     DISTANCES,
     EMERGENCY,
@@ -41,11 +41,10 @@ from pytest_pafot.attribution.responses import (
     HELD,
     VISIBLY,
     answer,
-    rising_since,
     room_to_leave,
 )
 from pytest_pafot.attribution.right_of_way import Blame, ZoneConflict
-from pytest_pafot.attribution.sentences import Fact, Reason, What, sentences
+from pytest_pafot.attribution.sentences import BRAKES, Fact, Reason, What, sentences
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ALONG, LANE, SPEED, Trace
@@ -145,6 +144,11 @@ class Attribution:
 
     def __hash__(self) -> int:
         return hash(self._said)
+
+    def __reduce__(self) -> tuple[Callable[[], Attribution], tuple[()]]:
+        facts = tuple(fact.in_full for fact in self.facts)  # what is still unread needs the trace
+        whole = partial(Attribution, responsibility=self.responsibility, tick=self.tick, time=self.time)
+        return partial(whole, fault=self.fault, facts=facts), ()
 
     @property
     def _said(self) -> tuple[object, ...]:
@@ -366,18 +370,19 @@ class Conflict:
         if self._gap(tick) >= room:  # the gap was too small only when the two had come into one track
             crossed = self._placed(What.CAME_IN, 0, entered)
             room = self._room(entered, float(self._frame.speed[0, entered]))
+        drove = answer(self._trace, 0, max(tick, self._before), None, danger=tick)
         if self._gap(tick) >= first_room and self._gap(entered) > 0:
             since = pursuit.avoided_from(max(tick, self._before), FOLLOWING)  # there was room at first
             if since is not None:
-                answer = self._answer(self._npc + 1, since, tick)
-                return self._attributed("both", tick, (crossed, answer), "entered-lane")
+                facts = (crossed, drove, self._answer(self._npc + 1, since, tick))
+                return self._attributed("both", tick, facts, "entered-lane")
         chance = self._second_chance(tick, pursuit, by_ego=False)
         if chance is None and self._gap(tick) >= LEAST_ROOM:
             chance = self._sped_up(self._npc + 1, tick, pursuit)
         if chance is not None:
-            return self._attributed("both", tick, (crossed, chance), "entered-lane")
+            return self._attributed("both", tick, (crossed, drove, *self._told(chance, tick)), "entered-lane")
         asked = Fact(What.LEFT_TOO_LITTLE, 0, self._at(tick), other=self._npc + 1, asked_m=room)
-        return self._attributed("ego", tick, (crossed, asked), "entered-lane")
+        return self._attributed("ego", tick, (crossed, asked, drove), "entered-lane")
 
     def _duty_passed(self, change: LaneChange, tick: int, pursuit: Pursuit) -> Attribution | None:
         """Attribute to the follower if it could still have avoided a leader that had kept its new lane for a while.
@@ -481,10 +486,8 @@ class Conflict:
         would_answer = behind == 0 and pursuit.avoided_from(tick, CUT_OFF, EMERGENCY) is not None
         if not (would_answer or pursuit.stays_off_unless_faster(since, nearer)):
             return None
-        (began, until), ahead = gain, 0 if behind else self._npc + 1
-        began = rising_since(self._frame.speed[behind], self._hz, 0, began)
-        speed = float(self._frame.speed[behind, until])
-        return Fact(What.SPED_UP_INTO, behind, self._at(began), other=ahead, speed_m_per_s=speed)
+        began, until = gain
+        return Fact(What.SPED_UP, behind, self._at(began), speed_m_per_s=float(self._frame.speed[behind, until]))
 
     def _gives_way(self, change: LaneChange) -> bool:
         """Return whether the ego leaves enough room to the NPC that drives behind it when it changes lanes.
@@ -575,7 +578,7 @@ class Conflict:
         if chance is None:
             return self._excused(tick, reason)
         if self._pushed_in(change):
-            return self._attributed("both", tick, (reason[0], chance), "leader-unanswered")
+            return self._attributed("both", tick, (reason[0], *self._told(chance, tick)), "leader-unanswered")
         return self._blamed_unless_standing(tick, (reason[0], chance), "leader-unanswered")
 
     def _second_chance(self, tick: int, pursuit: Pursuit, *, by_ego: bool) -> Fact | None:
@@ -788,7 +791,12 @@ class Conflict:
         def avoids(tick: int, rate: float) -> bool:
             return self._pursuit(by_ego=vehicle == 0, goes_on=True).is_avoided_by_braking(tick, rate)
 
-        return answer(self._trace, vehicle, self._frame.speed[vehicle], since, avoids, response, danger=danger)
+        return answer(self._trace, vehicle, since, avoids, response, danger=danger)
+
+    def _told(self, chance: Fact, tick: int) -> Reason:
+        """Return the fact on a second chance that the follower missed, with what it should have done and did."""
+        since = max(tick, self._before)
+        return (chance,) if chance.what is What.ANSWERED else (chance, self._answer(chance.vehicle, since, tick))
 
     def _at(self, tick: int) -> float:
         """Return the time of a tick [s]."""

@@ -233,7 +233,7 @@ class ZoneConflict:
             return bool(place - own.places[tick] >= braked(float(own.speeds[tick]), own.hz, rate))
 
         entry = own.entered()
-        return answer(self._trace, own.vehicle, own.speeds, chance.tick, avoids, chance.response, entry=entry)
+        return answer(self._trace, own.vehicle, chance.tick, avoids, chance.response, entry=entry)
 
     @staticmethod
     def _slows_down(own: Passing, other: Passing, tick: int, rate: float) -> bool:

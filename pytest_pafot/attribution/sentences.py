@@ -5,9 +5,7 @@ Each text is at most 97 characters long, so that it fits on one line of an expla
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import Enum
-from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 from pytest_pafot.attribution.avoidance import HARDEST
@@ -41,13 +39,11 @@ class What(Enum):
     NONE_FORESAW = "Neither could have foreseen the other in time, by the rules."
     TOUCHED_ELSEWHERE = "{who} touched {whom} at {at}, outside the zone where their ways meet."
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
-    SPED_UP_INTO = "{who} sped up to {it.speed_m_per_s:.1f} m/s from {at} on, towards {whom}."
+    SPED_UP = "{who} should not have sped up to {it.speed_m_per_s:.1f} m/s after {at}."
     LET_BRAKES_GO = "{who} should have kept braking but released the brakes at {at}."
     BRAKED_LESS = "{who} already braked and should have kept braking, but braked less from {at} on."
     ANSWERED = "answered"
     SHOULD_HAVE_BRAKED = "should have braked"
-    SHOULD_HAVE_KEPT_BRAKING = "should have kept braking"
-    SHOULD_HAVE_BRAKED_ON = "should have braked on"
     SHOULD_HAVE_WAITED = "should have waited"
     SHOULD_NOT_HAVE_SPED_UP = "should not have sped up"
     DROVE = "drove"
@@ -55,65 +51,45 @@ class What(Enum):
 
 ANSWERS = (
     What.SHOULD_HAVE_BRAKED,
-    What.SHOULD_HAVE_KEPT_BRAKING,
-    What.SHOULD_HAVE_BRAKED_ON,
     What.SHOULD_HAVE_WAITED,
     What.SHOULD_NOT_HAVE_SPED_UP,
     What.DROVE,
 )
 """The facts on what a vehicle should have done in a danger, and what it did. Their sentences depend on its phases."""
+BRAKES = 0.5
+"""The least deceleration that counts as braking in the sentences of a verdict [m/s^2]."""
 LONGEST = 97
 """The largest number of characters in a line, so that it fits on one line of an explanation."""
 
 
 class Doing(Enum):
-    """The deeds of a vehicle in one phase of its response, each with its words."""
+    """The deeds of a vehicle in one phase, each with its words."""
 
-    BRAKED = "braked with up to {figure:.1f} m/s^2 from {at} on"
-    BRAKED_HARDER = "braked harder, with up to {figure:.1f} m/s^2, from {at} on"
-    BRAKED_INCREASINGLY = "braked more and more, with up to {figure:.1f} m/s^2, from {at} on"
-    BRAKED_REPEATEDLY = "braked again and again, with up to {figure:.1f} m/s^2, from {at} on"
-    EASED_OFF = "eased off from {at} on, to {figure:.1f} m/s^2"
-    RELEASED = "released the brakes at {at}"
-    STOOD = "stood from {at} on"
-    SPED_UP = "sped up from {at} on, to {figure:.1f} m/s"
-    SPED_UP_REPEATEDLY = "sped up again and again from {at} on, to {figure:.1f} m/s"
-    SPED_UP_FURTHER = "sped up further, to {figure:.1f} m/s"
-    SET_OFF = "set off at {at} and sped up to {figure:.1f} m/s"
-
-
-RISING = (Doing.SPED_UP, Doing.SPED_UP_REPEATEDLY, Doing.SPED_UP_FURTHER, Doing.SET_OFF)
-"""The phases in which a vehicle sped up."""
-BEGUN = (Doing.BRAKED, Doing.BRAKED_HARDER, Doing.BRAKED_INCREASINGLY, Doing.BRAKED_REPEATEDLY)
-"""The phases that begin when a vehicle begins to brake, or to brake harder."""
-BRAKING = (*BEGUN, Doing.EASED_OFF)
-"""The phases in which a vehicle braked."""
-
-
-REPEATED = (Doing.BRAKED_REPEATEDLY, Doing.SPED_UP_REPEATEDLY)
-"""The phases in which a vehicle braked, and sped up, more than once."""
+    BRAKED = "braked at up to {it.braking_m_per_s2:.1f} m/s^2, to {it.last_m_per_s:.1f} m/s"
+    SLOWED = "slowed to {it.last_m_per_s:.1f} m/s"
+    KEPT = "kept {it.last_m_per_s:.1f} m/s"
+    SPED_UP = "sped up to {it.last_m_per_s:.1f} m/s"
+    STOOD = "stood"
 
 
 class Phase(NamedTuple):
-    """One phase of a vehicle's response.
+    """One phase of a vehicle's speed.
 
     Attributes:
         doing: what the vehicle did.
-        time_s: time at which the phase began [s]; for a vehicle that sped up further, the time from which on it had to
-            respond.
+        time_s: time at which the phase began [s].
         until_s: time at which the phase was over [s].
-        figure: hardest braking [m/s^2], weakest if it eased off, or highest speed [m/s], in the phase; 0 if the vehicle
-            did none of these.
-        is_again: whether the vehicle braked and had already braked before, since it had to respond.
-        peak_s: time at which the vehicle first braked so hard, if that was late in the phase [s].
+        first_m_per_s: speed at its beginning [m/s].
+        last_m_per_s: speed at its end [m/s].
+        braking_m_per_s2: hardest braking in it [m/s^2].
     """
 
     doing: Doing
     time_s: float
     until_s: float
-    figure: float
-    is_again: bool = False
-    peak_s: float | None = None
+    first_m_per_s: float
+    last_m_per_s: float
+    braking_m_per_s2: float
 
 
 class Fact(NamedTuple):
@@ -124,10 +100,10 @@ class Fact(NamedTuple):
         vehicle: index of the vehicle that the fact is about; 0 is the ego, ``i + 1`` is NPC ``i``.
         other: index of the other vehicle that the fact mentions.
         time_s: time at which the event happened or began [s].
-        later_s: time at which the other vehicle did the same, if both crossed a line or both entered a zone [s].
-        due_s: time from which on the vehicle should have braked [s]; None if it did not have to before the impact, or
-            if its mistake was to speed up. For a vehicle that had too little time, the time from which on braking would
-            have been the proper response.
+        later_s: time at which the other vehicle did the same, if both crossed a line or both entered a zone; time at
+            which a vehicle that should have waited set off [s].
+        due_s: latest time at which the vehicle should have begun to brake hard [s]; None if that does not help. For a
+            vehicle that had too little time, the time from which on braking would have been the proper response.
         gap_m: gap between the boxes along the road [m]; positive if the vehicle is ahead of the other, negative if it
             is behind, 0 side by side.
         asked_m: gap that the rules require [m].
@@ -135,16 +111,16 @@ class Fact(NamedTuple):
         faster_m_per_s: speed of the other minus speed of the vehicle [m/s]. The sentence does not mention it if
             ``leader_m_per_s2`` is not 0.
         leader_m_per_s2: hardest braking of the NPC, if it was ahead and braked visibly [m/s^2].
-        braking_m_per_s2: hardest braking of the vehicle [m/s^2]; if it should have kept braking, its braking at that
-            time; if it had too little time, the required braking unless there is an emergency.
+        braking_m_per_s2: hardest braking of the vehicle [m/s^2]; if it should have braked, its braking at that time; if
+            it had too little time, the required braking unless there is an emergency.
         lasting_s: time for which the vehicle stood before the impact [s].
         lane: lane that the vehicle moved into; None if it has no number.
         zone: zone that the vehicle entered.
         unread: the rest of the fact; None if there is none. It is worked out when somebody reads the fact, because a
             search needs many verdicts and displays few.
-        phases: what the vehicle did from the beginning of the danger on, in its order.
-        mistake: index of the phase that was the mistake, if the vehicle should have kept braking, should have waited,
-            or should not have sped up. If it braked on, but for less, the number of phases that had begun by then.
+        has_braked: whether it braked in the time of the phases.
+        phases: what the vehicle did from shortly before the danger on, in its order.
+        moves: times [s] at which its centre came into another lane meanwhile, each with the number of the lane.
     """
 
     what: What
@@ -163,8 +139,9 @@ class Fact(NamedTuple):
     lane: int | None = None
     zone: Zone | None = None
     unread: Unread | None = None
+    has_braked: bool = False
     phases: tuple[Phase, ...] = ()
-    mistake: int = 0
+    moves: tuple[tuple[float, int], ...] = ()
 
     @property
     def in_full(self) -> Fact:
@@ -175,10 +152,8 @@ class Fact(NamedTuple):
     def is_unanswered(self) -> bool:
         """True if the vehicle had to respond to a danger and did not brake."""
         full = self.in_full
-        if full.what in (What.SHOULD_HAVE_KEPT_BRAKING, What.SHOULD_HAVE_BRAKED_ON) or full.what not in ANSWERS:
-            return False
-        later = [each for each in full.phases[full.mistake :] if each.until_s > full.time_s]
-        return not any(each.doing in BRAKING for each in later)
+        later = [each for each in full.phases if each.until_s > full.time_s]
+        return full.what in ANSWERS and all(each.doing is not Doing.BRAKED for each in later)
 
 
 class Unread(Protocol):
@@ -205,8 +180,8 @@ def due_by(reason: Reason, latest: float) -> Reason:
         if fact.vehicle or fact.what not in ANSWERS or fact.due_s is None or fact.due_s <= latest:
             return fact
         if latest < fact.time_s:
-            return fact._replace(what=What.DROVE, due_s=None, mistake=0)
-        return fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=latest, braking_m_per_s2=0.0, mistake=0)
+            return fact._replace(what=What.DROVE, due_s=None)
+        return fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=latest)
 
     return tuple(changed(fact.in_full) for fact in reason)
 
@@ -217,10 +192,9 @@ def sentences(reason: Reason) -> tuple[str, ...]:
 
 
 def _lines(fact: Fact) -> list[str]:
-    first, *others = _answer(fact) if fact.what in ANSWERS else [_sentence(fact)]
-    lines = [first]
-    for sentence in others:
-        if len(lines[-1]) + len(sentence) < LONGEST:
+    lines: list[str] = []
+    for sentence in _answer(fact) if fact.what in ANSWERS else [_sentence(fact)]:
+        if lines and len(lines[-1]) + len(sentence) < LONGEST:
             lines[-1] += f" {sentence}"
         else:
             lines.append(sentence)
@@ -251,80 +225,33 @@ def _sentence(fact: Fact) -> str:
 
 
 def _answer(fact: Fact) -> list[str]:
-    """Return the sentences that say what a vehicle should have done, and what it did before and instead."""
-    who, phases, due = capitalised(_name(fact.vehicle)), fact.phases, fact.due_s
-    at, is_braking = _begun(fact)
-    asked = due if due is not None else phases[at].time_s if at else fact.time_s
-    late = next((each for each in phases[at:] if each.doing in BEGUN and each.time_s > asked), None)
-    is_repeated = any(each.doing in REPEATED for each in phases)
-    if late is not None and late.is_again and (is_repeated or not at):
-        late = None  # an earlier braking may have been left out
-    if any(left.doing is Doing.EASED_OFF and right is late for left, right in pairwise(phases)):
-        late = None  # it may have braked so hard before it eased off
-    told = [_clause(each, is_late=each is late) for each in phases]
-    if fact.what is What.DROVE:
-        return _deeds(who, phases, told or [f"did not brake from {fact.time_s:.1f} s on"])
-    before, instead = _deeds(who, phases[:at], told[:at]), "It"
-    if fact.what is What.SHOULD_HAVE_BRAKED and due is not None:
-        duty = f"should have braked {'harder ' if is_braking else 'again ' if at else ''}from {due:.1f} s"
-        if not phases[at:]:
-            duty += "" if is_repeated else " but did not"
-        elif phases[at].doing in RISING and phases[at].until_s > due:
-            instead = "Instead it" if phases[at].time_s <= due else "It did not, but"
-    elif fact.what is What.SHOULD_HAVE_BRAKED_ON:
-        rate = "hard" if fact.braking_m_per_s2 > HARDEST - 0.05 else f"with {fact.braking_m_per_s2:.1f} m/s^2"
-        duty = f"should have kept braking {rate} from {due:.1f} s on"
-    else:
-        duty, at = _mistake(fact.what, phases[at], told[at]), at + 1
-    return [*before, f"{'It' if before else who} {duty}.", *_deeds(instead, phases[at:], told[at:])]
-
-
-def _begun(fact: Fact) -> tuple[int, bool]:
-    """Return how many phases are told before what the vehicle should have done, and whether it braked at that time.
-
-    If it had braked before braking was due, and no longer did, that is told first.
-    """
-    if fact.what is not What.SHOULD_HAVE_BRAKED or fact.due_s is None:
-        return fact.mistake, False
-    begun = [each for each in fact.phases if each.time_s <= fact.due_s]
-    if begun and begun[-1].doing in BRAKING and fact.due_s < begun[-1].until_s:
-        return 0, True
-    return len(begun) if any(each.doing in BRAKING for each in begun) else 0, False
-
-
-def _mistake(what: What, phase: Phase, told: str) -> str:
-    """Return the words for what a vehicle should have done, if one phase was its mistake."""
-    if what is What.SHOULD_HAVE_KEPT_BRAKING:
-        return f"should have kept braking but {told}"
-    if what is What.SHOULD_HAVE_WAITED:
-        return f"should have waited but set off at {phase.time_s:.1f} s"
-    if phase.doing is Doing.SPED_UP_FURTHER:
-        return f"should not have sped up further after {phase.time_s:.1f} s, to {phase.figure:.1f} m/s"
-    return f"should not have sped up from {phase.time_s:.1f} s on, to {phase.figure:.1f} m/s"
-
-
-def _clause(phase: Phase, *, is_late: bool) -> str:
-    """Return the words for one phase; ``is_late`` is whether the vehicle then began to brake after it was due."""
-    words = phase.doing.value.format(at=f"{phase.time_s:.1f} s", figure=phase.figure)
-    if phase.doing is Doing.BRAKED and phase.is_again:
-        words = words.replace("braked", "braked again")
-    if phase.peak_s is not None:
-        what, figure = words.removesuffix(begun := f" from {phase.time_s:.1f} s on").rstrip(",").split(" with up to ")
-        words = f"{what.rstrip(',')}{begun}, with up to {figure} at {phase.peak_s:.1f} s"
-    return words.replace("from", "only from") if is_late else words
-
-
-def _deeds(who: str, phases: Sequence[Phase], told: Sequence[str]) -> list[str]:
-    """Return sentences on one or two phases each, as far as they are short enough."""
+    """Return the sentences that say what a vehicle should have done, and what it did."""
+    who, at = capitalised(_name(fact.vehicle)), f"{fact.due_s or 0.0:.1f} s"
     made: list[str] = []
-    at = 0
-    while at < len(told):
-        begin, end = f"{'Then it' if made else who} {told[at]}", ""
-        if at + 1 < len(told):
-            end = f", {'and' if phases[at + 1].doing in (*BEGUN, Doing.STOOD) else 'but'} {told[at + 1]}"
-        end = end if len(begin + end) < LONGEST else ""
-        made.append(f"{begin}{end}.")
-        at += 2 if end else 1
+    if fact.what is What.SHOULD_HAVE_WAITED:
+        made = [f"{who} should have waited but set off at {fact.later_s:.1f} s."]
+    elif fact.what is What.SHOULD_NOT_HAVE_SPED_UP:
+        made = [f"{who} should not have sped up."]
+    elif fact.what is What.SHOULD_HAVE_BRAKED:
+        instead = "" if fact.has_braked else " but did not brake"
+        how = "harder" if fact.braking_m_per_s2 >= BRAKES else "hard"
+        made = [f"{who} should have braked {how} by {at}{instead}."]
+    told = []
+    for index, each in enumerate(fact.phases):
+        deed = each.doing.value.format(it=each)
+        if index:
+            told.append(f"from {each.time_s:.1f} s it {deed}")
+            continue
+        begun = "stood" if each.doing is Doing.STOOD else f"drove {each.first_m_per_s:.1f} m/s"
+        rest = " on" if each.doing in (Doing.KEPT, Doing.STOOD) else f" and {deed}"
+        told.append(f"{'It' if made else who} {begun} {'from' if rest == ' on' else 'at'} {each.time_s:.1f} s{rest}")
+    # two phases in a sentence, if they are short enough
+    while told:
+        both = "; ".join(told[:2])
+        count = 2 if len(both) < LONGEST else 1
+        made.append(f"{capitalised('; '.join(told[:count]))}.")
+        told = told[count:]
+    made += [f"It changed into lane {lane} at {time:.1f} s." for time, lane in fact.moves]
     return made
 
 

@@ -13,8 +13,6 @@ from pytest_pafot.attribution.responses import DISTANCES
 from pytest_pafot.attribution.responsibility import Conflict, is_ego_responsible, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import (
     ANSWERS,
-    BRAKING,
-    RISING,
     Doing,
     Fact,
     Phase,
@@ -45,7 +43,7 @@ class TestInOneLane:
         assert found.time == pytest.approx((100.0 - 5.0 - 47.1) / 10.0, abs=0.1)
         assert found.sentences == (
             "The ego was only 47.0 m behind NPC 0 at 4.8 s (safe: 47.1 m). NPC 0 was 10.0 m/s slower.",
-            "The ego should have braked from 5.7 s but did not.",
+            "The ego should have braked hard by 8.6 s but did not brake. It drove 20.0 m/s from 2.7 s on.",
         )
 
     def test_ego_not_braking_behind_braking_leader_is_responsible(self):
@@ -57,9 +55,7 @@ class TestInOneLane:
         ego = driven(0.0, brakes=[(3.0, 3.0, 0.0)])
         found = rss_rule(crash(ego, driven(45.0, brakes=[(2.0, 8.0, 0.0)])))
         assert found.responsibility == "ego"
-        assert found.sentences[1] == (
-            "The ego should have braked harder from 3.5 s. It braked with up to 3.0 m/s^2 from 3.0 s on."
-        )
+        assert found.sentences[1] == ("The ego should have braked harder by 4.3 s.")
 
     def test_ego_too_close_from_start_had_no_time(self):
         found = rss_rule(crash(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])))
@@ -101,7 +97,10 @@ class TestInOneLane:
         ego = driven(0.0, brakes=[(2.0, 7.0, 5.0)])
         found = rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR))
         assert (found.responsibility, found.fault) == ("both", "braked-for-nothing")
-        assert found.sentences[1] == "NPC 0 should have braked from 2.9 s but did not."
+        assert (
+            found.sentences[1]
+            == "NPC 0 should have braked hard by 4.1 s but did not brake. It drove 20.0 m/s from 0.0 s on."
+        )
 
     @pytest.mark.parametrize(
         "ahead", [driven(130.0, speed=2.0), driven(40.0, OWN + 4.0, speed=30.0, shifts=[(1.0, OWN, 2.0)])]
@@ -180,13 +179,13 @@ class TestCutIn:
             "The ego had too little time to respond, by the rules.",
         )
 
-    @pytest.mark.parametrize(("brakes", "responsible"), [(4.5, "ego"), (8.0, "both")])
-    def test_ego_not_braking_after_cut_in_is_responsible(self, brakes, responsible):
+    @pytest.mark.parametrize(("brakes", "responsible", "due"), [(4.5, "ego", 10.5), (8.0, "both", 9.5)])
+    def test_ego_not_braking_after_cut_in_is_responsible(self, brakes, responsible, due):
         """It shares the responsibility with an NPC that brakes hard for nothing."""
         npc = driven(25.0, LEFT, brakes=[(9.0, brakes, 0.0)], shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0), npc))
         assert found.responsibility == responsible
-        assert found.sentences[1] == "The ego should have braked from 3.5 s but did not."
+        assert found.sentences[1].startswith(f"The ego should have braked hard by {due} s but did not brake.")
 
     def test_ego_must_avoid_slow_vehicle_cutting_in_far(self):
         npc = driven(70.0, LEFT, speed=8.0, shifts=[(0.5, OWN, 2.0)])
@@ -199,6 +198,7 @@ class TestCutIn:
         assert found.sentences == (
             "The ego crossed into lane 1 at 2.4 s, 10.7 m ahead of NPC 0. NPC 0 was 8.1 m/s faster.",
             "The ego should have left NPC 0 a gap of 34.1 m.",
+            "The ego drove 20.0 m/s from 0.4 s on. It changed into lane 1 at 3.1 s.",
         )
 
     def test_driver_that_paused_on_the_line_moved_on(self):
@@ -221,7 +221,7 @@ class TestCutIn:
         npc = driven(25.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0, brakes=[(2.0, -2.0, 30.0)]), npc))
         assert found.responsibility == "ego"
-        assert found.reason.endswith(" s. Instead it sped up from 2.0 s on, to 29.1 m/s.")
+        assert found.reason.endswith("; from 2.0 s it sped up to 29.1 m/s.")
 
     def test_ego_changing_lanes_into_slower_vehicle_is_responsible(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
@@ -330,7 +330,7 @@ def test_any_collision_gets_verdict_with_reason_and_time(seed, ticks, vehicles):
     assert found.responsibility in ("ego", "npc", "both")
     assert 0 <= found.tick <= ticks
     assert found.time == found.tick / 15
-    assert 1 <= len(found.sentences) <= 4
+    assert 1 <= len(found.sentences) <= 10
     assert found.reason.isascii()
 
 
@@ -347,21 +347,14 @@ def test_every_fact_is_one_uncut_sentence():
     assert all(text[0].isupper() and text.endswith(".") and len(text) <= LINE_LENGTH - 2 for text in told)
 
 
-@table("due", [None, 99.9])
-@table("braking", [0.0, 9.9])
-def test_every_answer_is_in_uncut_lines_of_sentences(due, braking):
-    some = [Phase(doing, time, 111.1, 19.9, again) for doing in Doing for time in (98.8, 99.9) for again in (0, 1)]
-    for number, later in itertools.product(range(4), range(7)):
-        for first in range(len(some)):
-            phases = tuple(some[(first + index * (later + 1)) % len(some)] for index in range(number))
-            if phases and phases[0].doing in RISING:
-                whats = [What.DROVE, What.SHOULD_HAVE_WAITED, What.SHOULD_NOT_HAVE_SPED_UP]
-            else:
-                whats = [What.DROVE]
-            for what in whats if due is None else [What.SHOULD_HAVE_BRAKED]:
-                told = sentences((Fact(what, 9, 99.9, due_s=due, braking_m_per_s2=braking, phases=phases),))
-                assert all(text[0].isupper() and text.endswith(".") and len(text) <= LINE_LENGTH - 2 for text in told)
-                assert all(f"{each.figure} m/s" in " ".join(told) for each in phases if each.doing in BRAKING)
+@table("number", range(8))
+def test_every_answer_is_in_uncut_lines_of_sentences(number):
+    for first, what in itertools.product(range(len(Doing)), ANSWERS):
+        doings = [list(Doing)[(first + index) % len(Doing)] for index in range(number)]
+        phases = tuple(Phase(doing, 998.8, 999.9, 99.9, 88.8, 19.9) for doing in doings)
+        told = sentences((Fact(what, 9, 999.9, due_s=999.9, later_s=999.9, braking_m_per_s2=9.9, phases=phases),))
+        assert all(text[0].isupper() and text.endswith(".") and len(text) <= LINE_LENGTH - 2 for text in told)
+        assert " ".join(told).count("19.9 m/s^2") == doings.count(Doing.BRAKED)
 
 
 def test_a_gap_is_never_as_large_as_the_safe_one():

@@ -36,8 +36,8 @@ def first(calls=None):
 
 
 def due(text):
-    """Return the time from which the ego should have braked by a text; None if it says none."""
-    found = re.search(r"should have braked from ([\d.]+) s", " ".join(text.split()))
+    """Return the time by which the ego should have braked by a text; None if it says none."""
+    found = re.search(r"should have braked (?:hard|harder) by ([\d.]+) s", " ".join(text.split()))
     return None if found is None else float(found[1])
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from tests.helpers.pencil_and_paper import Crash, Crossing, Response, gap, giving_way, is_behind, part_of, safe_along
+from tests.helpers.pencil_and_paper import Crash, Crossing, gap, giving_way, is_behind, part_of, safe_along
 from tests.helpers.stories import entry_of, stories_of
 
 NUMBER = r"(-?\d+\.\d\d?)"
@@ -114,7 +114,7 @@ class Reading:
         """Return the tick from which a vehicle owed the answer that the sentence describes."""
         crossing = self.crossing
         if crossing is None or crossing.decides != "priority":
-            return self.crash.ticks["answer"]
+            return self.crash.ticks.get("answer", self.tick)
         one = crossing.ego if vehicle is self.ego else crossing.npc
         if one in crossing.blind:
             return crossing.last_to_slow_down(one) if crossing.is_merge else crossing.last_to_stop_short(one)
@@ -123,42 +123,22 @@ class Reading:
         return crossing.chance_not_taken(one)
 
     def is_due(self, story):
-        """Return whether braking was due when the story says so: when the response begins to brake, or before.
-
-        It is before if the vehicle sped up meanwhile, so that braking at once avoids the collision only until then.
-        """
-        vehicle, other = (self.npc, self.ego) if story.vehicle else (self.ego, self.npc)
-        since, told = self.since_when(vehicle) + self.since, story.ticks(story.due["time"])
-        by_rule = [since + round(delay * story.hz) - 1 for delay in (0.4, 1.0, 1.4)]
-        if any(tick in told for tick in by_rule):
-            return True
-        if self.crossing is not None and self.crossing.decides == "priority":
-            one = self.crossing.npc if story.vehicle else self.crossing.ego
-            return since <= told[-1] <= by_rule[1] and told[0] < one.enters
-
-        def avoids(tick):
-            drive = Response(self.crash, vehicle, other, tick - self.since, delay=0.0, perceived=0.0)
-            return drive.is_free(lambda tick: 6.0, brakes_on=True)
-
-        too_late = told[-1] + 2
-        return since <= told[-1] <= by_rule[2] and avoids(told[0]) and not avoids(too_late)
+        """Return whether braking was due after the danger had begun, and where ways meet before the vehicle entered."""
+        vehicle = self.npc if story.vehicle else self.ego
+        since, told = self.since_when(vehicle) + self.since, story.ticks(story.due[story.due.re.groups - 1])
+        if self.crossing is None or self.crossing.decides != "priority":
+            return since <= told[-1]
+        one = self.crossing.npc if story.vehicle else self.crossing.ego
+        return since <= told[-1] and told[0] < one.enters
 
     def hard_braking(self, said):
         braker, _ = self.who(said)
         first, last = self.crash.hard_braking(braker)
         return [max(braker.deceleration(tick) for tick in range(first, last + 1)), self.time(first - 1)]
 
-    def sped_up_towards(self, said):
+    def sped_up(self, said):
         """Return the speed that it sped up to, and since when."""
-        speed, hz, begin = self.who(said)[0].speed, self.crash.hz, self.crash.sped_up
-        gain = max(max(speed[begin + 1 : begin + 1 + hz], default=0.0) - speed[begin], 0.0)
-        went_up, since = min(0.5, gain / 2), begin
-        while since > 0 and speed[since] - speed[max(since - hz, 0)] > went_up:
-            since -= 1
-        slowest = min(speed[max(since - hz, 0) : since + 1])
-        while speed[begin] > slowest + 0.1:
-            begin -= 1
-        return [self.crash.sped_up_to, self.time(begin)]
+        return [self.crash.sped_up_to, self.time(self.crash.sped_up)]
 
     def braked_on(self, said):
         """Return how hard the ego braked at most when the reason was gone, and since when."""
@@ -210,7 +190,7 @@ SENTENCES = {
         reading.time(reading.crash.ticks["npc's moment"])
     ],
     rf"{WHO} had too little time to respond, by the rules\.": lambda reading, said: [],
-    rf"{WHO} sped up to {NUMBER} m/s from {NUMBER} s on, towards {WHO}\.": Reading.sped_up_towards,
+    rf"{WHO} should not have sped up to {NUMBER} m/s after {NUMBER} s\.": Reading.sped_up,
     rf"{WHO} should have kept braking but released the brakes at {NUMBER} s\.": lambda reading, said: [
         reading.time(reading.crash.ticks["brakes let go"])
     ],
@@ -229,8 +209,7 @@ def numbers(trace, attribution):
     stories = stories_of(trace, attribution.sentences)
     for story in stories:
         true += story.wrong(entry_of(trace, attribution.sentences, story.vehicle))
-        is_told = story.duty in ("braked", "braked harder", "kept braking")
-        true += [] if not is_told or reading.is_due(story) else ["due by the rules"]
+        true += ["due by the rules"] if story.duty == "braked" and not reading.is_due(story) else []
     for sentence in attribution.sentences[: 1 if stories else None]:
         found, compute = known(sentence, trace.collision.npc)
         printed = [number for number in found.groups() if number is not None]
