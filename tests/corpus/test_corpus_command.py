@@ -53,6 +53,15 @@ def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
     assert "corpus: expected a folder, received" in capsys.readouterr().err
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not remove the current folder of a process")
+def test_current_folder_that_was_removed_is_reported(tmp_path, monkeypatch, capsys):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert main(["corpus", "list"]) == 2
+    assert "corpus: expected a current folder that exists, received No such file" in capsys.readouterr().err
+
+
 def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch, capsys):
     end, start = os.pipe()
     os.close(end)
