@@ -168,9 +168,10 @@ def safe_name(text: str) -> str:
         suffix = f"~{_runs_of_case(text)}"
     name = "@".join(parts)
     plain = (part.lower() if suffix else part for part in parts)
-    if all(map(_PLAIN.fullmatch, plain)) and len(name + suffix) <= MAX_NAME and not _RESERVED.match(name):
-        if len(suffix) <= DIGEST:  # shorter than that of a digest, so that the two kinds of suffixes differ
-            return name + suffix
+    # The suffix is shorter than that with a digest, so that the two kinds differ.
+    is_short = len(suffix) <= DIGEST and len(name + suffix) <= MAX_NAME
+    if is_short and all(map(_PLAIN.fullmatch, plain)) and not _RESERVED.match(name):
+        return name + suffix
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:DIGEST]
     readable = _readable(name)
     prefix = "_" if not readable or _RESERVED.match(readable) else ""
