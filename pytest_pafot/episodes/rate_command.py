@@ -159,16 +159,12 @@ def _data(plan: RatePlan, rates: Sequence[Rate], limit: float | None, objection:
         "episodes": plan.episodes,
         "policies": [
             {
-                "ads": rate.ads,
-                "episodes": rate.episodes,
+                **{name: getattr(rate, name) for name in ("ads", "episodes", "hours", "crashed", "notes")},
                 "crashes": len(rate.crashed),
                 "share": rate.share if rate.episodes else None,
                 "interval": rate.interval(),
                 "confidence": CONFIDENCE,
-                "hours": rate.hours,
-                "crashed": rate.crashed,
                 "failed": [row.seed for row in rate.failed],
-                "notes": rate.notes,
             }
             for rate in rates
         ],
