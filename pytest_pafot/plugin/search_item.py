@@ -143,11 +143,17 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
     if OF_SUITE in fixed:
         fixed[OF_SUITE] = _once(fixed[OF_SUITE])
     recorded = item.stash[OF_ONE_RUN] = OfOneRun(item.user_properties)
+    recorders = (pytest.LogCaptureFixture, pytest.WarningsRecorder)
+    kept = [value for value in item.funcargs.values() if isinstance(value, recorders)]
 
     def test(run: Any) -> Any:
         # No __tracebackhide__ is needed: pytest's traceback filter cuts everything above the user's function.
-        with recorded.call(run):
-            result = item.obj(**{**fixed, arg: run})
+        try:
+            with recorded.call(run):
+                result = item.obj(**{**fixed, arg: run})
+        finally:  # and not before the call, as the ADS may have logged in this run
+            for each in kept:
+                each.clear()
         check = sys.modules.get("pytest_check")
         if check is not None and check.any_failures():
             raise RequestError(_no_collecting("pytest-check"))

@@ -37,6 +37,14 @@ def test_other_THROUGH(THROUGH):
     assert project.files == []
 
 
+def test_recorder_of_warnings_holds_those_of_one_run(project):
+    project.write(
+        "import warnings\n\n@pafot.search(SHORT)\ndef test_x(run, recwarn):\n"
+        "    warnings.warn(run.scenario.id)\n    assert [str(each.message) for each in recwarn] == [run.scenario.id]\n"
+    )
+    project.run("--pafot-runs=8").assert_outcomes(passed=1)
+
+
 @pytest.mark.parametrize("package", ["pytest_benchmark", "pytest_codspeed", "syrupy"])
 def test_fixture_for_one_call_is_refused(project, package):
     once = f"@pytest.fixture\ndef once():\n    return type('Once', (), {{'__module__': '{package}.fixture'}})()\n\n"
