@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from contextlib import suppress
+from pathlib import Path
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -88,20 +89,21 @@ def main(arguments: list[str] | None = None) -> int:
         which = commands.choices[arguments_given.command]
         which.error(f"unrecognized arguments: {' '.join(unknown)}; {which.prog} --help lists the options")
     try:
+        Path.cwd()  # A shell may still be in a folder that was removed.
         code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
         sys.stdout.flush()
     except KeyboardInterrupt:  # compare and rate handle it themselves, and state which results are saved
         sys.stderr.write(f"\n{arguments_given.command}: interrupted\n")
         return 130
     except OSError as error:
-        if error.filename is not None:  # the standard output has no file name
+        if error.filename is not None:  # the current folder and the standard output have no file name
             raise
-        return _without_output(arguments_given.command, error)
+        return _without_surroundings(arguments_given.command, error)
     return code
 
 
-def _without_output(command: str, error: OSError) -> int:
-    """Report that a command cannot write to the standard output; return the command's exit code."""
+def _without_surroundings(command: str, error: OSError) -> int:
+    """Report a current folder that is gone, or a standard output that cannot be written; return the exit code."""
     from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
     with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:  # noqa: PTH123  (a device, not a path)
@@ -109,6 +111,8 @@ def _without_output(command: str, error: OSError) -> int:
     if isinstance(error, BrokenPipeError):  # such as `| head`, which has read enough: not an error
         return 128 + 13
     expected, fix = "a standard output that can be written", way_out(error, "or redirect it")
+    if isinstance(error, FileNotFoundError):
+        expected, fix = "a current folder that exists", "change to one that exists"
     sys.stderr.write(f"{command}: expected {expected}, received {error.strerror}; {fix}\n")
     return 2
 

@@ -166,7 +166,7 @@ def scenarios_in(
     max_genes: int = 6,
     min_npcs: int = 1,
     max_npcs: int = 2,
-    acts: Iterable[Act] = ("pass", "hold", "stop"),
+    acts: Iterable[Act] | None = None,
     traffic: str | Traffic = "hostile",
 ) -> SearchStrategy[Scenario]:
     """Return a strategy for whole scenarios that fit a world: its lanes, its speeds, and NPCs on its crossing ways.
@@ -176,7 +176,8 @@ def scenarios_in(
         min_genes, max_genes: bounds of the number of genes in the chain of an NPC on the grid.
         min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8. If there is no room for a crossing NPC, the scenario
             has fewer NPCs.
-        acts: the acts of crossing NPCs to choose from, of ``pass``, ``hold``, ``stop`` and ``late``.
+        acts: the acts of crossing NPCs to choose from, of ``pass``, ``hold``, ``stop`` and ``late``; by default the
+            first three. Only for a world in which NPCs cross.
         traffic: the driving style of the NPCs, as its name or as a :class:`~pytest_pafot.Traffic`.
 
     Raises:
@@ -186,7 +187,14 @@ def scenarios_in(
     from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and rarely needed)
     from pytest_pafot.world.protocol import crossings, most_on_grid, road_start  # noqa: PLC0415
 
-    space = space_on(world, {"traffic": traffic, "acts": tuple(acts), "crossings": crossings(world)}, road_start(world))
+    given: dict[str, Any] = {"traffic": traffic, "crossings": crossings(world)}
+    if acts is not None:
+        if given["crossings"] is None:
+            raise ValueError(
+                f"acts: expected a world in which NPCs cross the ego's way, received {world!r:.100}; leave acts out"
+            )
+        given["acts"] = tuple(acts)
+    space = space_on(world, given, road_start(world))
     crossing, starts, room = space.crossing_traffic, _starts(world, space.ego_lane), most_on_grid(world)
     usable = [lane for lane, cells in starts.items() if crossing is not None or min(len(cells), room) >= max_npcs]
     if not usable:

@@ -143,6 +143,11 @@ def test_scenarios_fit_the_lanes_and_speeds_of_world(scenario):
     assert not scenario.crossings
 
 
+def test_acts_are_refused_where_no_npc_crosses():
+    with pytest.raises(ValueError, match="acts: expected a world in which NPCs cross the ego's way, received Highway"):
+        strategies.scenarios_in(Highway(), acts=("pass",))
+
+
 def test_simplest_junction_scenario_meets_the_ego_exactly():
     simplest = find(strategies.scenarios_in(INTERSECTION), lambda _: True, settings=SIMPLEST)
     ((instruction,),) = simplest.npcs

@@ -224,6 +224,12 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     """
     given = ", ".join(request.space)
     try:
+        if "acts" in request.space and protocol.crossings(world) is None:
+            raise request.error(
+                "acts=...",
+                f"expected a world in which NPCs cross the ego's way, received {world!r:.100}, in which none does; "
+                'leave acts out, or search in a world such as pafot.World("intersection-v0")',
+            )
         if SearchSpace(**request.space).traffic != PAPERS and not protocol.has_traffic_styles(world):
             raise request.error(
                 "traffic=...",

@@ -419,7 +419,8 @@ class Search:
         none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
         where = getattr(world, "env_id", type(world).__name__)
         which = f"at {where} all NPCs drive along the ego's way: none {none}"
-        return f"{which}, so the search says nothing about such traffic"
+        without = ", and acts= has no effect" if "acts" in self.harness.request.space else ""
+        return f"{which}, so the search says nothing about such traffic{without}"
 
     def _left_undone(self, reason: str) -> Iterator[str]:
         """Yield notes on what the search left undone, and how to continue."""

@@ -153,10 +153,10 @@ class Plan:
         for name in self.names:
             _, space = self.setting(name)
             patterns = "; half of them are made of dangerous patterns" if space.patterns else ""
-            drawn = space.gene_durations
-            genes = f"{plural(space.genes, 'gene')} of {space.gene_seconds:g} s"
+            drawn, whole = space.gene_durations, round(space.genes * space.gene_seconds, 1)
+            genes = f"{plural(space.genes, 'gene')} of {round(space.gene_seconds, 1):g} s"
             if drawn:
-                genes = f"genes of {min(drawn):g} to {max(drawn):g} s, together {space.genes * space.gene_seconds:g} s"
+                genes = f"genes of {min(drawn):g} to {max(drawn):g} s, together {whole:g} s"
             found.setdefault(f"{space.described}; {genes}{patterns}", []).append(name)
         return found
 

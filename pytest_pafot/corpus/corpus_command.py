@@ -1,7 +1,7 @@
 """``python -m pytest_pafot corpus``: list the saved scenarios in folders, for people or programs.
 
 It changes files only with ``join --write``, which leaves one file of each kind of failure in a folder, and with
-``accept``, which writes one line of a file.
+``accept``, which writes one line of each file.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     joining = kinds.add_parser("join", help=about, description=about.capitalize())
     joining.add_argument("--write", action="store_true", help="remove the other files; without it, only list them")
     joining.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
-    about = "accept the failure of a saved scenario, so that it is expected to fail, for good or up to a day"
+    about = "accept the failures of saved scenarios, so that they are expected to fail, for good or up to a day"
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
-    accepting.add_argument("id", metavar="ID", help="a saved scenario: its file, or its id")
+    accepting.add_argument("ids", nargs="+", metavar="ID", help="saved scenarios: their files, or their ids")
     accepting.add_argument("--reason", required=True, metavar="TEXT", help="why, such as the number of an issue")
     accepting.add_argument(
         "--until", type=_day, metavar="YYYY-MM-DD", help="the last day, from today on (default: for good)"
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         return int(any(failed for _, failed in joined))
     files = [file for folder in sorted(below.values()) for file in files_in(folder)]  # each once
     if arguments.what == "accept":
-        return _accept(arguments)
+        return max(_accept(name, arguments) for name in arguments.ids)
     rows = [_row(read_saved_file(file)) for file in files]
     shown: Any = rows if arguments.what == "list" else _counts(rows)
     lines = [quiet_json(json.dumps(shown, indent=2))] if arguments.json else _lines(shown)
@@ -134,10 +134,10 @@ def _day(text: str) -> date:
     return day
 
 
-def _accept(arguments: argparse.Namespace) -> int:
+def _accept(name: str, arguments: argparse.Namespace) -> int:
     """Write the line that accepts the failure of a file, and change nothing else in it; return the exit code."""
     try:
-        path = named_file(arguments.id)
+        path = named_file(name)
         content = content_of(path)
         finding = replace(parsed(path, content), xfail=arguments.reason, xfail_until=arguments.until)
         line = text_of(finding).rstrip().rpartition("\n")[2].encode()
@@ -179,6 +179,7 @@ def _row(saved: Saved) -> dict[str, Any]:
         "id": finding.id,
         "test": finding.test,
         "kind": finding.signature.slug,
+        "event": expect.event,
         "failure": expect.failure,
         "assertion": expect.assertion,
         "outcome": str(expect.outcome),
@@ -213,7 +214,7 @@ def _lines(told: list[dict[str, Any]] | dict[str, Any]) -> Iterator[str]:
         for row in told:
             marks = f", flaky: {row['flaky']}" if row.get("flaky") else ""
             marks += f", {_accepted(row['xfail'], row['xfail_until'])}" if row.get("xfail") else ""
-            rest = row.get("error") or f"{row['outcome']} at {row['time']:.1f} s, {row['size']}{marks}"
+            rest = row.get("error") or f"{row['event']}; {row['size']}{marks}"
             yield ascii_text(f"{row['file']}: {rest}")
         return
     parts = [f"{told[name]} {name}" for name in ("broken", "flaky", "xfail") if told[name]]

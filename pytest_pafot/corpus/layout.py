@@ -8,7 +8,9 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import string
 from collections.abc import Iterable
+from itertools import groupby
 from pathlib import Path
 
 SUFFIX = ".pafot.yaml"
@@ -19,6 +21,7 @@ CORPUS = "pafot_corpus"
 
 MAX_NAME = 80
 DIGEST = 10
+_DIGITS = string.digits + string.ascii_lowercase
 
 _PLAIN = re.compile(r"[a-z0-9_](?:[a-z0-9_.,=+-]*[a-z0-9_,=+-])?")
 _WITH_PARAMETERS = re.compile(r"([^@\[\]]+)\[([^@\[\]]+)\]")
@@ -151,19 +154,38 @@ def safe_name(text: str) -> str:
     """Return a name for a folder, made from any text such as the name of a test.
 
     ``test_it`` is unchanged. ``test_it[4-slow]`` becomes ``test_it@4-slow``, because square brackets have a meaning in
-    paths for pytest and shells. A text with capitals (some file systems ignore case) or other characters, a name that
-    Windows reserves, or a text of more than 80 characters is simplified and ends with ``~`` and ten digits of a digest
-    of the whole text, so distinct texts never share a name.
+    paths for pytest and shells. A text with capitals ends with ``~`` and the lengths of its runs of small and capital
+    letters in turn, because some file systems ignore case: ``test_REQ_1`` becomes ``test_REQ_1~43``. In such a text,
+    ``::`` becomes a dot. A text with other characters, a name that Windows reserves, or a text of more than 80
+    characters is simplified and ends with ``~`` and ten digits of a digest of the whole text, so distinct texts never
+    share a name.
     """
     bracketed = _WITH_PARAMETERS.fullmatch(text)
     parts = bracketed.groups() if bracketed else (text,)
+    suffix = ""
+    if text.isascii() and text != text.lower() and "." not in parts[0]:  # "A.b" and "A::b" must differ
+        parts = (parts[0].replace("::", "."), *parts[1:])
+        suffix = f"~{_runs_of_case(text)}"
     name = "@".join(parts)
-    if all(map(_PLAIN.fullmatch, parts)) and len(name) <= MAX_NAME and not _RESERVED.match(name):
-        return name
+    plain = (part.lower() if suffix else part for part in parts)
+    # The suffix is shorter than that with a digest, so that the two kinds differ.
+    is_short = len(suffix) <= DIGEST and len(name + suffix) <= MAX_NAME
+    if is_short and all(map(_PLAIN.fullmatch, plain)) and not _RESERVED.match(name):
+        return name + suffix
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:DIGEST]
     readable = _readable(name)
     prefix = "_" if not readable or _RESERVED.match(readable) else ""
     return f"{prefix}{readable}~{digest}"
+
+
+def _runs_of_case(text: str) -> str:
+    """Return the lengths of the runs of small and capital letters in turn, up to the last capital, in base 36.
+
+    They say which letters are capitals on a file system that ignores case. A run of 40 is written as 35, none, 5.
+    """
+    runs = [(is_capital, len(list(run))) for is_capital, run in groupby(filter(str.isalpha, text), str.isupper)]
+    lengths = [0] * runs[0][0] + [length for _, length in runs[: None if runs[-1][0] else -1]]
+    return "".join("z0" * (length // 35) + _DIGITS[length % 35] for length in lengths)
 
 
 def may_be_of(folder: str, test: str) -> bool:

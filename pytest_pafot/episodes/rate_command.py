@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import tempfile
 import time
@@ -20,6 +21,8 @@ from pytest_pafot.episodes.rate_plan import CHUNK, RatePlan, checked, factory_of
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.support.files import write_whole
+from pytest_pafot.support.proportions import CONFIDENCE, interval
+from pytest_pafot.support.text import plural, quiet_json
 from pytest_pafot.world import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import loading_hint
 
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
 
 
 NOTHING_DRIVEN = 1  # exit code if the ADS failed in every episode, so that there is no rate
+ABOVE = 1  # exit code if --fail-above found that a policy crashes too often, or that it failed in an episode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,6 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for rows, page and pictures (default: none; with --episode: here)",
     )
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
+    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+    parser.add_argument(
+        "--fail-above",
+        metavar="SHARE",
+        help="exit with 1 if the 95 %% interval of the crashes of --ads begins above this share of the episodes, such "
+        "as 2%% or 0.02, or if the policy failed in an episode",
+    )
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
@@ -66,6 +77,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         workers = worker_count(arguments.workers)
         if arguments.episode is not None and arguments.episode < 0:
             raise PlanError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
+        limit = _share_of(arguments.fail_above, plan.episodes)
+        if arguments.episode is not None and (arguments.json or limit is not None):
+            raise PlanError("--episode: expected no --json and no --fail-above, which need a rate; leave them out")
         if arguments.episode is not None:
             return _replay(plan, arguments.episode, arguments.out or Path())
         with ExitStack() as stack:
@@ -74,12 +88,19 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             results = run_job(job, folder, workers=min(workers, len(job.tasks)), told=sys.stderr, clock=time.monotonic)
             rows = rows_of(results.read_text(encoding="utf-8"))
         rates = [Rate(ads=name, rows=tuple(row for row in rows if row.ads == name)) for name in plan.policies.values()]
-        sys.stdout.write(_text(plan, rates, arguments))
+        objection = "" if limit is None else _objection(rates[0], limit)
+        if arguments.json:
+            sys.stdout.write(f"{quiet_json(json.dumps(_data(plan, rates, limit, objection), indent=2))}\n")
+        else:
+            sys.stdout.write(_text(plan, rates, arguments))
         if arguments.out is not None:
             pictures = _pictures(plan, rates, arguments.out)
             with written_into(arguments.out, AGAIN):
                 write_whole(arguments.out / "report.md", page(plan, rates, command, pictures))
-            sys.stdout.write(f"{arguments.out / 'report.md'}\n")
+            (sys.stderr if arguments.json else sys.stdout).write(f"{arguments.out / 'report.md'}\n")
+        if objection:
+            sys.stderr.write(f"rate: {objection}\n")
+            return ABOVE
     except (PlanError, WorldError, AdsFactoryError, ChildProcessError, AnimationError) as error:
         sys.stderr.write(f"rate: {error}\n")
         return BAD_USE
@@ -89,6 +110,68 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         sys.stderr.write(f"\nrate: interrupted; {lost if arguments.out is None else kept}\n")
         return 130
     return 0 if all(rate.episodes for rate in rates) else NOTHING_DRIVEN
+
+
+def _share_of(text: str | None, episodes: int) -> float | None:
+    """Return the share that the text of ``--fail-above`` means, such as ``2%`` or ``0.02``; None without a text.
+
+    Raises:
+        PlanError: if the text is no share from 0 to less than 1, or if so few episodes cannot show a higher share.
+    """
+    if text is None:
+        return None
+    number, percent, rest = text.strip().partition("%")
+    try:
+        share = float(number) / (100 if percent else 1)
+    except ValueError:
+        share = math.nan
+    if rest or not 0 <= share < 1:  # a rate is never above 1
+        raise PlanError(f"--fail-above: expected a share from 0 to less than 1, such as 2% or 0.02, received {text!r}")
+    if interval(episodes, episodes)[0] <= share:
+        needed = math.floor(math.log((1 - CONFIDENCE) / 2) / math.log(share)) + 1
+        raise PlanError(
+            f"--episodes: expected {needed} or more, received {episodes}: even if all crash, fewer do not show a share "
+            f"above {text}"
+        )
+    return share
+
+
+def _objection(rate: Rate, limit: float) -> str:
+    """Return why ``--fail-above`` refuses the rate of a policy; empty if it does not."""
+    if rate.failed:
+        count = plural(len(rate.failed), "episode")
+        return f"--fail-above: expected an ADS that drives all episodes, received one that failed in {count}"
+    low, _ = rate.interval()
+    if low <= limit:
+        return ""
+    expected = f"crashes in at most {100 * limit:.4g} % of the episodes"
+    return f"--fail-above: expected {expected}, received an interval that begins at {100 * low:.4g} %"
+
+
+def _data(plan: RatePlan, rates: Sequence[Rate], limit: float | None, objection: str) -> dict[str, Any]:
+    """Return the rates as plain data, for programs."""
+    pair = Pair.of(*rates) if len(rates) == 2 else None
+    names = ("first_only", "second_only", "both", "neither")
+    return {
+        "world": plan.env_id,
+        "config": plan.config,
+        "seed": plan.seed,
+        "episodes": plan.episodes,
+        "policies": [
+            {
+                **{name: getattr(rate, name) for name in ("ads", "episodes", "hours", "crashed", "notes")},
+                "crashes": len(rate.crashed),
+                "share": rate.share if rate.episodes else None,
+                "interval": rate.interval(),
+                "confidence": CONFIDENCE,
+                "failed": [row.seed for row in rate.failed],
+            }
+            for rate in rates
+        ],
+        "pair": None if pair is None else {**{name: len(getattr(pair, name)) for name in names}, "p": pair.p},
+        "fail_above": limit,
+        "objection": objection,
+    }
 
 
 def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, str]:

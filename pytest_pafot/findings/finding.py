@@ -8,7 +8,7 @@ import os
 import re
 import traceback
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import date
 from types import TracebackType
 from typing import Any
@@ -33,7 +33,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import AdsError, Outcome, Side, Trace
-from pytest_pafot.oracle.checks import CheckFailed
+from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.shown import Shown
@@ -162,6 +162,25 @@ class Expect:
     def preventable_by(self) -> tuple[str, ...]:
         """The names of the reference drivers that would have prevented the failure (see ``preventing``)."""
         return tuple(preventing(self.reference_drivers.items(), self.responsibility))
+
+    @property
+    def event(self) -> str:
+        """The failure in a line: the check with its value and bound, the collision, or the error."""
+        if self.check is not None:
+            told = {name: value for name, value in asdict(self.check).items() if name != "value"}
+            value = math.nan if self.check.value is None else self.check.value
+            return str(Check(name=self.assertion, value=value, margin=-1.0, time=self.time, npc=self.npc, **told))
+        if self.is_crash or self.message:
+            return f"{self.failure}: {self.message}" if self.message else self.failure
+        if self.signature.is_property or self.outcome is Outcome.SAFE:
+            how = "fails" if self.failure == AssertionError.__name__ else f"raises {self.failure}"
+            return f"{self.assertion.removeprefix('assert ') or 'the test function'} {how}"
+        npc = "" if self.npc is None else f": NPC {self.npc}"
+        place = "" if self.zone is None else f" {self.zone}"
+        place = place if self.cell is None else f" in cell {int(self.cell)} ({self.cell.label})"
+        side = "" if self.side is None else f" against the ego's {self.side}"
+        who = {"ego": ", ego at fault", "npc": ", NPC at fault", "both": ", both at fault"}.get(self.responsibility, "")
+        return f"{self.outcome} after {self.time:.1f} s{npc}{place}{side}{who}"
 
     def known_of(self, run: Run) -> Run:
         """Return a run with what this finding knows of its collision: how it is avoided."""

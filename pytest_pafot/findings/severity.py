@@ -58,11 +58,10 @@ class Severity:
 
     @property
     def further(self) -> str:
-        """The figures that the headline leaves out: a collision's delta-v, or a check's violation and margin."""
+        """The figure that the headline leaves out: a collision's delta-v, or by how much a check's bound is broken."""
         if self.delta_v is not None:
             return f"delta-v {self.delta_v:.1f} m/s"
-        by = f"by {self.figure} {self.unit}".rstrip()
-        return "no finite number" if self.margin is None else f"{by}, margin {self.margin:.3g}"
+        return self.figure if self.value is None else f"by {self.figure} {self.unit}".rstrip()
 
     def is_fault(self, responsible: str) -> bool:
         """Return whether the failure is a collision that the ego is responsible for, alone or with the NPC."""

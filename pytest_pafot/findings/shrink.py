@@ -175,7 +175,7 @@ def instructions(scenario: Scenario) -> int:
 def size_of(scenario: Scenario, longest_run: float = math.inf) -> str:
     """Return the size of a scenario in words, given the world's longest run [s]: ``2 NPCs, 7 instructions, 60 s``."""
     npcs, told = plural(len(scenario.npcs), "NPC"), plural(instructions(scenario), "instruction")
-    return f"{npcs}, {told}, {min(scenario.seconds, longest_run):g} s"
+    return f"{npcs}, {told}, {round(min(scenario.seconds, longest_run), 1):g} s"
 
 
 def shrink(

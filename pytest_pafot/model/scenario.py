@@ -32,6 +32,8 @@ SLOT_STEPS_PER_SECOND = 10
 PAPER_SPEED_LIMIT = 26.8
 """The speed limit on the paper's motorway, 60 mph [m/s]."""
 EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
+LONGEST_GENE = 86400.0
+"""The longest duration of a gene [s], a day. It is longer than any run, and its ticks still fit a C integer."""
 """The defaults of a scenario: the ego's first lane, counted from 0 at the left; the first speed of all vehicles [m/s];
 the duration of an instruction, as in the paper [s]."""
 
@@ -271,8 +273,9 @@ class Scenario:
         object.__setattr__(self, "gene_seconds", _number("gene_seconds", self.gene_seconds))
         if self.ego_speed < 0:
             raise ScenarioError(field="ego_speed", expected="m/s, at least 0", received=repr(self.ego_speed))
-        if self.gene_seconds <= 0:
-            raise ScenarioError(field="gene_seconds", expected="seconds, more than 0", received=repr(self.gene_seconds))
+        if not 0 < self.gene_seconds <= LONGEST_GENE:
+            expected = f"seconds, more than 0 and at most {LONGEST_GENE:g}"
+            raise ScenarioError(field="gene_seconds", expected=expected, received=repr(self.gene_seconds))
         if not isinstance(self.traffic, Traffic):
             fix = 'write pafot.Traffic(style="everyday")'
             raise ScenarioError(field="traffic", expected="a Traffic", received=repr(self.traffic), fix=fix)

@@ -102,6 +102,8 @@ def resolve(
         OptionError: if a value is wrong; the message names its source.
     """
     sources = Sources(config=config, marker=marker, environ=environ)
+    for option in OPTIONS:  # A wrong argument is an error even if another source replaces it today.
+        sources.argument(option)
     named = sources.given(BY_NAME["profile"]) or sources.ini(BY_NAME["profile"])
     automatic = FULL if is_ci(environ) else LOCAL
     values = {
@@ -155,6 +157,10 @@ class Sources(NamedTuple):
         """Return an option's value on the command line, in the mark or in the environment; None without one."""
         read = (_read(option, place, value) for place, value in self._places(option))
         return next((value for value in read if value is not None), None)
+
+    def argument(self, option: Option) -> Any:
+        """Return an option's value in the mark; None without one."""
+        return _read(option, *self._places(option)[1])
 
     def _places(self, option: Option) -> tuple[tuple[str, object], ...]:
         """Return the names of three sources (command line, mark, environment), each with its value of an option."""

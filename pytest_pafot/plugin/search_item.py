@@ -54,6 +54,13 @@ IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in severa
 OF_SUITE = "record_testsuite_property"
 """The fixture of pytest that records properties of the session."""
 
+OF_ONE_CALL = {
+    "pytest_benchmark": "can be called only once in a test",
+    "pytest_codspeed": "can be called only once in a test",
+    "syrupy": "numbers its snapshots by the calls in a test",
+}
+"""The packages whose fixtures fail in a second call of the test function, with the reason."""
+
 DRAWS = (
     "; the ADS probably draws random numbers: seed it in its factory, or let a model take its best action (with "
     "Stable-Baselines3: predict(..., deterministic=True))"
@@ -125,16 +132,28 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
     for name, value in item.funcargs.items():
         if isinstance(value, pytest.Subtests) or type(value).__module__.partition(".")[0] == "pytest_subtests":
             raise RequestError(_no_collecting(f"the fixture {name!r}"))
+        package = type(value).__module__.partition(".")[0]
+        if package in OF_ONE_CALL:
+            raise RequestError(
+                f"expected a test function that can be called for many runs, received one with the fixture {name!r} of "
+                f"{package}, which {OF_ONE_CALL[package]}; use it in a test without @pafot.search"
+            )
     names = inspect.signature(item.obj).parameters
     fixed = {name: item.funcargs[name] for name in names if name in item.funcargs}
     if OF_SUITE in fixed:
         fixed[OF_SUITE] = _once(fixed[OF_SUITE])
     recorded = item.stash[OF_ONE_RUN] = OfOneRun(item.user_properties)
+    recorders = (pytest.LogCaptureFixture, pytest.WarningsRecorder)
+    kept = [value for value in item.funcargs.values() if isinstance(value, recorders)]
 
     def test(run: Any) -> Any:
         # No __tracebackhide__ is needed: pytest's traceback filter cuts everything above the user's function.
-        with recorded.call(run):
-            result = item.obj(**{**fixed, arg: run})
+        try:
+            with recorded.call(run):
+                result = item.obj(**{**fixed, arg: run})
+        finally:  # and not before the call, as the ADS may have logged in this run
+            for each in kept:
+                each.clear()
         check = sys.modules.get("pytest_check")
         if check is not None and check.any_failures():
             raise RequestError(_no_collecting("pytest-check"))

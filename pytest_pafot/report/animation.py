@@ -32,7 +32,8 @@ class AnimationError(RuntimeError):
 def animate(finding: FindingView) -> bytes:
     """Draw the end of a finding's run, as the content of an APNG file.
 
-    With the same version of Pillow, equal views give equal bytes.
+    The first frame is the finding's moment, because previews and viewers without animations show only that one. With
+    the same version of Pillow, equal views give equal bytes.
 
     Raises:
         AnimationError: without Pillow, for a finding without frames, or with too many vehicles for a small file.
@@ -44,9 +45,11 @@ def animate(finding: FindingView) -> bytes:
     drawing = _drawing()
     content: bytes = b""
     for rate in RATES:
-        pictures = [picture_at(finding, time) for time in moments(finding, rate)]
-        durations = [*[round(1000 / rate)] * (len(pictures) - 1), HOLD_MILLISECONDS]
-        content = drawing.draw_animation(finding, pictures, durations)
+        times = moments(finding, rate)
+        durations = [*[round(1000 / rate)] * (len(times) - 1), HOLD_MILLISECONDS]
+        first = times.index(round(finding.moment, 6))  # It plays in a loop, so it may begin anywhere.
+        pictures = [picture_at(finding, time) for time in times[first:] + times[:first]]
+        content = drawing.draw_animation(finding, pictures, durations[first:] + durations[:first])
         if len(content) <= MAX_BYTES:
             return content
     raise AnimationError(
@@ -77,11 +80,13 @@ def _drawing() -> ModuleType:
 
 
 def moments(finding: FindingView, rate: int) -> tuple[float, ...]:
-    """Return the times of an animation's frames [s], at a rate [1/s].
+    """Return the times of an animation's frames [s], at a rate [1/s]; the finding's moment is one of them.
 
     They cover ``MAX_SECONDS`` of the run, which end ``AFTER`` after the finding's moment, and not before
     ``MAX_SECONDS``.
     """
     end = min(finding.duration, max(finding.moment + AFTER, MAX_SECONDS))
+    after = max(0, int((end - finding.moment) * rate + 1e-9))
     count = int(min(MAX_SECONDS, end) * rate + 1e-9)
-    return tuple(round(end - step / rate, 6) for step in range(count, -1, -1))
+    times = (round(finding.moment + step / rate, 6) for step in range(after - count, after + 1))
+    return tuple(time for time in times if time >= 0)

@@ -20,8 +20,10 @@ SCALE = 8.0
 SMOOTH = 2
 """Factor by which a frame is drawn larger than needed. Reducing it afterwards makes the edges smooth."""
 
-HEAD, FOOT = 26, 26
-"""Height of the lines of text above and below the road [px]."""
+HEAD, FOOT, LINE = 26, 26, 16
+"""Height of the line of text above the road, of the first line below it, and of each further line [px]."""
+SPEEDS, COLUMN = 4, 163
+"""Number of vehicles in each line below the road, and the width of their columns [px]."""
 SHOULDER = 1.4
 """Width of the shoulders, the strips of road outside the outer lanes [m]."""
 HALF_HEIGHT = 18.0
@@ -107,7 +109,7 @@ class Sheet:
         self.left = across - reach if self.is_bent else min(lanes) - half
         self.right = across + reach if self.is_bent else max(lanes) + half
         self.bottom = HEAD + (self.right - self.left + 2 * SHOULDER) * self.scale
-        self.height = math.ceil(self.bottom + FOOT)
+        self.height = math.ceil(self.bottom + FOOT + LINE * ((len(finding.vehicles) - 1) // SPEEDS))
         self.pointers: list[tuple[bool, float]] = []
         self.image = Images.new("RGB", (WIDTH * SMOOTH, self.height * SMOOTH), PAPER)
         self.pen = ImageDraw.Draw(self.image)
@@ -183,27 +185,34 @@ class Sheet:
 
     def _vehicle(self, vehicle: int, box: DrawnVehicle) -> None:
         x, y = self._at(box.along, box.across)
-        if not -60 < x < WIDTH + 60 or (self.is_bent and not HEAD < y < self.bottom):
+        corners = self._corners(box, OUTLINE)
+        if not all(0 <= x <= WIDTH and (not self.is_bent or HEAD <= y <= self.bottom) for x, y in corners):
             self._pointer(vehicle - 1, box, min(max(y, HEAD + 12), self.bottom - 12))
             return
         ink, tint = (INK, INK) if vehicle == 0 else (NPC_INKS[(vehicle - 1) % 8], NPC_TINTS[(vehicle - 1) % 8])
-        self.pen.polygon(_large(self._corners(box, OUTLINE)), fill=tint)
+        self.pen.polygon(_large(corners), fill=tint)
         self._outline(box, ink, 2)
         self.pen.polygon(_large(self._corners(box, WINDSCREEN)), fill=PAPER)
         self._text((x, y), "E" if vehicle == 0 else str(vehicle - 1), EGO_INK if vehicle == 0 else INK, 12, "mm")
         told = instruction_at(self.finding, vehicle - 1, self.picture.time) if vehicle else None
         if told is not None and told[0].zone:
-            above = y - box.length * self.scale / 2 - 8
-            self._text((x, above), f"{told[0].zone} {told[0].slot}", INK, 10, "mm", halo=2)
+            words, away = f"{told[0].zone} {told[0].slot}", box.length * self.scale / 2 + 8
+            half = self._width(words, 10) / 2 + 4
+            y += away if y - away < HEAD + 8 else -away
+            self._text((min(max(x, half), WIDTH - half), y), words, INK, 10, "mm", halo=2)
 
     def _words(self) -> None:
         if self.is_bent:  # A bent road would continue under the words.
             self.pen.rectangle(_large([(0, 0), (WIDTH, HEAD)]), fill=PAPER)
             self.pen.rectangle(_large([(0, self.bottom), (WIDTH, self.height)]), fill=PAPER)
-        self._text((10, HEAD / 2), _cut(self.finding.headline, 88), INK, 13, "lm")
+        head = _cut(self.finding.headline, 150)
+        size = next((size for size in (13, 12, 11, 10) if self._width(head, size) <= WIDTH - 20), 9)
+        self._text((10, HEAD / 2), head, INK, size, "lm")
         foot = self.bottom + FOOT / 2
         self._text((10, foot), f"{self.picture.time:.1f} s", INK, 12, "lm")
-        self._text((64, foot), _cut(speeds_text(self.finding, self.picture), 110), SOFT, 12, "lm")
+        for vehicle, words in enumerate(speed_texts(self.finding, self.picture)):
+            line, column = divmod(vehicle, SPEEDS)
+            self._text((64 + COLUMN * column, foot + LINE * line), _cut(words, 27), SOFT, 12, "lm")
 
     def _pointer(self, npc: int, box: DrawnVehicle, y: float) -> None:
         """Draw an arrow at the edge for an NPC outside the picture, below earlier arrows at the same place."""
@@ -256,6 +265,9 @@ class Sheet:
         at = place[0] * SMOOTH, place[1] * SMOOTH
         self.pen.text(at, words, fill=ink, font=font, anchor=anchor, stroke_width=halo * SMOOTH, stroke_fill=ROAD)
 
+    def _width(self, words: str, size: int) -> float:
+        return ImageFont.load_default(size * SMOOTH).getlength(words) / SMOOTH
+
     def _at(self, along: float, across: float) -> Point:
         return self._x(along), self._y(across)
 
@@ -271,15 +283,15 @@ def _large(points: Sequence[Point]) -> list[Point]:
     return [(x * SMOOTH, y * SMOOTH) for x, y in points]
 
 
-def speeds_text(finding: FindingView, picture: Picture) -> str:
-    """Return a line of text with each vehicle's speed [m/s] and the cell to which each NPC is driving."""
+def speed_texts(finding: FindingView, picture: Picture) -> list[str]:
+    """Return a text with the speed [m/s] of each vehicle, and with the cell to which an NPC is driving."""
     parts = [f"ego {picture.ego.speed:.1f} m/s"]
     for npc, box in enumerate(picture.vehicles[1:]):
         told = instruction_at(finding, npc, picture.time)
         row = told[0] if told is not None and told[1] == "approach" else None
         goal = "" if row is None else f" to cell {row.cell}" if row.cell else f" to {row.zone}" if row.zone else ""
         parts.append(f"NPC {npc} " + ("unknown" if box is None else f"{box.speed:.1f} m/s{goal}"))
-    return "   ".join(parts)
+    return parts
 
 
 def _cut(words: str, length: int) -> str:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pytest_pafot.campaign.events import FindTold, SearchStarted
 from pytest_pafot.campaign.explore import Exploration
 from pytest_pafot.campaign.saved_scenario import SavedScenario
-from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
@@ -74,21 +74,9 @@ def report_of(value: object) -> Report:
 
 def _finding_view(finding: Finding) -> FindingView:
     """Return the view of a single finding, without the number of runs that failed like it and without a command."""
-    headline = _event(finding.expect) if finding.trace is None else ""
+    headline = finding.expect.event if finding.trace is None else ""
     view = finding_view(finding.trace, finding, node_id=finding.test, headline=headline)
     return replace(view, runs=0, command="")
-
-
-def _event(expect: Expect) -> str:
-    """Describe in a line the event that the file of a finding expects, such as a collision."""
-    if expect.is_crash or expect.message:
-        return expect.message or expect.failure
-    what = str(expect.outcome) if expect.check is None else f"{expect.assertion} failed"
-    npc = "" if expect.npc is None else f": NPC {expect.npc}"
-    place = "" if expect.zone is None else f" {expect.zone}"
-    place = place if expect.cell is None else f" in cell {int(expect.cell)} ({expect.cell.label})"
-    side = "" if expect.side is None else f" against the ego's {expect.side}"
-    return f"{what} after {expect.time:.1f} s{npc}{place}{side}"
 
 
 def _told_view(told: FindTold, value: Exploration) -> FindingView:

@@ -144,10 +144,14 @@ def simplified_lines(finding: Finding) -> list[str]:
     """Describe how a new finding shrank, how it can be prevented, and which imperfect perception it needs."""
     lines: list[str] = []
     if finding.shrunk is not None:
-        longest = finding.longest_run
-        after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario, longest)}"
-        more = "" if finding.shrunk.is_minimal else ", and could be simpler"
-        lines.append(f"shrunk     from {size_of(finding.original or finding.scenario, longest)} {after}{more}")
+        found, is_minimal = finding.original, finding.shrunk.is_minimal
+        sizes = [size_of(each or finding.scenario, finding.longest_run).split(", ") for each in (found, None)]
+        changed = [pair for pair in zip(*sizes, strict=True) if pair[0] != pair[1]]
+        how = f"from {', '.join(old for old, _ in changed)} to {', '.join(new for _, new in changed)}"
+        if not changed:
+            how = "to nothing simpler so far" if found is None else "to a simpler scenario of the same size"
+        if found is not None or not is_minimal:
+            lines.append(f"shrunk     {how}{'' if is_minimal else ', and could be simpler'}")
     prevention = prevention_text(finding.expect)
     lines += [prevention] if prevention else []
     told = finding.expect.avoided_by, finding.perception, finding.expect.last_chance
@@ -182,7 +186,7 @@ def speed_sentences(finding: Finding) -> list[str]:
         gene = finding.scenario.npcs[interval.npc][interval.gene]
         place = f"in cell {int(gene.cell)} ({gene.cell.label})" if isinstance(gene, PositionInstruction) else gene.goal
         seconds = interval.gene * finding.scenario.gene_seconds
-        when = "on " if isinstance(gene, CrossingInstruction) else f"from {seconds:g} s "
+        when = "on " if isinstance(gene, CrossingInstruction) else f"from {round(seconds, 1):g} s "
         speeds = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"
         if interval.low == interval.high:
             speeds = f"only a speed of {interval.low:.1f} m/s"

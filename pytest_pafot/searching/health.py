@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ from pytest_pafot.model.scenario import Chromosome, CrossingInstruction, Positio
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
 from pytest_pafot.searching.events import Evaluated, Event
+from pytest_pafot.support.text import plural
 
 # Counts of the instructions that a search requested, that were driven, and that were reached: cells, steps on the ring,
 # target speeds, and zones with slots.
@@ -132,7 +134,9 @@ class Health:
     genes_reached: int = 0
     valid: int = 0  # runs that were neither invalid nor discarded; the counts below are among these
     failing: int = 0  # runs that the user's function rejected
-    # The next three leave out runs that an error of the ADS cut short.
+    measured: int = 0  # runs whose fitness is a finite number
+    # The next four leave out runs that an error of the ADS cut short.
+    unmeasured: int = 0  # runs whose fitness is no finite number
     no_interaction: int = 0  # runs in which no NPC gave the ego a reason to react
     outran: int = 0  # runs in which the ego left all NPCs behind
     barely_moved: int = 0  # runs in which the ego hardly drove
@@ -166,6 +170,8 @@ class Health:
             genes_reached=self.genes_reached + (0 if broken else evaluation.genes_reached),
             valid=self.valid + valid,
             failing=self.failing + (valid and evaluation.failing),
+            measured=self.measured + (valid and math.isfinite(evaluation.fitness)),
+            unmeasured=self.unmeasured + (driven and not math.isfinite(evaluation.fitness)),
             no_interaction=self.no_interaction + (driven and not evaluation.interaction),
             outran=self.outran + (driven and evaluation.outran),
             barely_moved=self.barely_moved + (driven and evaluation.barely_moved),
@@ -215,6 +221,11 @@ class Health:
                 f"NPCs reached the {goal} of only {_percent(self.genes_reached, self.genes_started)} {instructions} "
                 "that they started; give them more time (gene_seconds) or a higher speed_limit "
                 "than the ego's speed"
+            )
+        if self.unmeasured and not self.measured:
+            found.append(
+                f"the fitness was no finite number in any of {plural(self.valid, 'valid run')}, so it could not guide "
+                "the search; let fitness= return a finite number for every run that it can measure"
             )
         useless = (self.no_interaction, self.outran, self.barely_moved, self.immediate)
         for count, spared, (what, remedy) in zip(useless, (0, 0, known, known), USELESS, strict=True):

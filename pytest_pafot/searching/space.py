@@ -19,6 +19,7 @@ from pytest_pafot.model.scenario import (
     EGO_LANE,
     EGO_SPEED,
     GENE_SECONDS,
+    LONGEST_GENE,
     PAPER_SPEED_LIMIT,
     SHIFTS,
     SPEED_STEPS_PER_MPS,
@@ -94,7 +95,8 @@ class SearchSpace:
         object.__setattr__(self, "npcs", npcs)
         genes = checked_whole(self.genes, "genes", "at least one Position-Instruction per NPC", least=1)
         object.__setattr__(self, "genes", genes)
-        checked_number(self.gene_seconds, "gene_seconds", "seconds, more than 0", least=POSITIVE)
+        expected = f"seconds, more than 0 and at most {LONGEST_GENE:g}"
+        checked_number(self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE)
         checked_number(self.speed_limit, "speed_limit", "a finite speed in m/s, at least 0", least=0.0)
 
         object.__setattr__(self, "traffic", Traffic.of(self.traffic))

@@ -117,8 +117,11 @@ def test_paper_search_stays_on_the_grid():
     def holds(run):
         kinds.add(bool(run.scenario.crossings))
 
-    pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), runs=6, seed=1, algorithm="pafot")
+    found = pafot.explore(
+        Steady, holds=holds, world=world_of("intersection-v0"), runs=6, seed=1, algorithm="pafot", acts=("pass",)
+    )
     assert kinds == {False}
+    assert "says nothing about such traffic, and acts= has no effect" in " ".join(found.summary.notes)
 
 
 def test_policy_that_raises_at_once_is_a_set_up_error():

@@ -84,6 +84,12 @@ def test_most_npcs_cross_where_ways_meet():
     assert space_of(Highway()).crossings is space_of(World("highway-v0")).crossings is None
 
 
+def test_acts_are_refused_where_no_npc_crosses():
+    for world in (Highway(), World("highway-v0")):
+        with pytest.raises(RequestError, match=r"\(acts=\.\.\.\): expected a world in which NPCs cross"):
+            space_of(world, acts=("pass",))
+
+
 def test_unknown_act_is_refused_in_words():
     with pytest.raises(RequestError, match="acts: expected one or more of pass, hold, stop, late, received"):
         space_of(World("intersection-v0"), acts=("wave",))

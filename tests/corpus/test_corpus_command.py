@@ -12,6 +12,7 @@ import pytest
 
 from pytest_pafot.__main__ import main
 from pytest_pafot.corpus.writer import write
+from pytest_pafot.findings.finding import Bounded
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
@@ -28,8 +29,35 @@ def folder(tmp_path):
 def test_the_list_has_a_line_for_each_file(folder, capsys):
     assert main(["corpus", "list", str(folder)]) == 0
     one, other = capsys.readouterr().out.splitlines()
-    assert "a-111111.pafot.yaml: collision at " in one
+    assert "a-111111.pafot.yaml: collision after 12.4 s: NPC 0 in cell 2 (front) against the ego's front, ego at" in one
     assert other.endswith(", accepted until 2027-01-31: issue 12")
+
+
+AHEAD = {"outcome": Outcome.SAFE, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (
+            {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=0.64, at_least=10.0, unit="m")}
+            | AHEAD,
+            "gap 0.64 < 10 m at 5.9 s (NPC 0)",
+        ),
+        (
+            {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=None, at_most=2.0)} | AHEAD,
+            "gap nan is not within 2 at 5.9 s (NPC 0)",
+        ),
+        ({"assertion": "run.min_ttc > N"} | AHEAD, "run.min_ttc > N fails"),
+        ({"failure": "KeyError", "assertion": "speeds[0]"} | AHEAD, "speeds[0] raises KeyError"),
+        ({"failure": "ValueError", "outcome": Outcome.ADS_ERROR, "message": "no\x1b[31m"}, "ValueError: no\\x1b[31m"),
+        ({"outcome": Outcome.OFF_ROAD, "npc": None, "cell": None, "side": None}, "off_road after 12.4 s, ego at fault"),
+    ],
+)
+def test_the_list_says_what_failed_and_how_bad(tmp_path, capsys, changes, told):
+    write(tmp_path / "a.pafot.yaml", plain_finding(id="a", expect=replace(plain_finding().expect, **changes)))
+    assert main(["corpus", "list", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.endswith(f"a.pafot.yaml: {told}; 1 NPC, 2 instructions, 20 s\n")
 
 
 def test_json_list_has_each_file_once(folder, capsys):
@@ -51,6 +79,15 @@ def test_unreadable_file_is_counted_and_exits_with_1(folder, capsys):
 def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
     assert main(["corpus", "list", str(tmp_path / "none")]) == 2
     assert "corpus: expected a folder, received" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not remove the current folder of a process")
+def test_current_folder_that_was_removed_is_reported(tmp_path, monkeypatch, capsys):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert main(["corpus", "list"]) == 2
+    assert "corpus: expected a current folder that exists, received No such file" in capsys.readouterr().err
 
 
 def test_unwritable_output_is_reported_unlike_a_closed_pipe(folder, monkeypatch, capsys):
@@ -193,6 +230,17 @@ def test_accepting_a_failure_changes_one_listed_line(folder, capsys, monkeypatch
     assert main(["corpus", "list", str(folder)]) == 0
     told = capsys.readouterr().out.splitlines()[0]
     assert told.endswith(", accepted for good: TICKET-7")
+
+
+def test_several_failures_are_accepted_despite_a_wrong_id(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert accept("a-111111", "none", "b-222222") == 1
+    told = capsys.readouterr()
+    assert told.out.splitlines() == [
+        f"test_it/test_x/{name}.pafot.yaml: accepted for good: TICKET-7" for name in ("a-111111", "b-222222")
+    ]
+    assert told.err.startswith("corpus: none: expected the file of a saved scenario")
+    assert all('xfail: "TICKET-7"' in file.read_text() for file in folder.rglob("*.pafot.yaml"))
 
 
 def test_xfail_is_appended_but_never_replaces_several_lines(folder, capsys, monkeypatch):

@@ -1,11 +1,13 @@
 """The command from its arguments to its page, and rates as values."""
 
 import csv
+import json
 import os
 import re
 import sys
 
 import pytest
+from scipy.stats import binomtest
 
 from pytest_pafot.__main__ import main
 from pytest_pafot.episodes import rate_command, rate_plan
@@ -153,9 +155,66 @@ def test_failing_policy_is_counted_and_named(capsys):
     assert "for a planner in SI units, as for pafot.Highway, use --ads constant_speed@planner" in out
 
 
+def test_json_has_the_figures_of_the_text(capsys):
+    arguments = ("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10")
+    assert rate(*arguments, "--json", "--fail-above", "5%") == 1
+    told = capsys.readouterr()
+    data = json.loads(told.out)
+    assert (data["world"], data["episodes"], data["fail_above"]) == ("highway-fast-v0", 10, 0.05)
+    first, second = data["policies"]
+    assert first["crashes"] == len(first["crashed"]) == 10 * first["share"]
+    assert first["interval"] == pytest.approx(binomtest(first["crashes"], 10).proportion_ci())
+    assert (second["crashes"], second["interval"][0], second["failed"]) == (0, 0, [])
+    assert (data["pair"]["first_only"], data["pair"]["both"]) == (first["crashes"], 0)
+    assert f"rate: {data['objection']}\n" in told.err
+    assert rate(*arguments) == 0
+
+
+@pytest.mark.parametrize(
+    ("crashes", "limit", "code"),
+    [(3, "6.6%", 1), (3, "0.066", 1), (3, "6.7 %", 0), (1, "0%", 1), (0, "0", 0)],
+)
+def test_fail_above_compares_the_lower_end_of_the_interval(capsys, monkeypatch, crashes, limit, code):
+    def driven(world, name, factory, seed, **options):
+        outcome = "collision" if seed < crashes else "safe"
+        return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="", steps="")
+
+    monkeypatch.setattr(rate_plan, "driven", driven)  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
+    assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", limit) == code
+    assert ("received an interval that begins at" in capsys.readouterr().err) == bool(code)
+
+
+def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, monkeypatch):
+    def driven(world, name, factory, seed, **options):
+        outcome = "safe" if seed else "ads_error"
+        return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="KeyError", steps="")
+
+    monkeypatch.setattr(rate_plan, "driven", driven)
+    assert rate("--ads", "idm_mobil", "--episodes", "10") == 0
+    assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", "2%") == 1
+    assert (
+        "expected an ADS that drives all episodes, received one that failed in 1 episode\n" in capsys.readouterr().err
+    )
+
+
+def test_too_few_episodes_for_a_limit_are_refused_with_enough(capsys):
+    arguments = ("--ads", "constant_speed@planner", "--fail-above", "50%", "--seed", "2")
+    assert rate(*arguments, "--episodes", "5") == 2
+    assert "--episodes: expected 6 or more, received 5: even if all crash" in capsys.readouterr().err
+    assert rate(*arguments, "--episodes", "6") in (0, 1)
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
+        *[
+            (
+                ["--fail-above", text],
+                "--fail-above: expected a share from 0 to less than 1, such as 2% or 0.02, received",
+            )
+            for text in ("2", "100%", "nan", "inf", "-0.1", "2%%", "%", "two")
+        ],
+        (["--episode", "1", "--json"], "--episode: expected no --json and no --fail-above"),
         (["--world", "highway-fast-v1"], "expected a registered environment, received 'highway-fast-v1'"),
         (["--episodes", "0"], "--episodes: expected a whole number, at least 1, received 0"),
         (["--against", "idm_mobil"], "--against: expected a different policy than --ads"),

@@ -155,7 +155,7 @@ def test_severity_data_is_restored_and_includes_delta_v():
 
 def test_what_is_read_has_what_follows_from_it():
     assert (str(HIT), HIT.further) == ("hits at 9.8 m/s", "delta-v 4.9 m/s")
-    assert (str(JERK), JERK.further) == ("breaks jerk by 15.1 m/s^3", "by 15.1 m/s^3, margin -0.755")
+    assert (str(JERK), JERK.further) == ("breaks jerk by 15.1 m/s^3", "by 15.1 m/s^3")
 
 
 def test_check_of_many_values_uses_its_named_value():

@@ -314,6 +314,7 @@ def test_budget_cuts_intervals_but_scenario_stays_minimal():
 def test_sizes_read_as_words():
     assert size_of(BUSY) == "2 NPCs, 10 instructions, 60 s"
     assert size_of(scenario("2@0", gene_seconds=2.5)) == "1 NPC, 1 instruction, 2.5 s"
+    assert size_of(scenario("2@0", gene_seconds=26 / 3)) == "1 NPC, 1 instruction, 8.7 s"
     assert size_of(scenario("2@0 2@0", gene_seconds=40), longest_run=60) == "1 NPC, 1 instruction, 60 s"
 
 

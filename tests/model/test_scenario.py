@@ -194,7 +194,8 @@ def test_the_repr_shows_the_chains_on_one_line():
         ({"ego_speed": -1}, "ego_speed: expected m/s, at least 0, received -1"),
         ({"ego_speed": math.nan}, "ego_speed: expected a finite number, received nan"),
         ({"ego_speed": "22"}, "ego_speed: expected a finite number, received '22'"),
-        ({"gene_seconds": 0}, "gene_seconds: expected seconds, more than 0, received 0"),
+        ({"gene_seconds": 0}, "gene_seconds: expected seconds, more than 0 and at most 86400, received 0"),
+        ({"gene_seconds": 1e9}, "gene_seconds: expected seconds, more than 0 and at most 86400, received 1000000000.0"),
         ({"gene_seconds": math.inf}, "gene_seconds: expected a finite number, received inf"),
     ],
 )

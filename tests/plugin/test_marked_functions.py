@@ -37,6 +37,24 @@ def test_other_THROUGH(THROUGH):
     assert project.files == []
 
 
+def test_recorder_of_warnings_holds_those_of_one_run(project):
+    project.write(
+        "import warnings\n\n@pafot.search(SHORT)\ndef test_x(run, recwarn):\n"
+        "    warnings.warn(run.scenario.id)\n    assert [str(each.message) for each in recwarn] == [run.scenario.id]\n"
+    )
+    project.run("--pafot-runs=8").assert_outcomes(passed=1)
+
+
+@pytest.mark.parametrize("package", ["pytest_benchmark", "pytest_codspeed", "syrupy"])
+def test_fixture_for_one_call_is_refused(project, package):
+    once = f"@pytest.fixture\ndef once():\n    return type('Once', (), {{'__module__': '{package}.fixture'}})()\n\n"
+    project.write(once + "@pafot.search(SHORT)\ndef test_x(run, once):\n    assert once is None\n")
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines([f"*received one with the fixture 'once'*{package}*"])
+    assert project.files == []
+
+
 def test_failures_collected_by_pytest_check_fail_the_search(project):
     project.pytester.makepyfile(
         pytest_check="failures = []\n\ndef is_true(x):\n    x or failures.append(x)\n\n"
@@ -195,7 +213,9 @@ REFUSED = [
     ("lanes=40", "*(lanes=...): lanes: expected *received 40*"),
     ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
     ("npcs=1.5", "*npcs: expected 1 to 8 NPCs, one per cell at most, received 1.5*"),
-    ("gene_seconds=0", "*gene_seconds: expected seconds, more than 0, received 0*"),
+    ("gene_seconds=0", "*gene_seconds: expected seconds, more than 0 and at most 86400, received 0*"),
+    ("gene_seconds=1e9", "*gene_seconds: expected seconds, more than 0 and at most 86400, received 1000000000.0*"),
+    ("acts=('pass',)", "*(acts=...): expected a world in which NPCs cross the ego's way, received *leave acts out*"),
     ("ego_lane='left'", "*ego_lane*"),
     ("ego_lane=7", "*ego_lane*"),
     ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),

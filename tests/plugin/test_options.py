@@ -161,6 +161,11 @@ def test_wrong_value_error_names_source_expected_and_received(project, source, p
         settings(project, **source)
 
 
+def test_wrong_argument_is_an_error_though_an_option_replaces_it(project):
+    with pytest.raises(OptionError, match=r"@pafot.search\(generations=...\): expected .* received -3"):
+        settings(project, "--pafot-generations=5", marker={"generations": -3})
+
+
 def test_wrong_command_line_value_is_a_usage_error(project):
     project.write("def test_ordinary():\n    pass\n")
     result = project.run("--pafot-population=one", generations=None)

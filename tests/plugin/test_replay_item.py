@@ -258,6 +258,7 @@ def test_invalid_world_or_scenario_fails_item_with_line(saved):
         ("overspeed: 1.1", "overspeed: 2.0", "3: world.speed_limit: expected at most 20.0 m/s, because *"),
         ("lane: 1, speed", "lane: 9, speed", "9: scenario.ego.lane: expected a lane from 0 to 3, received 9; *"),
         ("cell: 6, speed: 0.0", "cell: 6, speed: 99.0", "12: scenario.npcs[[]0][[]0].speed: expected at most the *"),
+        ("gene_seconds: 5.0", "gene_seconds: 1.0e+9", "10: scenario.gene_seconds: expected seconds, more than 0 and *"),
         ("gene_seconds: 5.0", "gene_seconds: 5.01", "10: scenario.gene_seconds: expected a whole number of ticks *"),
     ]
     for number, lines in enumerate(copies_that_differ(saved, edits)):

@@ -9,10 +9,14 @@ import pytest
 
 from pytest_pafot.report import animation
 from pytest_pafot.report.animation import HOLD_MILLISECONDS, MAX_BYTES, AnimationError, animate, moments
+from pytest_pafot.report.page_data import CheckView
+from pytest_pafot.report.picture import picture_at
 from tests.helpers.traces import trace_of, vehicle
-from tests.report.builders import HOSTILE, cut_in_trace, rear_trace, scenario, view_of
+from tests.report.builders import HOSTILE, bend_trace, cut_in_trace, rear_trace, scenario, view_of
+from tests.report.test_crossing_view import crash, mixed
 
 images = pytest.importorskip("PIL.Image", reason="Pillow draws the animations")
+drawing = pytest.importorskip("pytest_pafot.report.drawing")
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +45,13 @@ def frames(content):
     return durations
 
 
-def test_animation_has_all_moments_and_holds_the_last(brief, drawn):
+def test_animation_has_all_moments_and_holds_the_impact(brief, drawn):
     picture = images.open(io.BytesIO(drawn))
     assert picture.format == "PNG"
     assert picture.is_animated
     durations = frames(drawn)
     assert sum(durations) == (len(moments(brief, 8)) - 1) * 125 + HOLD_MILLISECONDS
-    assert durations[-1] >= HOLD_MILLISECONDS
+    assert durations[0] >= HOLD_MILLISECONDS
 
 
 def test_the_same_finding_gives_the_same_bytes(brief, drawn):
@@ -56,9 +60,48 @@ def test_the_same_finding_gives_the_same_bytes(brief, drawn):
 
 def test_vehicles_and_impact_keep_their_colours(drawn):
     picture = images.open(io.BytesIO(drawn))
-    picture.seek(picture.n_frames - 1)
-    colours = {colour for _, colour in picture.convert("RGB").getcolors(1 << 16)}
+    colours = {colour for _, colour in picture.convert("RGB").getcolors(1 << 16)}  # of the first frame
     assert {(0x17, 0x1B, 0x20), (0xF0, 0xD2, 0xC0), (0xB4, 0x48, 0x0A), (0xB3, 0x26, 0x1E)} <= colours
+
+
+def test_first_frame_is_the_moment_of_a_failed_check(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(drawing, "draw_animation", lambda _, *frames: drawn.extend(zip(*frames, strict=True)) or b"")
+    view = replace(view_of(rear_trace()), check=CheckView(name="gap", unit="m", value=2.0, time=1.3))
+    animate(view)
+    times = [picture.time for picture, _ in drawn]
+    assert times[0] == 1.3
+    assert sorted(times) == list(moments(view, 8))
+    assert dict(zip(times, [duration for _, duration in drawn], strict=True))[max(times)] == HOLD_MILLISECONDS
+
+
+def test_every_text_is_whole_inside_the_picture(monkeypatch):
+    texts, draw = [], drawing.Sheet._text
+
+    def recorded(sheet, place, words, ink, size, anchor, **more):
+        texts.append((sheet, place[0], words, size, anchor))
+        draw(sheet, place, words, ink, size, anchor, **more)
+
+    monkeypatch.setattr(drawing.Sheet, "_text", recorded)
+    long = "check 'a long name of a check that is sixty characters in all, so' 12.34 > 5 m/s^2 at 12.3 s (NPC 3)"
+    for view in (crash(), mixed(), view_of(bend_trace()), replace(view_of(cut_in_trace()), headline=long)):
+        drawing.draw_strip(view, [picture_at(view, time) for time in moments(view, 2)])
+    for sheet, x, words, size, anchor in texts:
+        width = sheet._width(words, size)
+        left = x - {"l": 0, "m": width / 2, "r": width}[anchor[0]]
+        assert 0 <= left <= left + width <= drawing.WIDTH, words
+        assert not words.endswith("..."), words
+
+
+def test_vehicle_that_would_be_cut_at_the_border_is_an_arrow():
+    def colours(ahead):
+        view = view_of(trace_of(vehicle(0.0, 4.0), vehicle(ahead, 4.0), scenario=scenario([(2, 20.0)])))
+        content = drawing.draw_strip(view, [picture_at(view, 0.0)])
+        return {colour for _, colour in images.open(io.BytesIO(content)).convert("RGB").getcolors(1 << 16)}
+
+    tint = (0xF0, 0xD2, 0xC0)
+    assert tint in colours(49.0)
+    assert tint not in colours(51.0)  # 52.2 m are ahead of the ego's centre in the picture, and half a car is 2.5 m
 
 
 def test_animation_contains_only_end_of_a_long_run():

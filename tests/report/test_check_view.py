@@ -139,6 +139,8 @@ def test_embedded_frame_has_room_for_the_check_curve():
 
 def test_an_animation_shows_the_moment():
     view = shown(peaks(t30=35.1), at_most=20)
-    assert moments(view, 2)[0] <= view.moment < moments(view, 2)[-1]
+    assert view.moment in moments(view, 2)
+    assert moments(view, 2)[-1] > view.moment
     late = shown(peaks(t290=35.1), at_most=20)
-    assert moments(late, 2)[-1] == late.duration
+    assert late.moment in moments(late, 2)
+    assert 0 <= late.duration - moments(late, 2)[-1] < 0.5

@@ -3,7 +3,7 @@
 import pytest
 
 from pytest_pafot.model.scenario import LaneInstruction, Scenario
-from pytest_pafot.report.drawing import speeds_text
+from pytest_pafot.report.drawing import speed_texts
 from pytest_pafot.report.markup import instruction_table
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
@@ -30,7 +30,7 @@ def test_an_instruction_has_its_lane_and_no_cell(view):
 def test_no_line_leads_to_a_cell(view):
     assert instruction_at(view, 0, 1.0)[1] == "approach"
     assert picture_at(view, 1.0).targets == (None,)
-    assert speeds_text(view, picture_at(view, 1.0)).endswith("NPC 0 20.0 m/s")
+    assert speed_texts(view, picture_at(view, 1.0))[-1] == "NPC 0 20.0 m/s"
 
 
 def test_the_table_says_where_to_in_words(view):

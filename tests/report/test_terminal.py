@@ -9,11 +9,15 @@ from dataclasses import replace
 from pytest_pafot.campaign.events import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.severity import Severity
+from pytest_pafot.findings.shrink import Shrunk
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
 from pytest_pafot.report.terminal import ReplaySummary, SessionSummary
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.support.text import wrapped_to
+from tests.findings.builders import plain_finding
 from tests.helpers.tables import table
 
 FIND = Find(
@@ -49,6 +53,33 @@ SEARCH = SearchSummary(
     notes=("cut by --pafot-max-time: the same seed may find other scenarios next time",),
     coverage="reached 8/8 cells, 21/24 ring steps, 6/6 speed bins; requested 8/8, 23/24, 6/6",
 )
+
+
+CUT_IN, AHEAD = PositionInstruction(Cell.FRONT_LEFT, 20.0), PositionInstruction(Cell.FRONT, 0.0)
+
+
+@table(
+    ("found", "simplest", "is_minimal", "line"),
+    [
+        (
+            [[CUT_IN, AHEAD], [AHEAD]],
+            [[AHEAD]],
+            True,
+            "from 2 NPCs, 3 instructions, 20 s to 1 NPC, 1 instruction, 10 s",
+        ),
+        ([[CUT_IN, AHEAD]], [[AHEAD]], True, "from 2 instructions, 20 s to 1 instruction, 10 s"),
+        ([[CUT_IN, AHEAD]], [[AHEAD]], False, "from 2 instructions, 20 s to 1 instruction, 10 s, and could be simpler"),
+        ([[CUT_IN]], [[AHEAD]], True, "to a simpler scenario of the same size"),
+        (None, [[AHEAD]], False, "to nothing simpler so far, and could be simpler"),
+        (None, [[AHEAD]], True, None),
+    ],
+)
+def test_only_what_shrinking_changed_is_reported(found, simplest, is_minimal, line):
+    original = None if found is None else Scenario.repaired(found)
+    shrunk = Shrunk(rollouts=5, is_minimal=is_minimal)
+    finding = plain_finding(scenario=Scenario.repaired(simplest), original=original, shrunk=shrunk)
+    lines = [each for each in terminal.simplified_lines(finding) if each.startswith("shrunk")]
+    assert lines == ([] if line is None else [f"shrunk     {line}"])
 
 
 def test_failures_are_listed_new_first_then_worst_first():

@@ -1,5 +1,7 @@
 """A search that tested nothing says so."""
 
+import math
+
 import pytest
 
 from pytest_pafot.model.trace import Outcome
@@ -70,6 +72,13 @@ def test_runs_that_test_nothing_warn_when_most_common(make_evaluation, fields, e
     (warning,) = health_of(make_evaluation, (1, {}), (2, fields)).warnings()
     assert warning.startswith(expected)
     assert "; " in warning  # and the way out
+
+
+@pytest.mark.parametrize("fitness", [math.nan, -math.inf, math.inf])
+def test_fitness_that_is_never_a_number_warns(make_evaluation, fitness):
+    (warning,) = health_of(make_evaluation, (3, {"fitness": fitness})).warnings()
+    assert warning.startswith("the fitness was no finite number in any of 3 valid runs, so it could not guide")
+    assert health_of(make_evaluation, (3, {"fitness": fitness}), (1, {})).warnings() == []
 
 
 def test_invalid_runs_do_not_count_as_without_interaction(make_evaluation):
