@@ -66,6 +66,9 @@ NEAR, AT_REST = 0.3, 0.1
 that stands, if at most :data:`MOST` phases can tell it."""
 MOST = 7
 """The largest number of phases in the sentences."""
+EDGE = 0.15
+"""The time at both ends of a phase of which the braking does not count as the hardest of the phase [s], because it may
+still be that of the phase before or after."""
 MOVES = 2
 """The largest number of changes of lane in the sentences, from the last back."""
 LEAST = 0.2
@@ -234,13 +237,14 @@ def _phase(speeds: FloatArray, hz: int, first: int, last: int, step: int) -> Pha
     """Return the phase between two ticks, which are exact to a number of ticks."""
     lost, seconds = float(speeds[first] - speeds[last]), (last - first) / hz
     slowed = -np.diff(speeds[first : last + 1]) * hz
-    inner = slowed[step:-step] if step > 1 and len(slowed) > 2 * step else slowed
+    edge = max(step if step > 1 else 0, math.ceil(EDGE * hz) if seconds > 5 * EDGE else 0)
+    inner = slowed[edge : len(slowed) - edge] if len(slowed) > 2 * edge else slowed
     doing = Doing.KEPT
     if max(speeds[first], speeds[last]) <= STANDING_SPEED:
         doing = Doing.STOOD
-    elif max(lost, lost / seconds) >= BRAKES:
+    elif lost >= NEAR or lost / seconds >= BRAKES:
         doing = Doing.BRAKED if inner.max() >= BRAKES else Doing.SLOWED
-    elif max(-lost, -lost / seconds) >= BRAKES:
+    elif -lost >= NEAR or -lost / seconds >= BRAKES:
         doing = Doing.SPED_UP
     hardest = max(0.0, float(inner.max()))
     before, after = (max(0.0, float(speeds[tick])) for tick in (first, last))  # some vehicles roll back a little

@@ -243,8 +243,12 @@ def _answer(fact: Fact) -> list[str]:
             told.append(f"from {each.time_s:.1f} s it {deed}")
             continue
         begun = "stood" if each.doing is Doing.STOOD else f"drove {each.first_m_per_s:.1f} m/s"
-        rest = " on" if each.doing in (Doing.KEPT, Doing.STOOD) else f" and {deed}"
-        told.append(f"{'It' if made else who} {begun} {'from' if rest == ' on' else 'at'} {each.time_s:.1f} s{rest}")
+        rest = "" if each.doing in (Doing.KEPT, Doing.STOOD) else f" and {deed}"
+        told.append(f"{'It' if made else who} {begun} at {each.time_s:.1f} s{rest}")
+    if len(told) == 1 and fact.phases[0].doing is Doing.KEPT:
+        told = [
+            f"{'It' if made else who} kept {fact.phases[0].last_m_per_s:.1f} m/s from {fact.phases[0].time_s:.1f} s on"
+        ]
     # two phases in a sentence, if they are short enough
     while told:
         both = "; ".join(told[:2])

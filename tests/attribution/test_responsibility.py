@@ -43,7 +43,7 @@ class TestInOneLane:
         assert found.time == pytest.approx((100.0 - 5.0 - 47.1) / 10.0, abs=0.1)
         assert found.sentences == (
             "The ego was only 47.0 m behind NPC 0 at 4.8 s (safe: 47.1 m). NPC 0 was 10.0 m/s slower.",
-            "The ego should have braked hard by 8.6 s but did not brake. It drove 20.0 m/s from 2.7 s on.",
+            "The ego should have braked hard by 8.6 s but did not brake. It kept 20.0 m/s from 2.7 s on.",
         )
 
     def test_ego_not_braking_behind_braking_leader_is_responsible(self):
@@ -99,7 +99,7 @@ class TestInOneLane:
         assert (found.responsibility, found.fault) == ("both", "braked-for-nothing")
         assert (
             found.sentences[1]
-            == "NPC 0 should have braked hard by 4.1 s but did not brake. It drove 20.0 m/s from 0.0 s on."
+            == "NPC 0 should have braked hard by 4.1 s but did not brake. It kept 20.0 m/s from 0.0 s on."
         )
 
     @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ class TestCutIn:
         assert found.sentences == (
             "The ego crossed into lane 1 at 2.4 s, 10.7 m ahead of NPC 0. NPC 0 was 8.1 m/s faster.",
             "The ego should have left NPC 0 a gap of 34.1 m.",
-            "The ego drove 20.0 m/s from 0.4 s on. It changed into lane 1 at 3.1 s.",
+            "The ego kept 20.0 m/s from 0.4 s on. It changed into lane 1 at 3.1 s.",
         )
 
     def test_driver_that_paused_on_the_line_moved_on(self):

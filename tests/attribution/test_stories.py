@@ -20,17 +20,17 @@ WEAKLY_THEN_UP = [(3.0, 1.9, 16.0), (5.2, -2.0, 25.0)]
 WAITS_THEN_GOES = plan("west straight", 4, 8, (2.0, -3.5, 0.0), (8.0, 2.5, 8.0))
 
 STORIES = {
-    "nothing": ([], (40.0, 10.0), "hard by 2.6 s but did not brake. It drove 20.0 m/s from 0.0 s on."),
+    "nothing": ([], (40.0, 10.0), "hard by 2.6 s but did not brake. It kept 20.0 m/s from 0.0 s on."),
     "braked weakly, then sped up": (
         WEAKLY_THEN_UP,
         (60.0, 10.0),
-        "hard by 5.7 s. It drove 20.0 m/s from 0.0 s on; from 3.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s. "
+        "hard by 5.7 s. It drove 20.0 m/s at 0.0 s; from 3.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s. "
         "From 5.1 s it sped up to 18.1 m/s.",
     ),
     "let go": (
         [(2.0, 4.0, 14.0)],
         (40.0, 10.0),
-        "hard by 4.2 s. It drove 20.0 m/s from 0.0 s on; from 2.0 s it braked at up to 4.0 m/s^2, to 14.1 m/s. "
+        "hard by 4.2 s. It drove 20.0 m/s at 0.0 s; from 2.0 s it braked at up to 4.0 m/s^2, to 14.1 m/s. "
         "From 3.5 s it kept 14.0 m/s.",
     ),
     "softly, hard too late": (
@@ -48,25 +48,25 @@ STORIES = {
     "braked hard enough, then let go": (
         [(0.5, 4.0, 14.0)],
         (40.0, 10.0),
-        "hard by 6.4 s. It drove 20.0 m/s from 0.0 s on; from 0.5 s it braked at up to 4.0 m/s^2, to 14.0 m/s. "
+        "hard by 6.4 s. It drove 20.0 m/s at 0.0 s; from 0.5 s it braked at up to 4.0 m/s^2, to 14.0 m/s. "
         "From 2.1 s it kept 14.0 m/s.",
     ),
     "braked just before the danger": (
         [(1.0, 4.0, 16.0)],
         (56.0, 10.0),
-        "It drove 20.0 m/s from 0.3 s on; from 1.0 s it braked at up to 4.0 m/s^2, to 16.0 m/s. "
+        "It drove 20.0 m/s at 0.3 s; from 1.0 s it braked at up to 4.0 m/s^2, to 16.0 m/s. "
         "From 2.0 s it kept 16.0 m/s.",
     ),
     "eased off, then braked harder too late": (
         [(0.6, 3.0, 16.0), (1.9, 0.8, 15.0), (3.2, 4.0, 0.0)],
         (46.0, 6.0),
-        "harder by 2.8 s. It drove 20.0 m/s from 0.0 s on; from 0.6 s it braked at up to 3.0 m/s^2, to 16.2 m/s. "
+        "harder by 2.8 s. It drove 20.0 m/s at 0.0 s; from 0.6 s it braked at up to 3.0 m/s^2, to 16.2 m/s. "
         "From 1.9 s it braked at up to 0.8 m/s^2, to 15.1 m/s. From 3.2 s it braked at up to 4.0 m/s^2, to 13.0 m/s.",
     ),
     "sped up when braking was due": (
         [(1.0, -2.0, 30.0)],
         (60.0, 10.0),
-        "hard by 3.2 s but did not brake. It drove 20.0 m/s from 0.0 s on; from 1.0 s it sped up to 26.8 m/s.",
+        "hard by 3.2 s but did not brake. It drove 20.0 m/s at 0.0 s; from 1.0 s it sped up to 26.8 m/s.",
     ),
 }
 """The plan of an ego that drives 20 m/s, the distance [m] and speed [m/s] of the NPC ahead, and the end of the text."""
@@ -124,28 +124,28 @@ FALSE = [
     ("The ego should have braked harder by 5.7 s. {deeds}", "braking when it was due"),
     ("The ego should have braked hard by 5.7 s but did not brake. {deeds}", "did not brake"),
     ("The ego should have waited but set off at 5.2 s. {deeds}", "set off"),
-    ("The ego should not have sped up. It drove 20.0 m/s from 0.0 s on.", "speeds up"),
-    ("The ego should have braked hard by 5.7 s. It drove 20.0 m/s from 0.0 s on.", "speed"),
+    ("The ego should not have sped up. It kept 20.0 m/s from 0.0 s on.", "speeds up"),
+    ("The ego should have braked hard by 5.7 s. It kept 20.0 m/s from 0.0 s on.", "speed"),
     (
         "The ego should have braked hard by 5.7 s. "
-        "It drove 20.0 m/s from 0.0 s on; from 3.0 s it braked at up to 2.9 m/s^2, to 16.0 m/s. "
+        "It drove 20.0 m/s at 0.0 s; from 3.0 s it braked at up to 2.9 m/s^2, to 16.0 m/s. "
         "From 5.1 s it sped up to 18.1 m/s.",
         "braked up to",
     ),
     (
         "The ego should have braked hard by 5.7 s. "
-        "It drove 20.0 m/s from 0.0 s on; from 4.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s. "
+        "It drove 20.0 m/s at 0.0 s; from 4.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s. "
         "From 5.1 s it sped up to 18.1 m/s.",
         "speed",
     ),
     (
         "The ego should have braked hard by 5.7 s. "
-        "It drove 20.0 m/s from 0.0 s on; from 3.0 s it slowed to 16.0 m/s. From 5.1 s it kept 18.1 m/s.",
+        "It drove 20.0 m/s at 0.0 s; from 3.0 s it slowed to 16.0 m/s. From 5.1 s it kept 18.1 m/s.",
         "kept",
     ),
     (
         "The ego should have braked hard by 5.7 s. "
-        "It drove 20.0 m/s from 0.0 s on; from 5.1 s it sped up to 18.1 m/s. "
+        "It drove 20.0 m/s at 0.0 s; from 5.1 s it sped up to 18.1 m/s. "
         "From 3.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s.",
         "order",
     ),
@@ -173,7 +173,7 @@ def test_braking_that_answered_a_cut_in_is_told():
     found = rss_rule(named["sped-up-after-it-had-survived-a-cut-in"].trace())
     assert found.sentences[1:] == (
         "The ego should have braked hard by 5.9 s.",
-        "It drove 20.0 m/s from 0.9 s on; from 2.6 s it braked at up to 8.0 m/s^2, to 15.2 m/s.",
+        "It drove 20.0 m/s at 0.9 s; from 2.6 s it braked at up to 8.0 m/s^2, to 15.2 m/s.",
         "From 3.2 s it kept 15.0 m/s; from 4.4 s it sped up to 20.6 m/s.",
     )
 
@@ -198,7 +198,7 @@ def test_due_after_the_entry_is_a_wrong_claim():
     [
         (6.0, "The ego should have braked hard by 5.7 s."),
         (1.2, "The ego should have braked hard by 1.2 s."),
-        (0.5, "The ego drove 20.0 m/s from 0.0 s on; from 3.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s."),
+        (0.5, "The ego drove 20.0 m/s at 0.0 s; from 3.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s."),
     ],
 )
 def test_no_text_requires_braking_that_comes_too_late(latest, says):

@@ -22,7 +22,7 @@ DUTIES = {
     "waited": rf"{WHO} should have waited but set off at {TIME}\.",
     "not sped up": rf"{WHO} should not have sped up\.",
 }
-BEGAN = rf"(?:It|{WHO}) (?:drove {FIGURE} (?:at|from)|stood from) {TIME}"
+BEGAN = rf"(?:It|{WHO}) (?:drove {FIGURE} at|kept {FIGURE} from|stood at) {TIME}"
 DEEDS = {
     "braked": rf"braked at up to {FIGURE}\^2, to {FIGURE}",
     "slowed": rf"slowed to {FIGURE}",
@@ -64,14 +64,12 @@ class Story:
         began = re.match(rf"\s*{BEGAN}", text)
         if began is None:
             raise ValueError(f"no beginning: {text!r}")
-        time, speed = began[began.re.groups], float(began[began.re.groups - 1] or 0.0)
+        *_, drove, kept, time = began.groups()
+        speed = float(drove or kept or 0.0)
         first, *others = re.split(r"[;.]? from (?=\d+\.\d s it)", text[began.end() :].replace(" From", " from"))
-        is_constant = first.rstrip(".") == " on"
-        first = (
-            ("stood" if "stood" in began[0] else f"kept {speed:.1f} m/s")
-            if is_constant
-            else first.removeprefix(" and ")
-        )
+        if not first.startswith(" and "):
+            first = "stood" if "stood" in began[0] else f"kept {speed:.1f} m/s"
+        first = first.removeprefix(" and ")
         found = []
         for part in [f"{time} s it {first}", *others]:
             time, deed = re.fullmatch(rf"{TIME} it (.*?)\.?", part).groups()
@@ -136,8 +134,10 @@ class Story:
             told = [abs(float(self.speed[tick]) - after) for tick in near[1]]
             yield "speed at the end", min(told) <= (KEPT if name in ("kept", "stood") else 0.05)
             if name == "braked":
-                parts = [self.slowed[i:j].max(initial=0.0) for i in near[0] for j in near[1] if i < j]
-                yield "braked up to", f"{braking:.1f}" in {f"{each:.1f}" for each in parts}
+                edge = math.ceil(0.15 * self.hz) + 1
+                widest = self.slowed[near[0][0] : near[1][-1]].max(initial=0.0)
+                inner = self.slowed[begin + edge : over - edge].max(initial=0.0)
+                yield "braked up to", inner - 0.06 <= braking <= widest + 0.06
             yield (
                 name,
                 {
