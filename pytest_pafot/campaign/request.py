@@ -18,6 +18,7 @@ from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample, space_on
 from pytest_pafot.support.errors import plain_number
+from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.text import shown
 from pytest_pafot.world import Highway, WorldError, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
@@ -125,6 +126,11 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     except ValueError as error:
         raise RequestError(str(error)) from error
     own = {name: arguments[name] for name in ("ads", "arg", "blame", "decision_limit", "world") if name in arguments}
+    if isinstance(own.get("ads"), str) and ":" in own["ads"]:
+        try:
+            own["ads"] = factory_named(own["ads"])
+        except ValueError as error:
+            raise RequestError(f"{place}(ads=...): {error}") from error
     request = Request(
         settings=settings,
         algorithm=algorithm,
@@ -319,6 +325,6 @@ def _problem_of_ads(value: object) -> str:
     if isinstance(value, str):
         hint = f"Load a model in the factory, as in `ads=lambda: MyPlanner({value!r})`"
     return (
-        "expected the name of a fixture or a factory such as `lambda: MyPlanner()`, received "
+        "expected the name of a fixture, module:factory or a factory such as `lambda: MyPlanner()`, received "
         f"{shown(value)}{f'. {hint}' if hint else ''}"
     )

@@ -33,7 +33,6 @@ from pytest_pafot.commands.policy_reference import (
     PlanError,
     ads_factory,
     check_function,
-    described,
 )
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
 from pytest_pafot.commands.revision import PROCESS, revision_at
@@ -52,8 +51,10 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.support.files import way_out, write_whole
+from pytest_pafot.support.references import described
 from pytest_pafot.support.text import csv_text
 from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.ways_out import command
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import first_decision, reference_world, road_start
 
@@ -424,4 +425,4 @@ def _hint(plan: ProgressPlan, rows: Sequence[PairRow]) -> str:
     given = ["--world", plan.env_id] if isinstance(plan.world, World) else []
     given += [] if plan.check is None else ["--check", plan.check]
     given += ["--runs", str(plan.scenarios), "--seed", str(plan.seed), "--against", old]
-    return f"\nsave and see it: `{shlex.join(['python', '-m', 'pytest_pafot', 'search', new, *given])}`\n"
+    return f"\nsave and see it: `{command('pytest_pafot', 'search', new, *given)}`\n"

@@ -20,6 +20,7 @@ from pytest_pafot.episodes.rate_plan import CHUNK, RatePlan, checked, factory_of
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.support.files import write_whole
+from pytest_pafot.support.ways_out import command
 from pytest_pafot.world import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import loading_hint
 
@@ -144,9 +145,9 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
         lines.append(Pair.of(*rates).sentence)
     crashed = next((rate for rate in rates if rate.crashed), None)
     if crashed is not None:
-        config = "" if arguments.config is None else f" --config '{arguments.config}'"
-        again = f"--ads {crashed.ads} --world {plan.env_id}{config} --episode {crashed.crashed[0]}"
-        lines.append(f"see a crash: python -m pytest_pafot rate {again}")
+        config = [] if arguments.config is None else ["--config", arguments.config]
+        again = ["--ads", crashed.ads, "--world", plan.env_id, *config, "--episode", crashed.crashed[0]]
+        lines.append(f"see a crash: {command('pytest_pafot', 'rate', *again)}")
     return "\n".join(lines) + "\n"
 
 

@@ -93,9 +93,9 @@ def test_search_command_uses_the_requested_world_and_check(here):
     test = (here / "test_safety.py").read_text()
     assert (
         "@pafot.search(world=pafot.World('highway-v0'), traffic=\"everyday\")\n"
-        "def test_keeps_moving(run):\n    keeps_moving(run)\n"
+        "def test_keeps_moving(run):\n    holds(run)\n"
     ) in test
-    assert 'return lambda: make("fast")' in (here / "conftest.py").read_text().replace("'", '"')
+    assert 'return lambda: factory("fast")' in (here / "conftest.py").read_text().replace("'", '"')
     code, told = python("pytest_pafot", "search", "example_ads.idm_mobil:make", "--runs", "2", "--seed", "0")
     assert code == 0, told
 
@@ -169,8 +169,8 @@ def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["a_planner:Nobody"], "search: ADS: expected a factory in a_planner"),
-        (["a_planner:Nobody"], "'a_planner:Nobody', which is none; it has Planner, make, keeps_moving"),
+        (["a_planner:Nobody"], "search: ADS: expected a factory in the module a_planner"),
+        (["a_planner:Nobody"], "'a_planner:Nobody'; it has Planner, make, keeps_moving"),
         (["a_planner.py:Planner"], "search: ADS: expected a module that can be imported"),
         (["a_planner.py:Planner"], "; give a_planner:Planner"),
         (["broken:Planner"], "received 'broken:Planner', which raises ValueError: no gpu ("),
@@ -182,7 +182,7 @@ def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_
         (["no_such_module:Nobody"], "search: ADS: expected a module that can be imported"),
         (
             ["a_planner:Planner", "--check", "a_planner:nothing"],
-            "search: --check: expected a function of a run in a_planner",
+            "search: --check: expected a function of a run in the module a_planner",
         ),
         (["a_planner:Planner", "--write-test"], "search: --write-test: expected a folder without conftest.py"),
     ],
