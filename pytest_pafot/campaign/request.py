@@ -20,8 +20,10 @@ from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample, spac
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.text import shown
-from pytest_pafot.world import Highway, WorldError, protocol
+from pytest_pafot.support.ways_out import flag
+from pytest_pafot.world import Highway, World, WorldError, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
+from pytest_pafot.world.validation import OTHER_KIND
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts")
@@ -109,6 +111,10 @@ class Request:
     road: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a Highway
     space: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a SearchSpace
     place: str = "@pafot.search"  # where the arguments are, for messages
+
+    def option(self, name: str, value: object = None) -> str:
+        """Return an option as the user gives it to this search: on the command line, or as an argument in a script."""
+        return flag(name, value) if self.place.startswith("@") else f"{name}={'...' if value is None else repr(value)}"
 
     def error(self, arguments: str, problem: object) -> RequestError:
         """Return an error about one or more arguments, which are written like ``world=...``."""
@@ -307,11 +313,15 @@ def _checked_world(request: Request, world: Any, origin: str) -> Any:
 
 
 def hint_at_world(given: Any) -> str:
-    """Return a hint at ``pafot.World`` if the user gave an environment or its id as world; otherwise an empty text."""
+    """Return the way out for what is no world: ``pafot.World`` if it accepts the environment, else an own world."""
     spec = getattr(given, "spec", None)  # set on an environment that gymnasium made
     env_id = given if isinstance(given, str) else getattr(spec, "id", None)
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
-    return f'; did you mean pafot.World("{env_id}"{config})?' if isinstance(env_id, str) else ""
+    try:
+        World(env_id or "").environment.make()
+    except WorldError:
+        return f"; write {OTHER_KIND}"
+    return f'; did you mean pafot.World("{env_id}"{config})?'
 
 
 def _is_name(value: object) -> bool:

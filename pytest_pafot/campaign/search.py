@@ -424,15 +424,16 @@ class Search:
 
     def _left_undone(self, reason: str) -> Iterator[str]:
         """Yield notes on what the search left undone, and how to continue."""
-        settings, recorder = self.harness.request.settings, self.loop.recorder
+        request, recorder = self.harness.request, self.loop.recorder
+        settings = request.settings
         is_broken_off = reason in ("interrupted", "error")
         firm = [kept for kept in recorder.kept.values() if kept.is_firm]
         left = [kept for kept in firm if (kept.finding.shrunk is None if is_broken_off else kept.find.unshrunk)]
         if left and settings.shrink_rollouts != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete its files and " if any(kept.file for kept in left) else ""
-            again = f"{first}search again with {flag('seed', settings.seed)}"
-            resume = flag("resume", "FOLDER")
+            again = f"{first}search again with {request.option('seed', settings.seed)}"
+            resume = request.option("resume", "FOLDER")
             if not is_broken_off:
                 how = f"{resume} goes on" if self.sessions.go_on else f"{again} and more time, or with {resume}"
                 yield f"{self.limit.flag} ended before {what} shrunk: {how}"
@@ -440,7 +441,7 @@ class Search:
                 yield f"ended before {what} shrunk: {again}"
         is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
         if is_default and reason == ALL_RUN and not self.loop.verdicts["failed"] and not recorder.count:
-            longer = flag("runs", PROFILES[FULL]["runs"])
+            longer = request.option("runs", PROFILES[FULL]["runs"])
             yield f"{settings.runs} runs are a short search; use {longer} for a longer one"
 
 

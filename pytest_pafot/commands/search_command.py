@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         if option.name not in (*OWN, "corpus", "prune", "allow_orphans"):
             given: dict[str, Any] = {"nargs": 0 if option.kind == "switch" else None, "help": argparse.SUPPRESS}
             parser.add_argument(option.flag, action=_ForPytest, dest="options", default=[], **given)
-    of_others = f"It also accepts the options of pytest that begin with {flag('')}, such as {flag('isolate')}."
+    of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too."
     of_exit = "The exit code is 1 if the search has found something or failed, 2 for wrong arguments, else 0."
     parser.epilog = f"{ABOUT_POLICIES} {of_others} {of_exit}"
     parser.usage = "%(prog)s ADS [option ...] [-- option of pytest ...]"

@@ -32,7 +32,8 @@ def factory_named(reference: str, what: str = "a factory") -> Callable[..., Any]
         raise ValueError(f"expected module:factory or module:factory:argument, received {reference!r}")
     factory = referred_to(f"{module}:{name}", what)
     if not callable(factory):
-        raise ValueError(f"expected {what}, received {reference!r}, which cannot be called; name what makes a policy")
+        received = f"{reference!r}, which is of the type {type(factory).__name__}"
+        raise ValueError(f"expected {what}, received {received}; name a function or a class")
     return functools.partial(factory, argument) if argument else factory
 
 
@@ -51,7 +52,7 @@ def referred_to(reference: str, what: str = "a name") -> Any:
         way_out = "run where it is, or put its folder on the path (pytest: `pythonpath = .`)"
         if module_name.endswith(".py"):
             way_out = f"give {module_name.removesuffix('.py').replace('/', '.')}:{name}"
-        received = f" ({error})" if is_missing else f", which raises {described(error)}"
+        received = f" ({type(error).__name__}: {error})" if is_missing else f", which raises {described(error)}"
         way_out = way_out if is_missing else "correct it"
         raise ValueError(
             f"expected a module that can be imported, received {reference!r}{received}; {way_out}"

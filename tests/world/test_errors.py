@@ -189,7 +189,7 @@ def test_environment_id_with_module_is_refused_before_import(env_id):
 
 @table("env_id", ["highway", "highway-v99", "Highway-v0", "nope-v0", "highway-v0 "])
 def test_unknown_environment_id_lists_the_straight_roads(env_id):
-    with raises(f"received {env_id!r}; highway-env's straight roads are highway-fast-v0, highway-v0; an environment"):
+    with raises(f"received {env_id!r}; highway-env's straight roads are highway-fast-v0, highway-v0; import the"):
         World(env_id).check()
 
 
