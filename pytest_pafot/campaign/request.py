@@ -335,6 +335,6 @@ def _problem_of_ads(value: object) -> str:
     if isinstance(value, str):
         hint = f"Load a model in the factory, as in `ads=lambda: MyPlanner({value!r})`"
     return (
-        "expected the name of a fixture, module:factory or a factory such as `lambda: MyPlanner()`, received "
+        "expected the name of a fixture or a factory such as `lambda: MyPlanner()`, received "
         f"{shown(value)}{f'. {hint}' if hint else ''}"
     )
