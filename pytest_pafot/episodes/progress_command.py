@@ -369,7 +369,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         lines = lines_of(rows)
         verdict, sentence, shown = verdict_of(lines), same_as, f"{same_as}\n"
         if not same_as:
-            sentence, shown = sentence_of(old, plan.new, lines), f"{text_of(old, plan.new, rows)}{_hint(plan, rows)}"
+            sentence, shown = (
+                sentence_of(old, plan.new, lines),
+                f"{text_of(old, plan.new, rows)}{_hint(plan, rows, given.copy)}",
+            )
         shown += "".join(["\n", *(f"- {line}\n" for line in both)]) if both else ""
         sys.stdout.write(shown)
         if given.json is not None:
@@ -417,7 +420,7 @@ def _compared(plan: ProgressPlan, workers: int) -> list[PairRow]:
     return [PairRow.of_data(json.loads(each["row"])) for each in csv.DictReader(io.StringIO(results))]
 
 
-def _hint(plan: ProgressPlan, rows: Sequence[PairRow]) -> str:
+def _hint(plan: ProgressPlan, rows: Sequence[PairRow], copy: Sequence[str]) -> str:
     """Return the command that saves and explains failures that only the new policy has; empty without them."""
     if not any(row.part == "alone" and row.new.failed for row in rows) or plan.config is not None:
         return ""
@@ -425,4 +428,5 @@ def _hint(plan: ProgressPlan, rows: Sequence[PairRow]) -> str:
     given = ["--world", plan.env_id] if isinstance(plan.world, World) else []
     given += [] if plan.check is None else ["--check", plan.check]
     given += ["--runs", str(plan.scenarios), "--seed", str(plan.seed), "--against", old]
+    given += ["--copy", *copy] if copy else []
     return f"\nsave and see it: `{command('pytest_pafot', 'search', new, *given)}`\n"

@@ -46,7 +46,7 @@ def referred_to(reference: str, what: str = "a name") -> Any:
     module_name, _, name = reference.partition(":")
     try:
         module = importlib.import_module(module_name)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # A script without a guard calls sys.exit() in its import.
         # A module that lacks another one raises ModuleNotFoundError, too.
         is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
         way_out = "run where it is, or put its folder on the path (pytest: `pythonpath = .`)"

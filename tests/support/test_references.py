@@ -24,6 +24,7 @@ number = 5
 def modules(tmp_path, monkeypatch):
     (tmp_path / "named_here.py").write_text(MODULE)
     (tmp_path / "lacks_another.py").write_text("import no_such_library")
+    (tmp_path / "exits_here.py").write_text("raise SystemExit(3)")
     (tmp_path / "raises_here.py").write_text("raise KeyError(3)")
     monkeypatch.syspath_prepend(tmp_path)
 
@@ -55,6 +56,7 @@ def test_factory_gets_all_behind_the_second_colon(reference, given):
         ("named_there:x", r"received 'named_there:x' \(ModuleNotFoundError: .*; run where it is, or put its folder on"),
         ("named_here.py:Planner", r"ModuleNotFoundError.*; give named_here:Planner"),
         ("lacks_another:x", r"which raises ModuleNotFoundError: No .*no_such_library.*another.py:1\); correct it"),
+        ("exits_here:x", r"which raises SystemExit: 3 \(.*exits_here.py:1\); correct it"),
         ("raises_here:x", r"which raises KeyError: 3 \(.*raises_here.py:1\); correct it"),
     ],
 )
