@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS
 from pytest_pafot.commands.search_command import add_arguments
 from pytest_pafot.export.exporter import EXTRAS
@@ -64,6 +65,37 @@ def test_every_option_that_messages_name_exists_also_in_search():
         told = parser.parse_args(["planner:Planner", *shlex.split(given)])
         own = getattr(told, name, None)
         assert shlex.split(given) == told.options or str(own) == str(values.get(name, "a b")), name
+
+
+OF_COMMANDS = {
+    "search": ["commands/search_command.py"],
+    "bisect": ["commands/bisect_command.py"],
+    "progress": ["episodes/progress_command.py", "episodes/progress.py"],
+    "rate": ["episodes/rate_command.py", "episodes/rate_plan.py", "commands/resumable.py"],
+    "compare": ["comparison/command.py", "comparison/plan.py", "comparison/algorithm_run.py", "commands/resumable.py"],
+    "export": ["export/export_command.py", "export/exporter.py"],
+    "corpus": ["corpus/corpus_command.py"],
+}
+SHOWN_BY = {"corpus": [["corpus", each] for each in ("list", "join", "accept")], "progress": [["progress"], ["search"]]}
+"""The helps with the options of a command. ``progress`` also names those of ``search``."""
+OF_PYTEST = {"--rootdir"}  # of the session that the command starts
+
+
+@pytest.mark.parametrize("name", OF_COMMANDS)
+def test_every_option_that_a_command_names_is_its_own(name, capsys):
+    for words in SHOWN_BY.get(name, [[name]]):
+        with pytest.raises(SystemExit):
+            main([*words, "--help"])
+    told = capsys.readouterr().out
+    named = {
+        said
+        for place, tree in places()
+        for node in ast.walk(tree)
+        if place in OF_COMMANDS[name] and isinstance(node, ast.Constant) and isinstance(node.value, str)
+        for said in re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z]", node.value)
+    }
+    assert named
+    assert named - set(re.findall(r"--[a-z-]*[a-z]", told)) <= OF_PYTEST
 
 
 def test_every_package_and_page_that_messages_name_exists():

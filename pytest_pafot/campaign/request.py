@@ -317,6 +317,8 @@ def hint_at_world(given: Any) -> str:
     spec = getattr(given, "spec", None)  # set on an environment that gymnasium made
     env_id = given if isinstance(given, str) else getattr(spec, "id", None)
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
+    if isinstance(given, type) and hasattr(given, "rollout"):
+        return f"; call it: {given.__name__}(...)"
     try:
         World(env_id or "").environment.make()
     except WorldError:

@@ -433,7 +433,7 @@ class Search:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete its files and " if any(kept.file for kept in left) else ""
             again = f"{first}search again with {request.option('seed', settings.seed)}"
-            resume = request.option("resume", "FOLDER")
+            resume = request.option("resume", settings.resume or "FOLDER")
             if not is_broken_off:
                 how = f"{resume} goes on" if self.sessions.go_on else f"{again} and more time, or with {resume}"
                 yield f"{self.limit.flag} ended before {what} shrunk: {how}"

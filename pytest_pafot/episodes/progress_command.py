@@ -369,10 +369,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         lines = lines_of(rows)
         verdict, sentence, shown = verdict_of(lines), same_as, f"{same_as}\n"
         if not same_as:
-            sentence, shown = (
-                sentence_of(old, plan.new, lines),
-                f"{text_of(old, plan.new, rows)}{_hint(plan, rows, given.copy)}",
-            )
+            sentence = sentence_of(old, plan.new, lines)
+            shown = f"{text_of(old, plan.new, rows)}{_hint(plan, rows, given.copy)}"
         shown += "".join(["\n", *(f"- {line}\n" for line in both)]) if both else ""
         sys.stdout.write(shown)
         if given.json is not None:

@@ -44,7 +44,7 @@ class RateRequest:
     Attributes:
         at_most: largest allowed number of crashes per episode.
         world: environment in whose own traffic the policy drives.
-        ads: factory of the policy, its ``module:factory[:argument]``, or the name of the fixture that returns it.
+        ads: factory of the policy, or the name of the fixture that returns the factory.
         episodes: number of episodes; their seeds are ``seed``, ``seed + 1`` and so on.
         seed: seed of the first episode.
         confidence: confidence with which the true rate must be at most ``at_most``; None to compare only the counted
@@ -131,7 +131,7 @@ def checked_rate(arguments: Mapping[str, Any], positional: Sequence[object] = ()
             raise _error(f"{name}=...", f"{problem}, received {given[name]!r:.200}")
     if isinstance(given.get("ads"), str) and ":" in given["ads"]:
         try:
-            factory_named(given["ads"])
+            given["ads"] = factory_named(given["ads"])
         except ValueError as error:
             raise _error("ads=...", str(error)) from error
     request = RateRequest(**given)
@@ -175,9 +175,7 @@ def _problems(given: Mapping[str, Any]) -> Mapping[str, str]:
         "world": ""
         if isinstance(given["world"], World)
         else "expected an environment with its own traffic, pafot.World(...) or its id",
-        "ads": ""
-        if isinstance(ads, str) or callable(ads)
-        else "expected a factory, module:factory, or the name of a fixture",
+        "ads": "" if isinstance(ads, str) or callable(ads) else "expected a factory, or the name of a fixture",
         "episodes": "" if episodes is not None and episodes >= 1 else "expected a whole number, at least 1",
         "seed": "" if seed is not None and seed >= 0 else "expected a whole number, at least 0",
         "planner": "" if isinstance(given.get("planner", False), bool) else "expected True or False",

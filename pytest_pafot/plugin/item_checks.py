@@ -115,7 +115,7 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
     against = request.settings.against
     if isinstance(against, str) and ":" not in against and against not in item.fixturenames:  # type: ignore[attr-defined]
         raise RequestError(
-            f"against: expected module:factory[:argument], such as planner_before:make, received {against!r}; only "
+            f"against: expected module:factory, such as planner_before:make, received {against!r}; only "
             "@pafot.search(against=...) accepts the name of a fixture"
         )
 

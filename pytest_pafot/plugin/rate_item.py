@@ -32,16 +32,12 @@ class Rates:
         from pytest_pafot.episodes.rate_request import checked_rate  # noqa: PLC0415
         from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
         from pytest_pafot.plugin.own_session import session_ends_if_stuck  # noqa: PLC0415
-        from pytest_pafot.support.references import factory_named  # noqa: PLC0415
         from pytest_pafot.world import AdsFactoryError, WorldError  # noqa: PLC0415
 
         try:
             request = checked_rate(mark.kwargs, mark.args)
             ads = request.ads
-            if isinstance(ads, str):
-                factory = factory_named(ads) if ":" in ads else checked_factory(pyfuncitem.funcargs[ads], ads)
-            else:
-                factory = ads
+            factory = checked_factory(pyfuncitem.funcargs[ads], ads) if isinstance(ads, str) else ads
             with session_ends_if_stuck(pyfuncitem):
                 settings = resolve(pyfuncitem.config, {}, fresh_seed=0)
                 workers = 1 if is_worker(pyfuncitem.config) else settings.workers

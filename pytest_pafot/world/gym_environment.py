@@ -260,7 +260,12 @@ def _creator(env_id: str) -> Any:
     """Return the class of a registered environment, or the function that makes it."""
     if env_id not in gymnasium.registry:
         known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
-        near = [*filter(_derives, difflib.get_close_matches(env_id, gymnasium.registry))]
+        entries = ((name, spec.entry_point) for name, spec in gymnasium.registry.items())
+        homes = ((name, entry if isinstance(entry, str) else entry.__module__) for name, entry in entries)
+        # gymnasium's own environments would be refused.
+        near = difflib.get_close_matches(
+            env_id, [name for name, home in homes if not home.startswith("gymnasium.")], n=1
+        )
         meant = f"; did you mean {near[0]!r}?" if near else ""
         fix = (
             f"highway-env's straight roads are {', '.join(known)}; import the module that registers an environment of "
@@ -269,14 +274,6 @@ def _creator(env_id: str) -> Any:
         raise WorldError(field="env_id", expected="a registered environment", received=repr(env_id), fix=fix)
     entry_point = gymnasium.registry[env_id].entry_point
     return load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
-
-
-def _derives(env_id: str) -> bool:
-    """Return whether a registered environment is of a class that a world accepts."""
-    with suppress(Exception):  # Whatever its import raises, nobody is advised to use it.
-        creator = _creator(env_id)
-        return isinstance(creator, type) and issubclass(creator, AbstractEnv)
-    return False
 
 
 def _check_base(env_id: str, cls: type[Any]) -> None:
