@@ -223,8 +223,8 @@ def test_rate_names_the_command_that_draws_a_crash(here):
     code, told = ran(named_in(told, "see a crash: "))
     assert (code, "crashed after" in told) == (0, True), told
     assert [*here.glob("*.png")]
-    told = ran("python -m pytest_pafot rate --ads planner:Planner --world highway-fast-v0 --episodes 1")[1]
-    (given,) = re.findall(r"use (--ads \S+)", told)
+    told = ran("python -m pytest_pafot rate --ads 'planner:Planner:a b' --world highway-fast-v0 --episodes 1")[1]
+    (given,) = re.findall(r"use (--ads .+)", told)
     code, told = ran(f"python -m pytest_pafot rate {given} --world highway-fast-v0 --episodes 1")
     assert (code, "1 episode" in told) == (0, True), told
 

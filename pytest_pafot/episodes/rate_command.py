@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
 import tempfile
 import time
@@ -140,7 +141,8 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
         notes = [*rate.notes, *filter(None, [hint])]
         lines += [f"{rate.ads} in {plan.env_id}: {rate.sentence}", *(f"  {note}" for note in notes)]
         if not rate.episodes and "@" not in rate.ads:
-            lines.append(f"  for a planner in SI units, as for pafot.Highway, use --ads {rate.ads}@planner")
+            named = shlex.join(["--ads", f"{rate.ads}@planner"])
+            lines.append(f"  for a planner in SI units, as for pafot.Highway, use {named}")
     if len(rates) == 2:
         lines.append(Pair.of(*rates).sentence)
     crashed = next((rate for rate in rates if rate.crashed), None)
