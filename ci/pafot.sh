@@ -16,7 +16,7 @@
 #   RUNS, SEED    of each search
 #   LIMIT         seconds for all searches of a session
 #   BASE          the commit before the change; the policy of each test is compared with that of this commit
-#   AGAINST       another reference in place of BASE: rev:REVISION, or module:factory
+#   AGAINST       another reference in place of BASE: rev:REVISION, or module:factory[:argument]
 #   COPY          files and folders that the policy needs and git ignores, such as weights, with spaces between them
 #   STATE         the folder with the states of searches that go on
 #   BRANCH        the branch for finds, neither the default one nor that of HEAD; REMOTE has it (origin)

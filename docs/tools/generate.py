@@ -67,7 +67,7 @@ _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 MARKER_TEXTS: Mapping[str, str] = {
     "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`. The default is the value of the fixture "
     "`pafot_world`.",
-    "ads": "The name of the fixture that gives the ADS factory, or the factory itself.",
+    "ads": "The name of the fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
     "arg": "The parameter of the test function that receives the run.",
     "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or `pafot.Measure(...)`, '
     "`pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its `module:function`. By "
@@ -456,6 +456,8 @@ def _command_table(add: Callable[[argparse.ArgumentParser], None]) -> str:
     add(parser)
     rows = []
     for action in parser._actions:
+        if action.help == argparse.SUPPRESS:
+            continue
         value = (
             f"={'|'.join(map(str, action.choices))}" if action.choices else f"={action.metavar or action.dest.upper()}"
         )

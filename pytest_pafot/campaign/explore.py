@@ -31,6 +31,7 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.ways_out import command
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
 
@@ -65,7 +66,7 @@ class Exploration(Shown):
 
 
 def explore(  # noqa: PLR0913  (the arguments in which most searches differ)
-    ads: AdsFactory,
+    ads: AdsFactory | str,
     *,
     holds: Callable[[Run], None],
     world: Any = None,
@@ -83,7 +84,7 @@ def explore(  # noqa: PLR0913  (the arguments in which most searches differ)
     are identical.
 
     Args:
-        ads: the factory, called once for each run, or a highway-env vehicle class.
+        ads: the factory, called once for each run, its ``module:factory[:argument]``, or a highway-env vehicle class.
         holds: the property: a function that receives a :class:`~pytest_pafot.oracle.run.Run` and asserts, like a test
             function.
         world: the world, such as ``pafot.World("highway-v0")``; by default ``pafot.Highway()``.
@@ -196,5 +197,5 @@ def replays_of(
 def _no_session(file: Path, *what: object) -> NoReturn:
     raise RequestError(
         f"{file}: a process died in this scenario, and on a system that cannot fork processes only pytest can run it "
-        f"again without danger for this process; run `python -m pytest {file}`"
+        f"again without danger for this process; run `{command('pytest', file)}`"
     )

@@ -29,8 +29,8 @@ from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
-from pytest_pafot.searching.fitness import referred_to
 from pytest_pafot.support.errors import DriverError
+from pytest_pafot.support.references import factory_named, referred_to
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object, preload, weights_digest
@@ -75,12 +75,10 @@ def reference_of(
         )
     found: Any = given
     if isinstance(given, str):
-        module, *names = given.split(":", 2)
         try:
-            found = referred_to(f"{module}:{names[0]}") if names else fixture(given)
+            found = factory_named(given) if ":" in given else fixture(given)
         except ValueError as error:
             raise AgainstError(f"against: {error}") from error
-        found = partial(found, names[1]) if names[1:] and callable(found) else found
     if not callable(found):
         raise AgainstError(
             "against: expected a factory such as `lambda: OldPlanner()`, its name as module:factory, or the name of a "

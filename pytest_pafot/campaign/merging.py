@@ -21,6 +21,7 @@ from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.support.text import plural, visible
+from pytest_pafot.support.ways_out import flag
 
 # The result of merging the corpora of several machines is the simplest finding of each kind.
 #
@@ -149,7 +150,7 @@ def merge(replays: Replays, folders: Iterable[Path], owner: str) -> Merged:
     errors += [_conflict(group, harness.root) for group in result.conflicts]
     kept = {each.saved.path for group in (result.kept.values(), *result.conflicts) for each in group}
     old = {saved.path for saved in own if saved.path in failing}
-    verb = "to merge (--pafot-save=none)"
+    verb = f"to merge ({flag('save', 'none')})"
     if harness.request.settings.save != "none":
         errors += _write(result, harness.folder, old)
         verb = "merged"

@@ -16,6 +16,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pytest_pafot.corpus.layout import CORPUS
+from pytest_pafot.support.ways_out import flag
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
@@ -26,6 +27,9 @@ SEED_LIMIT = 2**63
 
 REVISION = "rev:"
 """The prefix of a reference that is a revision of the repository."""
+
+OF_COMMAND = "PYTEST_PAFOT_POLICY"
+"""The environment variable with the policy that a command names, for the pytest session that it starts."""
 
 AUTO = "auto"
 
@@ -61,7 +65,7 @@ class Option(NamedTuple):
     @property
     def flag(self) -> str:
         """The option's name on the command line, such as ``--pafot-max-time``."""
-        return f"--pafot-{self.name.replace('_', '-')}"
+        return flag(self.name)
 
     @property
     def key(self) -> str:
@@ -139,9 +143,9 @@ OPTIONS: tuple[Option, ...] = (
         "against",
         "text",
         "A reference, such as the policy before a change: rev:REVISION for the test's policy in another revision of "
-        "the repository, such as rev:main; or the module:factory of a second ADS; or in the mark also the factory or "
-        "the name of its fixture. A failure then counts only if the reference passes the same scenario; the reference "
-        "runs only if the ADS fails.",
+        "the repository, such as rev:main; or the module:factory[:argument] of a second ADS; or in the mark also the "
+        "factory or the name of its fixture. A failure then counts only if the reference passes the same scenario; the "
+        "reference runs only if the ADS fails.",
         or_class=True,
     ),
     Option(
@@ -332,10 +336,9 @@ class Settings:
         return self.generations != 0
 
     @property
-    def budget(self) -> str:
-        """The command-line options that request a search with the same number of runs or generations."""
-        given = ((BY_NAME[name].flag, getattr(self, name)) for name in BUDGETS)
-        return " ".join(f"{flag}={value}" for flag, value in given if value is not None)
+    def repeated(self) -> list[str]:
+        """The command-line options that request a search with the same number of runs or generations, and seed."""
+        return [flag(name, value) for name in (*BUDGETS, "seed") if (value := getattr(self, name)) is not None]
 
 
 def is_ci(environ: Mapping[str, str]) -> bool:

@@ -24,6 +24,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
@@ -222,7 +223,7 @@ class Recorder:
         """Save and report a scenario whose process died or hung; return its id. The numbers are as in :meth:`keep`."""
         alone = "" if lost.is_hang else ", also when nothing else ran"
         text = f"the {lost.who} that ran this scenario {lost.how}{alone}: "
-        text += cause(lost, "--pafot-workers=1 finds nothing here; delete the file")
+        text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
         origin = self._origin(generation, number)
         kept = self._saved(finding, _headline(lost), origin, PlainFailure(text), lost.is_hang)
@@ -267,7 +268,7 @@ class Recorder:
         problem = content = ""
         try:
             if self.harness.request.settings.save == "none":
-                problem = "--pafot-save=none"
+                problem = flag("save", "none")
             # Between the check and the write, another session may use the name for its own finding.
             while not problem and not write(path, finding):
                 other, renamed = free_path(self.harness.folder, finding, self.replayed)
@@ -303,7 +304,7 @@ def _headline(lost: LostRun) -> str:
 def cause(lost: LostRun, way_out: str) -> str:
     """Return why a process may have died or hung; with ``way_out``, what to do if the scenario is not the cause."""
     if lost.how == OUT_OF_MEMORY:
-        return "the ADS uses more and more memory, or needs that much (then give a larger --pafot-memory)"
+        return f"the ADS uses more and more memory, or needs that much (then give a larger {flag('memory')})"
     if lost.how == WORLD_HANGS:
         return f"the world hangs, or needs that long (then give it a longer hang_limit and {way_out})"
     if not lost.is_hang:

@@ -18,9 +18,12 @@ from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample, space_on
 from pytest_pafot.support.errors import plain_number
+from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.text import shown
-from pytest_pafot.world import Highway, WorldError, protocol
+from pytest_pafot.support.ways_out import flag
+from pytest_pafot.world import Highway, World, WorldError, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
+from pytest_pafot.world.validation import OTHER_KIND
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts")
@@ -109,6 +112,10 @@ class Request:
     space: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a SearchSpace
     place: str = "@pafot.search"  # where the arguments are, for messages
 
+    def option(self, name: str, value: object = None) -> str:
+        """Return an option as the user gives it to this search: on the command line, or as an argument in a script."""
+        return flag(name, value) if self.place.startswith("@") else f"{name}={'...' if value is None else repr(value)}"
+
     def error(self, arguments: str, problem: object) -> RequestError:
         """Return an error about one or more arguments, which are written like ``world=...``."""
         return RequestError(f"{self.place}({arguments}): {problem}")
@@ -125,6 +132,11 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     except ValueError as error:
         raise RequestError(str(error)) from error
     own = {name: arguments[name] for name in ("ads", "arg", "blame", "decision_limit", "world") if name in arguments}
+    if isinstance(own.get("ads"), str) and ":" in own["ads"]:
+        try:
+            own["ads"] = factory_named(own["ads"])
+        except ValueError as error:
+            raise RequestError(f"{place}(ads=...): {error}") from error
     request = Request(
         settings=settings,
         algorithm=algorithm,
@@ -307,11 +319,17 @@ def _checked_world(request: Request, world: Any, origin: str) -> Any:
 
 
 def hint_at_world(given: Any) -> str:
-    """Return a hint at ``pafot.World`` if the user gave an environment or its id as world; otherwise an empty text."""
+    """Return the way out for what is no world: ``pafot.World`` if it accepts the environment, else an own world."""
     spec = getattr(given, "spec", None)  # set on an environment that gymnasium made
     env_id = given if isinstance(given, str) else getattr(spec, "id", None)
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
-    return f'; did you mean pafot.World("{env_id}"{config})?' if isinstance(env_id, str) else ""
+    if isinstance(given, type) and hasattr(given, "rollout"):
+        return f"; call it: {given.__name__}(...)"
+    try:
+        World(env_id or "").environment.make()
+    except WorldError:
+        return f"; write {OTHER_KIND}"
+    return f'; did you mean pafot.World("{env_id}"{config})?'
 
 
 def _is_name(value: object) -> bool:

@@ -13,7 +13,6 @@ from typing import Any
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import FLAG, Answer, Counts, EarlierFind, StateFile, state_path
@@ -25,10 +24,11 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
 from pytest_pafot.searching.campaign import Checkpoint
 from pytest_pafot.searching.events import Evaluated
-from pytest_pafot.searching.fitness import referred_to
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
+from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
@@ -91,8 +91,8 @@ class RandomBeginning:
                     self.otherwise += not is_at_fault
 
 
-MAX_SAVED = BY_NAME["max_saved"].flag
-SAVES_NONE = f"{BY_NAME['save'].flag}=none"
+MAX_SAVED = flag("max_saved")
+SAVES_NONE = flag("save", "none")
 
 
 def check_states(resume: str, here: Path) -> None:

@@ -15,6 +15,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import visible
+from pytest_pafot.support.ways_out import command
 from pytest_pafot.world import WorldError, WorldLike, codec, protocol
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.guard.own_worlds import rollout_of
@@ -92,7 +93,7 @@ class SavedScenario(Shown):
         """
         if self.expect.is_crash:
             expected, received = "a scenario that does not end its process", "a scenario in which a process died"
-            fix = f"run `python -m pytest {self.path}`, which runs it in a separate process"
+            fix = f"run `{command('pytest', self.path)}`, which runs it in a separate process"
             raise CorpusError(self.path, expected, received, fix, field="expect.failure")
         if world is None:
             world = self.world

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchStarted, SearchSummary
 from pytest_pafot.campaign.harness import Harness, Simulation, refusals
-from pytest_pafot.campaign.options import BY_NAME, FULL, LOCAL, PROFILES, Settings
+from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.recorder import Recorder, difference
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError, build_space
@@ -37,6 +37,7 @@ from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.campaign import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
+from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import loading_hint
 from pytest_pafot.world.driving.perception import sight_of
@@ -52,7 +53,7 @@ RUNS_TO_CONFIRM = 4
 The scenario is run, run again, and run in highway-env's own environment, which takes about as long as two runs.
 """
 
-AFTER_A_DEATH = "ran as with --pafot-isolate, since a process died in this search before"
+AFTER_A_DEATH = f"ran as with {flag('isolate')}, since a process died in this search before"
 
 
 def search_seed(base_seed: int, node_id: str) -> int:
@@ -76,11 +77,11 @@ def time_limit(settings: Settings, *, now: float, began: float, left: int) -> Ti
         began: the time at which the session began [s].
         left: the number of searches, including this search, that share the remaining time of the session equally.
     """
-    own = TimeLimit(BY_NAME["max_time"].flag, now + (math.inf if settings.max_time is None else settings.max_time))
+    own = TimeLimit(flag("max_time"), now + (math.inf if settings.max_time is None else settings.max_time))
     if settings.total_time is None:
         return own
     share = max(0.0, began + settings.total_time - now) / left
-    return min(own, TimeLimit(BY_NAME["total_time"].flag, now + share), key=lambda limit: limit.until)
+    return min(own, TimeLimit(flag("total_time"), now + share), key=lambda limit: limit.until)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,7 +205,7 @@ class Search:
                 until=self.limit.until,
             )
             try:
-                work.run_all(f"; {BY_NAME['resume'].flag} goes on" if self.sessions.go_on else "")
+                work.run_all(f"; {flag('resume')} goes on" if self.sessions.go_on else "")
             finally:  # Even after Ctrl-C, findings that were simplified must not be simplified again.
                 self._shrink_runs = work.runs
                 self.driver_notes += work.notes
@@ -424,15 +425,16 @@ class Search:
 
     def _left_undone(self, reason: str) -> Iterator[str]:
         """Yield notes on what the search left undone, and how to continue."""
-        settings, recorder = self.harness.request.settings, self.loop.recorder
+        request, recorder = self.harness.request, self.loop.recorder
+        settings = request.settings
         is_broken_off = reason in ("interrupted", "error")
         firm = [kept for kept in recorder.kept.values() if kept.is_firm]
         left = [kept for kept in firm if (kept.finding.shrunk is None if is_broken_off else kept.find.unshrunk)]
         if left and settings.shrink_rollouts != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete its files and " if any(kept.file for kept in left) else ""
-            again = f"{first}search again with --pafot-seed={settings.seed}"
-            resume = BY_NAME["resume"].flag
+            again = f"{first}search again with {request.option('seed', settings.seed)}"
+            resume = request.option("resume", settings.resume or "FOLDER")
             if not is_broken_off:
                 how = f"{resume} goes on" if self.sessions.go_on else f"{again} and more time, or with {resume}"
                 yield f"{self.limit.flag} ended before {what} shrunk: {how}"
@@ -440,7 +442,8 @@ class Search:
                 yield f"ended before {what} shrunk: {again}"
         is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
         if is_default and reason == ALL_RUN and not self.loop.verdicts["failed"] and not recorder.count:
-            yield f"{settings.runs} runs are a short search; use --pafot-runs={PROFILES[FULL]['runs']} for a longer one"
+            longer = request.option("runs", PROFILES[FULL]["runs"])
+            yield f"{settings.runs} runs are a short search; use {longer} for a longer one"
 
 
 def _population(given: int | None) -> dict[str, int]:

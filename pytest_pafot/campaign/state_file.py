@@ -18,7 +18,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
-from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus.layout import safe_name
 from pytest_pafot.findings.shrink import Start
@@ -33,6 +32,7 @@ from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.support.errors import FieldError
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
+from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import codec
 
 VERSION = 4
@@ -51,7 +51,7 @@ So writing takes at most 2 % of the session. The time to convert new runs to tex
 converted only once.
 """
 
-FLAG = BY_NAME["resume"].flag
+FLAG = flag("resume")
 ANEW = f"delete the file to start the search from scratch, or give another folder with {FLAG}"
 PARTS = ("version", "settings", "algorithm", "sums", "begun", "counts", "remembered")
 

@@ -22,6 +22,7 @@ from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.execution.revision_policy import mapped
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.text import one_line, plural, visible
+from pytest_pafot.support.ways_out import command
 
 TOLD = "PYTEST_PAFOT_BISECT"
 """The environment variable that passes paths to the pytest session in which a commit is tried."""
@@ -90,7 +91,7 @@ def _bisect(arguments: argparse.Namespace) -> int:
             history, tree, tree / here.relative_to(history.root), tree / file, arguments.timeout, arguments.any_pass
         )
         if trials.passes(bad) is not False:
-            hint = "commit your changes" if dirty else "try `python -m pytest FILE`, or another --bad"
+            hint = "commit your changes" if dirty else f"try `{command('pytest', found)}`, or another --bad"
             hint = hint if trials.passes(bad) else f"{hint}; files that git ignores need --copy, a slow test --timeout"
             raise HistoryError(f"expected --bad to fail as the file says, received: {trials.why(bad)}; {hint}")
         for start, name in ((good, "--good"), (history.parents(commits[0])[0], "the commit before these")):

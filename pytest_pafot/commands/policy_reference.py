@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import difflib
-import functools
-import importlib
-import keyword
-import os
+import importlib.util
 import pkgutil
-import traceback
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.source_files import source_digests
-from pytest_pafot.support.text import one_line
 from pytest_pafot.world.driving.ads import weights_digest
 
 BAD_USE = 2
@@ -33,9 +28,6 @@ ABOUT_POLICIES = (
 )
 """The text on policies in the help of commands."""
 
-MOST_NAMES = 8
-"""The largest number of a module's names that an error lists."""
-
 
 class PlanError(ValueError):
     """An error for wrong arguments of a command. The message says what was expected and what to do."""
@@ -52,41 +44,35 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
     Raises:
         PlanError: if there is no such factory.
     """
-    parts = reference.split(":")
-    if len(parts) > 3 or not all(parts):
-        raise PlanError(
-            f"{option}: expected the name of a module in {EXAMPLES}, module:factory or module:factory:argument, "
-            f"received {reference!r}"
-        )
-    module_name = _module_name(reference)
-    try:
-        module = _imported(module_name)
-    except ModuleNotFoundError as error:
-        if len(parts) == 1 and EXAMPLES in (error.name or ""):
-            names = (each.name for each in pkgutil.iter_modules(_imported(EXAMPLES).__path__))
-            others = ("conftest", "defects")  # the factory of the second needs an argument
-            policies = [name for name in names if name not in others and not name.startswith("test_")]
+    if ":" not in reference:
+        examples = importlib.import_module(_package_of_examples())
+        names = [each.name for each in pkgutil.iter_modules(examples.__path__)]
+        others = ("conftest", "defects")  # the factory of the second needs an argument
+        policies = [name for name in names if name not in others and not name.startswith("test_")]
+        if reference not in names:
             near = difflib.get_close_matches(reference, policies, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise PlanError(
                 f"{option}: expected one of {', '.join(policies)}, or module:factory for your own policy, "
                 f"received {reference!r}{hint}"
-            ) from None
-        is_file = module_name.endswith(".py")
-        dotted = reference.replace(module_name, module_name.removesuffix(".py").replace("/", "."))
-        raise PlanError(
-            f"{option}: expected a module that can be imported, received {reference!r} ({error}); "
-            + (f"give {dotted}" if is_file else "run the command in the folder of the module, or give module:factory")
-        ) from None
-    except Exception as error:
-        received = f"{reference!r}, which raises {described(error)}"
-        raise PlanError(f"{option}: expected a module that can be imported, received {received}; correct it") from error
-    factory = getattr(module, parts[1] if len(parts) > 1 else "make", None)
-    if not callable(factory):
-        own = [name for name, each in vars(module).items() if getattr(each, "__module__", "") == module_name]
-        fix = f"; it has {', '.join(own[:MOST_NAMES])}" if own else ""
-        raise PlanError(f"{option}: expected {what} in {module_name}, received {reference!r}, which is none{fix}")
-    return functools.partial(factory, parts[2]) if len(parts) == 3 else factory
+            )
+    try:
+        return factory_named(whole_name(reference), what)
+    except ValueError as error:
+        raise PlanError(f"{option}: {error}") from error
+
+
+def whole_name(reference: str) -> str:
+    """Return module:factory, with its argument if it has one, for a name that :func:`ads_factory` accepts.
+
+    An example policy is that of the clone in which the command runs, else the one that is installed.
+    """
+    name = reference if ":" in reference else f"{EXAMPLES}.{reference}:make"
+    return f"{_package_of_examples()}{name.removeprefix(EXAMPLES)}" if name.startswith(f"{EXAMPLES}.") else name
+
+
+def _package_of_examples() -> str:
+    return EXAMPLES if importlib.util.find_spec(EXAMPLES) else f"pytest_pafot.{EXAMPLES}"
 
 
 def check_function(reference: str) -> Callable[..., Any]:
@@ -95,22 +81,9 @@ def check_function(reference: str) -> Callable[..., Any]:
     Raises:
         PlanError: if there is no such function.
     """
-    parts = reference.split(":")
-    if len(parts) != 2 or not parts[1].isidentifier() or keyword.iskeyword(parts[1]):
+    if reference.count(":") != 1:
         raise PlanError(f"--check: expected the name module:function of a function of a run, received {reference!r}")
     return ads_factory(reference, "--check", "a function of a run")
-
-
-def described(error: BaseException, folder: Path | None = None) -> str:
-    """Describe an exception of the user's code in one line: its class, its message and its place.
-
-    Paths below ``folder``, if there is one, are relative to it.
-    """
-    frames = traceback.extract_tb(error.__traceback__)
-    prefix = "" if folder is None else f"{folder}{os.sep}"
-    text = one_line("".join(traceback.format_exception_only(error)).replace(prefix, ""))
-    has_place = isinstance(error, SyntaxError) or not frames  # the message of a SyntaxError names the place
-    return text if has_place else f"{text} ({frames[-1].filename.removeprefix(prefix)}:{frames[-1].lineno})"
 
 
 def identity(reference: str) -> dict[str, Any]:
@@ -124,13 +97,8 @@ def identity(reference: str) -> dict[str, Any]:
         AdsFactoryError: if the weights cannot be read.
     """
     factory = ads_factory(reference)
-    code = source_digests(_imported(_module_name(reference)), factory, here=Path.cwd())
+    code = source_digests(importlib.import_module(whole_name(reference).partition(":")[0]), factory, here=Path.cwd())
     return {"weights": weights_digest(factory), "code": code}
-
-
-def module_of(reference: str) -> str:
-    """Return the importable name of a policy's module, for a name that :func:`ads_factory` accepts."""
-    return _imported(_module_name(reference)).__name__
 
 
 def caution(references: Iterable[str]) -> str:
@@ -143,18 +111,3 @@ def caution(references: Iterable[str]) -> str:
         "files are known to be the same: if the policy was trained since then, or reads a file that has changed, give "
         "another --out"
     )
-
-
-def _module_name(reference: str) -> str:
-    name, colon, _ = reference.partition(":")
-    return name if colon else f"{EXAMPLES}.{name}"
-
-
-def _imported(module_name: str) -> ModuleType:
-    """Import a module. An example policy is imported from the clone in which the command runs, else as installed."""
-    try:
-        return importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name != EXAMPLES:
-            raise
-        return importlib.import_module(f"pytest_pafot.{module_name}")

@@ -17,9 +17,6 @@ from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.execution.revision_policy import PACKAGE, RevisionError, RevisionPolicy
 from pytest_pafot.support.text import visible
 
-OF_COMMAND = "PYTEST_PAFOT_POLICY"
-"""The environment variable with the policy that a command names, for the pytest session that it starts."""
-
 PROCESS = "pytest_pafot.commands.revision_process"
 """The module whose ``main`` is the process of a policy that a command names."""
 

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.harness import name_of
-from pytest_pafot.commands.policy_reference import PlanError, ads_factory, described
+from pytest_pafot.commands.policy_reference import PlanError, ads_factory
 from pytest_pafot.execution.pool import IGNORED, portable, sendable
 from pytest_pafot.execution.revision_policy import PACKAGE, STUCK, RevisionError, RevisionPolicy, mapped
+from pytest_pafot.support.references import described
 from pytest_pafot.support.source_files import is_users, source_files
 from pytest_pafot.support.text import one_line, visible
 from pytest_pafot.world.driving.ads import preload

@@ -7,6 +7,7 @@ of ``--write-test`` finds them, so they are its regression tests.
 from __future__ import annotations
 
 import argparse
+import keyword
 import os
 import shlex
 import signal
@@ -15,8 +16,9 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from pytest_pafot.campaign.options import BY_NAME, REVISION
+from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, REVISION
 from pytest_pafot.campaign.request import BLAMES
 from pytest_pafot.commands.policy_reference import (
     ABOUT_POLICIES,
@@ -24,14 +26,16 @@ from pytest_pafot.commands.policy_reference import (
     PlanError,
     ads_factory,
     check_function,
-    module_of,
+    whole_name,
 )
-from pytest_pafot.commands.revision import OF_COMMAND
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.support.ways_out import OF_SEARCH, flag
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
+OWN = ("runs", "seed", "report", "against")
+"""The options of pytest that have a short name here."""
 TESTS_FAILED, USAGE_ERROR = 1, 4
 """Exit codes of pytest. They are copied, because importing pytest would slow down the help of commands."""
 LAST_SECONDS = 30
@@ -50,26 +54,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_traffic = "how the other vehicles drive (default: hostile)"
     parser.add_argument("--traffic", choices=STYLES, help=of_traffic)
     of_runs = "the number of runs (default: 40, or 400 if the variable CI is set)"
-    parser.add_argument("--runs", type=BY_NAME["runs"].read, metavar="N", help=of_runs)
+    parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
     of_seed = "the seed of the search (default: a new one, which the output names, or 0 if the variable CI is set)"
-    parser.add_argument("--seed", type=BY_NAME["seed"].read, metavar="N", help=of_seed)
+    parser.add_argument("--seed", flag("seed"), type=BY_NAME["seed"].read, metavar="N", help=of_seed)
     of_blame = "which collisions are failures: any; those for which the ego is responsible; or, of these, those that a "
     of_blame += "reference driver prevents (default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
     of_against = f"count only failures that a reference passes: {REVISION}REVISION for ADS in another revision of the "
     of_against += f"repository, such as {REVISION}main, or module:factory[:argument]"
-    parser.add_argument("--against", metavar="REFERENCE", help=of_against)
+    parser.add_argument("--against", flag("against"), metavar="REFERENCE", help=of_against)
     of_copy = f"with --against {REVISION}REVISION, files and folders that ADS needs and git ignores, such as weights"
     parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
     of_check = "a function of a run, which asserts what must hold (default: that there is no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     of_report = "the web page of the findings (default: %(default)s)"
-    parser.add_argument("--report", type=BY_NAME["report"].read, metavar="FILE", default=PAGE, help=of_report)
+    parser.add_argument(
+        "--report", flag("report"), type=BY_NAME["report"].read, metavar="FILE", default=PAGE, help=of_report
+    )
     of_test = f"do not search, but write {CONFTEST} and {TEST} here, with which `pytest` searches and replays findings"
     parser.add_argument("--write-test", action="store_true", help=of_test)
+    parser.add_argument(flag("corpus"), dest="corpus", default=CORPUS, help=argparse.SUPPRESS)
+    # Messages of the session name options of pytest. All that do something in a search are options here, too.
+    for option in OPTIONS:
+        if option.name not in (*OWN, "corpus", "prune", "allow_orphans"):
+            given: dict[str, Any] = {"nargs": 0 if option.kind == "switch" else None, "help": argparse.SUPPRESS}
+            parser.add_argument(option.flag, action=_ForPytest, dest="options", default=[], **given)
+    of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too."
     of_exit = "The exit code is 1 if the search has found something or failed, 2 for wrong arguments, else 0."
-    parser.epilog = f"{ABOUT_POLICIES} {of_exit}"
+    parser.epilog = f"{ABOUT_POLICIES} {of_others} {of_exit}"
     parser.usage = "%(prog)s ADS [option ...] [-- option of pytest ...]"
+
+
+class _ForPytest(argparse.Action):
+    """An option that the session gets as it is."""
+
+    def __call__(self, _: object, namespace: argparse.Namespace, value: Any, name: str | None = None) -> None:
+        namespace.options = [*namespace.options, str(name) if value == [] else f"{name}={value}"]
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
@@ -80,20 +100,27 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         files = {CONFTEST: _conftest(arguments), TEST: _test(arguments)}
         if arguments.write_test:
             return _written(here, files)
+        against = arguments.against
+        if against is not None and not against.startswith(REVISION):
+            ads_factory(against, "--against")
+            against = whole_name(against)
     except PlanError as error:
         sys.stderr.write(f"search: {error}\n")
         return BAD_USE
-    given = {"--pafot-runs": arguments.runs, "--pafot-seed": arguments.seed, "--pafot-report": arguments.report}
-    given |= {"--pafot-against": arguments.against, "--pafot-copy": shlex.join(arguments.copy) or None}
-    options = [f"{name}={value}" for name, value in given.items() if value is not None]
+    given = {name: getattr(arguments, name) for name in OWN}
+    given |= {"against": against, "copy": shlex.join(arguments.copy) or None}
+    given["corpus"] = corpus = here / arguments.corpus  # The tests are not in this folder.
+    options = [f"{flag(name)}={value}" for name, value in given.items() if value is not None]
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
         for name, text in {**files, "pytest.ini": NO_TESTS}.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
-        fixed = [f"--rootdir={folder}", f"--pafot-corpus={here / CORPUS}", "-pno:cacheprovider", "-rN"]
-        session = [sys.executable, "-m", "pytest", folder, *fixed, *options, *arguments.pytest]
-        code = _code_of(session, {**os.environ, OF_COMMAND: arguments.ads})
-    if code == TESTS_FAILED and files_below(here / CORPUS):
-        kept = f"and commit {CONFTEST}, {TEST} and {CORPUS}/; `pytest FILE` needs them, too"
+        fixed = [f"--rootdir={folder}", "-pno:cacheprovider", "-rN"]
+        session = [sys.executable, "-m", "pytest", folder, *fixed, *options, *arguments.options, *arguments.pytest]
+        environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
+        code = _code_of(session, {**os.environ, **environ})
+    if code == TESTS_FAILED and files_below(corpus):
+        replay = "pytest FILE" if arguments.corpus == CORPUS else f"pytest FILE {flag('corpus', corpus)}"
+        kept = f"and commit {CONFTEST}, {TEST} and {arguments.corpus}/; `{replay}` needs them, too"
         own = command[: command.index("--")] if "--" in command else command
         again = [*own, "--write-test"]
         sys.stdout.write(f"keep it as a test: {shlex.join(again)}, {kept}\n")
@@ -146,10 +173,10 @@ def _written(here: Path, files: dict[str, str]) -> int:
 def _conftest(arguments: argparse.Namespace) -> str:
     """Return the content of the conftest.py with the fixture of the policy."""
     ads_factory(arguments.ads, "ADS")
-    _, name, *argument = f"{arguments.ads}{'' if ':' in arguments.ads else ':make'}".split(":")
-    made = f"lambda: {name}({argument[0]!r})" if argument else name
+    module, name, *argument = whole_name(arguments.ads).split(":", 2)
+    made = f"lambda: factory({argument[0]!r})" if argument else "factory"
     return (
-        f"import pytest\n{_import(module_of(arguments.ads), name)}\n\n"
+        f"import pytest\n{_import(module, name, 'factory', 'ADS')}\n\n"
         f"@pytest.fixture\ndef ads():  # a factory: one fresh policy per scenario\n    return {made}\n"
     )
 
@@ -164,13 +191,21 @@ def _test(arguments: argparse.Namespace) -> str:
         name = "never_in_a_collision"
     if arguments.check is not None:
         check_function(arguments.check)
-        function = arguments.check.partition(":")[2]
-        name, holds, imports = function, f"{function}(run)", _import(module_of(arguments.check), function)
+        module, name = arguments.check.split(":")
+        holds, imports = "holds(run)", _import(module, name, "holds", "--check")
     name = name if name.startswith("test") else f"test_{name}"
     return (
         f"import pytest_pafot as pafot\n{imports}\n\n@pafot.search({', '.join(given)})\ndef {name}(run):\n    {holds}\n"
     )
 
 
-def _import(module: str, name: str) -> str:
-    return f"from {module} import {name}\n"
+def _import(module: str, name: str, alias: str, option: str) -> str:
+    """Return the import of a function. Its alias hides no fixture, and is no test or hook for pytest."""
+    if module in (Path(CONFTEST).stem, Path(TEST).stem):
+        received = f"{module}:{name}, in a file of the search itself"
+        raise PlanError(f"{option}: expected a module other than {CONFTEST} and {TEST}, received {received}; rename it")
+    for part in (*module.split("."), name):
+        if not part.isidentifier() or keyword.iskeyword(part):
+            received = f"{part!r} in {module}:{name}"
+            raise PlanError(f"{option}: expected names that `import` takes, received {received}; rename it")
+    return f"from {module} import {name} as {alias}\n"

@@ -21,6 +21,7 @@ from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, ScenarioError
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.searching.space import space_on
 from pytest_pafot.support.files import write_whole
+from pytest_pafot.support.ways_out import install
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import road_start
 
@@ -113,7 +114,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if missing:
             raise PlanError(
                 f"expected the library {missing} for the report, received a Python without it; "
-                "run `pip install 'pytest-pafot[compare]'`"
+                f"run `{install('compare')}`"
             )
         folder = Path(arguments.out)
         results = run_all(plan, folder, workers=workers, told=sys.stderr, clock=time.monotonic)

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 from pytest_pafot.commands.policy_reference import PlanError, ads_factory, identity
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.fitness import referred_to, resolve
+from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pytest_pafot.corpus.layout import SUFFIX, files_below, files_in
 from pytest_pafot.support.text import visible
+from pytest_pafot.support.ways_out import command
 
 if TYPE_CHECKING:  # sessions without saved scenarios do not import findings
     from pytest_pafot.findings.finding import Finding
@@ -84,7 +85,11 @@ def named_file(given: str) -> Path:
         fix = f"give one of the files: {', '.join(map(str, found))}"
         raise CorpusError(path, expected, f"an id that {len(found)} files have", fix)
     near = [each for each in files.values() if name in each] or difflib.get_close_matches(name, files.values())
-    fix = f"did you mean {' or '.join(near[:3])}?" if near else "`python -m pytest_pafot corpus list` lists the files"
+    fix = (
+        f"did you mean {' or '.join(near[:3])}?"
+        if near
+        else f"`{command('pytest_pafot', 'corpus', 'list')}` lists the files"
+    )
     raise CorpusError(path, expected, "no such file or id", fix)
 
 

@@ -15,6 +15,7 @@ from pytest_pafot.corpus.yaml_document import MAX_BYTES
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.support.files import way_out, write_if_free, write_whole
+from pytest_pafot.support.ways_out import flag
 
 T = TypeVar("T")
 
@@ -102,5 +103,5 @@ def _written(path: Path, finding: Finding, write: Callable[[Path, bytes], T]) ->
     try:
         return write(path, content)
     except OSError as error:
-        fix = way_out(error, "or choose another folder with --pafot-corpus")
+        fix = way_out(error, f"or choose another folder with {flag('corpus')}")
         raise CorpusWriteError(path, error.strerror or str(error), fix) from error

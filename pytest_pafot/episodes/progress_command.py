@@ -33,7 +33,6 @@ from pytest_pafot.commands.policy_reference import (
     PlanError,
     ads_factory,
     check_function,
-    described,
 )
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
 from pytest_pafot.commands.revision import PROCESS, revision_at
@@ -52,8 +51,10 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.support.files import way_out, write_whole
+from pytest_pafot.support.references import described
 from pytest_pafot.support.text import csv_text
 from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.ways_out import command
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import first_decision, reference_world, road_start
 
@@ -368,7 +369,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         lines = lines_of(rows)
         verdict, sentence, shown = verdict_of(lines), same_as, f"{same_as}\n"
         if not same_as:
-            sentence, shown = sentence_of(old, plan.new, lines), f"{text_of(old, plan.new, rows)}{_hint(plan, rows)}"
+            sentence = sentence_of(old, plan.new, lines)
+            shown = f"{text_of(old, plan.new, rows)}{_hint(plan, rows, given.copy)}"
         shown += "".join(["\n", *(f"- {line}\n" for line in both)]) if both else ""
         sys.stdout.write(shown)
         if given.json is not None:
@@ -416,7 +418,7 @@ def _compared(plan: ProgressPlan, workers: int) -> list[PairRow]:
     return [PairRow.of_data(json.loads(each["row"])) for each in csv.DictReader(io.StringIO(results))]
 
 
-def _hint(plan: ProgressPlan, rows: Sequence[PairRow]) -> str:
+def _hint(plan: ProgressPlan, rows: Sequence[PairRow], copy: Sequence[str]) -> str:
     """Return the command that saves and explains failures that only the new policy has; empty without them."""
     if not any(row.part == "alone" and row.new.failed for row in rows) or plan.config is not None:
         return ""
@@ -424,4 +426,5 @@ def _hint(plan: ProgressPlan, rows: Sequence[PairRow]) -> str:
     given = ["--world", plan.env_id] if isinstance(plan.world, World) else []
     given += [] if plan.check is None else ["--check", plan.check]
     given += ["--runs", str(plan.scenarios), "--seed", str(plan.seed), "--against", old]
-    return f"\nsave and see it: `{shlex.join(['python', '-m', 'pytest_pafot', 'search', new, *given])}`\n"
+    given += ["--copy", *copy] if copy else []
+    return f"\nsave and see it: `{command('pytest_pafot', 'search', new, *given)}`\n"

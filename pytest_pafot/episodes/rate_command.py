@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import shlex
 import sys
 import tempfile
 import time
@@ -23,6 +24,7 @@ from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.proportions import CONFIDENCE, interval
 from pytest_pafot.support.text import plural, quiet_json
+from pytest_pafot.support.ways_out import command
 from pytest_pafot.world import AdsFactoryError, WorldError
 from pytest_pafot.world.driving.ads import loading_hint
 
@@ -222,14 +224,15 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
         notes = [*rate.notes, *filter(None, [hint])]
         lines += [f"{rate.ads} in {plan.env_id}: {rate.sentence}", *(f"  {note}" for note in notes)]
         if not rate.episodes and "@" not in rate.ads:
-            lines.append(f"  for a planner in SI units, as for pafot.Highway, use --ads {rate.ads}@planner")
+            named = shlex.join(["--ads", f"{rate.ads}@planner"])
+            lines.append(f"  for a planner in SI units, as for pafot.Highway, use {named}")
     if len(rates) == 2:
         lines.append(Pair.of(*rates).sentence)
     crashed = next((rate for rate in rates if rate.crashed), None)
     if crashed is not None:
-        config = "" if arguments.config is None else f" --config '{arguments.config}'"
-        again = f"--ads {crashed.ads} --world {plan.env_id}{config} --episode {crashed.crashed[0]}"
-        lines.append(f"see a crash: python -m pytest_pafot rate {again}")
+        config = [] if arguments.config is None else ["--config", arguments.config]
+        again = ["--ads", crashed.ads, "--world", plan.env_id, *config, "--episode", crashed.crashed[0]]
+        lines.append(f"see a crash: {command('pytest_pafot', 'rate', *again)}")
     return "\n".join(lines) + "\n"
 
 

@@ -16,6 +16,8 @@ from pytest_pafot.execution.pool import GRACE, WorkerPool
 from pytest_pafot.execution.scenario_pool import METHOD, ExecutionError, check_can_be_given
 from pytest_pafot.support.errors import plain_number, plain_whole
 from pytest_pafot.support.proportions import percent
+from pytest_pafot.support.references import factory_named
+from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.ads import preload
 
@@ -74,7 +76,7 @@ class RateRequest:
         try:
             check_can_be_given(work)
         except ExecutionError as error:
-            raise RequestError(f"--pafot-isolate: {error}") from None
+            raise RequestError(f"{flag('isolate')}: {error}") from None
         preload(factory)
         patience = self.world.hang_limit + GRACE
         with WorkerPool[int, EpisodeRow](work, min(workers, len(seeds)), method=METHOD, patience=patience) as pool:
@@ -127,6 +129,11 @@ def checked_rate(arguments: Mapping[str, Any], positional: Sequence[object] = ()
     for name, problem in _problems(given).items():
         if problem:
             raise _error(f"{name}=...", f"{problem}, received {given[name]!r:.200}")
+    if isinstance(given.get("ads"), str) and ":" in given["ads"]:
+        try:
+            given["ads"] = factory_named(given["ads"])
+        except ValueError as error:
+            raise _error("ads=...", str(error)) from error
     request = RateRequest(**given)
     if request.confidence is not None:
         needed = math.ceil(math.log(1 - request.confidence) / math.log1p(-request.at_most)) if request.at_most else None

@@ -31,9 +31,10 @@ from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun, Timed, recovery_note, timed
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.ways_out import flag, install
 from pytest_pafot.world import protocol
 
-INSTALL = "pip install 'pytest-pafot[dask]'"
+INSTALL = install("dask")
 TASK_SECONDS = 0.02
 """The target duration of a task, which is long compared with its overhead of a few milliseconds [s]."""
 MOST = 20
@@ -189,14 +190,14 @@ def dask_executor(address: str, *, timeout: float = 10.0) -> Iterator[Executor]:
     try:
         from distributed import Client  # noqa: PLC0415  (an optional dependency)
     except ImportError:
-        raise ExecutionError(f"--pafot-dask: expected the package distributed, received none; {INSTALL}") from None
+        raise ExecutionError(f"{flag('dask')}: expected the package distributed, received none; {INSTALL}") from None
     with ExitStack() as stack:
         try:
             client = stack.enter_context(Client(address, timeout=timeout, set_as_default=False))
             workers = client.run(pickle.loads, pickle.dumps(_Call(_difference, versions_here())))
         except Exception as error:  # noqa: BLE001  (any network error, or a worker without a package)
             raise ExecutionError(
-                f"--pafot-dask={address}: expected a scheduler that answers, with workers that have the "
+                f"{flag('dask', address)}: expected a scheduler that answers, with workers that have the "
                 f"packages of this session, received {type(error).__name__}: {error}"
             ) from None
         for difference in filter(None, workers.values()):

@@ -28,6 +28,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
+from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)
@@ -44,7 +45,7 @@ shorter than :data:`GRACE`, because only that process ends and not the session."
 FAREWELL = 2.0
 """The time that a process gets to end by itself, together with the processes that its libraries started [s]."""
 
-OUT_OF_MEMORY = "ran out of the memory that it may use (--pafot-memory)"
+OUT_OF_MEMORY = f"ran out of the memory that it may use ({flag('memory')})"
 """The words for the end of a process in which an allocation of memory failed."""
 
 WORLD_HANGS = "was ended, because its world neither asked the ADS nor ended the run for very long"

@@ -22,6 +22,7 @@ from pytest_pafot.execution.scenario_pool import (
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.text import plural
+from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import Highway
 from pytest_pafot.world.guard.own_worlds import simulate_batch
 
@@ -58,7 +59,7 @@ class LockStep:
     def notes(self) -> list[str]:
         """The note on why processes were not used although the user requested them; empty if not requested."""
         why = "since the ADS decides for many runs at once, by its `batch`"
-        return [] if self._workers == 1 else [f"--pafot-workers={self._workers}: not in use, {why}"]
+        return [] if self._workers == 1 else [f"{flag('workers', self._workers)}: not in use, {why}"]
 
     def announce(self, scenarios: Iterable[Scenario]) -> None:
         """Announce the next scenarios; runs of earlier announcements that were not taken are dropped."""
@@ -105,14 +106,14 @@ class Processes:
     def notes(self) -> list[str]:
         """Notes on the use of processes if the user requested them; complete after the processes have ended."""
         if self._failure:
-            return [f"--pafot-workers is 1: {self._failure}"]
+            return [f"{flag('workers')} is 1: {self._failure}"]
         if isinstance(self._pool, ExecutorPool):
             return self._pool.notes
-        option = f"--pafot-workers={self._workers}"
+        option = flag("workers", self._workers)
         if self._pool is not None:
             used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process"
             if self._pool.failure:
-                used = f"--pafot-workers: this process ran the scenarios; no other one could: {self._pool.failure}"
+                used = f"{flag('workers')}: this process ran the scenarios; no other one could: {self._pool.failure}"
             return [used, *map(recovery_note, self._pool.recovered)]
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
@@ -203,15 +204,15 @@ class Isolated(Processes):
         try:
             pool = self._pool or self._begin()
         except ExecutionError as error:
-            raise ExecutionError(f"--pafot-isolate: {error}") from None
+            raise ExecutionError(f"{flag('isolate')}: {error}") from None
         answer = pool.fetch(scenario)
         if pool.failure:
-            raise ExecutionError(f"--pafot-isolate: expected processes to run the ADS in, received: {pool.failure}")
+            raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
         if isinstance(pool, ExecutorPool) and pool.unable:
             first = pool.unable[0]
             raise ExecutionError(
-                "--pafot-isolate: expected workers that can make every run, received from one of them "
+                f"{flag('isolate')}: expected workers that can make every run, received from one of them "
                 f"{type(first).__name__}: {first}; install what the run needs on the workers, or search without "
-                "--pafot-isolate, so that this process makes such runs"
+                f"{flag('isolate')}, so that this process makes such runs"
             )
         return trace_apart(answer)

@@ -23,6 +23,7 @@ from pytest_pafot.execution.scenario_pool import (
 )
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
+from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import protocol
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
@@ -71,7 +72,7 @@ def answers_apart(
         pool.expect(scenarios)
         answers = {scenario: pool.fetch(scenario) for scenario in scenarios}
     if pool.failure and isolate:
-        raise ExecutionError(f"--pafot-isolate: expected processes to run the ADS in, received: {pool.failure}")
+        raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
     return None if pool.failure else answers | {lost.task: lost for lost in pool.recovered}
 
 
@@ -170,7 +171,7 @@ def retry(
         note = (
             f"a process (pid {leftover.pid}) died while the reference {leftover.reference} drove in "
             f"{leftover.scenario!r}, which says nothing about the ADS: correct the reference, or search with "
-            "--pafot-isolate, so that it can die without harm"
+            f"{flag('isolate')}, so that it can die without harm"
         )
         return Retried(notes=(note,), pending=leftover)
     answers: dict[Scenario, Answer] | None = None

@@ -12,6 +12,7 @@ import numpy as np
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.model.trace import HEADING, STEERING, FloatArray, Lane, Trace, Y
 from pytest_pafot.support.errors import FieldError
+from pytest_pafot.support.ways_out import install
 
 # A trace in the coordinates of the formats: x ahead, y to the left, headings anticlockwise.
 
@@ -107,7 +108,7 @@ def exporter(name: str) -> Exporter:
     except Exception as error:
         library = (getattr(error, "name", None) or "").partition(".")[0]
         is_missing = isinstance(error, ModuleNotFoundError) and library in EXTRAS
-        fix = f"run `pip install 'pytest-pafot[{EXTRAS[library]}]'`" if is_missing else ""
+        fix = f"run `{install(EXTRAS[library])}`" if is_missing else ""
         expected = f"the library {library}" if is_missing else f"that {entries[name].value} can be imported"
         received = "a Python environment without it" if is_missing else f"{type(error).__name__}: {error}"
         raise ExportError(field=f"--to {name}", expected=expected, received=received, fix=fix) from error

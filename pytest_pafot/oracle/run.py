@@ -36,6 +36,7 @@ from pytest_pafot.model.trace import ACCELERATION, AdsError, Collision, FloatArr
 from pytest_pafot.support.errors import driven_by
 from pytest_pafot.support.shown import Drawn
 from pytest_pafot.support.text import ascii_text
+from pytest_pafot.support.ways_out import install
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -273,7 +274,7 @@ class Run(Drawn):
             import pandas as pd  # noqa: PLC0415
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
-                "run.to_pandas(): expected pandas to be installed; pip install 'pytest-pafot[compare]' brings it"
+                f"run.to_pandas(): expected pandas to be installed; {install('compare')} brings it"
             ) from error
         columns = {signal.name: np.asarray(signal) for signal in self._signals.all()}
         return pd.DataFrame({**columns, "leader": self.leader}, index=pd.Index(self.trace.times, name="time"))

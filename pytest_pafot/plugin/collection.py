@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
@@ -202,6 +202,8 @@ class Collection:
         )
         unrun = self._config.stash[UNRUN]
         unrun.doubles.update(find_doubles(collected, items))
+        if OF_COMMAND in os.environ:
+            return  # The command asks for one test, which has no file. All others of the project are not collected.
         unrun.orphans.update(find_orphans(collected))
         unrun.strays.update(find_strays(collected, unrun.orphans))
 

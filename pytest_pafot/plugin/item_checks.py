@@ -19,6 +19,7 @@ from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id
 from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.session import SHARED, records_folder
 from pytest_pafot.support.text import wrapped_to
+from pytest_pafot.support.ways_out import flag
 
 REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 
@@ -50,7 +51,7 @@ class Checks:
         item.stash[REQUEST] = request
         is_idle = is_search(item) and not request.settings.is_search and MERGES not in item.config.stash
         if is_idle and not left_by(base_id(item), records_folder(item, request.settings)):
-            pytest.skip("replay only: --pafot-generations=0")
+            pytest.skip(f"replay only: {flag('generations', 0)}")
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(

@@ -83,7 +83,8 @@ def rate(*target: Any, **arguments: Any) -> Any:
         at_most: the crash rate [crashes per episode] above which the test fails; 0.02 allows two crashes in a hundred
             episodes.
         world: the environment, such as ``"highway-fast-v0"`` or ``pafot.World("highway-v0", config={...})``.
-        ads: the factory, or the name of the fixture that returns it; by default ``"ads"``.
+        ads: the factory, its ``module:factory[:argument]``, or the name of the fixture that returns it; by default
+            ``"ads"``.
         episodes: the number of episodes, by default 300.
         seed: the seed of the first episode, by default 0; each later episode has the next number as its seed.
         confidence: a level such as 0.95, for a stricter test. The test then fails unless the episodes show, with this
@@ -93,7 +94,7 @@ def rate(*target: Any, **arguments: Any) -> Any:
 
     def decorated(function: Any, *positional: Any) -> Any:
         given: dict[str, Any] = {"ads": DEFAULT_ADS, **arguments}
-        if isinstance(given["ads"], str):
+        if isinstance(given["ads"], str) and ":" not in given["ads"]:
             function = pytest.mark.usefixtures(given["ads"])(function)
         function = getattr(pytest.mark, RATE_MARK).with_args(*positional, **given)(function)
         return getattr(pytest.mark, ANY_MARK)(function)

@@ -15,6 +15,7 @@ from pytest_pafot.plugin.marks import arguments_of
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.plugin.option_sources import corpus_name
 from pytest_pafot.plugin.orphans import UNRUN
+from pytest_pafot.support.ways_out import flag
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
@@ -34,8 +35,8 @@ class Merging:
         self._roots = [config.invocation_params.dir / given for given in config.getoption(MERGE)]
         for root in self._roots:
             if not root.is_dir():
-                flag = BY_NAME["merge"].flag
-                raise pytest.UsageError(f"{flag}: expected the folder of a corpus, received {root}, which is no folder")
+                expected = "expected the folder of a corpus"
+                raise pytest.UsageError(f"{flag('merge')}: {expected}, received {root}, which is no folder")
         config.stash[MERGES] = {}
 
     # First, before tests are selected: the files of a deselected test would be reported as files without a test.
@@ -87,6 +88,6 @@ def _refuse(file: Path, job: Job, scenario: Scenario) -> None:
 
     raise RequestError(
         f"{file}: expected an ADS that can be sent to another process, since the scenario may end the process that "
-        "runs it, received an ADS that cannot be pickled; use --pafot-isolate and an ADS that can be pickled, or "
+        f"runs it, received an ADS that cannot be pickled; use {flag('isolate')} and an ADS that can be pickled, or "
         "merge on a system that forks processes"
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 import difflib
 import os
 import re
-import shlex
 from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -37,6 +36,7 @@ from pytest_pafot.corpus.saved import Saved, kinds_in, of_one_kind, saved_in
 from pytest_pafot.plugin.marks import SAVED_MARK
 from pytest_pafot.plugin.option_sources import option_value
 from pytest_pafot.support.text import plural, visible
+from pytest_pafot.support.ways_out import command, flag
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.signature import Signature
@@ -132,9 +132,9 @@ def find_doubles(collected: Collected, items: Iterable[pytest.Item]) -> Iterator
         place = relative(folder, collected.rootpath)
         for group in of_one_kind(saved):
             names = " and ".join(each.path.name for each in group)
-            command = shlex.join(["python", "-m", "pytest_pafot", "corpus", "join", place])
+            again = command("pytest_pafot", "corpus", "join", place)
             yield (
-                f"{names} in {place} fail in the same way; join them into one: {command}",
+                f"{names} in {place} fail in the same way; join them into one: {again}",
                 [ids[each.path] for each in group if each.path in ids],
             )
 
@@ -151,7 +151,7 @@ def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
             from pytest_pafot.support.files import way_out  # noqa: PLC0415  a session that prunes nothing does not load it
 
             fix = way_out(error, "then prune again")
-            failures.append(f"--pafot-prune: {file}: not removed: {error.strerror or error}; {fix}")
+            failures.append(f"{flag('prune')}: {file}: not removed: {error.strerror or error}; {fix}")
     for folder in dict.fromkeys(file.parent for file in removed):
         with suppress(OSError):  # A folder with other content stays.
             folder.rmdir()
@@ -282,7 +282,7 @@ def _way_out(folder: Path, root: Path, alike: list[Path], collected: Collected) 
         ("has no saved scenarios", beside),
         ("has saved scenarios of the same kinds", alike),
     )
-    prune = f"remove the files with {BY_NAME['prune'].flag}"
+    prune = f"remove the files with {flag('prune')}"
     for why, found in guesses:
         if len(found) == 1:
             test, place = collected.folders[found[0]], relative(found[0], collected.rootpath)

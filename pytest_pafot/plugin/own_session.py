@@ -24,6 +24,7 @@ from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.plugin.session import HERE, is_worker
 from pytest_pafot.plugin.terminal_reporter import uncaptured
+from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
 # The end of a session whose ADS ignores interrupts: the findings so far are reported, and the process ends.
@@ -72,7 +73,7 @@ def _flush(item: pytest.Item, stack: str) -> None:
     reason = (
         f"{item.nodeid}: a decision of the ADS exceeds the hang limit of the world and ignores every interrupt, so "
         "this session has to end. The scenario is on disk: the next session runs it again in a separate process and "
-        "saves it. With --pafot-isolate, the search continues after such a decision"
+        f"saves it. With {flag('isolate')}, the search continues after such a decision"
     )
     item.ihook.pytest_runtest_logreport(
         report=pytest.TestReport(

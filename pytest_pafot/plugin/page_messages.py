@@ -5,7 +5,7 @@ This module is imported only if a page, or a row in the report of pytest-html, i
 
 from __future__ import annotations
 
-import shlex
+import os
 from collections import Counter
 from dataclasses import dataclass, field, replace
 
@@ -24,6 +24,7 @@ from pytest_pafot.report.finding_view import finding_view
 from pytest_pafot.report.page_data import NEW
 from pytest_pafot.searching.events import Event
 from pytest_pafot.searching.plain import plain
+from pytest_pafot.support.ways_out import rerun
 
 
 def label_of(find: Find) -> str:
@@ -68,10 +69,9 @@ class PageMessages:
             headline=find.headline,
             check=told.exception.check if isinstance(told.exception, CheckFailed) else None,
         )
-        command = view.command
+        command = rerun(["pytest", find.node_id], os.environ, saved=find.id)
         if not find.path:  # An unsaved finding can only be reproduced by its search.
-            options = f"{self.settings.budget} --pafot-seed={self.settings.seed}"
-            command = f"pytest {shlex.quote(self.item.nodeid)} {options}"
+            command = rerun(["pytest", self.item.nodeid], os.environ, *self.settings.repeated)
         view = replace(view, label=label_of(find), severity=find.severity, path=find.path, command=command)
         self._tell(view=plain(view))
 
@@ -120,7 +120,9 @@ class PageMessages:
         if headline:
             view = finding_view(trace, finding, node_id=self.item.nodeid, headline=headline, check=check)
             accepted = f", accepted: {finding.accepted}" if finding.accepted else ""
-            self._tell(view=plain(replace(view, label=f"{label}{accepted}", severity=severity, path=path)))
+            again = rerun(["pytest", self.item.nodeid], os.environ, saved=finding.id)
+            view = replace(view, label=f"{label}{accepted}", severity=severity, path=path, command=again)
+            self._tell(view=plain(view))
 
     def _tell(self, **data: object) -> None:
         messages.send(self.item, PAGE, {"target": self.settings.report, **data})

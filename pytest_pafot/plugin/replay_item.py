@@ -35,6 +35,7 @@ from pytest_pafot.plugin.session_records import tell_finding
 from pytest_pafot.report.terminal import ReplaySummary
 from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
+from pytest_pafot.support.ways_out import flag
 
 SET_UP_FAULTS = pytest.StashKey[dict[tuple[str, Cause], str]]()
 """The node id of the item that has explained an error of the set-up, by test and cause."""
@@ -227,7 +228,9 @@ def _conclude(item: pytest.Function, run: Run, verdict: Verdict, label: str, det
     if verdict.kind == "skipped" and verdict.exception is not None:
         raise verdict.exception
     if label == "drifted" and is_strict:
-        pytest.fail(f"the saved scenario passes, but drifted: {visible(detail)} (--pafot-strict-drift)", pytrace=False)
+        pytest.fail(
+            f"the saved scenario passes, but drifted: {visible(detail)} ({flag('strict_drift')})", pytrace=False
+        )
     if verdict.kind == "rejected":
         pytest.skip("the test function rejected the saved scenario with pafot.reject()")
     if verdict.kind == "invalid":

@@ -6,7 +6,6 @@ The modules that make pages are imported only when there is a page to make.
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from pytest_pafot.campaign.options import BY_NAME, is_page_file
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.session import SUMMARY_LINES, refused_output
+from pytest_pafot.support.ways_out import flag, rerun
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.options import Settings
@@ -73,13 +73,13 @@ class Pages:
         """Write the report pages, even if the session was interrupted."""
         lines = self._config.stash[SUMMARY_LINES]
         for path, draft in self._drafts.items():
-            with lines.faults(f"--pafot-report={draft.target}: not written"):
+            with lines.faults(f"{flag('report', draft.target)}: not written"):
                 written, problem = self._write(path, draft, is_interrupted=exitstatus == pytest.ExitCode.INTERRUPTED)
                 lines.reports.extend(filter(None, [written]))
                 lines.problems.extend(filter(None, [problem]))
         asked = self._config.getoption(BY_NAME["report"].key)
         if asked and not self._drafts and not self._is_compared and not self._config.getoption("collectonly", False):
-            lines.problems.append(f"--pafot-report={asked}: nothing was written, since no search and no replay ran")
+            lines.problems.append(f"{flag('report', asked)}: nothing was written, since no search and no replay ran")
 
     def _take(self, node_id: str, data: Mapping[str, Any]) -> None:
         from pytest_pafot.report.page_data import CampaignView, FindingView  # noqa: PLC0415
@@ -108,7 +108,7 @@ class Pages:
         folder = path.parent if is_page_file(draft.target) else path
         refused = refused_output(self._config, draft.target, folder)
         if refused:
-            return "", f"--pafot-report={draft.target}: not written: {refused}"
+            return "", f"{flag('report', draft.target)}: not written: {refused}"
         errors = tuple(
             (node_id, text)
             for (node_id, when), text in sorted(self._failures.items())
@@ -118,7 +118,7 @@ class Pages:
         )
         report = draft.report(
             project=self._config.rootpath.name,
-            command=shlex.join(["pytest", *map(str, self._config.invocation_params.args)]),
+            command=rerun(["pytest", *map(str, self._config.invocation_params.args)], os.environ),
             findings=map(self._completed, draft.findings.values()),
             errors=errors,
             is_interrupted=is_interrupted,

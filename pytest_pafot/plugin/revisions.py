@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from pytest_pafot.campaign.harness import Harness, refusals
-from pytest_pafot.campaign.options import REVISION
+from pytest_pafot.campaign.options import OF_COMMAND, REVISION
 from pytest_pafot.campaign.request import AgainstError, Request, RequestError, build_space
-from pytest_pafot.commands.revision import OF_COMMAND, PROCESS, Revision, files_line, revision_at
+from pytest_pafot.commands.revision import PROCESS, Revision, files_line, revision_at
 from pytest_pafot.commands.revision_process import NO_TEST, Served
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy, rolled
@@ -22,9 +22,10 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.source_files import source_digests
+from pytest_pafot.support.ways_out import flag
 
 REVISIONS: pytest.StashKey[Revisions] = pytest.StashKey()
-COPY = "--pafot-copy"
+COPY = flag("copy")
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.session import SUMMARY_LINES, refused_output
+from pytest_pafot.support.ways_out import flag, install
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchEvent
@@ -69,8 +70,8 @@ class Tables:
             try:
                 import pyarrow  # noqa: F401, PLC0415
             except ImportError:
-                fix = "pip install 'pytest-pafot[table]', or name a file that ends in .csv"
-                raise pytest.UsageError(f"{TABLE.flag}={self._name}: expected pyarrow; {fix}") from None
+                fix = f"{install('table')}, or name a file that ends in .csv"
+                raise pytest.UsageError(f"{flag('table', self._name)}: expected pyarrow; {fix}") from None
         else:
             self._write("w", [list(COLUMNS)])
 
@@ -92,7 +93,7 @@ class Tables:
         if not self._problem:
             self._finish()
         if self._problem:
-            lines.problems.append(f"{TABLE.flag}={self._name}: not written: {self._problem}")
+            lines.problems.append(f"{flag('table', self._name)}: not written: {self._problem}")
         else:
             lines.reports.append(f"table: {self._name}")
 

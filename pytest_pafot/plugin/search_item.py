@@ -18,7 +18,7 @@ import pytest
 
 from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchEvent, SearchStarted, SearchSummary
 from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, source_file
-from pytest_pafot.campaign.options import BY_NAME, Settings
+from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.recorder import NOT_REPEATED
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world
@@ -45,11 +45,12 @@ from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.ways_out import flag
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
 
-IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in several processes already"
+IN_WORKER = f"{flag('workers')} is 1 under pytest-xdist, which runs tests in several processes already"
 
 OF_SUITE = "record_testsuite_property"
 """The fixture of pytest that records properties of the session."""
@@ -87,7 +88,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         tidied.add(folder)
         remove_unfinished(folder)
     if link is not None and writes and request.settings.save != "none":
-        raise RequestError(f"{BY_NAME['corpus'].flag}: {refusal(link)}")
+        raise RequestError(f"{flag('corpus')}: {refusal(link)}")
     if writes and resume is not None:
         check_states(resume, here)
     if request.settings.workers > 1 and is_worker(item.config):
@@ -219,7 +220,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     if result.is_vacuous:
         _fail(item, "the search tested nothing", summary.warnings)
     if summary.warnings and settings.strict_health:
-        _fail(item, "health warnings (--pafot-strict-health)", summary.warnings)
+        _fail(item, f"health warnings ({flag('strict_health')})", summary.warnings)
 
 
 def searches_left(item: pytest.Item) -> int:
@@ -301,7 +302,7 @@ class SearchMessages:
             node_id=kept.find.node_id,
             status="new",
             file=kept.find.path or None,
-            again=[*self.settings.budget.split(), f"--pafot-seed={self.settings.seed}"],
+            again=self.settings.repeated,
             headline=kept.find.headline,
             sentences=[] if kept.run is None else list(kept.finding.expect.sentences_on(kept.run)),
             detail=kept.find.problem,

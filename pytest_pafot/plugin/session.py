@@ -24,6 +24,7 @@ from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.orphans import UNRUN, Orphan
 from pytest_pafot.support.text import plural
+from pytest_pafot.support.ways_out import flag
 
 KERNEL = Path(__file__).parents[1] / "world" / "kernel"
 
@@ -89,7 +90,7 @@ def base_line(config: pytest.Config) -> str:
         return str(error)
     if not settings.is_search:
         return ""
-    return f"profile {settings.profile}, base seed {settings.seed} (repeat with --pafot-seed={settings.seed})"
+    return f"profile {settings.profile}, base seed {settings.seed} (repeat with {flag('seed', settings.seed)})"
 
 
 def records_folder(item: pytest.Item, settings: Settings) -> Path:

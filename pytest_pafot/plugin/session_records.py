@@ -23,6 +23,7 @@ from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.orphans import UNRUN
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, refused_output
+from pytest_pafot.support.ways_out import flag, rerun
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding
@@ -53,9 +54,10 @@ def tell_finding(
     """
     if not is_asked_for(item.config, os.environ):
         return
-    from pytest_pafot.report.session_record import FindingRecord, command_for  # noqa: PLC0415
+    from pytest_pafot.report.session_record import FindingRecord  # noqa: PLC0415
 
-    replay = command_for(item.nodeid, *again) if file is None else command_for(file)
+    options, saved = (again, "") if file is None else ((), finding.id)
+    replay = rerun(["python", "-m", "pytest", file or item.nodeid], os.environ, *options, saved=saved)
     messages.send(item, "record", asdict(FindingRecord.of(finding, file=file, replay=replay, **told)))
 
 
@@ -146,7 +148,7 @@ class Records:
         if report.nodeid in self._findings:
             return
         if report.failed and SAVED_MARK in report.keywords:
-            from pytest_pafot.report.session_record import ERROR, FindingRecord, command_for  # noqa: PLC0415
+            from pytest_pafot.report.session_record import ERROR, FindingRecord  # noqa: PLC0415
 
             told = json.loads(getattr(report, AS_SAVED, "{}"))  # absent if a worker of pytest-xdist died
             self._findings[report.nodeid] = FindingRecord(
@@ -154,7 +156,7 @@ class Records:
                 id=told.get("id", ""),
                 status=ERROR,
                 file=told.get("file"),
-                replay=command_for(told.get("file", report.nodeid)),
+                replay=rerun(["python", "-m", "pytest", told.get("file", report.nodeid)], os.environ, saved=told["id"]),
                 detail=self._reasons[report.nodeid],
             )
         elif report.failed and self._config.getoption(BY_NAME["merge"].key):
@@ -222,14 +224,16 @@ class Records:
         refused = refused_output(self._config, self._file, path.parent)
         if refused:
             if code is not None:
-                self._lines.problems.append(f"{JSON.flag}={self._file}: not written: {refused}")
+                self._lines.problems.append(f"{flag('json', self._file)}: not written: {refused}")
             return
         try:
             write_whole(path, to_text(self._record(code)))
         except OSError as error:
             if code is not None:  # reported once, at the end
                 fix = way_out(error, "or name another file")
-                self._lines.problems.append(f"{JSON.flag}={self._file}: not written: {error.strerror or error}; {fix}")
+                self._lines.problems.append(
+                    f"{flag('json', self._file)}: not written: {error.strerror or error}; {fix}"
+                )
             return
         if code is not None:
             self._lines.reports.append(f"json: {self._file}")

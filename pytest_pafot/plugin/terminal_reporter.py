@@ -26,6 +26,7 @@ from pytest_pafot.plugin.session import (
     unclaimed,
 )
 from pytest_pafot.support.text import ascii_text
+from pytest_pafot.support.ways_out import flag, rerun
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchSummary
@@ -164,11 +165,11 @@ class Reporter:
         unrun = self._config.stash[UNRUN]
         self._lines.warnings.extend(told for told, ids in unrun.doubles.items() if failing.issuperset(ids))
         if self._config.getoption(BY_NAME["prune"].key) and not self._config.getoption("collectonly"):
-            with self._lines.faults("--pafot-prune"):
+            with self._lines.faults(flag("prune")):
                 files = [Path(file) for orphan in unrun.orphans.values() for file in orphan.removable]
                 if files:
                     names = (f"  {self._relative(file)}" for file in files)
-                    self._live.write(["", "pafot: --pafot-prune removes", *names])
+                    self._live.write(["", f"pafot: {flag('prune')} removes", *names])
                 self._removed, failures = orphans.prune(files)
                 self._lines.problems.extend(failures)
 
@@ -206,6 +207,7 @@ class Reporter:
             interrupted=list(self._running),
             warnings=sorted({*self._warnings, *self._lines.warnings}),
             notes=list(self._notes),
+            again=rerun(["pytest", "FILE"], os.environ, saved="ID"),
         )
         width = self._config.stash[SHARED].width
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)

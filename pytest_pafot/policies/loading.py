@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.support.errors import AdsFactoryError, sentence
+from pytest_pafot.support.ways_out import install
 
 KEPT = 8
 """The largest number of policies that stay loaded in a process, so that each run gets its ADS without a delay."""
@@ -88,7 +89,7 @@ def library(name: str, extra: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name != name.partition(".")[0]:
             raise
-        fix = f'pip install "pytest-pafot[{extra}]"' if extra else f"pip install {name}"
+        fix = install(extra) if extra else f"pip install {name}"
         raise refused(f"{name} for this policy", "a Python without it", fix) from None
 
 

@@ -8,6 +8,7 @@ from types import ModuleType
 
 from pytest_pafot.report.page_data import FindingView
 from pytest_pafot.report.picture import picture_at
+from pytest_pafot.support.ways_out import flag, install
 
 MAX_SECONDS = 8.0
 """The length of the longest animation [s]. A longer run is cut at its start."""
@@ -74,8 +75,7 @@ def _drawing() -> ModuleType:
     except ImportError as error:
         raise AnimationError(
             "expected Pillow to draw pictures, received a Python environment in which it is not installed; "
-            'install it with pip install "pytest-pafot[report]", or write a page with pytest instead: '
-            "--pafot-report=report.html"
+            f"install it with {install('report')}, or write a page with pytest instead: {flag('report', 'report.html')}"
         ) from error
 
 

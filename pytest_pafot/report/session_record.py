@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Self
@@ -18,6 +17,7 @@ from pytest_pafot.findings.finding import Finding, portable
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.text import quiet_json
+from pytest_pafot.support.ways_out import flag
 
 VERSION = 1
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
@@ -252,7 +252,7 @@ class SearchRecord:
     def options(self) -> str:
         """The command-line options that request the same search."""
         given = (("generations", self.asked), ("runs", self.budget), ("seed", self.base_seed))
-        return " ".join(f"--pafot-{name}={value}" for name, value in given if value is not None)
+        return " ".join(flag(name, value) for name, value in given if value is not None)
 
     @property
     def began(self) -> bool:
@@ -327,11 +327,6 @@ def same_everywhere(text: str, root: str) -> str:
     ``root`` is the rootdir, to which paths become relative.
     """
     return SLOW.sub("took N s", portable(text, root))
-
-
-def command_for(what: str, *options: str) -> str:
-    """Return the pytest command that replays a file, or that repeats the search with a node id, with some options."""
-    return shlex.join(["python", "-m", "pytest", what, *options])
 
 
 def worst(results: Iterable[str]) -> str:

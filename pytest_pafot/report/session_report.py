@@ -21,6 +21,7 @@ from pytest_pafot.report.page_data import NEW, CampaignView, Errors, FindingView
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.ways_out import flag
 
 PAGE = "index.html"
 
@@ -101,12 +102,12 @@ def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
             pictures += name.endswith(".png")
     except OSError as error:
         reason = f"{error.strerror or error}: {error.filename or path}"
-        return "", f"--pafot-report={target}: not written: {reason}; choose another path"
+        return "", f"{flag('report', target)}: not written: {reason}; choose another path"
     except AnimationError as error:
         missing = f": {error}"
     shown = target if is_file else os.path.join(target, PAGE)  # noqa: PTH118
     more = f", {plural(pictures, 'moving picture')}" if pictures else ""
-    problem = f"--pafot-report={target}: the page was written, but not all pictures{missing}" if missing else ""
+    problem = f"{flag('report', target)}: the page was written, but not all pictures{missing}" if missing else ""
     return f"report: {shown} ({_counts(report.findings, report.errors)}{more})", problem
 
 

@@ -21,6 +21,7 @@ from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, plural, wrapped_to
+from pytest_pafot.support.ways_out import flag
 
 WIDTH = 80
 MAX_FINDS = 20
@@ -41,8 +42,8 @@ _BESIDE: Mapping[ReferenceOutcome, str] = {
 """The remark behind the name of a reference driver, by how its run ended."""
 
 LEFT_ALONE = (
-    "not removed: --pafot-prune removes only files whose line `test:` names a test of this rootdir and of that folder, "
-    "and it follows no link; delete the others by hand"
+    f"not removed: {flag('prune')} removes only files whose line `test:` names a test of this rootdir and of that "
+    "folder, and it follows no link; delete the others by hand"
 )
 
 
@@ -83,6 +84,7 @@ class SessionSummary:
         unmerged: folders of other corpora that were not merged, each with the reason.
         interrupted: node ids of searches that began and did not end.
         warnings: warnings about saved scenarios that are no longer accepted, or that fail in the same way.
+        again: the command that runs a single saved scenario.
     """
 
     searches: Sequence[SearchSummary] = ()
@@ -97,6 +99,7 @@ class SessionSummary:
     interrupted: Sequence[str] = ()
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
+    again: str = ""
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
@@ -224,7 +227,7 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
     done = [f"{search.generations} of {plural(search.asked, 'generation')}"] if search.asked is not None else []
     done += [f"{search.runs} of {plural(search.budget, 'run')}"] if search.budget is not None else []
     origin = (
-        f"{search.algorithm}, seed {search.seed} from --pafot-seed={search.base_seed} (profile {search.profile}), "
+        f"{search.algorithm}, seed {search.seed} from {flag('seed', search.base_seed)} (profile {search.profile}), "
         f"{', '.join(done)}, ended: {search.reason}"
     )
     texts = [_figures(search), *_find_lines(search), origin, *([search.drawn] if search.drawn else [])]
@@ -274,7 +277,7 @@ def _find_lines(search: SearchSummary) -> list[str]:
 def _unsaved_lines(search: SearchSummary) -> list[str]:
     names = [f"{id_} ({plural(count, 'run')})" for id_, count in search.unsaved.items()]
     count = plural(len(names), "further finding")
-    return [f"  {count} not saved (--pafot-max-saved): {_listed(names)}"] if names else []
+    return [f"  {count} not saved ({flag('max_saved')}): {_listed(names)}"] if names else []
 
 
 def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[str]:
@@ -353,7 +356,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
         lines.append(f"not run: {file} is in no test's folder; move it to {place}")
     lines += [f"not merged: {folder}: {why}" for folder, why in session.unmerged]
     if any(find.path for search in session.searches for find in search.finds):
-        lines.append("run a single saved scenario with: pytest FILE")
+        lines.append(f"run a single saved scenario with: {session.again}")
     lines += [line for text in session.written for line in text.splitlines()]
     for kind, texts in (("warning", session.warnings), ("note", session.notes), ("problem", session.problems)):
         for text in texts:

@@ -17,10 +17,8 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from importlib import import_module
 from numbers import Real
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -29,34 +27,7 @@ from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.criticality.signals import MEASURES
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Outcome, Trace
 from pytest_pafot.support.errors import plain_number
-
-# ``module:name`` refers to a user's class or function where only a text can be given.
-
-
-def referred_to(reference: str) -> Any:
-    """Import the object that a text such as ``module:name`` refers to.
-
-    Raises:
-        ValueError: if there is no such module, or no such name in it; the caller adds the place to the message.
-    """
-    module_name, _, name = reference.partition(":")
-    try:
-        module = import_module(module_name)
-    except Exception as error:
-        raise ValueError(
-            f"expected a module that can be imported, received {reference!r} ({type(error).__name__}: {error}); give "
-            "its whole name, and run where it is or put its folder on the path (pytest: `pythonpath = .`)"
-        ) from error
-    if not hasattr(module, name):
-        near = difflib.get_close_matches(name, vars(module), n=1)
-        hint = (
-            f"; did you mean {f'{module_name}:{near[0]}'!r}?"
-            if near
-            else f"; {getattr(module, '__file__', 'it')} has no such name"
-        )
-        raise ValueError(f"expected a name in the module {module_name}, received {reference!r}{hint}")
-    return getattr(module, name)
-
+from pytest_pafot.support.references import referred_to
 
 Fitness = Callable[[Trace], float]  # from a trace to a number; higher is worse for the ego
 Responsible = Callable[[Trace], bool]  # returns whether the ego is responsible for a run's collision

@@ -24,7 +24,7 @@ from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import AbstractEnv, IntersectionEnv, RegulatedRoad, Road, Vehicle, action, observation
-from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, plain_data, whole_within
+from pytest_pafot.world.validation import ADS_HZ, OTHER_KIND, PHYSICS_HZ, plain_data, whole_within
 
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
 """The options that environments have for their random traffic, besides ``vehicles_count``."""
@@ -260,10 +260,17 @@ def _creator(env_id: str) -> Any:
     """Return the class of a registered environment, or the function that makes it."""
     if env_id not in gymnasium.registry:
         known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
-        near = difflib.get_close_matches(env_id, gymnasium.registry, n=1)
+        entries = ((name, spec.entry_point) for name, spec in gymnasium.registry.items())
+        homes = ((name, entry if isinstance(entry, str) else entry.__module__) for name, entry in entries)
+        # gymnasium's own environments would be refused.
+        near = difflib.get_close_matches(
+            env_id, [name for name, home in homes if not home.startswith("gymnasium.")], n=1
+        )
         meant = f"; did you mean {near[0]!r}?" if near else ""
-        own = "an environment of your own must be registered by an import before it is used"
-        fix = f"highway-env's straight roads are {', '.join(known)}; {own}{meant}"
+        fix = (
+            f"highway-env's straight roads are {', '.join(known)}; import the module that registers an environment of "
+            f"your own first, or write {OTHER_KIND}{meant}"
+        )
         raise WorldError(field="env_id", expected="a registered environment", received=repr(env_id), fix=fix)
     entry_point = gymnasium.registry[env_id].entry_point
     return load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
@@ -272,7 +279,9 @@ def _creator(env_id: str) -> Any:
 def _check_base(env_id: str, cls: type[Any]) -> None:
     if not issubclass(cls, AbstractEnv):
         expected = "an environment that derives from highway-env's AbstractEnv"
-        raise WorldError(field="env_id", expected=expected, received=f"{env_id!r} ({cls.__name__})")
+        raise WorldError(
+            field="env_id", expected=expected, received=f"{env_id!r} ({cls.__name__})", fix=f"write {OTHER_KIND}"
+        )
 
 
 def _check_sizes(config: dict[str, Any], creator: Any) -> None:

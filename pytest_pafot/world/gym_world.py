@@ -24,6 +24,7 @@ from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.validation import (
     ADS_HZ,
+    OTHER_KIND,
     PHYSICS_HZ,
     check_divides,
     check_ticks,
@@ -85,6 +86,7 @@ class World(BuiltInWorld):
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
             expected = 'the id of a registered environment without a module in front, such as "highway-v0"'
             fix = "import the module that registers it first"
+            fix = fix if isinstance(self.env_id, str) else f"{fix}, or write {OTHER_KIND}"
             raise WorldError(field="env_id", expected=expected, received=repr(self.env_id), fix=fix)
         if self.config is not None and not isinstance(self.config, dict):
             raise WorldError(field="config", expected="a dict of the environment's options", received=repr(self.config))

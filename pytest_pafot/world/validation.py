@@ -9,6 +9,10 @@ import math
 from typing import Any
 
 from pytest_pafot.support.errors import WorldError, checked_number, checked_whole
+from pytest_pafot.support.ways_out import page
+
+OTHER_KIND = f"a world of your own around a simulator of another kind ({page('guide/own-world.md')})"
+"""The way out for a user whose simulator is none of highway-env."""
 
 PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)
 """The smallest and largest accepted number of physics ticks per second, and of decisions of an ADS per second."""

@@ -177,8 +177,8 @@ def test_test_function_error_is_raised_despite_the_reference():
     ("against", "message"),
     [
         ("no_module:make", r"against: expected a module that can be imported, received 'no_module:make'"),
-        ("example_ads.constant_speed:mak", r"against: expected a name in the module.*did you mean"),
-        ("example_ads.constant_speed:__doc__", r"against: expected a factory such as"),
+        ("example_ads.constant_speed:mak", r"against: expected a factory in the module.*did you mean"),
+        ("example_ads.constant_speed:__doc__", r"against: expected a factory, .* is of the type str; name a function"),
         (
             "old_ads",
             r"pafot\.explore\(against\): expected a factory, or its name as module:factory, received 'old_ads'",

@@ -104,10 +104,10 @@ def test_unused_share_of_time_goes_to_other_findings(clock):
 def test_unshrunk_finding_says_how_to_continue(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=3)
     assert set(unshrunk(result)) == {"not shrunk: out of time"}
-    assert any("ended before" in note and "with --pafot-resume" in note for note in result.summary.notes)
+    assert any("ended before" in note and "with resume='FOLDER'" in note for note in result.summary.notes)
     going_on = searched(clock, fails_in_three_ways, "other", runs=1000, max_time=3, resume="states")
     assert set(unshrunk(going_on)) == {"not shrunk: out of time; --pafot-resume goes on"}
-    assert any(note.endswith(": --pafot-resume goes on") for note in going_on.summary.notes)
+    assert any(note.endswith(": resume='states' goes on") for note in going_on.summary.notes)
 
 
 def test_finding_with_time_limit_is_saved_partly_shrunk(clock, tmp_path):

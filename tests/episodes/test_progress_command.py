@@ -250,7 +250,7 @@ def test_same_seed_agrees_for_any_worker_count(here, capsys):
         (["Careful@planner"], "NEW: expected @planner after both names or none"),
         (["Careful", "--world", "highway-v7"], "expected a registered environment, received 'highway-v7'"),
         (["rev:main"], "NEW: expected the present policy, received 'rev:main'; check it out"),
-        (["Nobody"], "NEW: expected a factory in versions, received 'versions:Nobody', which is none; it has "),
+        (["Nobody"], "NEW: expected a factory in the module versions, received 'versions:Nobody'; it has "),
         (["Unmade"], "NEW: expected a factory of a policy, received one that raises OSError: no weights ("),
         (
             ["Careful", "--check", "versions"],

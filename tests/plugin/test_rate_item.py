@@ -27,6 +27,18 @@ def test_rate_test_passes_only_if_crashes_are_rare(project):
     )
 
 
+def test_marks_take_the_name_of_a_policy_with_its_argument(project):
+    project.pytester.makepyfile(named="class Planner:\n    def __init__(self, text):\n        assert text == 'a:b'\n"
+                                "    def __call__(self, observation):\n        return 0.0, 0.0\n")  # fmt: skip
+    name = "ads='named:Planner:a:b'"
+    search = f"@pafot.search(SHORT, {name})\ndef test_search(run):\n    assert run.duration > 1\n"
+    wrong = search.replace("Planner", "Planer").replace("test_search", "test_wrong")
+    project.write(rated(f"at_most=0.9, episodes=1, planner=True, {name}, {WORLD}") + search + wrong)
+    result = project.run("-ppytester", "-opythonpath=.", "--pafot-runs=2")
+    result.assert_outcomes(passed=2, errors=1)
+    result.stdout.fnmatch_lines(["@pafot.search(ads=...): expected a factory in the module named, *'named:Planner'?"])
+
+
 def test_the_function_may_look_at_the_rate_besides(project):
     project.write(
         "from example_ads import idm_mobil\n\n"

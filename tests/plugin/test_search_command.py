@@ -93,11 +93,70 @@ def test_search_command_uses_the_requested_world_and_check(here):
     test = (here / "test_safety.py").read_text()
     assert (
         "@pafot.search(world=pafot.World('highway-v0'), traffic=\"everyday\")\n"
-        "def test_keeps_moving(run):\n    keeps_moving(run)\n"
+        "def test_keeps_moving(run):\n    holds(run)\n"
     ) in test
-    assert 'return lambda: make("fast")' in (here / "conftest.py").read_text().replace("'", '"')
+    assert 'return lambda: factory("fast")' in (here / "conftest.py").read_text().replace("'", '"')
     code, told = python("pytest_pafot", "search", "example_ads.idm_mobil:make", "--runs", "2", "--seed", "0")
     assert code == 0, told
+
+
+NAMES = """\
+import functools
+
+
+class ads:
+    def __init__(self, name=""):
+        assert name in ("", "C:\\\\a b")
+
+    def __call__(self, observation):
+        return 0.0, 0.0
+
+
+pytest = functools.partial(ads)
+run = pytest_plugins = holds = lambda: ads()
+Tëst = pytest_runtest_setup = list = _ = ads
+
+
+def test_no_crash(run):
+    assert not run.collision
+
+
+pafot = TestCheck = test_ = test_no_crash
+"""
+
+
+@pytest.mark.parametrize(
+    ("policy", "check"),
+    [
+        ("ads", "test_no_crash"),
+        ("pytest", "pafot"),
+        ("pytest_plugins", "TestCheck"),
+        ("Tëst", "test_"),
+        ("ads:C:\\a b", "test_no_crash"),
+    ],
+)
+def test_search_takes_policies_and_checks_of_any_name(here, policy, check):
+    (here / "odd.py").write_text(NAMES, encoding="utf-8")
+    given = ["--runs", "4", "--seed", "2", "--blame", "any", "--pafot-shrink-rollouts=0", "--", "-q"]
+    code, told = python("pytest_pafot", "search", f"odd:{policy}", "--check", f"odd:{check}", *given)
+    assert (code, "4 runs in" in told, "new finding" in told) == (1, True, True), told
+    assert len([*(here / "pafot_corpus" / "test_safety").iterdir()]) == 1
+
+
+def test_search_refuses_a_policy_in_a_file_of_its_own_name(here, capsys):
+    (here / "test_safety.py").write_text(POLICY)
+    assert main(["search", "test_safety:Planner"]) == 2
+    assert "ADS: expected a module other than conftest.py and test_safety.py, received" in capsys.readouterr().err
+
+
+def test_search_in_a_project_reports_no_file_of_its_tests(here, monkeypatch):
+    marked = "@pafot.search(ads='a_planner:make:fast')\ndef test_it(run):\n    assert False\n"
+    (here / "test_mine.py").write_text(f"import pytest_pafot as pafot\n\n{marked}")
+    assert python("pytest", "-q", "--pafot-runs=1")[0] == 1
+    assert [*here.glob("pafot_corpus/test_mine/test_it/*")]
+    monkeypatch.setenv("CI", "1")
+    _, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "1", "--seed", "0")
+    assert ("1 run " in told, "without a test" in told, "prune" in told, " error" in told) == (True, *3 * [False]), told
 
 
 def test_an_error_is_no_test_to_keep(here):
@@ -110,8 +169,14 @@ def test_an_error_is_no_test_to_keep(here):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["a_planner:Planner", "--runs", "0"], "argument --runs: expected a whole number, at least 1, received '0'"),
-        (["a_planner:Planner", "--report", "x.png"], "argument --report: expected the name of a page FILE.html"),
+        (
+            ["a_planner:Planner", "--runs", "0"],
+            "argument --runs/--pafot-runs: expected a whole number, at least 1, rec",
+        ),
+        (
+            ["a_planner:Planner", "--report", "x.png"],
+            "argument --report/--pafot-report: expected the name of a page FI",
+        ),
         (["a_planner:Planner", "--runz", "3"], "search: error: unrecognized arguments: --runz 3; python -m pytest_pa"),
     ],
 )
@@ -169,8 +234,8 @@ def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["a_planner:Nobody"], "search: ADS: expected a factory in a_planner"),
-        (["a_planner:Nobody"], "'a_planner:Nobody', which is none; it has Planner, make, keeps_moving"),
+        (["a_planner:Nobody"], "search: ADS: expected a factory in the module a_planner"),
+        (["a_planner:Nobody"], "'a_planner:Nobody'; it has Planner, make, keeps_moving"),
         (["a_planner.py:Planner"], "search: ADS: expected a module that can be imported"),
         (["a_planner.py:Planner"], "; give a_planner:Planner"),
         (["broken:Planner"], "received 'broken:Planner', which raises ValueError: no gpu ("),
@@ -182,13 +247,17 @@ def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_
         (["no_such_module:Nobody"], "search: ADS: expected a module that can be imported"),
         (
             ["a_planner:Planner", "--check", "a_planner:nothing"],
-            "search: --check: expected a function of a run in a_planner",
+            "search: --check: expected a function of a run in the module a_planner",
         ),
+        (["my-planner:Planner"], "search: ADS: expected names that `import` takes, received 'my-planner' in my-"),
+        (["a_planner:make:"], "search: ADS: expected module:factory or module:factory:argument, received 'a_planner:"),
+        (["a_planner:Planner", "--against", "nobody"], "search: --against: expected one of blind_lane_change, "),
         (["a_planner:Planner", "--write-test"], "search: --write-test: expected a folder without conftest.py"),
     ],
 )
 def test_impossible_search_is_reported_and_writes_nothing(here, capsys, arguments, told):
     (here / "conftest.py").write_text("# the user's\n")
+    (here / "my-planner.py").write_text(POLICY)
     (here / "broken.py").write_text("raise ValueError('no gpu')\n")
     assert main(["search", *arguments]) == 2
     assert told in capsys.readouterr().err

@@ -290,6 +290,8 @@ MESSAGES = {
     "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
         "; did you mean pafot.World('highway-v0', config=...)?"
     ],
+    "world=gymnasium.make('CartPole-v1')": ["; write a world of your own around * (docs/guide/own-world.md)"],
+    "world=type('Mine', (gymnasium.Env,), {})()": ["; write a world of your own around * (docs/guide/own-world.md)"],
     "worlds=five": ["@pafot.search(worlds=...): did you mean 'world'? Expected one of acts, ads, *, received 'worlds'"],
     "world=pafot.World('highway-v9')": [
         "expected a registered environment, received 'highway-v9'; *; did you mean 'highway-v0'?"

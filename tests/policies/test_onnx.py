@@ -74,7 +74,7 @@ def test_invalid_network_file_is_named_in_the_error(content, message, tmp_path):
 def test_missing_onnx_library_error_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     policy = pafot.policies.onnx(saved_network(tmp_path / "other.onnx", 25, 5, ["runs", 25]))
-    with pytest.raises(TypeError, match=r'expected onnxruntime .*pip install "pytest-pafot\[onnx\]"'):
+    with pytest.raises(TypeError, match=r"expected onnxruntime .*pip install 'pytest-pafot\[onnx\]'"):
         WORLD.rollout(CUT_IN, policy)
 
 

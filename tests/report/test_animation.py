@@ -148,7 +148,7 @@ def test_any_headline_can_be_drawn(brief):
 def test_without_pillow_the_error_says_what_to_install(brief, monkeypatch):
     monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
     monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(AnimationError, match=r'pip install "pytest-pafot\[report\]"'):
+    with pytest.raises(AnimationError, match=r"pip install 'pytest-pafot\[report\]'"):
         animate(brief)
 
 

@@ -19,7 +19,6 @@ from pytest_pafot.report.session_record import (
     FindingRecord,
     SearchRecord,
     SessionRecord,
-    command_for,
     to_text,
     worst,
 )
@@ -102,13 +101,6 @@ def test_no_duration_is_in_it():
 def test_every_record_field_is_described_in_its_docstring(kind):
     told = [line.split(":")[0].strip() for line in kind.__doc__.splitlines() if re.match(r" +\w+: ", line)]
     assert told == [each.name for each in fields(kind)]
-
-
-def test_commands_are_quoted_for_a_shell():
-    assert command_for("a b.pafot.yaml") == "python -m pytest 'a b.pafot.yaml'"
-    assert command_for("test_it.py::x[1-search]", "--pafot-seed=5") == (
-        "python -m pytest 'test_it.py::x[1-search]' --pafot-seed=5"
-    )
 
 
 def test_the_worst_phase_of_an_item_counts():

@@ -119,6 +119,7 @@ def test_the_summary_of_a_session_reads_so(snapshot):
     )  # fmt: skip
     session = SessionSummary(
         searches=[SEARCH, other],
+        again="pytest FILE",
         replays=[
             ReplaySummary(node_id="t[saved-a]", label="fixed"),
             ReplaySummary(node_id="t[saved-b]", label="still failing"),

@@ -189,7 +189,7 @@ def test_environment_id_with_module_is_refused_before_import(env_id):
 
 @table("env_id", ["highway", "highway-v99", "Highway-v0", "nope-v0", "highway-v0 "])
 def test_unknown_environment_id_lists_the_straight_roads(env_id):
-    with raises(f"received {env_id!r}; highway-env's straight roads are highway-fast-v0, highway-v0; an environment"):
+    with raises(f"received {env_id!r}; highway-env's straight roads are highway-fast-v0, highway-v0; import the"):
         World(env_id).check()
 
 
@@ -236,8 +236,16 @@ def test_environment_does_not_change_highway_env_vehicle_classes():
 
 
 def test_environment_of_another_library_is_refused():
-    with raises("env_id: expected an environment that derives from highway-env's AbstractEnv, received"):
+    with raises("highway-env's AbstractEnv, received 'CartPole-v1' (CartPoleEnv); write a world"):
         World("CartPole-v1").check()
+    with raises("around a simulator of another kind (docs/guide/own-world.md)"):
+        World("MetaDrive-v0").check()
+
+
+def test_suggested_environment_is_one_that_a_world_accepts():
+    with pytest.raises(WorldError) as caught:
+        World("CartPole-v9").check()
+    assert "did you mean" not in str(caught.value)
 
 
 @table(

@@ -18,8 +18,10 @@ from pytest_pafot.searching.algorithms.nsga2 import Nsga2Search
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
 from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.fitness import Fitness, Weights, referred_to
+from pytest_pafot.searching.fitness import Fitness, Weights
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support.references import referred_to
+from pytest_pafot.support.ways_out import install
 
 CATALOGUE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({each.name: each for each in (
     DistinctSearch, PafotSearch, AvFuzzerSearch, RandomSearch, RandomManoeuvreSearch, Nsga2Search, MapElitesSearch,
@@ -54,10 +56,10 @@ class AlgorithmClass:
                 algorithm is not installed, in a message that says how to install it.
         """
         if self.library is not None and find_spec(self.library) is None:
-            extra = "`pip install 'pytest-pafot[search]'` or " if self.name in CATALOGUE else ""
+            own = f"`{install('search')}` or " if self.name in CATALOGUE else ""
             raise ValueError(
                 f"algorithm: expected the library {self.library} for {self.name!r}, received a Python without it; run "
-                f"{extra}`pip install {self.library}`"
+                f"{own}`pip install {self.library}`"
             )
         known = [parameter for parameter in inspect.signature(self.made_by).parameters if parameter != "space"]
         for parameter in parameters:

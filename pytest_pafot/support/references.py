@@ -1,0 +1,78 @@
+"""Names of the user's objects in texts: ``module:name``, and for a policy also ``module:factory:argument``."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import importlib
+import os
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.support.text import one_line
+
+MOST_NAMES = 8
+"""The largest number of a module's names that an error lists."""
+
+
+def factory_named(reference: str, what: str = "a factory") -> Callable[..., Any]:
+    """Import the factory that a text such as ``module:factory`` or ``module:factory:argument`` refers to.
+
+    The factory of the second is called with the argument, a text. It may have colons itself.
+
+    Raises:
+        ValueError: if the text has another form, or does not name anything that can be called; the caller adds the
+            place to the message. ``what`` describes what was expected.
+    """
+    module, _, rest = reference.partition(":")
+    name, colon, argument = rest.partition(":")
+    if not (module and name) or (colon and not argument):
+        raise ValueError(f"expected module:factory or module:factory:argument, received {reference!r}")
+    factory = referred_to(f"{module}:{name}", what)
+    if not callable(factory):
+        received = f"{reference!r}, which is of the type {type(factory).__name__}"
+        raise ValueError(f"expected {what}, received {received}; name a function or a class")
+    return functools.partial(factory, argument) if argument else factory
+
+
+def referred_to(reference: str, what: str = "a name") -> Any:
+    """Import the object that a text such as ``module:name`` refers to.
+
+    Raises:
+        ValueError: if there is no such module, or no such name in it; the caller adds the place to the message.
+    """
+    module_name, _, name = reference.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except (Exception, SystemExit) as error:  # A script without a guard calls sys.exit() in its import.
+        # A module that lacks another one raises ModuleNotFoundError, too.
+        is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
+        way_out = "run where it is, or put its folder on the path (pytest: `pythonpath = .`)"
+        if module_name.endswith(".py"):
+            way_out = f"give {module_name.removesuffix('.py').replace('/', '.')}:{name}"
+        received = f" ({type(error).__name__}: {error})" if is_missing else f", which raises {described(error)}"
+        way_out = way_out if is_missing else "correct it"
+        raise ValueError(
+            f"expected a module that can be imported, received {reference!r}{received}; {way_out}"
+        ) from error
+    if not hasattr(module, name):
+        near = difflib.get_close_matches(name, vars(module), n=1)
+        own = [each for each, value in vars(module).items() if getattr(value, "__module__", "") == module_name]
+        hint = f"; did you mean {f'{module_name}:{near[0]}'!r}?" if near else ""
+        hint = hint or (f"; it has {', '.join(own[:MOST_NAMES])}" if own else "; it has no such name")
+        raise ValueError(f"expected {what} in the module {module_name}, received {reference!r}{hint}")
+    return getattr(module, name)
+
+
+def described(error: BaseException, folder: Path | None = None) -> str:
+    """Describe an exception of the user's code in one line: its class, its message and its place.
+
+    Paths below ``folder``, if there is one, are relative to it.
+    """
+    frames = traceback.extract_tb(error.__traceback__)
+    prefix = "" if folder is None else f"{folder}{os.sep}"
+    text = one_line("".join(traceback.format_exception_only(error)).replace(prefix, ""))
+    has_place = isinstance(error, SyntaxError) or not frames  # the message of a SyntaxError names the place
+    return text if has_place else f"{text} ({frames[-1].filename.removeprefix(prefix)}:{frames[-1].lineno})"

@@ -1,0 +1,70 @@
+"""Names of the user's objects in texts."""
+
+import functools
+
+import pytest
+
+from pytest_pafot.support.references import factory_named, referred_to
+
+MODULE = """\
+import functools
+
+
+class Planner:
+    def __init__(self, *given):
+        self.given = given
+
+
+made = functools.partial(Planner, 1)
+number = 5
+"""
+
+
+@pytest.fixture(autouse=True)
+def modules(tmp_path, monkeypatch):
+    (tmp_path / "named_here.py").write_text(MODULE)
+    (tmp_path / "lacks_another.py").write_text("import no_such_library")
+    (tmp_path / "exits_here.py").write_text("raise SystemExit(3)")
+    (tmp_path / "raises_here.py").write_text("raise KeyError(3)")
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("reference", "given"),
+    [
+        ("named_here:Planner", ()),
+        ("named_here:made", (1,)),
+        ("named_here:Planner:old.zip", ("old.zip",)),
+        (r"named_here:Planner:C:\a b:c", (r"C:\a b:c",)),
+        ("named_here:made: ", (1, " ")),
+    ],
+)
+def test_factory_gets_all_behind_the_second_colon(reference, given):
+    assert factory_named(reference)().given == given
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        ("named_here", "expected module:factory or module:factory:argument, received 'named_here'"),
+        ("named_here:", "expected module:factory or module:factory:argument"),
+        (":Planner", "expected module:factory or module:factory:argument"),
+        ("named_here:Planner:", "expected module:factory or module:factory:argument"),
+        ("named_here:number", "expected a factory, received 'named_here:number', which is of the type int; name"),
+        ("named_here:Planer:x", "expected a factory in the module named_here, .*; did you mean 'named_here:Planner'"),
+        ("named_here:zzz", "received 'named_here:zzz'; it has Planner"),
+        ("named_there:x", r"received 'named_there:x' \(ModuleNotFoundError: .*; run where it is, or put its folder on"),
+        ("named_here.py:Planner", r"ModuleNotFoundError.*; give named_here:Planner"),
+        ("lacks_another:x", r"which raises ModuleNotFoundError: No .*no_such_library.*another.py:1\); correct it"),
+        ("exits_here:x", r"which raises SystemExit: 3 \(.*exits_here.py:1\); correct it"),
+        ("raises_here:x", r"which raises KeyError: 3 \(.*raises_here.py:1\); correct it"),
+    ],
+)
+def test_wrong_name_is_an_error_with_its_cause(reference, message):
+    with pytest.raises(ValueError, match=message):
+        factory_named(reference)
+
+
+def test_name_refers_to_any_object_of_a_module():
+    assert referred_to("named_here:number") == 5
+    assert referred_to("functools:partial") is functools.partial

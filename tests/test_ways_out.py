@@ -1,0 +1,275 @@
+"""What messages name as a way out: each command, option, package and page exists, and commands do what is said."""
+
+import argparse
+import ast
+import html
+import json
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.__main__ import main
+from pytest_pafot.campaign.options import BY_NAME, OPTIONS
+from pytest_pafot.commands.search_command import add_arguments
+from pytest_pafot.export.exporter import EXTRAS
+from pytest_pafot.support.ways_out import OF_SEARCH, command, flag, install, page, rerun
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "pytest_pafot"
+SAID = re.compile(r"--pafot-[a-z-]+|python -m pytest|pip install .pytest-pafot|\bdocs/[\w/-]+\.md")
+
+
+def places():
+    """Yield the syntax tree of each module of the package, with its path."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        yield path.relative_to(PACKAGE).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+
+
+def calls(name):
+    """Yield where the package calls a function of a name, with the first argument; None if that is no constant."""
+    for place, tree in places():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == name:
+                first = node.args[0] if node.args else None
+                yield place, first.value if isinstance(first, ast.Constant) else None
+
+
+def test_messages_name_ways_out_only_by_the_functions():
+    found = []
+    for place, tree in places():
+        documents = {id(each.value) for each in ast.walk(tree) if isinstance(each, ast.Expr)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documents:
+                found += [(place, said) for said in SAID.findall(node.value)]
+    assert {place for place, _ in found} == {"__main__.py", "campaign/options.py", "support/ways_out.py"}
+    assert [said for place, said in found if place == "__main__.py"] == ["python -m pytest"]  # the name of the program
+    flags = {option.flag for option in OPTIONS}
+    assert {said for place, said in found if place == "campaign/options.py"} <= flags  # the help of options
+
+
+def test_every_option_that_messages_name_exists_also_in_search():
+    named = [(place, name) for place, name in calls("flag") if name is not None]
+    assert len(named) > 30
+    assert [each for each in named if each[1] not in BY_NAME] == []
+    values = {"runs": 5, "seed": 7, "report": "a b.html", "max_time": 2.5, "workers": 1}
+    for name in {name for _, name in named} - {"prune", "allow_orphans"}:
+        parser = argparse.ArgumentParser()
+        add_arguments(parser)
+        is_switch = BY_NAME[name].kind == "switch"
+        given = flag(name) if is_switch else flag(name, values.get(name, "a b"))
+        told = parser.parse_args(["planner:Planner", *shlex.split(given)])
+        own = getattr(told, name, None)
+        assert shlex.split(given) == told.options or str(own) == str(values.get(name, "a b")), name
+
+
+OF_COMMANDS = {
+    "search": ["commands/search_command.py"],
+    "bisect": ["commands/bisect_command.py"],
+    "progress": ["episodes/progress_command.py", "episodes/progress.py"],
+    "rate": ["episodes/rate_command.py", "episodes/rate_plan.py", "commands/resumable.py"],
+    "compare": ["comparison/command.py", "comparison/plan.py", "comparison/algorithm_run.py", "commands/resumable.py"],
+    "export": ["export/export_command.py", "export/exporter.py"],
+    "corpus": ["corpus/corpus_command.py"],
+}
+SHOWN_BY = {"corpus": [["corpus", each] for each in ("list", "join", "accept")], "progress": [["progress"], ["search"]]}
+"""The helps with the options of a command. ``progress`` also names those of ``search``."""
+OF_PYTEST = {"--rootdir"}  # of the session that the command starts
+
+
+@pytest.mark.parametrize("name", OF_COMMANDS)
+def test_every_option_that_a_command_names_is_its_own(name, capsys):
+    for words in SHOWN_BY.get(name, [[name]]):
+        with pytest.raises(SystemExit):
+            main([*words, "--help"])
+    told = capsys.readouterr().out
+    named = {
+        said
+        for place, tree in places()
+        for node in ast.walk(tree)
+        if place in OF_COMMANDS[name] and isinstance(node, ast.Constant) and isinstance(node.value, str)
+        for said in re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z]", node.value)
+    }
+    assert named
+    assert named - set(re.findall(r"--[a-z-]*[a-z]", told)) <= OF_PYTEST
+
+
+def test_every_package_and_page_that_messages_name_exists():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    named = [name for _, name in calls("install") if name is not None] + list(EXTRAS.values())
+    assert named
+    assert set(named) <= extras.keys()
+    assert install("table") == "pip install 'pytest-pafot[table]'"
+    pages = [name for _, name in calls("page") if name is not None]
+    assert pages
+    assert [name for name in pages if not (ROOT / page(name)).is_file()] == []
+
+
+def test_rerun_repeats_what_has_started_the_session():
+    words, search = ["pytest", "a b.py"], "python -m pytest_pafot search p:P --runs 4 -- -q"
+    assert rerun(words, {}, "--pafot-seed=3", saved="front-1") == "pytest 'a b.py' --pafot-seed=3"
+    told = rerun(words, {OF_SEARCH: search}, "--pafot-seed=3", saved="front-1")
+    assert told == "python -m pytest_pafot search p:P --runs 4 --pafot-seed=3 -- -q -k front-1"
+    assert rerun(words, {OF_SEARCH: "python -m pytest_pafot search p:P"}) == "python -m pytest_pafot search p:P"
+
+
+# The commands that messages print are run as they are, in a folder and with names that need quotes.
+
+PLANNER = """\
+class Planner:
+    def __init__(self, name=""):
+        self.name = name
+
+    def __call__(self, observation):
+        return 0.0, 0.0
+
+
+def idle(name):
+    return lambda observation: 1
+"""
+RUN_BY = {
+    "corpus/saved.py": "test_unknown_finding_is_among_those_that_the_command_lists",
+    "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
+    "campaign/explore.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
+    "commands/bisect_command.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
+    "plugin/orphans.py": "test_doubles_are_joined_by_the_command_that_is_named",
+    "episodes/progress_command.py": "test_progress_names_a_search_that_saves_what_only_the_new_policy_fails",
+    "episodes/rate_command.py": "test_rate_names_the_command_that_draws_a_crash",
+}
+"""The test that runs the command of each place where a message names one."""
+
+
+def test_every_command_that_messages_name_is_run_here():
+    assert {place for place, _ in calls("command")} == RUN_BY.keys()
+    assert {name for name in RUN_BY.values() if name not in globals()} == set()
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    folder = tmp_path / "a b"
+    folder.mkdir()
+    (folder / "planner.py").write_text(PLANNER)
+    monkeypatch.chdir(folder)
+    for name in ("CI", "COLUMNS", "PYTEST_ADDOPTS"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("COLUMNS", "500")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    return folder
+
+
+def ran(text):
+    """Run a command as a shell reads it; return its exit code and its output."""
+    first, *rest = shlex.split(text)
+    words = [sys.executable, *(rest if first == "python" else ["-m", first, *rest])]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+    return done.returncode, done.stdout + done.stderr
+
+
+def named_in(text, before):
+    """Return the command that a text names after some words."""
+    (found,) = re.findall(rf"{before}`?((?:python -m )?pytest[^`\n]*)", text)
+    return found
+
+
+@pytest.mark.processes
+def test_session_of_search_names_commands_that_work_without_test_files(here):
+    code, told = ran("python -m pytest_pafot search 'planner:Planner:a b' --seed 2 --runs 4 --pafot-json=j.json")
+    assert code == 1, told
+    (file,) = here.rglob("*.pafot.yaml")
+    single = named_in(told, "run a single saved scenario with: ").replace("ID", file.name.partition(".")[0])
+    finding = json.loads((here / "j.json").read_text())["findings"][0]
+    report = html.unescape((here / "pafot.html").read_text())
+    (again,) = set(re.findall(r"python -m pytest_pafot search[^<\"]* -k [\w-]+", report))
+    assert single == again == finding["replay"]
+    code, told = ran(single)
+    assert (code, "replayed 1 saved scenario: 1 still failing" in told, "1 deselected" in told) == (1, True, True)
+
+    keep = named_in(told, "keep it as a test: ").partition(", and commit")[0]
+    assert ran(keep)[0] == 0
+    code, told = ran(command("pytest", file))
+    assert (code, "replayed 1 saved scenario: 1 still failing" in told) == (1, True), told
+
+
+@pytest.mark.processes
+def test_options_that_a_session_of_search_names_repeat_it(here):
+    told = ran("python -m pytest_pafot search planner:Planner --runs 4 --pafot-save=none --pafot-json=j.json")[1]
+    seed, base = re.search(r"seed (\d+) from (--pafot-seed=\d+)", told).groups()
+    again = ran(f"python -m pytest_pafot search planner:Planner --runs 4 {base}")[1]
+    assert f"seed {seed} from {base}" in again
+    for finding in json.loads((here / "j.json").read_text())["findings"]:
+        assert finding["file"] is None
+        assert finding["id"] in ran(finding["replay"])[1]
+
+
+@pytest.mark.processes
+def test_progress_names_a_search_that_saves_what_only_the_new_policy_fails(here):
+    code, told = ran("python -m pytest_pafot progress idm_mobil 'planner:Planner:a b' --scenarios 12 --workers 1")
+    assert code == 0, told
+    code, told = ran(named_in(told, "save and see it: "))
+    assert (code, "against example_ads.idm_mobil:make: introduces" in told) == (1, True), told
+    assert [*here.rglob("*.pafot.yaml")]
+
+
+@pytest.mark.processes
+def test_rate_names_the_command_that_draws_a_crash(here):
+    config = shlex.quote('{"vehicles_count": 30}')
+    given = f"--ads 'planner:idle:a b' --world highway-fast-v0 --config {config} --episodes 5 --workers 1"
+    code, told = ran(f"python -m pytest_pafot rate {given}")
+    assert code == 0, told
+    code, told = ran(named_in(told, "see a crash: "))
+    assert (code, "crashed after" in told) == (0, True), told
+    assert [*here.glob("*.png")]
+    told = ran("python -m pytest_pafot rate --ads 'planner:Planner:a b' --world highway-fast-v0 --episodes 1")[1]
+    (given,) = re.findall(r"use (--ads .+)", told)
+    code, told = ran(f"python -m pytest_pafot rate {given} --world highway-fast-v0 --episodes 1")
+    assert (code, "1 episode" in told) == (0, True), told
+
+
+TEST = """\
+import pytest_pafot as pafot
+
+@pafot.search(ads="planner:Planner:a b", runs=4, seed=2, shrink_rollouts=0)
+def test_safe(run):
+    assert not run.collision
+"""
+
+
+@pytest.mark.processes
+def test_doubles_are_joined_by_the_command_that_is_named(here):
+    (here / "test_it.py").write_text(TEST)
+    (here / "pytest.ini").write_text("[pytest]\npafot_corpus = c d\npythonpath = .\n")
+    ran("python -m pytest")
+    file = min(here.rglob("*.pafot.yaml"))
+    text = file.read_text()
+    file.with_name("front-2-abcdef.pafot.yaml").write_text(text)
+    told = ran(f"python -m pytest {flag('generations', 0)}")[1]
+    code, told = ran(named_in(told, "join them into one: "))
+    assert (code, "front-2-abcdef" in told) == (0, True), told
+
+
+@pytest.mark.processes
+def test_unknown_finding_is_among_those_that_the_command_lists(here):
+    (here / "test_it.py").write_text(TEST)
+    ran("python -m pytest")
+    file = min(here.rglob("*.pafot.yaml"))
+    code, told = ran("python -m pytest_pafot export 000000 --to csv --ads planner:Planner")
+    assert code == 2
+    code, told = ran(named_in(told, "; "))
+    assert (code, file.name.partition(".")[0] in told) == (0, True), told
+
+
+@pytest.mark.processes
+def test_deadly_scenario_is_replayed_by_the_command_that_is_named(here):
+    marked = TEST.replace('ads="planner:Planner:a b"', "ads=deadly, isolate=True")
+    deadly = "import os\n\ndef deadly():\n    return lambda observation: os._exit(3)\n\n"
+    (here / "test_it.py").write_text(f"{deadly}{marked}")
+    ran("python -m pytest")
+    file = min(here.rglob("*.pafot.yaml"))
+    code, told = ran(shlex.join(["python", "-c", f"import pytest_pafot as p\np.load({str(file)!r}).replay(None)"]))
+    assert code == 1
+    code, told = ran(named_in(told, "run "))
+    assert (code, "1 still failing" in told) == (1, True), told
