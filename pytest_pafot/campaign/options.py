@@ -225,7 +225,8 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "report",
         "page",
-        "Write the findings to FILE.html as one web page, or to the folder DIR/ as a page with an animation of each.",
+        "Write the findings to FILE.html as one web page, or to the folder DIR/ as a page with an animation of each. "
+        "Of more than 100 findings, the worst 100 are whole, and the others are rows of a table.",
     ),
     Option(
         "json",

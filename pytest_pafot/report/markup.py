@@ -121,6 +121,31 @@ def finding_list(findings: Sequence[FindingView]) -> str:
     return listed
 
 
+def further_section(findings: Sequence[FindingView], whole: int) -> str:
+    """Return an HTML table of the findings that the page does not show whole; an empty text if there are none.
+
+    ``whole`` is the number of findings that it shows whole.
+    """
+    if not findings:
+        return ""
+    rows = (
+        row(
+            text(finding.id),
+            f"{text(finding.headline)}<br>{text(', '.join(_tags(finding)))}",
+            text(finding.path or finding.node_id),
+            f"<code>{text(f'{finding.command} --pafot-report=one.html')}</code>",
+        )
+        for finding in findings
+    )
+    listed = table(columns("finding", "what happened", "file", "a page of it alone"), rows)
+    count = plural(len(findings), "further finding")
+    told = f"This page shows the {whole} worst findings whole. The others follow, the worst first."
+    return (
+        f'<section class="campaigns" id="further" aria-label="Further findings"><h2>{count}</h2>'
+        f'<p class="note">{told}</p><div class="scroll">{listed}</div></section>'
+    )
+
+
 def _filter(findings: Sequence[FindingView]) -> str:
     """Return the input fields that filter the list of findings. They work only with the page's script."""
     options = ""
