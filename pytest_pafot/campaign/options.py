@@ -24,6 +24,9 @@ Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "addre
 
 SEED_LIMIT = 2**63
 
+MOST_WORKERS = 1024
+"""The largest number of processes that can be requested. More do not fit into the memory of any machine so far."""
+
 REVISION = "rev:"
 """The prefix of a reference that is a revision of the repository."""
 
@@ -53,6 +56,7 @@ class Option(NamedTuple):
     help: str
     default: object = None
     least: float = 0  # the smallest accepted number
+    most: float = SEED_LIMIT - 1  # the largest accepted whole number
     choices: tuple[str, ...] = ()  # the accepted texts; empty if any is accepted
     or_class: bool = False  # True if a class or function, or its ``module:name``, is accepted as well
     everywhere: bool = True  # False for a deliberate request for one session: only on the command line
@@ -116,8 +120,9 @@ OPTIONS: tuple[Option, ...] = (
         "integer",
         "Scenarios per generation. Default: 16 for distinct, and 64 from the second generation on if the ADS decides "
         "for many runs at once with `batch` (not used with --pafot-isolate, decision_limit or an executor); 4 for the "
-        "other algorithms.",
+        "other algorithms. At most 10000, since all scenarios of a generation are in memory at once.",
         least=2,
+        most=10_000,
     ),
     Option(
         "seed",
@@ -199,6 +204,7 @@ OPTIONS: tuple[Option, ...] = (
         "The findings are the same. Always 1 under pytest-xdist.",
         default=1,
         least=1,
+        most=MOST_WORKERS,
     ),
     Option(
         "isolate",
@@ -349,8 +355,8 @@ def _read_integer(option: Option, value: object) -> int:
         number = int(value, 10) if isinstance(value, str) else value
     except ValueError:
         number = None
-    if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number < SEED_LIMIT:
-        limit = f" and less than {SEED_LIMIT}" if isinstance(number, int) and number >= SEED_LIMIT else ""
+    if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number <= option.most:
+        limit = f" and at most {option.most}" if isinstance(number, int) and number > option.most else ""
         raise OptionError(f"expected a whole number, at least {option.least:g}{limit}, received {value!r}")
     return number
 
@@ -360,8 +366,8 @@ def _read_workers(option: Option, value: object) -> int:
         return cores()
     try:
         return _read_integer(option, value)
-    except OptionError:
-        raise OptionError(f"expected {AUTO} or a whole number, at least {option.least:g}, received {value!r}") from None
+    except OptionError as error:
+        raise OptionError(str(error).replace("expected a", f"expected {AUTO} or a", 1)) from None
 
 
 def cores() -> int:
