@@ -159,7 +159,8 @@ OPTIONS: tuple[Option, ...] = (
         "max_time",
         "seconds",
         "Limit of wall-clock time of each search [s], including shrinking and reference drivers, for which a search "
-        "with findings reserves a third. A search that this limit cuts is not reproducible.",
+        "with findings reserves a third. It ends a run before its next decision. A search that this limit cuts is not "
+        "reproducible.",
     ),
     Option(
         "total_time",
