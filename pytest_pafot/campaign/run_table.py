@@ -26,7 +26,7 @@ COLUMNS: Mapping[str, str] = {
     "scenario_seed": "seed of the scenario's own random choices, such as the repair of its instructions",
     "reused": "True if the result of an earlier run was reused, so the scenario was not simulated; `verdict`, "
     "`responsibility`, `fault` and the measures are then those of the same scenario, or empty if only a different "
-    "scenario has this result",
+    "scenario has this result, or if the same one ran more than 10,000 runs before",
     "ego_lane": "the ego's first lane, from 0 at the left",
     "ego_speed": "the ego's first speed [m/s]",
     "npcs": "number of NPCs",
