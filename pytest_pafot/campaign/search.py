@@ -55,8 +55,8 @@ The scenario is run, run again, and run in highway-env's own environment, which 
 """
 
 LEAST = 2.0
-"""The time that a search has for its replays and its first run even if its limit is over by then [s]. So a search of a
-fast policy tests something although others have used up the time of the session."""
+"""The time that a search has for its replays, its first run and the confirmation of a finding in it, even if its limit
+is over by then [s]. So a search of a fast policy tests something although others have used up the session's time."""
 
 AFTER_A_DEATH = "ran as with --pafot-isolate, since a process died in this search before"
 
@@ -190,7 +190,8 @@ class Search:
         harness, loop, recorder, simulation = self.harness, self.loop, self.loop.recorder, self.loop.simulation
         speed_limit = float(harness.world.speed_limit)
         recorder.listener(SearchStarted(node_id=self.node_id, seed=self.sessions.seed, speed_limit=speed_limit))
-        began, recorder.until = self.sessions.clock(), self.limit.until
+        began = self.sessions.clock()
+        recorder.until = max(self.limit.until, began + LEAST)
         retried = [self._retried(leftover) for leftover in harness.left_behind()]
         self.process_notes += [note for each in retried for note in each.notes]
         reason, fault = "interrupted", None
