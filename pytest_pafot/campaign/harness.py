@@ -29,7 +29,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
-from pytest_pafot.support.errors import DriverError
+from pytest_pafot.support.errors import DriverError, OutOfTime
 from pytest_pafot.support.references import factory_named, referred_to
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
@@ -361,18 +361,20 @@ class Simulation:
         Raises:
             ProcessLostError: if the run was in another process, and that process died or hung.
             RequestError: for a world, factory or scenario that does not fit.
+            OutOfTime: if the time of the search is over.
         """
         __tracebackhide__ = True
-        with refusals():
+        with self._recorded(), refusals():
             trace = self.runner.run(scenario, afresh=afresh)
         return self.harness.seen(trace)
 
     def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
         """Judge the last run. If it fails, the reference is run in ``scenario``, by default in the run's scenario."""
         __tracebackhide__ = True
-        verdict = self.harness.judge(run)
-        if verdict.failed and self.reference is not None:
-            verdict = verdict.beside(self.harness.judge_reference(self.reference, scenario or run.scenario))
+        with self._recorded():
+            verdict = self.harness.judge(run)
+            if verdict.failed and self.reference is not None:
+                verdict = verdict.beside(self.harness.judge_reference(self.reference, scenario or run.scenario))
         self.record.clear()
         return verdict
 
@@ -407,7 +409,7 @@ class Simulation:
             return None
         self.record.write(scenario)
         ads = self.harness.ads
-        with refusals():
+        with self._recorded(), refusals():
             if isinstance(ads, RevisionPolicy):
                 trace = ads.call(rolled, "rollout_in_gym", world, scenario)
             elif self.harness.request.settings.isolate:
@@ -416,6 +418,16 @@ class Simulation:
                 trace = world.rollout_in_gym(scenario, ads)
         self.record.clear()
         return Run(trace, decision_limit=self.harness.request.decision_limit)
+
+    @contextmanager
+    def _recorded(self) -> Iterator[None]:
+        """Clear the crash record of a run that the time limit ends, because no process died in it."""
+        __tracebackhide__ = True
+        try:
+            yield
+        except OutOfTime:
+            self.record.clear()
+            raise
 
 
 def checked_factory(given: object, name: str) -> Callable[..., Any]:

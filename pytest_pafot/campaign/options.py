@@ -25,6 +25,9 @@ Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "addre
 
 SEED_LIMIT = 2**63
 
+MOST_WORKERS = 1024
+"""The largest number of processes that can be requested. More do not fit into the memory of any machine so far."""
+
 REVISION = "rev:"
 """The prefix of a reference that is a revision of the repository."""
 
@@ -57,6 +60,7 @@ class Option(NamedTuple):
     help: str
     default: object = None
     least: float = 0  # the smallest accepted number
+    most: float = SEED_LIMIT - 1  # the largest accepted whole number
     choices: tuple[str, ...] = ()  # the accepted texts; empty if any is accepted
     or_class: bool = False  # True if a class or function, or its ``module:name``, is accepted as well
     everywhere: bool = True  # False for a deliberate request for one session: only on the command line
@@ -120,8 +124,9 @@ OPTIONS: tuple[Option, ...] = (
         "integer",
         "Scenarios per generation. Default: 16 for distinct, and 64 from the second generation on if the ADS decides "
         "for many runs at once with `batch` (not used with --pafot-isolate, decision_limit or an executor); 4 for the "
-        "other algorithms.",
+        "other algorithms. At most 10000, since all scenarios of a generation are in memory at once.",
         least=2,
+        most=10_000,
     ),
     Option(
         "seed",
@@ -158,7 +163,8 @@ OPTIONS: tuple[Option, ...] = (
         "max_time",
         "seconds",
         "Limit of wall-clock time of each search [s], including shrinking and reference drivers, for which a search "
-        "with findings reserves a third. A search that this limit cuts is not reproducible.",
+        "with findings reserves a third. It ends a run before its next decision. A search that this limit cuts is not "
+        "reproducible.",
     ),
     Option(
         "total_time",
@@ -203,6 +209,7 @@ OPTIONS: tuple[Option, ...] = (
         "The findings are the same. Always 1 under pytest-xdist.",
         default=1,
         least=1,
+        most=MOST_WORKERS,
     ),
     Option(
         "isolate",
@@ -229,7 +236,8 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "report",
         "page",
-        "Write the findings to FILE.html as one web page, or to the folder DIR/ as a page with an animation of each.",
+        "Write the findings to FILE.html as one web page, or to the folder DIR/ as a page with an animation of each. "
+        "Of more than 100 findings, the worst 100 are whole, and the others are rows of a table.",
     ),
     Option(
         "json",
@@ -351,8 +359,8 @@ def _read_integer(option: Option, value: object) -> int:
         number = int(value, 10) if isinstance(value, str) else value
     except ValueError:
         number = None
-    if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number < SEED_LIMIT:
-        limit = f" and less than {SEED_LIMIT}" if isinstance(number, int) and number >= SEED_LIMIT else ""
+    if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number <= option.most:
+        limit = f" and at most {option.most}" if isinstance(number, int) and number > option.most else ""
         raise OptionError(f"expected a whole number, at least {option.least:g}{limit}, received {value!r}")
     return number
 
@@ -362,8 +370,8 @@ def _read_workers(option: Option, value: object) -> int:
         return cores()
     try:
         return _read_integer(option, value)
-    except OptionError:
-        raise OptionError(f"expected {AUTO} or a whole number, at least {option.least:g}, received {value!r}") from None
+    except OptionError as error:
+        raise OptionError(str(error).replace("expected a", f"expected {AUTO} or a", 1)) from None
 
 
 def cores() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -24,15 +25,20 @@ from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import UNFIT, let_through
+from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 # Confirmation of a finding: the same run once more, and once in highway-env's own environment.
 
 NOT_REPEATED = "running it again gave a different run"
+
+UNCONFIRMED = "not confirmed: out of time"
+"""The remark on a finding that the time limit left no time to run again."""
 
 
 def difference(run: Run, simulation: Simulation) -> str:
@@ -80,6 +86,7 @@ class Recorder:
     listener: Listener
     clock: Callable[[], float]  # returns the seconds since some fixed moment
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
+    until: float = math.inf  # the time at which confirming ends [s]
     # files that existed before the search; their replays do not show the findings that are saved here
     replayed: frozenset[Path] = frozenset()
     kept: dict[str, FindTold] = field(default_factory=dict)  # the findings so far, by id
@@ -93,6 +100,11 @@ class Recorder:
     def count(self) -> int:
         """The number of distinct findings so far, including findings above the limit, which are not saved."""
         return len(self.kept) + len(self.unsaved) - len(self.held or ())
+
+    @property
+    def has_firm(self) -> bool:
+        """True if there is a finding that can be shrunk."""
+        return any(kept.is_firm for kept in self.kept.values())
 
     def keep(self, run: Run, verdict: Verdict, generation: int, number: int) -> str:
         """Save a new finding, run its scenario again to confirm it, and report it or hold it back; return its id.
@@ -125,6 +137,8 @@ class Recorder:
         differs = ""
         try:
             differs = "" if verdict.is_timed else self.confirmed(run)
+        except OutOfTime:
+            kept = replace(kept, find=replace(kept.find, unshrunk=UNCONFIRMED))
         finally:  # The finding must be reported even if these runs are interrupted.
             if differs:
                 kept = self.call_flaky(kept, differs)
@@ -136,9 +150,14 @@ class Recorder:
         return kept.find.id
 
     def confirmed(self, run: Run) -> str:
-        """Return what differs when a run is repeated; empty if nothing does. Measure how long that takes."""
+        """Return what differs when a run is repeated; empty if nothing does. Measure how long that takes.
+
+        Raises:
+            OutOfTime: if the time of the search is over.
+        """
         began = self.clock()
-        differs = self.confirm(run)
+        with runs_end_in(self.until - began):
+            differs = self.confirm(run)
         self.pace = max(self.pace, (self.clock() - began) / max(run.duration, 1.0))
         return differs
 
@@ -177,7 +196,7 @@ class Recorder:
     def call_flaky(self, kept: FindTold, difference: str) -> FindTold:
         """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
         marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, str(self.harness.root))))
-        self.kept[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference))
+        self.kept[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference, unshrunk=""))
         return self.kept[kept.find.id]
 
     def rewritten(self, kept: FindTold, finding: Finding) -> FindTold:

@@ -6,12 +6,14 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
 from pytest_pafot.campaign.verdict import worst_margins
 from pytest_pafot.findings.signature import Signature
+from pytest_pafot.searching.evaluation_cache import EVALUATIONS
 from pytest_pafot.searching.events import Evaluated
 
 COLUMNS: Mapping[str, str] = {
@@ -24,7 +26,7 @@ COLUMNS: Mapping[str, str] = {
     "scenario_seed": "seed of the scenario's own random choices, such as the repair of its instructions",
     "reused": "True if the result of an earlier run was reused, so the scenario was not simulated; `verdict`, "
     "`responsibility`, `fault` and the measures are then those of the same scenario, or empty if only a different "
-    "scenario has this result",
+    "scenario has this result, or if the same one ran more than 10,000 runs before",
     "ego_lane": "the ego's first lane, from 0 at the left",
     "ego_speed": "the ego's first speed [m/s]",
     "npcs": "number of NPCs",
@@ -63,7 +65,8 @@ class RunTable:
     seed: int = 0
     number: int = 0
     rows: list[Row] = field(default_factory=list)
-    _judged: dict[str, Row] = field(default_factory=dict)  # the columns of a run, by the id of its scenario
+    # the columns of the last runs, as many as a search reuses, by the id of the scenario
+    _judged: dict[str, Row] = field(default_factory=dict)
 
     def see(self, event: SearchEvent) -> None:
         """Process an event of the search."""
@@ -71,14 +74,18 @@ class RunTable:
             case SearchStarted():
                 self.test, self.seed = event.node_id, event.seed
             case Judged():
-                self._judged[event.run.scenario.id] = _of_run(event)
+                id_ = event.run.scenario.id
+                self._judged.pop(id_, None)  # so that the order is that of the last runs
+                self._judged[id_] = _of_run(event)
             case Evaluated():
                 self.number += 1
                 self.rows.append(self._row(event))
 
     def taken(self) -> list[Row]:
-        """Return the rows that are new since the last call, and remove them."""
+        """Return the rows that are new since the last call, and remove them. Call it between two generations."""
         rows, self.rows = self.rows, []
+        for id_ in list(islice(self._judged, max(0, len(self._judged) - EVALUATIONS))):
+            del self._judged[id_]
         return rows
 
     def _row(self, event: Evaluated) -> Row:

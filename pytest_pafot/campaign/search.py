@@ -37,11 +37,13 @@ from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.campaign import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
+from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import loading_hint
 from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
+from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 DONE, ALL_RUN = "all generations done", "all runs done"
 FOR_SIMPLIFYING = 1 / 3
@@ -52,6 +54,10 @@ RUNS_TO_CONFIRM = 4
 
 The scenario is run, run again, and run in highway-env's own environment, which takes about as long as two runs.
 """
+
+LEAST = 2.0
+"""The time that a search has for its replays, its first run and the confirmation of a finding in it, even if its limit
+is over by then [s]. So a search of a fast policy tests something although others have used up the session's time."""
 
 AFTER_A_DEATH = f"ran as with {flag('isolate')}, since a process died in this search before"
 
@@ -186,6 +192,7 @@ class Search:
         speed_limit = float(harness.world.speed_limit)
         recorder.listener(SearchStarted(node_id=self.node_id, seed=self.sessions.seed, speed_limit=speed_limit))
         began = self.sessions.clock()
+        recorder.until = max(self.limit.until, began + LEAST)
         retried = [self._retried(leftover) for leftover in harness.left_behind()]
         self.process_notes += [note for each in retried for note in each.notes]
         reason, fault = "interrupted", None
@@ -289,12 +296,22 @@ class Search:
         others = [each for each in saved if not self.sessions.is_own(each)]
         loop.recorder.replayed = frozenset(each.path for each in others)
         loop.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
-        loop.shown = self.replays.shown_by(others)  # Their failures are not new.
         search_until = began + (self.limit.until - began) * (1 - FOR_SIMPLIFYING)
-        self.sessions.find_again(saved, search_until)
+        try:
+            with runs_end_in(max(self.limit.until, began + LEAST) - self.sessions.clock()):
+                loop.shown = self.replays.shown_by(others)  # Their failures are not new.
+                self.sessions.find_again(saved, search_until)
+        except OutOfTime:  # It is unknown what is known, so nothing could be called new.
+            return self.limit.flag
 
         def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:
             return for_batches if state.generation and self.sessions.decides_for_many else algorithm
+
+        runs_before = loop.runs
+
+        def seconds_left() -> float:
+            ends = search_until if loop.recorder.has_firm else self.limit.until
+            return (ends if loop.runs > runs_before else max(ends, began + LEAST)) - self.sessions.clock()
 
         def foresee(scenarios: Iterable[Scenario]) -> None:
             runner.announce(each for each in scenarios if each not in loop.fatal)
@@ -316,6 +333,7 @@ class Search:
                 resumed=resumed,
                 border=self.sessions.at_border,
             )
+            loop.seconds_left = seconds_left
             loop.follow(events, self._tell_progress)
         except CheckpointError as error:
             raise self.sessions.refused(error) from None
@@ -337,7 +355,7 @@ class Search:
 
         def most_seconds() -> float:
             ends = search_until
-            if not any(kept.is_firm for kept in loop.recorder.kept.values()):
+            if not loop.recorder.has_firm:
                 run_seconds = (clock() - began) * workers / max(loop.runs - runs_before, 1)
                 ends = max(ends, self.limit.until - RUNS_TO_CONFIRM * run_seconds)
             return max(0.0, ends - began)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -24,6 +25,7 @@ from pytest_pafot.searching.evaluation import Evaluation, interaction_of
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.text import plural
+from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 # Values that a search reads from every run. They are read in the process that made the run, to relieve this one.
 
@@ -53,6 +55,7 @@ class SearchLoop:
     space: SearchSpace | None = None  # the space from which scenarios are sampled; None for replays only
     listener: Listener = lambda event: None
     is_steered_by_checks: bool = True  # True if margins of checks are objectives, in addition to the fitness
+    seconds_left: Callable[[], float] = lambda: math.inf  # the time after which a run ends between decisions [s]
     fatal: set[Scenario] = field(default_factory=set)  # scenarios in which a process died; they are not run
     shown: Mapping[Signature, str] = field(default_factory=dict)  # ids of saved scenarios by the failure they show now
     finds: dict[Signature, str] = field(default_factory=dict)  # ids of new findings by signature
@@ -117,15 +120,20 @@ class SearchLoop:
         return tuple(warnings)
 
     def evaluate(self, scenario: Scenario) -> Evaluation:
-        """Run and judge a scenario; return its evaluation for the algorithm."""
+        """Run and judge a scenario; return its evaluation for the algorithm.
+
+        Raises:
+            OutOfTime: if the time of the search is over before that; the scenario then counts nowhere.
+        """
         run = lost = None
-        if scenario not in self.fatal:
-            try:
-                run = self.simulation.run(scenario)
-            except ProcessLostError as error:
-                lost = error
-        if run is not None:
-            return self._judged(run)
+        with runs_end_in(self.seconds_left()):
+            if scenario not in self.fatal:
+                try:
+                    run = self.simulation.run(scenario)
+                except ProcessLostError as error:
+                    lost = error
+            if run is not None:
+                return self._judged(run)
         self.first.is_alike = False
         self.recorder.release()
         if lost is not None:  # Outside of the handler, so that the finding's exception has no context.
@@ -186,11 +194,13 @@ class SearchLoop:
     def _judged(self, run: Run) -> Evaluation:
         is_alone = self.simulation.runner.is_alone
         verdict = self.simulation.judge(run)
-        self.listener(Judged(run=run, verdict=verdict))
+        judged = [Judged(run=run, verdict=verdict)]
         if verdict.failed and not is_alone:  # Run it alone as its replay will, in case a batch mixes up its rows.
             run = self.simulation.run(run.trace.scenario, afresh=True)
             verdict = self.simulation.judge(run)
-            self.listener(Judged(run=run, verdict=verdict))
+            judged.append(Judged(run=run, verdict=verdict))
+        for event in judged:  # After both runs, because the time limit may end the second one, and then none counts.
+            self.listener(event)
         self.verdicts[verdict.kind] += 1
         if verdict.kind == "passed":
             self.caught.update({check.name for check in verdict.checks if not check.holds})

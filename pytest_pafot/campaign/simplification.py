@@ -25,9 +25,10 @@ from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import LANE, SPEED
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import DriverError
+from pytest_pafot.support.errors import DriverError, OutOfTime
 from pytest_pafot.world import protocol
 from pytest_pafot.world.driving.perception import Perception
+from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 ClaimT = TypeVar("ClaimT")
 
@@ -151,8 +152,8 @@ class Simplification:
                 self._have_turn(find_id, sharing=len(round_) - number)
             finds = [find_id for find_id in round_ if find_id not in self.done]
         for kept in [recorder.kept[find_id] for find_id in finds]:
-            cut = "not shrunk" if kept.finding.shrunk is None else "shrunk in part"
-            find = replace(kept.find, unshrunk=f"{cut}: out of time{way_on}")
+            cut = "not shrunk: out of time" if kept.finding.shrunk is None else "shrunk in part: out of time"
+            find = replace(kept.find, unshrunk=f"{kept.find.unshrunk or cut}{way_on}")
             recorder.tell(replace(kept, find=find, is_new=False))
 
     def _have_turn(self, find_id: str, sharing: int) -> None:
@@ -162,7 +163,10 @@ class Simplification:
         if now >= self.until:
             return
         try:
-            is_done = self._refine(kept, _Turn(until=now + (self.until - now) / sharing))
+            with runs_end_in(self.until - now):
+                is_done = self._refine(kept, _Turn(until=now + (self.until - now) / sharing))
+        except OutOfTime:  # The finding stays as it was. What is known of shrinking it is among the answers.
+            is_done = False
         except ProcessLostError as error:
             self.loop.recorder.call_flaky(kept, f"the process that ran it again {error.how}")
             self.loop.lose(error)
@@ -208,7 +212,12 @@ class Simplification:
                 began = self.clock()
                 turn.check(began)
                 self.tell(f"shrinking {kept.find.id}, run {asked + 1} of {rollouts}")
-                shown = self._shown(kept.find.id, candidate, top_speed)
+                try:
+                    with runs_end_in(turn.until - turn.to_conclude - began):
+                        shown = self._shown(kept.find.id, candidate, top_speed)
+                except OutOfTime:
+                    turn.is_over = True
+                    raise OutOfBudget from None
                 answers.append((candidate.id, shown))
                 turn.took(self.clock() - began, None if shown is None else self._confirming(shown[0]))
             _, shown = answers[asked]
@@ -270,7 +279,8 @@ class Simplification:
         if not self._shows(kept.find.id, run, verdict):
             otherwise = f"a later run of it ended differently: {ending(run)}"
             return run, verdict, "the reference failed when it ran again" if verdict.kind == "common" else otherwise
-        return run, verdict, "" if scenario == kept.finding.scenario else self.loop.recorder.confirmed(run)
+        is_confirmed = scenario == kept.finding.scenario and not kept.find.unshrunk
+        return run, verdict, "" if is_confirmed else self.loop.recorder.confirmed(run)
 
     def _conclude(self, kept: FindTold, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
         if verdict.failure is None or verdict.exception is None:
@@ -303,12 +313,12 @@ class Simplification:
             original=found if scenario != found else None,
             shrunk=shrunk if shrunk.rollouts else None,
         )
-        if finding == before:
+        if finding == before and not kept.find.unshrunk:
             return
         line = headline(run, verdict)
         line = line if perception is None else f"{line}, {perception.sentence}"
         responsible = finding.expect.responsibility
-        find = replace(kept.find, headline=line, severity=verdict.severity, responsible=responsible)
+        find = replace(kept.find, headline=line, severity=verdict.severity, responsible=responsible, unshrunk="")
         recorder.tell(
             replace(recorder.rewritten(kept, finding), find=find, exception=exception, run=known, is_new=False)
         )

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path, PurePath
 from typing import Any, TextIO
 
-from pytest_pafot.campaign.options import cores
+from pytest_pafot.campaign.options import MOST_WORKERS, cores
 from pytest_pafot.commands.policy_reference import PlanError
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.support.files import way_out, write_whole
@@ -129,10 +129,10 @@ def worker_count(given: int | None) -> int:
     """Return the number of processes that ``--workers`` requests, by default one for each core.
 
     Raises:
-        PlanError: if the requested number is less than one.
+        PlanError: if the requested number is less than one, or too large.
     """
-    if given is not None and given < 1:
-        raise PlanError(f"--workers: expected at least 1, received {given}")
+    if given is not None and not 1 <= given <= MOST_WORKERS:
+        raise PlanError(f"--workers: expected a whole number, from 1 to {MOST_WORKERS}, received {given}")
     return given or cores()
 
 

@@ -27,12 +27,13 @@ from types import ModuleType
 from typing import Any
 
 from pytest_pafot.execution.captured_output import capture_output
-from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import GRACE, POLL, ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun, Timed, recovery_note, timed
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.support.ways_out import flag, install
 from pytest_pafot.world import protocol
+from pytest_pafot.world.guard.hang_guard import check_time
 
 INSTALL = install("dask")
 TASK_SECONDS = 0.02
@@ -150,7 +151,7 @@ class ExecutorPool:
         while scenario in self._under_way:
             scenarios, future = self._under_way[scenario]
             try:
-                done: Done | str | None = future.result()
+                done: Done | str | None = _result(future)
             except Exception as error:  # noqa: BLE001  (any executor may raise anything)
                 # These errors say nothing about the scenarios, which may succeed elsewhere. KilledWorker is Dask's.
                 is_lost = isinstance(error, (BrokenExecutor, CancelledError, OSError))
@@ -178,6 +179,22 @@ class ExecutorPool:
             elif not isinstance(answer, ProcessLostError):
                 self.unable.append(answer)
             self._answers[scenario] = answer
+
+
+def _result(future: Future[Any]) -> Any:
+    """Wait for the result of a task.
+
+    Raises:
+        OutOfTime: if the time of the search is over.
+        Exception: any exception of the task or of the executor.
+    """
+    while True:
+        check_time()
+        try:
+            return future.result(POLL)
+        except TimeoutError:
+            if future.done():  # the error is that of the task
+                raise
 
 
 @contextmanager

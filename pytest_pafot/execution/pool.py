@@ -28,8 +28,9 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
+from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.ways_out import flag
-from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
+from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")
@@ -157,6 +158,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
         Each answer can be fetched once. A task in which a process died is tried once more while nothing else runs,
         because there may have been too little memory for all processes, or the process was killed from outside.
+
+        Raises:
+            OutOfTime: if the time of the search is over; all processes are ended.
         """
         if task not in self._wanted:
             self._wanted.add(task)
@@ -238,6 +242,11 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def _receive(self) -> None:
         """Wait for a limited time and receive all available answers; sometimes check processes that do not answer."""
+        try:
+            check_time()
+        except OutOfTime:
+            self.close(at_once=True)
+            raise
         busy, now_and_then = self._busy, min(POLL, self.patience / 4)
         ready = wait([worker.connection for worker in busy], timeout=now_and_then)
         is_time = not ready or self.clock() - self._looked_at >= now_and_then

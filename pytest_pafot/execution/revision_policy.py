@@ -29,6 +29,7 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.support.text import one_line, visible
 from pytest_pafot.world import protocol
+from pytest_pafot.world.guard.hang_guard import check_time
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
 T = TypeVar("T")
@@ -253,6 +254,7 @@ class _Process:
         try:
             self._connection.send_bytes(request)
             while not self._connection.poll(POLL):
+                check_time()
                 if self.clock() > until:
                     raise TimeoutError
                 if popen is not None and popen.poll() is not None and not self._connection.poll():

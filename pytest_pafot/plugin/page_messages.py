@@ -19,10 +19,9 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.messages import PAGE
-from pytest_pafot.report.campaign_view import campaign_view
+from pytest_pafot.report.campaign_view import CampaignCounts
 from pytest_pafot.report.finding_view import finding_view
 from pytest_pafot.report.page_data import NEW
-from pytest_pafot.searching.events import Event
 from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.ways_out import rerun
 
@@ -38,7 +37,7 @@ class PageMessages:
 
     item: pytest.Item  # the running item
     settings: Settings  # the item's settings, which name the page
-    events: list[Event] = field(default_factory=list)  # the events of the search's algorithm so far
+    counts: CampaignCounts = field(default_factory=CampaignCounts)  # of the events of the search's algorithm
     responsibilities: Counter[str] = field(default_factory=Counter)  # number of runs by responsibility for a collision
     speed_limit: float = 0.0  # the speed limit in the search's world [m/s]
 
@@ -52,12 +51,12 @@ class PageMessages:
             case FindTold():
                 self._find(event)
             case SearchSummary():
-                if self.events:  # without events, the item only replayed
+                if self.counts.started is not None:  # otherwise the item only replayed
                     self._searched(event)
             case Progress():
                 pass
             case _:
-                self.events.append(event)
+                self.counts.see(event)
 
     def _find(self, told: FindTold) -> None:
         """Send a new finding, or replace it on the page when more is known about it."""
@@ -77,9 +76,8 @@ class PageMessages:
 
     def _searched(self, summary: SearchSummary) -> None:
         """Send the finished search, and what is known about its findings only now."""
-        campaign = campaign_view(
+        campaign = self.counts.view(
             self.item.nodeid,
-            self.events,
             speed_limit=self.speed_limit,
             responsibilities=self.responsibilities,
             cut_by=summary.reason if summary.reason in ("error", "interrupted") else "",

@@ -21,6 +21,7 @@ from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.searching.space import sample
+from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.ways_out import flag
 
@@ -78,6 +79,11 @@ class Revisions:
             try:
                 policy.start()
                 break
+            except OutOfTime:
+                why = "it was not built before the time limit of the search was over; give the search more time"
+                raise RevisionError(
+                    f"{policy.label}: expected a process with its policy, received none: {why}"
+                ) from None
             except RevisionError as error:
                 is_last = bool(named or put_at) or error.missing.startswith("fixture:")
                 if is_last and revision.lacks(error.missing):
@@ -150,6 +156,8 @@ def compare(item: pytest.Item, harness: Harness) -> None:
                 seen = policy.call(Served.hashes)
                 seen.pop(found.put, None)
                 lines, same = revision.compared(seen, found.test, is_whole=policy.call(Served.is_whole))
+        except OutOfTime:
+            return  # The search has no time for a run either, and reports it.
         except ProcessLostError:
             return  # Each of its runs fails, which the search reports.
         except RequestError as error:

@@ -1,16 +1,21 @@
 """``--pafot-table``: all runs of a session's searches in one file, written by the controller.
 
 A CSV file grows with each generation, so a killed session leaves the runs so far. At the end, the rows are sorted by
-test and run, so their order does not depend on the number of workers.
+test and run, so their order does not depend on the number of workers. Until then a temporary file stores them, so that
+the memory of the session does not grow with the number of runs.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 
@@ -58,7 +63,7 @@ class Tables:
         self._name: str = config.getoption(TABLE.key)
         self._path = Path(os.path.normpath(config.invocation_params.dir / self._name))
         self._is_parquet = self._path.suffix.lower() == ".parquet"
-        self._rows: list[list[Any]] = []  # only for a Parquet file, which cannot grow
+        self._rows = StoredRows()
         self._problem = refused_output(config, self._name, self._path.parent)
 
     @pytest.hookimpl(trylast=True)
@@ -81,9 +86,11 @@ class Tables:
         message = messages.received(report)
         if message is None or message.kind != "runs":
             return
-        if self._is_parquet:
-            self._rows += message.data["rows"]
-        else:
+        try:
+            self._rows.add(message.data["rows"])
+        except OSError as error:
+            self._fail(error)
+        if not self._is_parquet:
             self._write("a", message.data["rows"])
 
     @pytest.hookimpl(trylast=True)
@@ -92,6 +99,7 @@ class Tables:
         lines = self._config.stash[SUMMARY_LINES]
         if not self._problem:
             self._finish()
+        self._rows.close()
         if self._problem:
             lines.problems.append(f"{flag('table', self._name)}: not written: {self._problem}")
         else:
@@ -101,22 +109,11 @@ class Tables:
         from pytest_pafot.campaign.run_table import COLUMNS  # noqa: PLC0415
         from pytest_pafot.support.files import write_whole  # noqa: PLC0415
 
-        names = list(COLUMNS)
-        test, run = names.index("test"), names.index("run")
         try:
             if self._is_parquet:
-                import pyarrow  # noqa: PLC0415
-                from pyarrow import parquet  # noqa: PLC0415
-
-                rows = sorted(self._rows, key=lambda row: (row[test], row[run]))
-                cells = [dict(zip(names, row, strict=True)) for row in rows]
-                file = io.BytesIO()
-                parquet.write_table(pyarrow.Table.from_pylist(cells), file)
-                write_whole(self._path, file.getvalue())
-                return
-            header, *written = csv.reader(io.StringIO(self._path.read_text(encoding="utf-8")))
-            written.sort(key=lambda row: (row[test], int(row[run])))
-            write_whole(self._path, _text([header, *written]))
+                write_whole(self._path, _parquet(list(COLUMNS), self._rows))
+            elif not self._rows.are_ordered:
+                write_whole(self._path, _text(chain([list(COLUMNS)], self._rows)))
         except OSError as error:
             self._fail(error)
 
@@ -135,7 +132,79 @@ class Tables:
         self._problem = f"{error.strerror or error}; {way_out(error, 'or name another file')}"
 
 
-def _text(rows: list[list[Any]]) -> str:
+class _Part(NamedTuple):
+    """The rows of one message: those of one search, in the order of its runs, from a position of the temporary file."""
+
+    test: str
+    run: int
+    position: int
+
+
+class StoredRows:
+    """Rows in a temporary file without a name, which disappears with the process, however it ends."""
+
+    def __init__(self) -> None:
+        self._file: IO[bytes] | None = None
+        self._parts: list[_Part] = []
+
+    def add(self, rows: list[list[Any]]) -> None:
+        """Store the rows of a message.
+
+        Raises:
+            OSError: if the file cannot be written.
+        """
+        from pytest_pafot.campaign.run_table import COLUMNS  # noqa: PLC0415
+
+        if self._file is None:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115  (open until the session ends)
+        first = dict(zip(COLUMNS, rows[0], strict=True))
+        self._parts.append(_Part(first["test"], first["run"], self._file.seek(0, os.SEEK_END)))
+        self._file.write(json.dumps(rows).encode() + b"\n")
+        self._file.flush()
+
+    @property
+    def are_ordered(self) -> bool:
+        """True if the rows were added in the order of the table, as those of a session without workers usually are."""
+        return sorted(self._parts) == self._parts
+
+    def close(self) -> None:
+        """Remove the file."""
+        if self._file is not None:
+            self._file.close()
+
+    def __iter__(self) -> Iterator[list[Any]]:
+        """Yield the rows by test and run."""
+        for part in sorted(self._parts):
+            assert self._file is not None  # noqa: S101  (there are parts)
+            self._file.seek(part.position)
+            yield from json.loads(self._file.readline())
+
+
+AT_ONCE = 10_000
+"""The number of rows of a Parquet file that are in memory at once."""
+
+
+def _parquet(names: list[str], rows: StoredRows) -> bytes:
+    """Return the content of a Parquet file. The types of its columns follow from all rows."""
+    import pyarrow  # noqa: PLC0415
+    from pyarrow import parquet  # noqa: PLC0415
+
+    def pieces() -> Iterator[Any]:
+        left = iter(rows)
+        while some := [dict(zip(names, row, strict=True)) for row in islice(left, AT_ONCE)]:
+            yield pyarrow.Table.from_pylist(some)
+
+    empty = pyarrow.Table.from_pylist([])
+    schemas = [piece.schema for piece in pieces()] or [empty.schema]
+    schema = pyarrow.unify_schemas(schemas, promote_options="permissive")
+    file = io.BytesIO()
+    with parquet.ParquetWriter(file, schema) as writer:
+        for piece in pieces():
+            writer.write_table(piece.cast(schema))
+    return file.getvalue()
+
+
+def _text(rows: Iterable[list[Any]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()

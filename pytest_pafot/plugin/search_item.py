@@ -46,11 +46,15 @@ from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.support.ways_out import flag
+from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
 
 IN_WORKER = f"{flag('workers')} is 1 under pytest-xdist, which runs tests in several processes already"
+
+LEAST_TO_BUILD = 30.0
+"""The time in which the policy of a revision may be built even if the time limit is over by then [s]."""
 
 OF_SUITE = "record_testsuite_property"
 """The fixture of pytest that records properties of the session."""
@@ -179,13 +183,15 @@ def run_search(item: pytest.Function, request: Request) -> None:
     """Run the search of an item. Fail the item if there is a new finding, or if nothing was tested."""
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
-    harness = harness_of(item, request)
     today = date.fromisoformat(shared.today)
-    compare(item, harness)
+    now = time.monotonic()
+    limit = time_limit(settings, now=now, began=shared.began, left=searches_left(item))
+    with runs_end_in(max(limit.until - now, LEAST_TO_BUILD)):  # for the policy of a revision, in its own process
+        harness = harness_of(item, request)
+        compare(item, harness)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
     chosen = isolated_after_a_death(harness, replays)
     listener = SearchMessages(item, page_messages_of(item, settings), table_messages_of(item), settings)
-    limit = time_limit(settings, now=time.monotonic(), began=shared.began, left=searches_left(item))
     with prepared(chosen, listener) as sessions:
         result = Search(
             node_id=item.nodeid,

@@ -1,14 +1,17 @@
 """``--pafot-json`` and the summary of a CI job, which the controller writes from the messages of items.
 
 The JSON file is written at the beginning of the session and again with each new finding. So a killed session leaves
-its own findings, never the file of an earlier session.
+its own findings, never the file of an earlier session. If writing takes long, because there are a thousand findings,
+the file is written less often, so a killed session may leave it without its last findings; their files are on disk.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -32,6 +35,11 @@ if TYPE_CHECKING:
 JSON = BY_NAME["json"]
 SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable in which GitHub Actions names the file for the summary of a step."""
+
+
+QUICK, REST = 0.1, 10
+"""Writing the JSON file takes long if it takes more than the first number [s]. While the session runs, the file is then
+written again only after this time multiplied by the second number."""
 
 
 def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
@@ -64,8 +72,10 @@ def tell_finding(
 class Records:
     """Hooks that collect the messages and results of items, and write the record of the session."""
 
-    def __init__(self, config: pytest.Config) -> None:
+    def __init__(self, config: pytest.Config, clock: Callable[[], float] = time.monotonic) -> None:
         self._config = config
+        self._clock = clock
+        self._next = -math.inf  # when the JSON file may be written again [s]
         self._file: str | None = config.getoption(JSON.key)
         self._lines = config.stash[SUMMARY_LINES]
         self._searches: dict[str, SearchRecord] = {}  # by node id, like the findings
@@ -215,7 +225,8 @@ class Records:
         ]
 
     def _write_json(self, code: int | None) -> None:
-        if self._file is None:
+        began = self._clock()
+        if self._file is None or (code is None and began < self._next):
             return
         from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
         from pytest_pafot.support.files import way_out, write_whole  # noqa: PLC0415
@@ -235,6 +246,8 @@ class Records:
                     f"{flag('json', self._file)}: not written: {error.strerror or error}; {fix}"
                 )
             return
+        took = self._clock() - began
+        self._next = began + (REST * took if took > QUICK else 0.0)
         if code is not None:
             self._lines.reports.append(f"json: {self._file}")
 

@@ -53,9 +53,9 @@ class LiveTerminal:
     @property
     def rewrites(self) -> bool:
         """True if the line of progress can be overwritten: on a terminal, and if items do not run in parallel."""
-        if self._writer is None or self.is_parallel:
+        if self.writer is None or self.is_parallel:
             return False
-        is_terminal = self._writer.isatty  # a value in earlier versions of pytest, a method in later ones
+        is_terminal = self.writer.isatty  # a value in earlier versions of pytest, a method in later ones
         return bool(is_terminal() if callable(is_terminal) else is_terminal)
 
     def show_progress(self, line: Callable[[int], str]) -> None:
@@ -66,31 +66,32 @@ class LiveTerminal:
             self.write([line(terminal_width())])
             return
         with uncaptured(self._config):
-            self._writer.ensure_newline()
-            self._writer.rewrite(line(terminal_width() - 1), erase=True)
-            self._writer.flush()
+            self.writer.ensure_newline()
+            self.writer.rewrite(line(terminal_width() - 1), erase=True)
+            self.writer.flush()
         self._has_line = True
 
     def erase_progress(self) -> None:
         """Remove the line of progress, before anything else is written."""
         if self._has_line:
             with uncaptured(self._config):
-                self._writer.rewrite("", erase=True)
-                self._writer.rewrite("")
-                self._writer.flush()
+                self.writer.rewrite("", erase=True)
+                self.writer.rewrite("")
+                self.writer.flush()
         self._has_line = False
 
     def write(self, lines: Iterable[str]) -> None:
         """Write lines that stay on the terminal, after the line of progress is removed."""
-        if self._writer is None:
+        if self.writer is None:
             return
         with uncaptured(self._config):
             for line in lines:
-                self._writer.write_line(ascii_text(line))
-            self._writer.flush()
+                self.writer.write_line(ascii_text(line))
+            self.writer.flush()
 
     @property
-    def _writer(self) -> Any:
+    def writer(self) -> Any:
+        """The reporter of pytest that writes on the terminal; None if there is none."""
         return self._config.pluginmanager.get_plugin("terminalreporter")
 
 
@@ -128,6 +129,10 @@ class Reporter:
         result = yield
         if message is not None:
             self._take(report, message)
+            # pytest stores every report to the end of the session: those without a result as well, under no name.
+            stored = getattr(self._live.writer, "stats", {}).get("", [])
+            if stored and stored[-1] is report:
+                stored.pop()
         elif report.when == "teardown":
             self._expand(report.nodeid)
         return result

@@ -21,6 +21,7 @@ from pytest_pafot.report.page_data import (
     ShrinkView,
 )
 from pytest_pafot.support.text import plural, visible_lines
+from pytest_pafot.support.ways_out import flag
 
 
 def text(value: object) -> str:
@@ -119,6 +120,32 @@ def finding_list(findings: Sequence[FindingView]) -> str:
         name = f'<h3 id="group-{number}">{text(test.rpartition("::")[2])} <span class="count">{len(items)}</span></h3>'
         listed += f'<div class="group">{name}<ol aria-labelledby="group-{number}">{"".join(items)}</ol></div>'
     return listed
+
+
+def further_section(findings: Sequence[FindingView], whole: int) -> str:
+    """Return an HTML table of the findings that the page does not show whole; an empty text if there are none.
+
+    ``whole`` is the number of findings that it shows whole.
+    """
+    if not findings:
+        return ""
+    alone = flag("report", "one.html")
+    rows = (
+        row(
+            text(finding.id),
+            f"{text(finding.headline)}<br>{text(', '.join(_tags(finding)))}",
+            text(finding.path or finding.node_id),
+            f"<code>{text(f'{finding.command} {alone}')}</code>",
+        )
+        for finding in findings
+    )
+    listed = table(columns("finding", "what happened", "file", "a page of it alone"), rows)
+    count = plural(len(findings), "further finding")
+    told = f"This page shows the {whole} worst findings whole. The others follow, the worst first."
+    return (
+        f'<section class="campaigns" id="further" aria-label="Further findings"><h2>{count}</h2>'
+        f'<p class="note">{told}</p><div class="scroll">{listed}</div></section>'
+    )
 
 
 def _filter(findings: Sequence[FindingView]) -> str:

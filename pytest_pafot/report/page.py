@@ -10,7 +10,15 @@ from html import escape
 from importlib.resources import files
 from string import Template
 
-from pytest_pafot.report.markup import campaign_article, copyable, facts, finding_article, finding_list, text
+from pytest_pafot.report.markup import (
+    campaign_article,
+    copyable,
+    facts,
+    finding_article,
+    finding_list,
+    further_section,
+    text,
+)
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.support.text import quiet_json
 
@@ -51,6 +59,8 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
         for node_id, told in report.errors
     )
     campaigns = "".join(campaign_article(view, index, is_open=is_open) for index, view in enumerate(report.campaigns))
+    total = len(report.findings) + len(report.further)
+    link = '<p class="note"><a href="#further">The others, as a table</a></p>' if report.further else ""
     searches = f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{campaigns}</section>'
     return Template(_asset("page.html")).substitute(
         title=text(report.title),
@@ -59,9 +69,10 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
         script=script,
         kind=kind if len(report.findings) == 1 else f"{kind} listed",
         facts=facts(report.facts) + (copyable(report.command) if report.command else ""),
-        count=len(report.findings),
+        count=len(report.findings) if not report.further else f"{len(report.findings)} of {total}",
         errors=errors,
-        list=finding_list(report.findings) or f'<p class="empty">{_nothing_found(report)}</p>',
+        further=further_section(report.further, len(report.findings)),
+        list=(finding_list(report.findings) or f'<p class="empty">{_nothing_found(report)}</p>') + link,
         articles="".join(finding_article(finding, index) for index, finding in enumerate(report.findings)),
         campaigns=searches if campaigns else "",
         data=data_json(report),
@@ -91,7 +102,7 @@ def data_json(report: Report) -> str:
     everything beyond ASCII, such as U+2028, is escaped.
     """
     findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
-    data = asdict(replace(report, findings=findings, errors=()))
+    data = asdict(replace(report, findings=findings, further=(), errors=()))
     plain = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

@@ -398,6 +398,7 @@ class Report:
         facts: names and values to show of the session, such as versions and seeds.
         command: command that started the session.
         findings, campaigns: in the order in which they are listed.
+        further: findings that the page shows only as rows of a table, the worst first, without their runs and texts.
         is_interrupted: whether the session was interrupted.
     """
 
@@ -406,6 +407,7 @@ class Report:
     command: str = ""
     findings: tuple[FindingView, ...] = ()
     campaigns: tuple[CampaignView, ...] = ()
+    further: tuple[FindingView, ...] = ()
     errors: Errors = ()
     is_interrupted: bool = False
 

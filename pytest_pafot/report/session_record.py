@@ -66,7 +66,7 @@ class FindingRecord:
         algorithm: algorithm that found it.
         against: the reference that passed in this scenario when it was found; empty if there was none.
         flaky: what differed when it was run again, as in the file; null if the file does not say so.
-        unshrunk: why a new finding is not fully shrunk yet; empty if it is.
+        unshrunk: why a new finding is not confirmed or not fully shrunk yet; empty if it is.
         severity: how bad this session's failure is in the scenario of the file: `kind`, which is `collision` or
             `check`; `value`, the closing speed at the impact [m/s], or by how much the check is broken [`unit`], null
             if it measured no number; `delta_v` of a collision, for equal masses [m/s]; `margin` and `name` of a check.

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import pickle
 import re
+import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -25,17 +27,22 @@ from pytest_pafot.support.ways_out import flag
 
 PAGE = "index.html"
 
+WHOLE = 100
+"""The largest number of findings that a page shows whole, the worst ones: each takes about 80 kB of the page."""
+
 
 @dataclass(slots=True, kw_only=True)
 class Draft:
     """The part of a session's report that is known so far; ``--pafot-report`` names the target.
 
     Findings, searches and details of drifted scenarios are stored by node id, the number of replays by label, and base
-    seeds in the order in which they arrived.
+    seeds in the order in which they arrived. What only whole findings show of a finding is compressed, because it takes
+    half a megabyte, and a session may have thousands.
     """
 
     target: str
     findings: dict[str, FindingView] = field(default_factory=dict)
+    _whole: dict[str, bytes] = field(default_factory=dict)
     campaigns: dict[str, CampaignView] = field(default_factory=dict)
     replayed: Counter[str] = field(default_factory=Counter)
     drifted: dict[str, str] = field(default_factory=dict)
@@ -44,7 +51,8 @@ class Draft:
     def take(self, data: Mapping[str, Any], finding: FindingView | None, campaign: CampaignView | None) -> None:
         """Add the data, the finding or the search that an item reports."""
         if finding is not None:
-            self.findings[finding.node_id] = finding
+            self.findings[finding.node_id] = _as_row(finding)
+            self._whole[finding.node_id] = zlib.compress(pickle.dumps(finding), level=1)
         if campaign is not None:
             self.campaigns[campaign.node_id] = campaign
             self.seeds[data["base_seed"]] = None
@@ -57,20 +65,30 @@ class Draft:
     ) -> Report:
         """Return the finished report, in an order that does not depend on which item ran first.
 
-        ``findings`` are the findings of this draft, with what became known at the end of the session.
+        ``findings`` are the findings of this draft, with what became known at the end of the session. Only the worst
+        are whole findings of the report.
         """
         ranked = sorted(findings, key=_rank)
-        tests = list(dict.fromkeys(finding.test for finding in ranked))
-        ordered = tuple(sorted(ranked, key=lambda finding: tests.index(finding.test)))  # groups them by test
+        whole = [self._completed(finding) for finding in ranked[:WHOLE]]
+        tests = list(dict.fromkeys(finding.test for finding in whole))
         return Report(
-            title=f"{project}: {_counts(ordered, errors)}",
+            title=f"{project}: {_counts(ranked, errors)}",
             facts=tuple(self._facts(is_interrupted=is_interrupted)),
             command=command,
-            findings=ordered,
+            findings=tuple(sorted(whole, key=lambda finding: tests.index(finding.test))),  # groups them by test
+            further=tuple(map(_as_row, ranked[WHOLE:])),
             campaigns=tuple(self.campaigns[node_id] for node_id in sorted(self.campaigns)),
             errors=errors,
             is_interrupted=is_interrupted,
         )
+
+    def _completed(self, finding: FindingView) -> FindingView:
+        """Return a finding with everything that was compressed of it."""
+        packed = self._whole.get(finding.node_id)
+        if packed is None:
+            return finding
+        whole: FindingView = pickle.loads(zlib.decompress(packed))  # noqa: S301  (of this process)
+        return replace(whole, runs=finding.runs, label=finding.label)
 
     def _facts(self, *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
         if is_interrupted:
@@ -108,11 +126,12 @@ def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
     shown = target if is_file else os.path.join(target, PAGE)  # noqa: PTH118
     more = f", {plural(pictures, 'moving picture')}" if pictures else ""
     problem = f"{flag('report', target)}: the page was written, but not all pictures{missing}" if missing else ""
-    return f"report: {shown} ({_counts(report.findings, report.errors)}{more})", problem
+    found = (*report.findings, *report.further)
+    return f"report: {shown} ({_counts(found, report.errors)}{more})", problem
 
 
 def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
-    """Yield the files of a report in a folder, by name and content: the page, then an animation of each recorded run.
+    """Yield the files of a report in a folder: the page, then an animation of each run that the page shows.
 
     Raises:
         AnimationError: if there is a run to draw and Pillow is missing; the page has been yielded by then.
@@ -121,6 +140,14 @@ def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
     for key, finding in zip(finding_keys(report.findings), report.findings, strict=True):
         if finding.times:
             yield re.sub(r"[^A-Za-z0-9._-]", "_", key) + ".png", animate(finding)
+
+
+def _as_row(finding: FindingView) -> FindingView:
+    """Return a finding without what only a whole finding shows: its run, and the text of its file."""
+    check = None if finding.check is None else replace(finding.check, values=(), broken=())
+    road = replace(finding.road, lanes=(), shapes=())
+    nothing: dict[str, Any] = dict.fromkeys(("vehicles", "times", "instructions", "grid"), ())
+    return replace(finding, explanation="", yaml="", drive=None, shrink=None, check=check, road=road, **nothing)
 
 
 def _rank(finding: FindingView) -> tuple[Any, ...]:

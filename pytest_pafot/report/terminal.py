@@ -7,6 +7,7 @@ paths and the user's own words.
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,9 @@ MAX_NAMED = 3
 
 MAX_REPLAYS = 10
 """The largest number of listed replays. Only replays that do not simply fail as before are listed."""
+
+MAX_WHOLE = 5
+"""The largest number of searches without a failing run whose whole text is printed; of more, each is a line."""
 
 _BESIDE: Mapping[ReferenceOutcome, str] = {
     "avoids": "",
@@ -340,9 +344,7 @@ def _measured(label: str, failure: Find | ReplaySummary) -> str:
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
     """Return the lines of the whole summary of a session; no lines if there is nothing to report."""
-    lines: list[str] = []
-    for search in session.searches:
-        lines += search_lines(search, verbose=verbose, width=width)
+    lines = _lines_of_searches(session.searches, verbose=verbose, width=width)
     for node_id in session.interrupted:
         lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
     lines += [*replay_lines(session.replays, width), *against_lines(session, width), *worst_lines(session, width)]
@@ -362,6 +364,42 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
         for text in texts:
             lines += _wrapped(f"{kind}: {text}", width)
     return list(map(ascii_text, lines))  # escapes names and texts, so that each stays on one line
+
+
+def _is_quiet(search: SearchSummary) -> bool:
+    """Return whether a search ran as asked, evaluated something, and nothing failed in it."""
+    untested = search.invalid + search.rejected + search.skipped
+    is_tested = search.runs > untested or search.reason == "replay only"
+    is_clean = not (search.failing or search.finds or search.unsaved)
+    return is_tested and is_clean and search.reason not in ("error", "interrupted")
+
+
+def _lines_of_searches(searches: Sequence[SearchSummary], *, verbose: bool, width: int) -> list[str]:
+    """Summarise all searches of a session: many without a failing run in a line each, and all others whole.
+
+    Warnings and notes of the former are printed once if they differ only in figures.
+    """
+    quiet = [] if verbose else [each for each in searches if _is_quiet(each)]
+    quiet = quiet if len(quiet) > MAX_WHOLE else []
+    short, lines = {each.node_id for each in quiet}, list[str]()
+    for search in searches:
+        if search.node_id in short:
+            lines.append(f"{search.node_id}: {_figures(search)}, ended: {search.reason}")
+        else:
+            lines += search_lines(search, verbose=verbose, width=width)
+    if not quiet:
+        return lines
+    told: dict[str, list[tuple[str, str]]] = {}
+    for search in quiet:
+        texts = [f"warning: {text}" for text in search.warnings]
+        texts += [f"note: {text}" for text in (*search.process_notes, *search.notes)]
+        for text in texts:
+            told.setdefault(re.sub(r"\d+", "0", text), []).append((search.node_id, text))
+    for (node_id, text), *others in told.values():
+        also = f", and likewise in {len(others)} more" if others else ""
+        lines += wrapped_to(ascii_text(f"{text} (in {node_id}{also})"), width)
+    seeds = ", ".join(map(str, dict.fromkeys(each.base_seed for each in quiet)))
+    return [*lines, f"{len(quiet)} searches without a failing run, from {flag('seed')}={seeds}; -v prints them whole"]
 
 
 def _listed(names: Sequence[str], limit: int = MAX_FINDS) -> str:

@@ -257,6 +257,10 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
             )
 
 
+MOST = 10_000
+"""The largest population. All scenarios of a generation are in memory at once, with their runs in lock step."""
+
+
 def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int) -> None:
     """Refuse parameters of a search that are out of range: rates outside 0 to 1, negative factors, and low counts.
 
@@ -266,6 +270,8 @@ def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple
     limits: dict[str, tuple[float, float, str]] = dict.fromkeys(rates, (0, 1, "a number from 0 to 1"))
     limits |= {name: (0, math.nextafter(math.inf, 0), "a finite number, at least 0") for name in factors}
     limits |= {name: (bound, math.inf, f"a count of at least {bound}") for name, bound in least.items()}
+    if "population" in least:
+        limits["population"] = (least["population"], MOST, f"a count from {least['population']} to {MOST}")
     for name, (low, high, expected) in limits.items():
         if not low <= getattr(search, name) <= high:
             raise ValueError(f"{name}: expected {expected}, received {getattr(search, name)!r}")

@@ -26,6 +26,7 @@ from pytest_pafot.searching.events import (
     Restarted,
 )
 from pytest_pafot.searching.operators import improves
+from pytest_pafot.support.errors import OutOfTime
 
 Evaluate = Callable[[Scenario], Evaluation]
 """A function that simulates a scenario and evaluates the run."""
@@ -79,7 +80,8 @@ def run_campaign(  # noqa: PLR0913  (each parameter is an independent choice)
 
     Args:
         algorithm: the algorithm to run.
-        evaluate: simulates a scenario; an exception in it ends the campaign and reaches the consumer.
+        evaluate: simulates a scenario; an exception in it ends the campaign and reaches the consumer. ``OutOfTime``
+            ends it as ``max_seconds`` does, and the scenario counts nowhere.
         generations: generations of the main search, at least 1; those of local searches are additional. None if the
             number of ``runs`` is the limit; there are never more generations than runs.
         seed: seed of all random numbers, at least 0.
@@ -181,7 +183,11 @@ class _Campaign(Generic[StateT]):
                     reason = self.exceeded(self.runs - end.simulated, self.now() - started)
                 if reason is not None:
                     break
-                evaluation, reused = self.evaluator.evaluated(scenarios[len(told)])
+                try:
+                    evaluation, reused = self.evaluator.evaluated(scenarios[len(told)])
+                except OutOfTime:
+                    reason = "time"
+                    break
                 event = Evaluated(
                     generation=state.generation,
                     local_generation=state.local_generation,

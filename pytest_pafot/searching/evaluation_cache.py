@@ -26,7 +26,8 @@ Remembered = tuple[Evaluation | None, tuple[int, ...]]
 """A run, and the numbers, from 0, of the keys that lead to it; None for the run if no key does."""
 
 EVALUATIONS = 10_000
-"""The largest number of remembered runs, in about 25 MB; a forgotten run is simulated again."""
+"""The largest number of remembered runs, in 25 MB with two NPCs and 90 MB with six; a forgotten run is simulated
+again."""
 
 
 class EvaluationCache:

@@ -14,6 +14,10 @@ from pytest_pafot.support.text import one_line, visible
 RESTORE = "restore the file from version control, or delete it"
 
 
+class OutOfTime(BaseException):
+    """The end of a run because the time limit of its search is over; no ``except Exception`` of an ADS catches it."""
+
+
 class FieldError(ValueError):
     """A value that breaks a rule. Its message is one line that is safe to print, even if a stranger's file is quoted.
 

@@ -8,8 +8,10 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign import explore, search, state_file
+from pytest_pafot.campaign import explore, recorder, search, state_file
 from pytest_pafot.campaign.events import FindTold, Progress
+from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.support.errors import OutOfTime
 
 NODE_ID = "test_it.py::test_it"
 SHORT = {"population": 4, "genes": 2, "gene_seconds": 2, "npcs": 2, "node_id": NODE_ID, "shrink_rollouts": 15}
@@ -226,3 +228,75 @@ def test_finished_shrinking_is_not_repeated_after_an_interrupt(clock, tmp_path):
     assert again.summary.shrink_runs < whole.summary.shrink_runs - 10
     saved, expected = files(tmp_path / "corpus"), files(tmp_path / "whole")
     assert {name: saved[name] for name in expected} == expected
+
+
+def out_of_time(run):
+    raise OutOfTime
+
+
+def test_run_that_is_cut_counts_nowhere(clock):
+    def judged(run):
+        if clock.now > 5:
+            raise OutOfTime
+
+    cut = searched(clock, judged, runs=1000, max_time=1e6)
+    assert cut.summary.reason == "--pafot-max-time"
+    assert cut.summary.runs == len(cut.runs) == sum(isinstance(event, Evaluated) for event in cut.events) == 5
+    clock.now = 0.0
+    whole = searched(clock, lambda run: None, runs=5)
+    assert [row["scenario"] for row in cut.runs] == [row["scenario"] for row in whole.runs]
+    assert (cut.summary.coverage, cut.summary.reached) == (whole.summary.coverage, whole.summary.reached)
+
+
+def test_search_whose_first_run_is_cut_tested_nothing(clock):
+    result = searched(clock, out_of_time, runs=10, max_time=30)
+    assert (result.summary.runs, result.summary.reason) == (0, "--pafot-max-time")
+    assert "no scenario was simulated" in result.summary.warnings[0]
+
+
+@pytest.fixture
+def confirming(monkeypatch):
+    """Return the confirming runs so far; there is no time for the first three."""
+    calls = []
+
+    def difference(run, simulation):
+        calls.append(run)
+        if len(calls) <= 3:
+            raise OutOfTime
+        return recorder.difference(run, simulation)
+
+    monkeypatch.setattr(search, "difference", difference)
+    return calls
+
+
+def test_finding_without_time_to_confirm_is_saved_and_says_so(clock, tmp_path, confirming):
+    result = searched(clock, fails_in_three_ways, runs=1000, max_time=2)
+    assert set(unshrunk(result)) == {"not confirmed: out of time"}
+    assert len(files(tmp_path / "corpus")) == len(result.findings) == len(confirming) > 0
+
+
+def test_unconfirmed_finding_is_confirmed_when_it_is_simplified(clock, confirming):
+    result = searched(clock, fails_in_three_ways, runs=12, shrink_rollouts=0)
+    assert unshrunk(result) == ["", "", ""]
+    assert len(confirming) == 6
+
+
+def test_shrinking_that_is_cut_leaves_the_finding_as_it_was(clock, tmp_path):
+    def cut_later(run):
+        if clock.now > 40:
+            raise OutOfTime
+        fails_in_three_ways(run)
+
+    whole = searched(clock, fails_in_three_ways, "whole", runs=20, shrink_rollouts=300)
+    clock.now = 0.0
+    result = searched(clock, cut_later, runs=20, max_time=1e6, shrink_rollouts=300)
+    assert [finding.id for finding in result.findings] == [finding.id for finding in whole.findings]
+    assert all(find.unshrunk.endswith("out of time") for find in result.summary.finds[1:])
+    assert len(files(tmp_path / "corpus")) == 3
+
+
+def test_replays_at_the_beginning_end_with_the_time(clock):
+    searched(clock, fails_in_three_ways, runs=20)
+    result = searched(clock, out_of_time, runs=20, max_time=1e6)
+    assert (result.summary.runs, result.summary.reason) == (0, "--pafot-max-time")
+    assert not result.findings

@@ -2,10 +2,11 @@
 
 import pytest
 
-from pytest_pafot.campaign.options import OPTIONS, OptionError, is_ci
+from pytest_pafot.campaign.options import BY_NAME, OPTIONS, OptionError, is_ci
 from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS, SearchArguments
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.session import misspelt
+from pytest_pafot.searching import SearchSpace, resolve_algorithm
 
 
 def settings(project, *args, ini="", marker=None, environ=None):
@@ -142,7 +143,10 @@ def test_native_toml_takes_native_types(project):
             r"@pafot.search\(generations=...\): expected a whole number, at least 0, received -1",
         ),
         ({"marker": {"population": 1}}, "at least 2, received 1"),
-        ({"marker": {"seed": 2**80}}, rf"at least 0 and less than \d+, received {2**80}"),
+        ({"marker": {"seed": 2**80}}, rf"at least 0 and at most {2**63 - 1}, received {2**80}"),
+        ({"marker": {"population": 10**9}}, r"population=...\): .* at least 2 and at most 10000, received 1000000000"),
+        ({"ini": "pafot_population = 10001"}, "ini key pafot_population: .* at most 10000, received 10001"),
+        ({"environ": {"PAFOT_WORKERS": "5000"}}, "PAFOT_WORKERS: expected auto or a whole number, .* at most 1024"),
         ({"marker": {"strict_drift": "perhaps"}}, "expected true or false, received 'perhaps'"),
         ({"environ": {"PAFOT_SEED": "x"}}, "environment variable PAFOT_SEED: expected a whole number"),
         ({"environ": {"PAFOT_MAX_TIME": "nan"}}, "PAFOT_MAX_TIME: expected seconds"),
@@ -171,6 +175,13 @@ def test_wrong_command_line_value_is_a_usage_error(project):
     result = project.run("--pafot-population=one", generations=None)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*--pafot-population: expected a whole number, at least 2, received 'one'*"])
+
+
+def test_largest_population_is_the_same_for_options_and_algorithms():
+    most = BY_NAME["population"].most
+    assert resolve_algorithm("random").make(SearchSpace(), population=most).population == most
+    with pytest.raises(ValueError, match=f"population: expected a count from 1 to {most}, received {most + 1}"):
+        resolve_algorithm("random").make(SearchSpace(), population=most + 1)
 
 
 def test_wrong_value_elsewhere_fails_only_marked_items(project):

@@ -16,6 +16,7 @@ from pytest_pafot.commands.revision import PROCESS
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.revision_policy import RevisionPolicy
+from pytest_pafot.plugin import search_item
 from tests.helpers.tables import table
 
 pytestmark = [
@@ -355,6 +356,29 @@ def test_revision_that_cannot_be_built_is_a_usage_error(repository, policy, rece
     result = run(repository)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stdout.fnmatch_lines([f"*against*: rev:main (*{received}*"])
+
+
+def test_revision_that_is_never_built_ends_with_the_time_limit(repository, monkeypatch):
+    monkeypatch.setattr(search_item, "LEAST_TO_BUILD", 1.0)
+    commit(repository, **{"pkg/core.py": "import time; time.sleep(1000)\n"})
+    write(repository, {"pkg/core.py": NOW})
+    begun = time.monotonic()
+    result = run(repository, "--pafot-total-time=0.5")
+    assert time.monotonic() - begun < 60
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines(["*against*: rev:main (*it was not built before the time limit*"])
+
+
+def test_slow_reference_in_its_process_ends_with_the_time_limit(repository):
+    slow = ADAPTER.replace("return", "time.sleep(0.5)\n        return").replace("from", "import time\nfrom", 1)
+    commit(repository, **{"pkg/adapter.py": slow})
+    write(repository, {"pkg/adapter.py": ADAPTER, "pkg/core.py": NOW})
+    text = (repository.path / "test_it.py").read_text()
+    write(repository, {"test_it.py": text.replace("ads=Adapter", "ads=Adapter, world=pafot.Highway(duration=60.0)")})
+    begun = time.monotonic()
+    result = run(repository, "--pafot-total-time=6")
+    assert time.monotonic() - begun < 45  # a run of the reference takes 150 s
+    result.stdout.fnmatch_lines(["*ended: --pafot-total-time*"])
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,10 @@ import csv
 import pytest
 
 import pytest_pafot as pafot
+from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.run_table import COLUMNS
+from pytest_pafot.plugin import run_tables
+from pytest_pafot.searching.events import GenerationFinished
 from tests.plugin.test_session_records import IS_CUT, TWO
 
 
@@ -78,3 +81,54 @@ def test_a_parquet_file_has_the_same_rows(failing):
     written, read = pandas.read_parquet(failing.path / "runs.parquet"), pandas.read_csv(failing.path / "runs.csv")
     assert list(written.columns) == list(read.columns)
     assert written["least_gap"].tolist() == read["least_gap"].tolist()
+
+
+SEVERAL = """
+@pafot.search(SHORT)
+def test_b(run):
+    pass
+
+@pafot.search(SHORT)
+def test_a(run):
+    assert not run.collision
+"""
+
+
+def test_rows_are_sorted_by_test_though_another_order_ran(project):
+    project.write(SEVERAL)
+    project.run("--pafot-table=runs.csv", "--pafot-save=none")
+    order = [(row["test"], int(row["run"])) for row in rows_of(project)]
+    assert order == sorted(order)
+    assert len({test for test, _ in order}) == 2
+
+
+def test_parquet_written_in_pieces_has_types_of_all_rows(monkeypatch):
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    monkeypatch.setattr(run_tables, "AT_ONCE", 2)
+    names, rows = list(COLUMNS), run_tables.StoredRows()
+    hit = names.index("collision_time")
+    made = [["t", 0, number, *[None] * (len(names) - 3)] for number in range(1, 6)]
+    made[3][hit] = 2.5  # the first piece has no collision, so no type for its time
+    rows.add(made)
+    table = parquet.read_table(pyarrow.BufferReader(run_tables._parquet(names, rows)))
+    rows.close()
+    assert table.column("collision_time").to_pylist() == [None, None, None, 2.5, None]
+    assert table.column("run").to_pylist() == [1, 2, 3, 4, 5]
+
+
+def test_columns_of_old_runs_are_forgotten_between_generations(monkeypatch):
+    monkeypatch.setattr(run_table, "EVALUATIONS", 10)
+    table = run_table.RunTable()
+
+    def see(event):
+        table.see(event)
+        if isinstance(event, GenerationFinished):
+            assert all(row["verdict"] for row in table.taken() if not row["reused"])
+            assert len(table._judged) == 10
+
+    def ads():
+        return lambda observation: (0.0, 0.0)
+
+    pafot.explore(ads, holds=lambda run: None, runs=64, seed=1, on_event=see)
+    assert table.number >= 64

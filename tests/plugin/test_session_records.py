@@ -8,6 +8,7 @@ import pytest
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.plugin import session_records
 from pytest_pafot.report.job_summary import markdown
 from pytest_pafot.world import codec
 from tests.helpers.sessions import read_record
@@ -131,6 +132,15 @@ def test_findings_are_recorded_during_the_session(project):
     recorded(project, no_reraise_ctrlc=True)
     record = record_of(project, "then.json")
     assert (record.exit, len(record.findings)) == (None, 2)
+
+
+def test_record_that_takes_long_is_written_less_often(project, monkeypatch):
+    monkeypatch.setattr(session_records, "QUICK", -1.0)  # every writing takes long, and another one waits forever
+    monkeypatch.setattr(session_records, "REST", 1e12)
+    then = "import shutil; shutil.copy('pafot.json', 'then.json')"
+    project.write(IS_CUT.replace("raise KeyboardInterrupt", f"{then}; raise KeyboardInterrupt"))
+    assert len(recorded(project, no_reraise_ctrlc=True).findings) == 2
+    assert record_of(project, "then.json").findings == []
 
 
 @pytest.mark.processes

@@ -11,6 +11,7 @@ from pytest_pafot.campaign.search import time_limit
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.search_item import searches_left
 from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.world.guard import hang_guard
 
 pytestmark = pytest.mark.processes
 
@@ -112,6 +113,47 @@ def test_expired_total_time_still_runs_one_scenario_each(two):
     result = two.run("--pafot-total-time=0", generations=50)
     result.assert_outcomes(passed=2)
     assert runs(result) == [1, 1]
+
+
+SLOW = """
+import time
+
+def slow(observation):
+    time.sleep(0.2)
+    return 0.0, 0.0
+
+@pafot.search(ads=lambda: slow)
+def test_slow(run):
+    pass
+"""
+
+
+def test_limit_ends_a_run_of_slow_decisions_between_two(project):
+    project.write(SLOW)  # a run takes up to a minute
+    begun = time.monotonic()
+    result = project.run("--pafot-max-time=1", "--pafot-table=runs.csv", generations=3)
+    assert time.monotonic() - begun < 15
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["  0 runs in *", "*ended: --pafot-max-time", "*no scenario was simulated*"])
+    assert (project.path / "runs.csv").read_text().count("\n") == 1
+    assert not project.files
+
+
+def test_limit_ends_a_factory_that_never_returns(project, monkeypatch):
+    monkeypatch.setattr(hang_guard, "LATE", 0.2)
+    project.write(SLOW.replace("ads=lambda: slow", "ads=lambda: time.sleep(1000)"))
+    begun = time.monotonic()
+    project.run("--pafot-total-time=0.5", generations=3).assert_outcomes(failed=1)
+    assert time.monotonic() - begun < 30
+
+
+def test_limit_ends_a_run_in_an_isolated_process(project):
+    project.write(SLOW)
+    begun = time.monotonic()
+    result = project.run("--pafot-max-time=1", "--pafot-isolate", generations=3)
+    assert time.monotonic() - begun < 20
+    result.stdout.fnmatch_lines(["  0 runs in *", "*ended: --pafot-max-time"])
+    assert not project.files
 
 
 def test_deselected_searches_leave_their_time_to_others(two):

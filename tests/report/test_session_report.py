@@ -1,14 +1,16 @@
 """The report of a session: its order, from any order of events, and its files."""
 
+import re
 from dataclasses import replace
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
-from pytest_pafot.report.session_report import Draft, report_files, write_report
+from pytest_pafot.report.session_report import WHOLE, Draft, report_files, write_report
 from tests.helpers.tables import table
 from tests.report.builders import real_report
 
@@ -118,3 +120,45 @@ def test_unwritable_report_says_why_and_what_to_do(tmp_path):
     assert written == ""
     assert problem.startswith("--pafot-report=x/: not written: ")
     assert problem.endswith("; choose another path")
+
+
+MANY = [shown(f"{'ab'[number % 2]}{number}", closing=float(number % 37)) for number in range(WHOLE + 7)]
+
+
+def test_worst_findings_are_whole_and_all_others_rows():
+    draft = Draft(target="x")
+    for each in MANY:
+        draft.take({}, each, None)
+    report = report_of(draft, draft.findings.values())
+    assert len(report.findings) == WHOLE
+    assert {each.node_id for each in (*report.findings, *report.further)} == {each.node_id for each in MANY}
+    assert min(each.severity.value for each in report.findings) >= max(each.severity.value for each in report.further)
+    by_id = {each.node_id: each for each in MANY}
+    assert all(each == by_id[each.node_id] for each in report.findings)
+    assert report.title == f"highway: {WHOLE + 7} findings"
+    assert f"the worst {WHOLE} are whole" in BY_NAME["report"].help
+
+
+def test_row_has_what_file_and_command_of_its_finding():
+    finding = shown("a1", closing=3.0)
+    row = replace(finding, headline="hit <b>", path="pafot_corpus/a1.yaml", command="pytest 'a b.py::t'", vehicles=())
+    page = render_page(Report(title="t", findings=(finding,), further=(row,)))
+    (section,) = re.findall('<section[^>]* id="further".*?</section>', page, re.DOTALL)
+    assert "1 further finding" in section
+    assert "the 1 worst findings whole" in section
+    assert "hit &lt;b&gt;" in section
+    assert "<td>pafot_corpus/a1.yaml</td>" in section
+    assert "<code>pytest &#x27;a b.py::t&#x27; --pafot-report=one.html</code>" in section
+    assert page.count('href="#further"') == 1
+    assert (
+        "further"
+        not in render_page(Report(title="t", findings=(finding,))).partition("<body>")[2].partition("<script")[0]
+    )
+
+
+def test_whole_finding_has_the_runs_and_label_of_the_end():
+    draft = Draft(target="x")
+    draft.take({}, shown(runs=1), None)
+    (stored,) = draft.findings.values()
+    (finding,) = report_of(draft, [replace(stored, runs=8, label="flaky")]).findings
+    assert finding == shown(runs=8, label="flaky")

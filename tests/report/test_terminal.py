@@ -139,6 +139,40 @@ def test_the_summary_of_a_session_reads_so(snapshot):
     assert all(len(line) <= 80 for line in lines if line.startswith("  "))
 
 
+def many_searches():
+    passed = [
+        replace(SEARCH, node_id=f"t.py::test_{number}", failing=0, finds=(), known={}, warnings=(), notes=())
+        for number in range(9)
+    ]
+    warned = [replace(each, warnings=(f"only {3 + number} % reached",)) for number, each in enumerate(passed[:3])]
+    failed = replace(SEARCH, node_id="t.py::test_failed")
+    untested = replace(SEARCH, node_id="t.py::test_untested", failing=0, finds=(), runs=2, skipped=2, invalid=0)
+    return [*warned, *passed[3:], failed, untested]
+
+
+def test_many_searches_without_a_failing_run_have_a_line_each():
+    searches = many_searches()
+    lines = terminal.session_lines(SessionSummary(searches=searches))
+    assert [line.split(": ")[0] for line in lines[:9]] == [f"t.py::test_{number}" for number in range(9)]
+    assert "ended: " in lines[0]
+    whole = terminal.search_lines(searches[9]) + terminal.search_lines(searches[10])
+    assert lines[9 : 9 + len(whole)] == whole
+    rest = lines[9 + len(whole) :]
+    assert [line for line in rest if "reached" in line] == [
+        "warning: only 3 % reached (in t.py::test_0, and likewise in 2 more)"
+    ]
+    assert any(line.startswith("9 searches without a failing run, from --pafot-seed=") for line in rest)
+
+
+def test_few_searches_and_those_of_verbose_sessions_are_whole():
+    searches = many_searches()
+    for given, verbose in ((searches[3:8], False), (searches, True)):
+        lines = terminal.session_lines(SessionSummary(searches=given), verbose=verbose)
+        for search in given:
+            assert set(terminal.search_lines(search, verbose=verbose)) <= set(lines)
+        assert not any("-v prints" in line for line in lines)
+
+
 def test_the_failure_of_a_search_reads_so(snapshot):
     flaky = replace(FIND, id="rear-6-222222", difference="running it again gave a different run", is_timed=True)
     search = replace(SEARCH, finds=(FIND, flaky), unsaved={"front-2-aaaaaa": 3, "rear-6-bbbbbb": 1})

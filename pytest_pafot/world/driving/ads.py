@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.seeing import PlannerSight, SeeingAds
-from pytest_pafot.world.guard.hang_guard import one_process
+from pytest_pafot.world.guard.hang_guard import one_process, unending
 from pytest_pafot.world.kernel.action import (
     Drive,
     acceleration_to_speed,
@@ -142,7 +142,7 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
         )
     _check_call(factory, arguments)
     try:
-        with one_process():
+        with unending(), one_process():
             ads = factory(**arguments)
     except TypeError as error:
         if re.search(r"__init__\(\) missing .*'position'", str(error)):

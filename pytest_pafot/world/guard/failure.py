@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from pytest_pafot.model.trace import AdsError
-from pytest_pafot.support.errors import BadAction
+from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
@@ -38,7 +38,7 @@ def exits() -> tuple[type[BaseException], ...]:
 
 
 def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
-    """Return whether an exception ends the session, leaves a debugger, or reports that a test's time is over.
+    """Return whether an exception ends the session, leaves a debugger, or reports that a time limit is over.
 
     Every other exception is a failure of the user's code, whatever its class: a panic of a native library, a cancelled
     task, or ``pytest.skip()``, which would otherwise go unnoticed. A test function may call ``pytest.exit()``, but an
@@ -46,7 +46,7 @@ def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
     """
     if isinstance(error, BaseExceptionGroup):
         return any(is_interruption(each, is_of_ads=is_of_ads) for each in error.exceptions)
-    if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit)):
+    if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit, OutOfTime)):
         return True
     if isinstance(error, exits()):
         return not is_of_ads or (getattr(error, "returncode", None) != 0 and _is_from_outside(error))
@@ -107,7 +107,7 @@ def closing(ads: Any, hang_limit: float) -> Iterator[None]:
     finally:
         close = None if isinstance(ads, type) else getattr(ads, "close", None)
         if callable(close):
-            _close(close, HangGuard(hang_limit))
+            _close(close, HangGuard(hang_limit, is_limited=False))
 
 
 def _close(close: Callable[[], Any], guard: HangGuard) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import faulthandler
+import math
 import mmap
 import os
 import signal
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Self
 
-from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.support.errors import AdsFactoryError, OutOfTime
 
 LONGEST_PAUSE = 1.0
 """The longest time between two checks of the running decisions [s]."""
@@ -24,6 +25,9 @@ IDLE_LOOKS = 5
 """The number of checks without a run after which the watching thread ends."""
 COPY_LATE = 0.05
 """The extra time for a forked copy of this process to reach the end of the ADS's code [s]."""
+LATE = 5.0
+"""The time for which a decision, or the making of an ADS, may exceed the end of its search before it is interrupted
+[s]. Between decisions, a run ends at once; in them, an interruption may leave the user's code in any state."""
 LONGEST_TIMER = 1e6
 """The longest timer [s]; systems refuse much longer timers, and no session lasts that long."""
 DEBUGGERS = frozenset({"bdb", "pydevd"})
@@ -57,6 +61,39 @@ def last_resort(resort: LastResort) -> Iterator[None]:
         yield
     finally:
         _WATCHDOG.set_resort(before)
+
+
+@contextmanager
+def runs_end_in(seconds: float) -> Iterator[None]:
+    """Let runs within a ``with`` block end with :class:`~pytest_pafot.support.errors.OutOfTime` after some time [s].
+
+    A run ends before its next decision. Of two nested blocks, the inner one holds. Other processes are not affected.
+    """
+    before, _WATCHDOG.until = _WATCHDOG.until, time.perf_counter() + seconds
+    try:
+        yield
+    finally:
+        _WATCHDOG.until = before
+
+
+def check_time() -> None:
+    """Raise OutOfTime if the time of :func:`runs_end_in` is over; for code that waits for a run elsewhere."""
+    if time.perf_counter() >= _WATCHDOG.until:
+        raise OutOfTime
+
+
+@contextmanager
+def unending() -> Iterator[None]:
+    """Guard code of an ADS that is no decision, such as its factory. Only the end of :func:`runs_end_in` ends it."""
+    if _WATCHDOG.until == math.inf:
+        yield
+        return
+    with HangGuard(math.inf) as guard:
+        guard.decision_starts()
+        try:
+            yield
+        finally:
+            guard.decision_ends()
 
 
 class OneProcess:
@@ -111,18 +148,23 @@ class HangGuard:
     next session then names the scenario from its record on disk.
 
     A decision is guarded while ``started`` is set. A caller may end a decision without a lock: it clears ``started``
-    first and then reads the clock. If the decision was within the limit by that clock, no thread has found it overdue,
-    because the watching thread reads the clock before ``started``. Otherwise the caller must call :meth:`settle`.
+    first and then reads the clock. If the decision was within the limit by that clock, and ended before ``until``, no
+    thread has found it overdue, because the watching thread reads the clock before ``started``. Otherwise the caller
+    must call :meth:`settle`.
 
     Attributes:
         limit: the time after which a decision is interrupted [s].
         clock: a monotonic clock [s].
         started: the start of the running decision by the clock [s]; None between decisions.
+        until: the time by the clock from which no decision starts [s]; infinite if ``is_limited`` is False.
     """
 
-    def __init__(self, limit: float, clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(
+        self, limit: float, clock: Callable[[], float] = time.perf_counter, *, is_limited: bool = True
+    ) -> None:
         self.limit = limit
         self.clock = clock
+        self.until = _WATCHDOG.until if is_limited else math.inf
         self.started: float | None = None
         self._sent = False
         self._ignored: tuple[float, float] | None = None
@@ -154,8 +196,15 @@ class HangGuard:
         return min(self.limit / 4, LONGEST_PAUSE)
 
     def decision_starts(self) -> None:
-        """Start to guard a decision."""
-        self.started = self.clock()
+        """Start to guard a decision.
+
+        Raises:
+            OutOfTime: if the time of its search is over.
+        """
+        now = self.clock()
+        if now >= self.until:
+            raise OutOfTime
+        self.started = now
 
     def decision_ends(self) -> None:
         """End the guarded decision; after this returns, nothing is interrupted.
@@ -175,7 +224,7 @@ class HangGuard:
             try:
                 for _ in range(100):  # an exception for this thread is raised between two instructions of it
                     pass
-            except AdsHang:
+            except (AdsHang, OutOfTime):
                 return
 
     def look(self) -> float:
@@ -185,28 +234,34 @@ class HangGuard:
         """
         with self._lock:
             now, started = self.clock(), self.started  # in this order; see the class
-            if started is None or now - started <= self.limit:
+            why = self._interruption(now, started)
+            if why is None or started is None:
                 return 0.0
-            if self._ignored is None or self._ignored[0] != started:
-                self._ignored = started, now
             if self._by_signal:
                 signal.pthread_kill(self._target, signal.SIGUSR1)
             else:
                 self._sent = True
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._target), ctypes.py_object(AdsHang))
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._target), ctypes.py_object(why))
+            if why is OutOfTime:  # An ADS that ignores it is no reason to end the process: its limit will end it.
+                return 0.0
+            if self._ignored is None or self._ignored[0] != started:
+                self._ignored = started, now
             return now - self._ignored[1]
 
     def is_stuck(self) -> bool:
         """Return whether the code around the decisions hangs. Only a guard of a user's world can know that."""
         return False
 
-    def _overdue(self) -> bool:
-        now = self.clock()  # before started is read; see the class
-        started = self.started
-        return started is not None and now - started > self.limit
+    def _interruption(self, now: float, started: float | None) -> type[BaseException] | None:
+        """Return the exception that must interrupt a decision at a time [s]; None if nothing must."""
+        if started is None:
+            return None
+        return AdsHang if now - started > self.limit else OutOfTime if now > self.until + LATE else None
 
     def _received(self, number: int, frame: object) -> None:
-        if not self._overdue():  # a signal that arrives late interrupts nothing
+        now = self.clock()  # before started is read; see the class
+        why = self._interruption(now, self.started)
+        if why is None:  # a signal that arrives late interrupts nothing
             outer = getattr(self._previous, "__self__", None)
             if isinstance(outer, HangGuard):  # of a user's world, in which a built-in world runs
                 outer._received(number, frame)
@@ -214,7 +269,7 @@ class HangGuard:
         if _waits_in_a_debugger(sys._getframe()):
             self.started = self.clock()  # the user's time in the debugger does not count
             return
-        raise AdsHang
+        raise why
 
 
 class _Watchdog:
@@ -227,6 +282,8 @@ class _Watchdog:
         self._thread: threading.Thread | None = None
         self._pause = LONGEST_PAUSE
         self._resort: LastResort | None = None
+        self.until = math.inf
+        """The time from which no decision of a run starts [s], by ``time.perf_counter``."""
         self.process = OneProcess()
         self._timed: float | None = None
         """The limit for which the timer runs [s]; None if it does not run."""

@@ -11,10 +11,11 @@ from typing import Any
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
+from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.driving.seeing import SeeingAds
 from pytest_pafot.world.guard.failure import error_of
-from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, unending
 from pytest_pafot.world.protocol import hang_limit
 
 WORLD_SHARE, LEAST_FOR_WORLD = 10.0, 60.0
@@ -59,6 +60,8 @@ def simulate_batch(world: Any, scenarios: Sequence[Scenario], ads_factory: Calla
         return traces
     with _Watch(hang_limit(world), 0) as watch:
         made = world.rollout_batch(scenarios, watch.guarded(ads_factory))
+        if watch.is_cut:
+            raise OutOfTime
         return [watch.told(trace) if trace.outcome is Outcome.ADS_ERROR else trace for trace in made]
 
 
@@ -89,11 +92,13 @@ class _Watch:
     Attributes:
         decisions: the number of decisions so far, including those that were given to the world.
         hang: the error of a decision that was interrupted; None if there was none.
+        is_cut: True if the time of the search is over. The run ends with ``OutOfTime`` then, when its world ends it.
     """
 
     def __init__(self, limit: float, decisions: int) -> None:
         self.decisions = decisions
         self.hang: AdsError | None = None
+        self.is_cut = False
         self._limit = limit
         self._guards: dict[int, _WorldGuard] = {}
         self._stack = ExitStack()
@@ -108,6 +113,8 @@ class _Watch:
         self._stack.__exit__(kind, error, None)
         if isinstance(error, AdsHang):  # in the world's own code, which waits for an ADS in another thread
             raise Hang(str(error)) from None
+        if self.is_cut and isinstance(error, Exception):
+            raise OutOfTime from None
 
     def guarded(self, factory: Callable[..., Any]) -> Callable[..., Any]:
         """Return a factory of the same ADSs under guard. Vehicle classes drive themselves, inside a built-in world."""
@@ -117,7 +124,8 @@ class _Watch:
         @wraps(factory, updated=())
         def make(*arguments: Any, **named: Any) -> Any:
             __tracebackhide__ = True
-            ads = factory(*arguments, **named)
+            with unending():
+                ads = factory(*arguments, **named)
             if is_vehicle_class(ads) or not callable(ads):
                 return ads
             return (
@@ -130,20 +138,23 @@ class _Watch:
         """Call an ADS under guard.
 
         Raises:
-            Hang: if it was interrupted, now or in an earlier call of this run.
+            Hang: if it was interrupted, now or in an earlier call of this run, or if the time of the search is over.
             Exception: any exception of the ADS.
         """
-        if self.hang is not None:
-            raise Hang(self.hang.message)
+        if self.hang is not None or self.is_cut:
+            raise Hang("the time limit of the search is over" if self.hang is None else self.hang.message)
         guard = self._guard()
         started = guard.clock()
-        guard.decision_starts()
         try:
+            guard.decision_starts()
             try:
                 action = ads(*seen, **named)
             finally:
                 guard.decision_ends()
                 guard.turned = guard.clock()
+        except OutOfTime as error:  # for the world an error like others, since it may ask in a thread
+            self.is_cut = True
+            raise Hang("the time limit of the search is over") from error
         except AdsHang as error:
             if guard.clock() - started <= guard.limit:  # of the guard of a built-in world around this one
                 raise
@@ -153,7 +164,13 @@ class _Watch:
         return action
 
     def told(self, trace: Trace) -> Trace:
-        """Return the trace of the run, with the outcome ``hang`` if a decision was interrupted."""
+        """Return the trace of the run, with the outcome ``hang`` if a decision was interrupted.
+
+        Raises:
+            OutOfTime: if the time of the search is over, although the world has caught that.
+        """
+        if self.is_cut:
+            raise OutOfTime
         if self.hang is None or not isinstance(trace, Trace):
             return trace
         asked = self.decisions * (trace.physics_hz // trace.ads_hz)

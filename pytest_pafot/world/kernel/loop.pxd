@@ -41,6 +41,7 @@ cdef class PlannerPilot(GivenPilot):
     cdef Observer _observer
     cdef tuple _decisions
     cdef Py_ssize_t _given
+    cdef double _until
 
     @cython.locals(started=double, seconds=double, taken=Py_ssize_t)
     cpdef decide(self, int tick)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 from pytest_pafot.model.trace import AdsError
+from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import (
@@ -155,12 +156,14 @@ class PlannerPilot(GivenPilot):
         self._observer = observer
         self._guard = guard
         self._clock = guard.clock
+        self._until = guard.until
 
     def decide(self, tick: int) -> AdsError | None:
         """Observe, call the ADS under guard, and check and apply its action; or apply a given decision.
 
         Raises:
             BadAction: if a given decision is not a valid action.
+            OutOfTime: if the time of the search is over.
         """
         taken = len(self.actions)
         if taken < self._given:
@@ -168,6 +171,8 @@ class PlannerPilot(GivenPilot):
             return None
         guard = self._guard
         started = self._clock()
+        if started >= self._until:
+            raise OutOfTime
         try:
             try:
                 guard.started = started
@@ -175,7 +180,7 @@ class PlannerPilot(GivenPilot):
             finally:
                 guard.started = None  # before the clock is read; see HangGuard
                 seconds = self._clock() - started
-                if seconds > guard.limit:
+                if seconds > guard.limit or started + seconds > self._until:
                     guard.settle()
             self.take(action, seconds)
         except UNFIT as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bdb
 import contextlib
+import math
 import os
 import signal
 import subprocess
@@ -12,8 +13,8 @@ import time
 
 import pytest
 
-from pytest_pafot.support.errors import AdsFactoryError
-from pytest_pafot.world import Highway
+from pytest_pafot.support.errors import AdsFactoryError, OutOfTime
+from pytest_pafot.world import Highway, World
 from pytest_pafot.world.driving.ads import make_ads
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
@@ -124,14 +125,61 @@ def test_short_limit_holds_while_long_one_is_watched(monkeypatch):
 
 def test_decision_within_its_limit_is_not_overdue():
     """This is the order of :class:`HangGuard`: the watching thread reads the clock, and then the current decisions."""
-    times = iter([0.0, 5.0, 5.1])
-    watched = HangGuard(5.0, clock=lambda: next(times))
-    watched.started = watched.clock()
-    assert not watched._overdue()
-    assert watched._overdue()
-    watched.started = None
-    watched.clock = lambda: 1e9
-    assert not watched._overdue()
+    watched = HangGuard(5.0, clock=lambda: 0.0)
+    assert watched._interruption(5.0, 0.0) is None
+    assert watched._interruption(5.1, 0.0) is AdsHang
+    assert watched._interruption(1e9, None) is None
+
+
+def test_no_decision_starts_when_the_time_of_the_search_is_over():
+    now = time.perf_counter()
+    with hang_guard.runs_end_in(60.0):
+        watched = HangGuard(30.0, clock=lambda: now + 59.0)
+        watched.decision_starts()
+        watched.clock = lambda: now + 61.0
+        with pytest.raises(OutOfTime):
+            watched.decision_starts()
+        with hang_guard.runs_end_in(math.inf):
+            HangGuard(30.0).decision_starts()
+        HangGuard(30.0, clock=lambda: now + 61.0, is_limited=False).decision_starts()
+    HangGuard(30.0).decision_starts()
+
+
+def test_decision_that_outlasts_its_search_is_interrupted_late():
+    with hang_guard.runs_end_in(10.0):
+        watched = HangGuard(1000.0)
+    late = watched.until + hang_guard.LATE
+    assert watched._interruption(late - 0.1, watched.until - 1.0) is None
+    assert watched._interruption(late + 0.1, watched.until - 1.0) is OutOfTime
+    assert watched._interruption(late + 1000.0, watched.until - 1.0) is AdsHang
+
+
+def test_factory_that_never_returns_ends_with_its_search(monkeypatch):
+    monkeypatch.setattr(hang_guard, "LATE", 0.1)
+    began = time.monotonic()
+    with hang_guard.runs_end_in(0.1), pytest.raises(OutOfTime):
+        Highway().rollout(SCENARIO, lambda: time.sleep(100))
+    assert time.monotonic() - began < 30
+    assert Highway().rollout(SCENARIO, lambda: lambda observation: (0.0, 0.0)).ticks > 0
+
+
+@pytest.mark.parametrize("world", [Highway(), World("highway-v0")], ids=["si", "env"])
+def test_run_ends_between_decisions_and_closes_its_ads(world):
+    calls, closed = [], []
+
+    class Ads:
+        def __call__(self, observation):
+            calls.append(observation)
+            time.sleep(0.1)
+            return 1 if isinstance(world, World) else (0.0, 0.0)
+
+        def close(self):
+            closed.append(self)
+
+    with hang_guard.runs_end_in(0.25), pytest.raises(OutOfTime):
+        world.rollout(SCENARIO, Ads)
+    assert 1 <= len(calls) <= 3
+    assert len(closed) == 1
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")

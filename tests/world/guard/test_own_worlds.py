@@ -9,9 +9,10 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
+from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world import Highway
 from pytest_pafot.world.guard import own_worlds
-from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, LastResort, last_resort
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, LastResort, last_resort, runs_end_in
 from pytest_pafot.world.guard.own_worlds import Hang, guards_ads, rollout_of, simulate, simulate_batch
 from tests.helpers.tables import table
 
@@ -136,6 +137,24 @@ def test_world_that_goes_on_gets_no_second_long_decision():
 def test_world_that_catches_nothing_passes_the_hang_on():
     with pytest.raises(Hang, match="one decision took longer than the hang limit of the world and was interrupted"):
         simulate(Trusts(), AHEAD, hangs())
+
+
+class Swallows(Calls):
+    """A world that catches even what ends a process."""
+
+    def ask(self, ads, decision):
+        try:
+            ads(decision)
+        except BaseException:  # noqa: BLE001  (some users write it)
+            return
+
+
+@table("world", [Calls(), Forgives(), Trusts(), InThread(), Swallows()])
+def test_time_limit_ends_a_run_whatever_its_world_catches(world):
+    with runs_end_in(0.05), pytest.raises(OutOfTime):
+        simulate(world, AHEAD, lambda: lambda seen: time.sleep(0.02))
+    with runs_end_in(60.0):
+        assert simulate(world, AHEAD, lambda: lambda seen: None) == STILL
 
 
 def test_given_decisions_count_for_the_tick_of_a_hang():
