@@ -1,7 +1,8 @@
 """``--pafot-table``: all runs of a session's searches in one file, written by the controller.
 
 A CSV file grows with each generation, so a killed session leaves the runs so far. At the end, the rows are sorted by
-test and run, so their order does not depend on the number of workers.
+test and run, so their order does not depend on the number of workers. A Parquet file cannot grow, and a stream cannot
+be sorted later, so both are written at the end.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +18,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.session import SUMMARY_LINES, refused_output
+from pytest_pafot.plugin.session import SUMMARY_LINES, not_written
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchEvent
@@ -53,85 +55,91 @@ class Tables:
     """Hooks that write the table of runs, only on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
+        from pytest_pafot.support.files import is_stream  # noqa: PLC0415
+
         self._config = config
         self._name: str = config.getoption(TABLE.key)
         self._path = Path(os.path.normpath(config.invocation_params.dir / self._name))
         self._is_parquet = self._path.suffix.lower() == ".parquet"
-        self._rows: list[list[Any]] = []  # only for a Parquet file, which cannot grow
-        self._problem = refused_output(config, self._name, self._path.parent)
+        self._grows = not (self._is_parquet or is_stream(self._path))
+        self._rows: list[list[Any]] = []  # only of a table that does not grow
+        self._is_begun = False
+        self._problem = ""
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
-        """Replace the file of an earlier session."""
-        from pytest_pafot.campaign.run_table import COLUMNS  # noqa: PLC0415
-
+        """Refuse a Parquet file without the package that writes it."""
         if self._is_parquet:
             try:
                 import pyarrow  # noqa: F401, PLC0415
             except ImportError:
                 fix = "pip install 'pytest-pafot[table]', or name a file that ends in .csv"
                 raise pytest.UsageError(f"{TABLE.flag}={self._name}: expected pyarrow; {fix}") from None
-        else:
-            self._write("w", [list(COLUMNS)])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Write or store the rows that a search sends."""
+        """Begin the table with the first search, and write or store the rows that searches send."""
         message = messages.received(report)
-        if message is None or message.kind != "runs":
+        if message is None or message.kind not in ("start", "runs"):
             return
-        if self._is_parquet:
+        self._begin()
+        if message.kind == "runs" and self._grows:
+            from pytest_pafot.support.files import append  # noqa: PLC0415
+
+            self._write("not all runs were written", lambda: append(self._path, _text(message.data["rows"])))
+        elif message.kind == "runs":
             self._rows += message.data["rows"]
-        else:
-            self._write("a", message.data["rows"])
 
     @pytest.hookimpl(trylast=True)
-    def pytest_sessionfinish(self) -> None:
+    def pytest_sessionfinish(self, exitstatus: int) -> None:
         """Sort the rows of the file, even if the session was interrupted."""
         lines = self._config.stash[SUMMARY_LINES]
-        if not self._problem:
-            self._finish()
-        if self._problem:
-            lines.problems.append(f"{TABLE.flag}={self._name}: not written: {self._problem}")
-        else:
-            lines.reports.append(f"table: {self._name}")
+        if not self._is_begun and exitstatus not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+            lines.problems.append(f"{TABLE.flag}={self._name}: nothing was written, since no search ran")
+            return
+        with lines.faults(f"{TABLE.flag}={self._name}"):
+            self._begin()
+            self._write("its rows were not sorted" if self._grows else "not written", self._finish)
+            if self._problem:
+                lines.problems.append(f"{TABLE.flag}={self._name}: {self._problem}")
+            else:
+                lines.reports.append(f"table: {self._name}")
+
+    def _begin(self) -> None:
+        """Replace the file of an earlier session, before the first search of this one."""
+        if self._grows and not self._is_begun:
+            from pytest_pafot.campaign.run_table import COLUMNS  # noqa: PLC0415
+            from pytest_pafot.support.files import write_whole  # noqa: PLC0415
+
+            self._write("not written", lambda: write_whole(self._path, _text([list(COLUMNS)])))
+        self._is_begun = True
 
     def _finish(self) -> None:
         from pytest_pafot.campaign.run_table import COLUMNS  # noqa: PLC0415
-        from pytest_pafot.support.files import write_whole  # noqa: PLC0415
+        from pytest_pafot.support.files import open_regular, write_whole  # noqa: PLC0415
 
-        names = list(COLUMNS)
+        names, rows = list(COLUMNS), self._rows
+        if self._grows:
+            with open_regular(self._path) as file:
+                rows = [*csv.reader(io.StringIO(file.read().decode()))][1:]
         test, run = names.index("test"), names.index("run")
-        try:
-            if self._is_parquet:
-                import pyarrow  # noqa: PLC0415
-                from pyarrow import parquet  # noqa: PLC0415
-
-                rows = sorted(self._rows, key=lambda row: (row[test], row[run]))
-                cells = [dict(zip(names, row, strict=True)) for row in rows]
-                file = io.BytesIO()
-                parquet.write_table(pyarrow.Table.from_pylist(cells), file)
-                write_whole(self._path, file.getvalue())
-                return
-            header, *written = csv.reader(io.StringIO(self._path.read_text(encoding="utf-8")))
-            written.sort(key=lambda row: (row[test], int(row[run])))
-            write_whole(self._path, _text([header, *written]))
-        except OSError as error:
-            self._fail(error)
-
-    def _write(self, mode: str, rows: list[list[Any]]) -> None:
-        if self._problem:
+        ordered = sorted(rows, key=lambda row: (row[test], int(row[run])))
+        if not self._is_parquet:
+            if ordered != rows or not self._grows:
+                write_whole(self._path, _text([names, *ordered]))
             return
-        try:
-            with self._path.open(mode, encoding="utf-8", newline="") as file:
-                file.write(_text(rows))
-        except OSError as error:
-            self._fail(error)
+        import pyarrow  # noqa: PLC0415
+        from pyarrow import parquet  # noqa: PLC0415
 
-    def _fail(self, error: OSError) -> None:
-        from pytest_pafot.support.files import way_out  # noqa: PLC0415
+        table = io.BytesIO()
+        parquet.write_table(pyarrow.Table.from_pylist([dict(zip(names, row, strict=True)) for row in ordered]), table)
+        write_whole(self._path, table.getvalue())
 
-        self._problem = f"{error.strerror or error}; {way_out(error, 'or name another file')}"
+    def _write(self, what: str, write: Callable[[], None]) -> None:
+        """Write by a function, unless that has failed before; ``what`` says what is wrong with the file if it fails."""
+        if not self._problem:
+            why = not_written(self._config, self._name, self._path.parent, write)
+            self._problem = f"{what}: {why}" if why else ""
 
 
 def _text(rows: list[list[Any]]) -> str:
