@@ -117,9 +117,7 @@ def _digest(path: Path) -> str:
 
 
 @contextmanager
-def revision_at(
-    text: str, folder: Path, here: Path, paths: str, option: str, *, exits: bool = False
-) -> Iterator[Revision]:
+def revision_at(text: str, folder: Path, here: Path, paths: str, option: str) -> Iterator[Revision]:
     """Provide a revision of the repository around a folder, and remove its copy at the end.
 
     Args:
@@ -128,7 +126,6 @@ def revision_at(
         here: the current folder, to which ``paths`` are relative.
         paths: the files and folders to copy, with spaces between them.
         option: the name of the option for these, for errors.
-        exits: see :meth:`History.revision`.
 
     Raises:
         RevisionError: if there is no such revision, or it cannot be copied.
@@ -146,7 +143,7 @@ def revision_at(
                 raise HistoryError(f"{option}: expected paths as in a shell, received {paths!r}: {error}") from None
             extra = copied(history.root, here, names, option)
             copies = tuple(each for each in extra if (history.root / each).is_dir() or not history.has(commit, each))
-            tree = stack.enter_context(history.revision(commit, extra, exits=exits))
+            tree = stack.enter_context(history.revision(commit, extra))
         except HistoryError as error:
             raise RevisionError(f"{visible(text)}: {error}") from None
         is_hash = len(name) >= 7 and commit.startswith(name)

@@ -9,11 +9,11 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
-import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from pytest_pafot.campaign.options import BY_NAME, REVISION
@@ -29,6 +29,7 @@ from pytest_pafot.commands.policy_reference import (
 from pytest_pafot.commands.revision import OF_COMMAND
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.support.interrupts import Ended, undisturbed
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
@@ -36,8 +37,6 @@ TESTS_FAILED, USAGE_ERROR = 1, 4
 """Exit codes of pytest. They are copied, because importing pytest would slow down the help of commands."""
 LAST_SECONDS = 30
 """The time that an interrupted session has for its summary [s]. After that it is killed."""
-ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""The signals that end the command and its session."""
 NO_TESTS = "[pytest]\n"
 """An empty configuration of pytest, so that the project's settings do not apply to the session."""
 
@@ -101,33 +100,26 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 
 def _code_of(session: Sequence[str], environ: Mapping[str, str]) -> int:
-    """Run a pytest session and return its exit code.
+    """Run a pytest session and return its exit code. If this process is interrupted, the session ends before it.
 
-    After Ctrl-C, the session can still write its summary and page. SIGTERM and SIGHUP end it, unless they are ignored.
-    A session that goes on for LAST_SECONDS is ended, and killed at last.
+    A session has LAST_SECONDS for its summary and page, and is killed then.
     """
-
-    def received(number: int, _: object) -> None:
-        process.terminate()
-        raise SystemExit(128 + number)
-
     with subprocess.Popen(session, env=environ) as process:  # noqa: S603  (the user's own arguments)
-        before = {number: signal.getsignal(number) for number in ENDS}
-        mine = [number for number in ENDS if before[number] != signal.SIG_IGN]
-        for number in mine:
-            signal.signal(number, received)
         try:
             return process.wait()
+        except KeyboardInterrupt as interrupt:
+            if not isinstance(interrupt, Ended):  # The session has received Ctrl-C as well, and a second one ends it.
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(LAST_SECONDS)
+            raise
         finally:
-            for number in mine:
-                signal.signal(number, signal.SIG_IGN)
-            for end in (process.terminate, process.kill):
+            with undisturbed():
+                process.terminate()
                 try:
                     process.wait(LAST_SECONDS)
                 except subprocess.TimeoutExpired:
-                    end()
-            for number in mine:
-                signal.signal(number, before[number])
+                    process.kill()
+                    process.wait()
 
 
 def _written(here: Path, files: dict[str, str]) -> int:
