@@ -96,6 +96,7 @@ def _bisect(arguments: argparse.Namespace) -> int:
         trials = Trials(
             history, tree, tree / here.relative_to(history.root), tree / file, arguments.timeout, arguments.any_pass
         )
+        history.put(tree, bad)  # Its error, such as for a submodule that is not cloned, is that of all commits.
         if trials.passes(bad) is not False:
             hint = "commit your changes" if dirty else "try `python -m pytest FILE`, or another --bad"
             hint = hint if trials.passes(bad) else f"{hint}; files that git ignores need --copy, a slow test --timeout"
