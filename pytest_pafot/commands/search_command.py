@@ -7,13 +7,14 @@ of ``--write-test`` finds them, so they are its regression tests.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pytest_pafot.campaign.options import BY_NAME, REVISION
@@ -29,7 +30,9 @@ from pytest_pafot.commands.policy_reference import (
 from pytest_pafot.commands.revision import OF_COMMAND
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
+from pytest_pafot.support.text import one_line, visible
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
 PAGE = "pafot.html"
@@ -78,19 +81,15 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     try:
         files = {CONFTEST: _conftest(arguments), TEST: _test(arguments)}
         if arguments.write_test:
-            return _written(here, files)
+            return _write_test(here, files, arguments.ads)
     except PlanError as error:
         sys.stderr.write(f"search: {error}\n")
         return BAD_USE
     given = {"--pafot-runs": arguments.runs, "--pafot-seed": arguments.seed, "--pafot-report": arguments.report}
     given |= {"--pafot-against": arguments.against, "--pafot-copy": shlex.join(arguments.copy) or None}
     options = [f"{name}={value}" for name, value in given.items() if value is not None]
-    with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
-        for name, text in {**files, "pytest.ini": NO_TESTS}.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
-        fixed = [f"--rootdir={folder}", f"--pafot-corpus={here / CORPUS}", "-pno:cacheprovider", "-rN"]
-        session = [sys.executable, "-m", "pytest", folder, *fixed, *options, *arguments.pytest]
-        code = _code_of(session, {**os.environ, OF_COMMAND: arguments.ads})
+    with _session(files, here / CORPUS) as session:
+        code = _code_of([*session, *options, *arguments.pytest], {**os.environ, OF_COMMAND: arguments.ads})
     if code == TESTS_FAILED and files_below(here / CORPUS):
         kept = f"and commit {CONFTEST}, {TEST} and {CORPUS}/; `pytest FILE` needs them, too"
         own = command[: command.index("--")] if "--" in command else command
@@ -99,12 +98,25 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     return BAD_USE if code == USAGE_ERROR else code
 
 
-def _code_of(session: Sequence[str], environ: Mapping[str, str]) -> int:
+@contextmanager
+def _session(files: Mapping[str, str], corpus: Path) -> Iterator[list[str]]:
+    """Write the files of a test into a temporary folder, and provide the start of a pytest command that runs it."""
+    with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
+        for name, text in {**files, "pytest.ini": NO_TESTS}.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        fixed = [f"--rootdir={folder}", f"--pafot-corpus={corpus}", "-pno:cacheprovider", "-rN"]
+        yield [sys.executable, "-m", "pytest", folder, *fixed]
+
+
+def _code_of(session: Sequence[str], environ: Mapping[str, str], output: int | None = None) -> int:
     """Run a pytest session and return its exit code. If this process is interrupted, the session ends before it.
 
-    A session has LAST_SECONDS for its summary and page, and is killed then.
+    A session has LAST_SECONDS for its summary and page, and is killed then. ``output`` is a file for all that it
+    prints, by default that of this process.
     """
-    with subprocess.Popen(session, env=environ) as process:  # noqa: S603  (the user's own arguments)
+    with subprocess.Popen(  # noqa: S603  (the user's own arguments)
+        session, env=environ, stdout=output, stderr=output
+    ) as process:
         try:
             return process.wait()
         except KeyboardInterrupt as interrupt:
@@ -122,17 +134,59 @@ def _code_of(session: Sequence[str], environ: Mapping[str, str]) -> int:
                     process.wait()
 
 
-def _written(here: Path, files: dict[str, str]) -> int:
-    there = [name for name in files if (here / name).exists()]
+def _write_test(here: Path, files: Mapping[str, str], ads: str) -> int:
+    """Write the files of a test, which have to be new, after one run of the test. Return the exit code.
+
+    Raises:
+        PlanError: if a file is there or cannot be written, or if the test cannot run.
+    """
+    there = [name for name in files if os.path.lexists(here / name)]
     if there:
         raise PlanError(
             f"--write-test: expected a folder without {' and '.join(there)}, received {here}; run the command in "
             "another folder, or write the test by hand"
         )
-    for name, text in files.items():
-        (here / name).write_text(text, encoding="utf-8")
-        sys.stdout.write(f"{name}\n")
+    _check_that_it_runs(files, ads)
+    written: list[str] = []
+    try:
+        for name, text in files.items():
+            if not write_if_free(here / name, text.encode()):
+                raise OSError(f"{name} was written meanwhile")
+            written.append(name)
+    except OSError as error:
+        for name in written:
+            (here / name).unlink(missing_ok=True)
+        fix = way_out(error, "or run the command in another folder")
+        raise PlanError(
+            f"--write-test: expected a folder in which {' and '.join(files)} can be written, received {here}: "
+            f"{error.strerror or error}; {fix}"
+        ) from None
+    sys.stdout.write("".join(f"{name}\n" for name in files))
     return 0
+
+
+def _check_that_it_runs(files: Mapping[str, str], ads: str) -> None:
+    """Run a test once, so that only a test that can run is written. A run that fails is a finding, and no error.
+
+    Raises:
+        PlanError: if the test cannot run.
+    """
+    with tempfile.TemporaryDirectory(prefix="pafot-") as scratch, tempfile.TemporaryFile() as output:
+        told, environ = Path(scratch, "pafot.json"), {**os.environ, OF_COMMAND: ads}
+        with _session(files, Path(scratch, CORPUS)) as session:
+            once = ["--pafot-runs=1", "--pafot-seed=0", "--pafot-save=none", "--pafot-shrink-rollouts=0"]
+            code = _code_of([*session, *once, f"--pafot-json={told}", "-q"], environ, output.fileno())
+        record = json.loads(told.read_bytes()) if told.exists() else {"searches": []}
+        output.seek(0)
+        words = output.read().decode("utf-8", "replace").splitlines()
+    if code == 0 or any(search["finds"] or search["unsaved"] for search in record["searches"]):
+        return
+    errors = [line[1:].strip() for line in words if line.startswith("E ")]
+    received = next((search["message"] for search in record["searches"] if search["message"]), " ".join(errors[-1:]))
+    raise PlanError(
+        f"--write-test: expected a test that can run, received {one_line(visible(received or 'no test'))}; nothing was "
+        "written: correct it, and see more by the same command without --write-test"
+    )
 
 
 def _conftest(arguments: argparse.Namespace) -> str:
