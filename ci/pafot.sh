@@ -107,7 +107,7 @@ search() {
 pull_request() {
   if [ -z "${AGAINST:-}" ]; then
     [ -n "${BASE:-}" ] || fail "expected BASE or AGAINST; see the head of this file"
-    if ! git rev-parse -q --verify "$BASE^{commit}" >/dev/null; then
+    if ! git rev-parse -q --verify "$BASE^{commit}" >/dev/null 2>&1; then
       kind=$(git cat-file -t "$BASE" 2>/dev/null) || fail "expected the commit BASE=$BASE; fetch it first"
       fail "expected a commit as BASE, received $BASE, a $kind; name the commit"
     fi

@@ -31,6 +31,11 @@ OF_A_CALLER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "
 OFFLINE = {"GIT_ALLOW_PROTOCOL": "", "GIT_LFS_SKIP_SMUDGE": "1", "GIT_TERMINAL_PROMPT": "0"}
 """Variables with which git fetches nothing: no objects that a partial clone lacks, and no files of Git LFS."""
 
+POINTER = b"version https://git-lfs.github.com/spec/"
+"""The beginning of a file in place of one that Git LFS stores."""
+LARGEST_POINTER = 1024
+"""The size below which a file is read to learn whether it is a pointer, by the specification of Git LFS [bytes]."""
+
 TREES = "pafot-tree-"
 """The prefix of the temporary folders of worktrees."""
 
@@ -94,6 +99,13 @@ class History:
         try:
             return self._git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}").strip()
         except HistoryError:
+            kind = ""
+            with suppress(HistoryError):
+                found = self._git("rev-parse", "--verify", "--quiet", "--end-of-options", revision).strip()
+                kind = self._git("cat-file", "-t", found).strip()
+            if kind:
+                expected = f"expected a commit, a branch or a tag, received {revision!a}, which is a {kind}"
+                raise HistoryError(f"{expected}; name the commit itself") from None
             raise HistoryError(
                 f"expected a commit, a branch or a tag, received {revision!a}, which does not exist in {self.root}; "
                 "`git log --oneline` lists commits, and `git fetch --unshallow` adds commits that a shallow clone lacks"
@@ -145,8 +157,12 @@ class History:
         return bool(self._git("ls-files", "--others", "--ignored", "--exclude-standard", "-z", "--", name))
 
     def has(self, commit: str, name: str) -> bool:
-        """Return whether a commit has a file or a folder."""
-        return bool(self._git("ls-tree", "-z", commit, "--", name))
+        """Return whether a commit has a file or a folder, and not only a pointer of Git LFS."""
+        listed = self._git("ls-tree", "--long", "-z", commit, "--", name)
+        _, kind, hash_, size = [*listed.partition("\t")[0].split(), "", "", "", ""][:4]
+        if kind == "blob" and int(size) < LARGEST_POINTER:
+            return not self._git("cat-file", "blob", hash_).startswith(POINTER.decode())
+        return bool(listed)
 
     def with_whole_submodules(self, *commits: str) -> History:
         """Return this history with the submodule in place of each path inside of it: its commits are tried as a whole.
@@ -181,7 +197,7 @@ class History:
         """Provide a copy of all files of a commit, and remove the copy at the end.
 
         Submodules are copied from what is already cloned. ``extra`` are present files and folders, as paths relative to
-        the root; of these, the copy gets only what the commit does not have.
+        the root; of these, the copy gets only what the commit does not have, or has as a pointer of Git LFS.
 
         Raises:
             HistoryError: if git fails, or a submodule that is checked out here was not cloned with its commit.
@@ -201,7 +217,7 @@ class History:
         """Copy files, links and all in folders into a worktree; without ``replaces``, only what it does not have."""
         for path in (each for name in names for each in _files(self.root / name) if os.path.lexists(each)):
             target = tree / path.relative_to(self.root)
-            if replaces or not os.path.lexists(target):
+            if replaces or not os.path.lexists(target) or is_pointer(target):
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(path, target, follow_symlinks=False)
 
@@ -269,11 +285,23 @@ class History:
             # The lock shows the next run whether this process has died and left its worktree behind.
             with (folder / f"{os.getpid()}-lock").open("xb") as lock:
                 hold(lock.fileno())
-                self._git("worktree", "add", "--quiet", "--detach", str(tree), commit)
+                try:
+                    self._git("worktree", "add", "--quiet", "--detach", str(tree), commit)
+                except HistoryError as error:
+                    raise HistoryError(f"{error}; {self._way_to_a_worktree(folder)}") from None
                 yield tree
         finally:
             with undisturbed():
                 self._remove(tree)
+
+    def _way_to_a_worktree(self, folder: Path) -> str:
+        """Return what to do if git cannot check out a commit into a temporary folder."""
+        places = self._git("rev-parse", "--git-dir", "--git-common-dir").splitlines()
+        if not all(os.access(self.root / place, os.W_OK) for place in places):
+            return "git notes its worktrees there: copy the repository to a folder that you can write, and run there"
+        if not shutil.disk_usage(folder).free:
+            return f"free some space in {folder.parent}, or set TMPDIR to a folder with space"
+        return "run `git fsck`, and mend what it reports"
 
     def _remove_leftovers(self) -> None:
         """Remove the worktrees of earlier runs that were killed."""
@@ -319,6 +347,15 @@ class History:
 
     def _git(self, *arguments: str) -> str:
         return _git(self.root, *arguments)
+
+
+def is_pointer(path: Path) -> bool:
+    """Return whether a file is a pointer of Git LFS, which stores the content elsewhere."""
+    try:
+        with open_regular(path) as file:
+            return file.read(len(POINTER)) == POINTER
+    except OSError:
+        return False
 
 
 def _index_of(tree: Path, name: str) -> Path:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from pytest_pafot.campaign.options import REVISION
-from pytest_pafot.commands.history import History, HistoryError, copied
+from pytest_pafot.commands.history import History, HistoryError, copied, is_pointer
 from pytest_pafot.commands.revision_process import digest_of, imported_elsewhere
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.execution.revision_policy import PACKAGE, RevisionError, RevisionPolicy
@@ -85,6 +85,11 @@ class Revision:
         root = self.history.root
         if elsewhere := imported_elsewhere([*sys.modules], root, self.tree, root):
             raise RevisionError(f"{self.label}: {elsewhere}")
+        if pointer := next((name for name in sorted(seen) if is_pointer(self.tree / name)), ""):
+            raise RevisionError(
+                f"{self.label}: expected the files of the policy, received {visible(pointer)}, a pointer of Git LFS, "
+                f"because nothing is fetched here; name the file with {self.option}, which gives both sides the present one"
+            )
         try:
             head, dirty = self.history.named("HEAD"), self.history.uncommitted()
             changed = {name for name in self.history.uncommitted(self.commit) if name == test or _may_count(root, name)}
@@ -142,8 +147,8 @@ def revision_at(text: str, folder: Path, here: Path, paths: str, option: str) ->
             except ValueError as error:
                 raise HistoryError(f"{option}: expected paths as in a shell, received {paths!r}: {error}") from None
             extra = copied(history.root, here, names, option)
-            copies = tuple(each for each in extra if (history.root / each).is_dir() or not history.has(commit, each))
             tree = stack.enter_context(history.revision(commit, extra))
+            copies = tuple(each for each in extra if (history.root / each).is_dir() or not history.has(commit, each))
         except HistoryError as error:
             raise RevisionError(f"{visible(text)}: {error}") from None
         is_hash = len(name) >= 7 and commit.startswith(name)

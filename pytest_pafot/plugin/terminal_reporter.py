@@ -206,6 +206,7 @@ class Reporter:
             interrupted=list(self._running),
             warnings=sorted({*self._warnings, *self._lines.warnings}),
             notes=list(self._notes),
+            incomparable=list(self._incomparable),
         )
         width = self._config.stash[SHARED].width
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)

@@ -83,6 +83,7 @@ class SessionSummary:
         unmerged: folders of other corpora that were not merged, each with the reason.
         interrupted: node ids of searches that began and did not end.
         warnings: warnings about saved scenarios that are no longer accepted, or that fail in the same way.
+        incomparable: node ids of tests whose policy could not be compared with its reference.
     """
 
     searches: Sequence[SearchSummary] = ()
@@ -97,6 +98,7 @@ class SessionSummary:
     interrupted: Sequence[str] = ()
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
+    incomparable: Sequence[str] = ()
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
@@ -288,8 +290,13 @@ def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[s
 
 
 def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
-    """Say for each reference what changes with the policy: failures that it introduces, fixes or shares."""
-    lines = []
+    """Say for each reference what changes with the policy: failures that it introduces, fixes or shares.
+
+    A session with a test that could not be compared says nothing of that: its figures would be those of a part.
+    """
+    lines: list[str] = []
+    if session.incomparable:
+        return lines
     names = [*(each.against for each in session.searches), *(each.against for each in session.replays)]
     for name in filter(None, dict.fromkeys(names)):
         labels = Counter(replay.label for replay in session.replays if replay.against == name)
