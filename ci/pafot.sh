@@ -44,11 +44,44 @@ install() {
   python -m pip install "$here/.."
 }
 
+# A signal that ends this script goes to pytest first, which ends what it has begun. A shell in the foreground of a command
+# would receive it only after that command.
+child='' signal=''
+received() {
+  signal=$1
+  case $child in
+    '') exit $((128 + signal)) ;;
+    starting) ;;
+    *) kill "-$2" "$child" 2>/dev/null || true ;;
+  esac
+}
+trap 'received 1 HUP' HUP
+trap 'received 2 INT' INT
+trap 'received 15 TERM' TERM
+
+# Python with some arguments; its exit code is in $ended. It has a group of its own, so that Ctrl-C reaches it once, from
+# here. It allows SIGINT, which a shell ignores in the background.
+run_python() {
+  child=starting
+  python -I -c 'import os, signal, sys
+os.setpgid(0, 0)
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+os.execvp("python", ["python", *sys.argv[1:]])' "$@" <&0 &
+  child=$!
+  [ -z "$signal" ] || kill "$child" || true
+  while :; do
+    ended=0
+    wait "$child" || ended=$?
+    kill -0 "$child" 2>/dev/null || break # else a signal has ended only the wait
+  done
+  child=''
+  [ -z "$signal" ] || exit $((128 + signal))
+}
+
 # A policy that calls os._exit(0) ends pytest with 0 as well. But then no code, or another one, is in pafot.json.
 session() {
   rm -f pafot.json || fail "expected to replace pafot.json, which is no file; move it away"
-  ended=0
-  python -m pytest -m pafot --pafot-json=pafot.json --pafot-report=pafot.html --junitxml=pafot.xml "$@" || ended=$?
+  run_python -m pytest -m pafot --pafot-json=pafot.json --pafot-report=pafot.html --junitxml=pafot.xml "$@"
   [ "$ended" = 0 ] || return "$ended"
   told="no such file"
   if [ -f pafot.json ]; then
@@ -74,7 +107,10 @@ search() {
 pull_request() {
   if [ -z "${AGAINST:-}" ]; then
     [ -n "${BASE:-}" ] || fail "expected BASE or AGAINST; see the head of this file"
-    git rev-parse -q --verify "$BASE^{commit}" >/dev/null || fail "expected the commit BASE=$BASE; fetch it first"
+    if ! git rev-parse -q --verify "$BASE^{commit}" >/dev/null 2>&1; then
+      kind=$(git cat-file -t "$BASE" 2>/dev/null) || fail "expected the commit BASE=$BASE; fetch it first"
+      fail "expected a commit as BASE, received $BASE, a $kind; name the commit"
+    fi
     AGAINST=rev:$BASE
   fi
   [ -z "${COPY:-}" ] || set -- "--pafot-copy=$COPY" "$@"
@@ -207,7 +243,6 @@ with_branch() {
   git ls-files -- "$FILES" "$others" >/dev/null || fail "expected MACHINES in the repository, received ${MACHINES:-machines}"
   temp=$(cd "$(mktemp -d)" && pwd)
   trap 'rm -rf "$temp"' EXIT
-  trap 'exit 130' INT TERM
   look
   meet
   known=$(bring "$FILES" "$others")

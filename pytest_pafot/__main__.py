@@ -21,10 +21,12 @@ def main(arguments: list[str] | None = None) -> int:
     from pytest_pafot.episodes import progress_command as progressing  # noqa: PLC0415
     from pytest_pafot.episodes import rate_command as rating  # noqa: PLC0415
     from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
+    from pytest_pafot.support.interrupts import Ended, interrupted_by_signals  # noqa: PLC0415
 
     given = sys.argv[1:] if arguments is None else arguments
-    about = "Commands of pytest-pafot in addition to pytest."
-    parser = argparse.ArgumentParser(prog="python -m pytest_pafot", description=about)
+    parser = argparse.ArgumentParser(
+        prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     search = commands.add_parser(
         "search",
@@ -90,16 +92,23 @@ def main(arguments: list[str] | None = None) -> int:
         which.error(f"unrecognized arguments: {' '.join(unknown)}; {which.prog} --help lists the options")
     try:
         Path.cwd()  # A shell may still be in a folder that was removed.
-        code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
-        sys.stdout.flush()
-    except KeyboardInterrupt:  # compare and rate handle it themselves, and state which results are saved
-        sys.stderr.write(f"\n{arguments_given.command}: interrupted\n")
-        return 130
+        with interrupted_by_signals():
+            code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
+            sys.stdout.flush()
+    except KeyboardInterrupt as interrupt:
+        with suppress(OSError, ValueError):  # A terminal that was closed receives nothing.
+            sys.stderr.write(f"\n{arguments_given.command}: interrupted{_notes(interrupt)}\n")
+        return interrupt.code if isinstance(interrupt, Ended) else 130
     except OSError as error:
         if error.filename is not None:  # the current folder and the standard output have no file name
             raise
         return _without_surroundings(arguments_given.command, error)
     return code
+
+
+def _notes(interrupt: KeyboardInterrupt) -> str:
+    """Return what a command has added to its interrupt: which results are saved."""
+    return "".join(f"; {note}" for note in getattr(interrupt, "__notes__", ()))
 
 
 def _without_surroundings(command: str, error: OSError) -> int:

@@ -2,13 +2,15 @@
 
 import os
 import shutil
+import signal
 import stat
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.helpers.actions import SCRIPT, git, inputs_of, run_action, shell
+from tests.helpers.actions import SCRIPT, environment, git, inputs_of, run_action, shell
 from tests.helpers.sessions import read_record
 
 pytestmark = pytest.mark.processes
@@ -198,6 +200,7 @@ class TestAPullRequest:
     [
         ({"base": ""}, "expected BASE or AGAINST; see the head of this file"),
         ({"base": "0123456"}, "expected the commit BASE=0123456; fetch it first"),
+        ({"base": "HEAD^{tree}"}, "expected a commit as BASE, received HEAD^{tree}, a tree; name the commit"),
         ({"base": "--output=planner.py"}, "expected the commit BASE=--output=planner.py; fetch it first"),
     ],
 )
@@ -312,6 +315,28 @@ def test_bypassing_pytest_with_exit_code_0_fails(repository, leave):
     (repository / "test_it.py").write_text("import pytest\n\n@pytest.mark.pafot\ndef test_it():\n    assert 0\n")
     code, printed = shell(f"sh {SCRIPT} replay", repository)
     assert (code, "pytest ended with 0: expected 0 as exit in pafot.json" in printed) == (2, True), printed
+
+
+@pytest.mark.parametrize("shells", ["sh", "bash"])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_signal_ends_pytest_and_then_the_script(repository, tmp_path, shells, name):
+    slow = TEST.replace("npcs=2", "npcs=2, runs=100000")
+    commit(repository, {"planner.py": PLANNER, "test_safety.py": slow}, "A planner")
+    (tmp_path / "temporary").mkdir()
+    own = environment(BRANCH="finds", TMPDIR=str(tmp_path / "temporary"))
+    with subprocess.Popen(
+        [shells, SCRIPT, "night"], cwd=repository, env=own, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as script:
+        printed = ""
+        while "distinct" not in printed and "runs" not in printed:
+            line = script.stdout.readline()
+            assert line, printed
+            printed += line
+        script.send_signal(getattr(signal, name))
+        rest, _ = script.communicate(timeout=60)  # It also waits for pytest, which has the same output.
+    assert script.returncode == 128 + getattr(signal, name), printed + rest
+    assert "ended: interrupted" in rest
+    assert not [path for path in (tmp_path / "temporary").iterdir() if not path.name.startswith("pytest-")]
 
 
 def test_unknown_task_error_lists_the_known_tasks(repository):

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,15 @@ from pytest_pafot.commands.policy_reference import BAD_USE
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.execution.revision_policy import mapped
 from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.interrupts import undisturbed
 from pytest_pafot.support.text import one_line, plural, visible
 from pytest_pafot.support.ways_out import command
 
 TOLD = "PYTEST_PAFOT_BISECT"
 """The environment variable that passes paths to the pytest session in which a commit is tried."""
+
+ALIVE = "PYTEST_PAFOT_ALIVE"
+"""The environment variable with the descriptor of a pipe that closes when the command has ended, however it ends."""
 
 SHOWN = 60  # the largest number of lines of a diff that are printed
 VERDICTS = {True: "passes", False: "fails", None: "no verdict"}
@@ -74,6 +78,9 @@ def _bisect(arguments: argparse.Namespace) -> int:
     file = inside(history.root, here, str(found), "FILE")
     extra = copied(history.root, here, arguments.copy, "--copy")
     good, bad = (history.named(revision) for revision in (arguments.good, arguments.bad))
+    named, history = history.paths, history.with_whole_submodules(good, bad)
+    if history.paths != named:
+        _say(f"submodules are tried as a whole: {', '.join(map(visible, history.paths))}")
     commits = _commits(history, good, bad)
     above = (folder / test for folder in file.parents)
     own = [path for path in (file, *above) if history.is_policy(path.as_posix()) and (history.root / path).is_file()]
@@ -90,6 +97,7 @@ def _bisect(arguments: argparse.Namespace) -> int:
         trials = Trials(
             history, tree, tree / here.relative_to(history.root), tree / file, arguments.timeout, arguments.any_pass
         )
+        history.put(tree, bad)  # Its error, such as for a submodule that is not cloned, is that of all commits.
         if trials.passes(bad) is not False:
             hint = "commit your changes" if dirty else f"try `{command('pytest', found)}`, or another --bad"
             hint = hint if trials.passes(bad) else f"{hint}; files that git ignores need --copy, a slow test --timeout"
@@ -218,16 +226,23 @@ class Trials:
 def _group(command: Sequence[str], folder: Path, environ: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
     """Run a program in this context. At the end, kill it and all processes that it started, if it still runs."""
     pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-    session = subprocess.Popen(  # noqa: S603  (no shell)
-        command, cwd=folder, env=environ, text=True, errors="replace", start_new_session=True, **pipes
-    )
-    with session:
+    with ExitStack() as stack:
+        if os.name != "nt":
+            alive, held = os.pipe()
+            stack.callback(os.close, held)
+            stack.callback(os.close, alive)
+            environ, pipes["pass_fds"] = {**environ, ALIVE: str(alive)}, [alive]
+        session = subprocess.Popen(  # noqa: S603  (no shell)
+            command, cwd=folder, env=environ, text=True, errors="replace", start_new_session=True, **pipes
+        )
+        stack.enter_context(session)
         try:
             yield session
         finally:
-            if session.poll() is None:
-                os.killpg(session.pid, signal.SIGKILL) if hasattr(os, "killpg") else session.kill()
-                session.wait()  # Popen does not after Ctrl-C, and the worktree would go while the session still runs.
+            with undisturbed():
+                if session.poll() is None:
+                    os.killpg(session.pid, signal.SIGKILL) if hasattr(os, "killpg") else session.kill()
+                    session.wait()  # Popen does not after Ctrl-C, and the worktree would go while it still runs.
 
 
 def _conclude(history: History, trials: Trials, left: Sequence[str]) -> int:

@@ -5,22 +5,24 @@ No call uses a shell or runs a hook. Nothing is written to the user's folder, in
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shlex
 import shutil
-import signal
+import stat
 import subprocess
 import sys
 import tempfile
-import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 from pytest_pafot.support.files import hold, is_held, open_regular, pid_of
+from pytest_pafot.support.interrupts import undisturbed
 from pytest_pafot.support.text import visible, visible_lines
 
 OF_A_CALLER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_PREFIX", "GIT_NAMESPACE")
@@ -29,8 +31,16 @@ OF_A_CALLER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "
 OFFLINE = {"GIT_ALLOW_PROTOCOL": "", "GIT_LFS_SKIP_SMUDGE": "1", "GIT_TERMINAL_PROMPT": "0"}
 """Variables with which git fetches nothing: no objects that a partial clone lacks, and no files of Git LFS."""
 
+POINTER = b"version https://git-lfs.github.com/spec/"
+"""The beginning of a file in place of one that Git LFS stores."""
+LARGEST_POINTER = 1024
+"""The size below which a file is read to learn whether it is a pointer, by the specification of Git LFS [bytes]."""
+
 TREES = "pafot-tree-"
 """The prefix of the temporary folders of worktrees."""
+
+NEW = 60.0
+"""The age up to which the folder of a worktree may belong to a process that has not locked it yet [s]."""
 
 
 class HistoryError(ValueError):
@@ -89,6 +99,13 @@ class History:
         try:
             return self._git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}").strip()
         except HistoryError:
+            kind = ""
+            with suppress(HistoryError):
+                found = self._git("rev-parse", "--verify", "--quiet", "--end-of-options", revision).strip()
+                kind = self._git("cat-file", "-t", found).strip()
+            if kind:
+                expected = f"expected a commit, a branch or a tag, received {revision!a}, which is a {kind}"
+                raise HistoryError(f"{expected}; name the commit itself") from None
             raise HistoryError(
                 f"expected a commit, a branch or a tag, received {revision!a}, which does not exist in {self.root}; "
                 "`git log --oneline` lists commits, and `git fetch --unshallow` adds commits that a shallow clone lacks"
@@ -126,7 +143,7 @@ class History:
 
     def diff(self, before: str, after: str) -> list[str]:
         """Return the differences between two commits in the paths, as lines that are safe to display."""
-        plain = ("--no-color", "--no-ext-diff", "--no-textconv")
+        plain = ("--no-color", "--no-ext-diff", "--no-textconv", "--submodule=log")
         return visible_lines(self._git("diff", *plain, before, after, "--", *self.paths)).splitlines()
 
     def uncommitted(self, commit: str = "HEAD") -> list[str]:
@@ -140,8 +157,21 @@ class History:
         return bool(self._git("ls-files", "--others", "--ignored", "--exclude-standard", "-z", "--", name))
 
     def has(self, commit: str, name: str) -> bool:
-        """Return whether a commit has a file or a folder."""
-        return bool(self._git("ls-tree", "-z", commit, "--", name))
+        """Return whether a commit has a file or a folder, and not only a pointer of Git LFS."""
+        listed = self._git("ls-tree", "--long", "-z", commit, "--", name)
+        _, kind, hash_, size = [*listed.partition("\t")[0].split(), "", "", "", ""][:4]
+        if kind == "blob" and int(size) < LARGEST_POINTER:
+            return not self._git("cat-file", "blob", hash_).startswith(POINTER.decode())
+        return bool(listed)
+
+    def with_whole_submodules(self, *commits: str) -> History:
+        """Return this history with the submodule in place of each path inside of it: its commits are tried as a whole.
+
+        A path counts as inside of a submodule if it is in one of the commits.
+        """
+        links = {link for commit in commits for link in _links(self._git("ls-tree", "-r", "-z", commit))}
+        wholes = (next((link for link in links if Path(path).is_relative_to(link)), path) for path in self.paths)
+        return replace(self, paths=tuple(dict.fromkeys(wholes)))
 
     def is_policy(self, name: str) -> bool:
         """Return whether a path is one of the policy's paths, or in a folder among the policy's paths."""
@@ -153,7 +183,8 @@ class History:
 
         The copy contains the files that git does not ignore, and ``extra``, which are paths relative to the root.
         """
-        with self._tree("HEAD", exits=True) as tree:
+        with self._tree("HEAD") as tree:
+            self._put_submodules(tree, "HEAD", self._modules)
             own = [name for name in self.uncommitted() if self._is_copied(name)]
             for name in own:
                 with suppress(OSError):
@@ -162,114 +193,131 @@ class History:
             yield tree
 
     @contextmanager
-    def revision(self, commit: str, extra: Iterable[str], *, exits: bool = False) -> Iterator[Path]:
+    def revision(self, commit: str, extra: Iterable[str]) -> Iterator[Path]:
         """Provide a copy of all files of a commit, and remove the copy at the end.
 
         Submodules are copied from what is already cloned. ``extra`` are present files and folders, as paths relative to
-        the root; of these, the copy gets only what the commit does not have. For ``exits`` see :meth:`_tree`.
+        the root; of these, the copy gets only what the commit does not have, or has as a pointer of Git LFS.
 
         Raises:
             HistoryError: if git fails, or a submodule that is checked out here was not cloned with its commit.
         """
-        with self._tree(commit, exits=exits) as tree:
-            places = self._git("rev-parse", "--git-dir", "--git-common-dir").splitlines()
-            modules = [Path(os.path.normpath(self.root / place / "modules")) for place in places]
-            self._put_submodules(tree, self.root, commit, modules)
+        with self._tree(commit) as tree:
+            self._put_submodules(tree, commit, self._modules)
             self._copy(extra, tree, replaces=False)
             yield tree
+
+    @property
+    def _modules(self) -> list[Path]:
+        """The folders in which the submodules of the repository may be cloned."""
+        places = self._git("rev-parse", "--git-dir", "--git-common-dir").splitlines()
+        return [Path(os.path.normpath(self.root / place / "modules")) for place in places]
 
     def _copy(self, names: Iterable[str], tree: Path, *, replaces: bool = True) -> None:
         """Copy files, links and all in folders into a worktree; without ``replaces``, only what it does not have."""
         for path in (each for name in names for each in _files(self.root / name) if os.path.lexists(each)):
             target = tree / path.relative_to(self.root)
-            if replaces or not os.path.lexists(target):
+            if replaces or not os.path.lexists(target) or is_pointer(target):
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(path, target, follow_symlinks=False)
 
-    def _put_submodules(self, tree: Path, root: Path, commit: str, modules: Sequence[Path], git_dir: str = "") -> None:
-        """Fill the folders of the submodules of a commit; ``modules`` are the folders in which they may be cloned."""
-        at = (f"--git-dir={git_dir}",) if git_dir else ()
-        lines = _git(self.root, *at, "ls-tree", "-r", "-z", "--full-tree", commit).split("\0")
-        links = [(line.split()[2], line.partition("\t")[2]) for line in lines if line.startswith("160000 ")]
-        if not links:
-            return
-        listed = _git(tree, "config", "--file", ".gitmodules", "--null", "--get-regexp", r"^submodule\..*\.path$")
-        pairs = (each.partition("\n") for each in listed.split("\0") if each)
-        names = {path: key.removeprefix("submodule.").removesuffix(".path") for key, _, path in pairs}
-        for hash_, path in links:
-            clones = [*(folder / names.get(path, path) for folder in modules), root / path / ".git"]
-            for clone in (each for each in clones if each.is_dir()):
-                own = f"--git-dir={clone}"
+    def _put_submodules(
+        self,
+        tree: Path,
+        commit: str,
+        modules: Sequence[Path],
+        *,
+        at: str = "",
+        clone: str = "",
+        paths: Sequence[str] = (),
+    ) -> None:
+        """Fill the folders of the submodules of a commit from what is already cloned.
+
+        Args:
+            tree: the worktree.
+            commit: a commit of the repository, or of the submodule ``at``.
+            modules: the folders in which submodules may be cloned.
+            at: the path of the submodule whose submodules these are; empty for the repository.
+            clone: the folder of git of the submodule ``at``.
+            paths: only submodules below these paths, which have to be cloned; all without any.
+
+        Raises:
+            HistoryError: if a submodule that is checked out here, or named by the paths, is not cloned with its commit.
+        """
+        own = (f"--git-dir={clone}",) if clone else ()
+        links = _links(_git(self.root, *own, "ls-tree", "-r", "-z", "--full-tree", commit, "--", *paths))
+        names = dict[str, str]()
+        if links and (tree / at / ".gitmodules").is_file():
+            pattern = r"^submodule\..*\.path$"
+            listed = _git(tree / at, "config", "--file", ".gitmodules", "--null", "--get-regexp", pattern)
+            pairs = (each.partition("\n") for each in listed.split("\0") if each)
+            names = {path: key.removeprefix("submodule.").removesuffix(".path") for key, _, path in pairs}
+        for path, hash_ in links.items():
+            here, there = tree / at / path, self.root / at / path
+            clones = [*(folder / names.get(path, path) for folder in modules), there / ".git"]
+            for found in (each for each in clones if each.is_dir()):
                 with suppress(HistoryError):
-                    _git(tree, own, "cat-file", "-e", f"{hash_}^{{tree}}")
-                    index = {"GIT_INDEX_FILE": str(tree.parent / "index")}
-                    _git(tree, own, f"--work-tree={tree / path}", "read-tree", hash_, environ=index)
-                    _git(tree / path, own, f"--work-tree={tree / path}", "checkout-index", "-a", "-f", environ=index)
-                    self._put_submodules(tree / path, root / path, hash_, [clone / "modules"], str(clone))
+                    _git(tree, f"--git-dir={found}", "cat-file", "-e", f"{hash_}^{{tree}}")
+                    here.mkdir(parents=True, exist_ok=True)
+                    # The index of the commit before names the files that git removes. All others stay.
+                    index = {"GIT_INDEX_FILE": str(_index_of(tree, f"{Path(at, path)}"))}
+                    read = (f"--git-dir={found}", f"--work-tree={here}", "read-tree", "--reset", "-u", hash_)
+                    _git(here, *read, environ=index)
+                    self._put_submodules(tree, hash_, [found / "modules"], at=f"{Path(at, path)}", clone=str(found))
                     break
             else:
-                if any(each.name != ".git" for each in _entries(root / path)):
+                is_there = any(each.name != ".git" for each in _entries(there))
+                if is_there or paths:
+                    name = shlex.quote(visible(f"{Path(at, path)}"))
+                    way = f"git -C {name} fetch" if is_there else f"git submodule update --init {name}"
                     raise HistoryError(
                         f"expected the submodule {visible(path)} to be cloned with its commit {hash_:.10}, received "
-                        f"{self.root} without it; nothing is fetched here: run `git -C {visible(path)} fetch` first"
+                        f"{self.root} without it; nothing is fetched here: run `{way}` first"
                     )
 
     @contextmanager
-    def _tree(self, commit: str, *, exits: bool) -> Iterator[Path]:
-        """Provide a worktree of a commit, and remove it at the end, also if SIGTERM ends this process.
-
-        Args:
-            commit: the commit.
-            exits: True if SIGTERM raises SystemExit, which leaves this context. Where that may be caught, as by pytest,
-                the worktree is removed at once, and this process ends by the signal.
-        """
+    def _tree(self, commit: str) -> Iterator[Path]:
+        """Provide a worktree of a commit, and remove it at the end."""
         self._remove_leftovers()
-        folder, owner = Path(os.path.realpath(tempfile.mkdtemp(prefix=TREES))), os.getpid()
+        folder = Path(os.path.realpath(tempfile.mkdtemp(prefix=TREES)))
         tree = folder / self.root.name  # a test may be imported by the name of this folder
-        before: Any = None
-
-        def remove() -> None:
-            with suppress(HistoryError):
-                self._git("worktree", "remove", "--force", "--force", str(tree))
-            shutil.rmtree(folder, ignore_errors=True)
-
-        def received(*_: object) -> None:
-            if exits:
-                sys.exit(128 + signal.SIGTERM)
-            if os.getpid() == owner:
-                remove()
-            signal.signal(signal.SIGTERM, before)
-            os.kill(os.getpid(), signal.SIGTERM)
-
-        is_main = threading.current_thread() is threading.main_thread()
-        before = signal.signal(signal.SIGTERM, received) if is_main else None
         try:
             # The lock shows the next run whether this process has died and left its worktree behind.
-            with (folder / f"{owner}-lock").open("xb") as lock:
+            with (folder / f"{os.getpid()}-lock").open("xb") as lock:
                 hold(lock.fileno())
-                self._git("worktree", "add", "--quiet", "--detach", str(tree), commit)
+                try:
+                    self._git("worktree", "add", "--quiet", "--detach", str(tree), commit)
+                except HistoryError as error:
+                    raise HistoryError(f"{error}; {self._way_to_a_worktree(folder)}") from None
                 yield tree
         finally:
-            # Ignored by git as well, which inherits it: a second Ctrl-C must not stop the clean-up.
-            interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
-            remove()
-            if is_main:
-                signal.signal(signal.SIGINT, interrupt)
-                signal.signal(signal.SIGTERM, before)
+            with undisturbed():
+                self._remove(tree)
+
+    def _way_to_a_worktree(self, folder: Path) -> str:
+        """Return what to do if git cannot check out a commit into a temporary folder."""
+        places = self._git("rev-parse", "--git-dir", "--git-common-dir").splitlines()
+        if not all(os.access(self.root / place, os.W_OK) for place in places):
+            return "git notes its worktrees there: copy the repository to a folder that you can write, and run there"
+        if not shutil.disk_usage(folder).free:
+            return f"free some space in {folder.parent}, or set TMPDIR to a folder with space"
+        return "run `git fsck`, and mend what it reports"
 
     def _remove_leftovers(self) -> None:
         """Remove the worktrees of earlier runs that were killed."""
-        for line in self._git("worktree", "list", "--porcelain").split("\n"):
-            tree = Path(line.removeprefix("worktree "))
-            if not line.startswith("worktree ") or not tree.parent.name.startswith(TREES):
-                continue
+        listed = self._git("worktree", "list", "--porcelain").split("\n")
+        trees = [Path(line.removeprefix("worktree ")) for line in listed if line.startswith("worktree ")]
+        trees = [tree for tree in trees if tree.parent.name.startswith(TREES)]
+        for tree in [*trees, *(folder / self.root.name for folder in _abandoned(Path(tempfile.gettempdir())))]:
             lock = next(tree.parent.glob("*-lock"), None)
-            if lock is not None and _is_in_use(lock):
-                continue
-            with suppress(HistoryError):
-                self._git("worktree", "remove", "--force", "--force", str(tree))
-            if lock is not None:
-                shutil.rmtree(tree.parent, ignore_errors=True)
+            if lock is None or not _is_in_use(lock):
+                self._remove(tree)
+
+    def _remove(self, tree: Path) -> None:
+        """Remove a worktree with its folder. Git forgets also a worktree whose folder is already gone."""
+        with suppress(HistoryError):
+            self._git("worktree", "remove", "--force", "--force", str(tree))
+        shutil.rmtree(tree.parent, ignore_errors=True)
 
     def _is_copied(self, name: str) -> bool:
         is_environment = (self.root / name).is_relative_to(sys.prefix) or "__pycache__" in Path(name).parts
@@ -281,14 +329,49 @@ class History:
         Raises:
             HistoryError: if git fails.
         """
-        names = [line.partition("\t")[2] for line in self.content(commit).split("\0")]
-        there = [path for path in self.paths if any(Path(name).is_relative_to(path) for name in names if name)]
-        _git(tree, "rm", "-r", "-f", "--quiet", "--ignore-unmatch", "--", *self.paths)
+        content = self.content(commit)
+        before = _git(tree, "ls-files", "--stage", "-z", "--", *self.paths)
+        gone = _links(before).keys() - _links(content).keys()
+        for name in gone:
+            shutil.rmtree(tree / name, ignore_errors=True)
+            _index_of(tree, name).unlink(missing_ok=True)
+        # Not `git rm`, which also changes .gitmodules. Files that are not git's stay, such as copied weights.
+        for name in _names(before):
+            if not (tree / name).is_dir():
+                (tree / name).unlink(missing_ok=True)
+        names = _names(content)
+        there = [path for path in self.paths if any(Path(name).is_relative_to(path) for name in names)]
         if there:
             _git(tree, "checkout", "--quiet", commit, "--", *there)
+            self._put_submodules(tree, commit, self._modules, paths=there)
 
     def _git(self, *arguments: str) -> str:
         return _git(self.root, *arguments)
+
+
+def is_pointer(path: Path) -> bool:
+    """Return whether a file is a pointer of Git LFS, which stores the content elsewhere."""
+    try:
+        with open_regular(path) as file:
+            return file.read(len(POINTER)) == POINTER
+    except OSError:
+        return False
+
+
+def _index_of(tree: Path, name: str) -> Path:
+    """Return the file of git's index for a submodule in a worktree."""
+    return tree.parent / f"index-{hashlib.sha256(os.fsencode(name)).hexdigest()}"
+
+
+def _names(listed: str) -> list[str]:
+    """Return the names in a list of entries by git."""
+    return [line.partition("\t")[2] for line in listed.split("\0") if line]
+
+
+def _links(listed: str) -> dict[str, str]:
+    """Return the submodules in a list of entries by git: the hashes of their commits, by path."""
+    entries = (line.partition("\t") for line in listed.split("\0") if line.startswith("160000 "))
+    return {path: next(each for each in entry.split()[1:] if len(each) >= 40) for entry, _, path in entries}
 
 
 def copied(root: Path, folder: Path, paths: Iterable[str], option: str) -> list[str]:
@@ -316,6 +399,19 @@ def inside(root: Path, folder: Path, path: str, what: str) -> Path:
     if not found.is_relative_to(root):
         raise HistoryError(f"{what}: expected a path inside the repository {root}, received {visible(path)}")
     return found.relative_to(root)
+
+
+def _abandoned(places: Path) -> Iterator[Path]:
+    """Yield the folders of worktrees of this user that are not new, whether or not git knows them.
+
+    A process that is killed between two steps leaves a folder that has no lock yet, or that git does not list.
+    """
+    for folder in places.glob(f"{TREES}*"):
+        with suppress(OSError):
+            status = folder.lstat()
+            is_own = sys.platform == "win32" or status.st_uid == os.getuid()
+            if is_own and stat.S_ISDIR(status.st_mode) and time.time() - status.st_mtime > NEW:
+                yield folder
 
 
 def _is_in_use(lock: Path) -> bool:

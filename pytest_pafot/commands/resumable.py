@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePath
@@ -262,8 +263,13 @@ def _done(
             work(task, progress.tick)
             yield task
         return
-    # Spawned on every system, not forked, so that no state of this process can affect the results.
-    with WorkerPool[Task, None](work, workers, method="spawn", patience=math.inf, grace=math.inf) as pool:
+    with ExitStack() as stack:
+        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="pafot-"))
+        # Spawned on every system, not forked, so that no state of this process can affect the results.
+        pool = WorkerPool[Task, None](
+            partial(_run_in, scratch, work), workers, method="spawn", patience=math.inf, grace=math.inf
+        )
+        stack.enter_context(pool)
         pool.expect(tasks)
         for task, answer in pool.completed(progress.tick):
             if pool.failure or isinstance(answer, ProcessLostError):
@@ -275,6 +281,12 @@ def _done(
             if isinstance(answer, Exception):
                 raise answer
             yield task
+
+
+def _run_in(scratch: str, work: Callable[[Task, Tick], None], task: Task, tick: Tick) -> None:
+    """Run a task in a worker, whose temporary files go with the command: a worker that is killed removes none."""
+    tempfile.tempdir = scratch
+    work(task, tick)
 
 
 def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:

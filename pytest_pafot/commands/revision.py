@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from pytest_pafot.campaign.options import REVISION
-from pytest_pafot.commands.history import History, HistoryError, copied
+from pytest_pafot.commands.history import History, HistoryError, copied, is_pointer
 from pytest_pafot.commands.revision_process import digest_of, imported_elsewhere
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.execution.revision_policy import PACKAGE, RevisionError, RevisionPolicy
@@ -82,6 +82,12 @@ class Revision:
         root = self.history.root
         if elsewhere := imported_elsewhere([*sys.modules], root, self.tree, root):
             raise RevisionError(f"{self.label}: {elsewhere}")
+        if pointer := next((name for name in sorted(seen) if is_pointer(self.tree / name)), ""):
+            raise RevisionError(
+                f"{self.label}: expected the files of the policy, received {visible(pointer)}, a pointer of Git LFS, "
+                f"because nothing is fetched here; name the file with {self.option}, so that both sides have "
+                "the present one"
+            )
         try:
             head, dirty = self.history.named("HEAD"), self.history.uncommitted()
             changed = {name for name in self.history.uncommitted(self.commit) if name == test or _may_count(root, name)}
@@ -114,9 +120,7 @@ def _digest(path: Path) -> str:
 
 
 @contextmanager
-def revision_at(
-    text: str, folder: Path, here: Path, paths: str, option: str, *, exits: bool = False
-) -> Iterator[Revision]:
+def revision_at(text: str, folder: Path, here: Path, paths: str, option: str) -> Iterator[Revision]:
     """Provide a revision of the repository around a folder, and remove its copy at the end.
 
     Args:
@@ -125,7 +129,6 @@ def revision_at(
         here: the current folder, to which ``paths`` are relative.
         paths: the files and folders to copy, with spaces between them.
         option: the name of the option for these, for errors.
-        exits: see :meth:`History.revision`.
 
     Raises:
         RevisionError: if there is no such revision, or it cannot be copied.
@@ -142,8 +145,8 @@ def revision_at(
             except ValueError as error:
                 raise HistoryError(f"{option}: expected paths as in a shell, received {paths!r}: {error}") from None
             extra = copied(history.root, here, names, option)
+            tree = stack.enter_context(history.revision(commit, extra))
             copies = tuple(each for each in extra if (history.root / each).is_dir() or not history.has(commit, each))
-            tree = stack.enter_context(history.revision(commit, extra, exits=exits))
         except HistoryError as error:
             raise RevisionError(f"{visible(text)}: {error}") from None
         is_hash = len(name) >= 7 and commit.startswith(name)

@@ -7,14 +7,15 @@ of ``--write-test`` finds them, so they are its regression tests.
 from __future__ import annotations
 
 import argparse
+import json
 import keyword
 import os
 import shlex
-import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,9 @@ from pytest_pafot.commands.policy_reference import (
 )
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.support.files import way_out, write_if_free
+from pytest_pafot.support.interrupts import Ended, undisturbed
+from pytest_pafot.support.text import one_line, visible
 from pytest_pafot.support.ways_out import OF_SEARCH, flag
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
@@ -40,8 +44,6 @@ TESTS_FAILED, USAGE_ERROR = 1, 4
 """Exit codes of pytest. They are copied, because importing pytest would slow down the help of commands."""
 LAST_SECONDS = 30
 """The time that an interrupted session has for its summary [s]. After that it is killed."""
-ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""The signals that end the command and its session."""
 NO_TESTS = "[pytest]\n"
 """An empty configuration of pytest, so that the project's settings do not apply to the session."""
 
@@ -99,7 +101,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     try:
         files = {CONFTEST: _conftest(arguments), TEST: _test(arguments)}
         if arguments.write_test:
-            return _written(here, files)
+            return _write_test(here, files, arguments.ads)
         against = arguments.against
         if against is not None and not against.startswith(REVISION):
             ads_factory(against, "--against")
@@ -111,13 +113,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     given |= {"against": against, "copy": shlex.join(arguments.copy) or None}
     given["corpus"] = corpus = here / arguments.corpus  # The tests are not in this folder.
     options = [f"{flag(name)}={value}" for name, value in given.items() if value is not None]
-    with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
-        for name, text in {**files, "pytest.ini": NO_TESTS}.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
-        fixed = [f"--rootdir={folder}", "-pno:cacheprovider", "-rN"]
-        session = [sys.executable, "-m", "pytest", folder, *fixed, *options, *arguments.options, *arguments.pytest]
+    with _session(files) as session:
         environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
-        code = _code_of(session, {**os.environ, **environ})
+        code = _code_of([*session, *options, *arguments.options, *arguments.pytest], {**os.environ, **environ})
     if code == TESTS_FAILED and files_below(corpus):
         replay = "pytest FILE" if arguments.corpus == CORPUS else f"pytest FILE {flag('corpus', corpus)}"
         kept = f"and commit {CONFTEST}, {TEST} and {arguments.corpus}/; `{replay}` needs them, too"
@@ -127,47 +125,96 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     return BAD_USE if code == USAGE_ERROR else code
 
 
-def _code_of(session: Sequence[str], environ: Mapping[str, str]) -> int:
-    """Run a pytest session and return its exit code.
+@contextmanager
+def _session(files: Mapping[str, str]) -> Iterator[list[str]]:
+    """Write the files of a test into a temporary folder, and provide the start of a pytest command that runs it."""
+    with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
+        for name, text in {**files, "pytest.ini": NO_TESTS}.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        fixed = [f"--rootdir={folder}", "-pno:cacheprovider", "-rN"]
+        yield [sys.executable, "-m", "pytest", folder, *fixed]
 
-    After Ctrl-C, the session can still write its summary and page. SIGTERM and SIGHUP end it, unless they are ignored.
-    A session that goes on for LAST_SECONDS is ended, and killed at last.
+
+def _code_of(session: Sequence[str], environ: Mapping[str, str], output: int | None = None) -> int:
+    """Run a pytest session and return its exit code. If this process is interrupted, the session ends before it.
+
+    A session has LAST_SECONDS for its summary and page, and is killed then. ``output`` is a file for all that it
+    prints, by default that of this process.
     """
-
-    def received(number: int, _: object) -> None:
-        process.terminate()
-        raise SystemExit(128 + number)
-
-    with subprocess.Popen(session, env=environ) as process:  # noqa: S603  (the user's own arguments)
-        before = {number: signal.getsignal(number) for number in ENDS}
-        mine = [number for number in ENDS if before[number] != signal.SIG_IGN]
-        for number in mine:
-            signal.signal(number, received)
+    with subprocess.Popen(  # noqa: S603  (the user's own arguments)
+        session, env=environ, stdout=output, stderr=output
+    ) as process:
         try:
             return process.wait()
+        except KeyboardInterrupt as interrupt:
+            if not isinstance(interrupt, Ended):  # The session has received Ctrl-C as well, and a second one ends it.
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(LAST_SECONDS)
+            raise
         finally:
-            for number in mine:
-                signal.signal(number, signal.SIG_IGN)
-            for end in (process.terminate, process.kill):
+            with undisturbed():
+                process.terminate()
                 try:
                     process.wait(LAST_SECONDS)
                 except subprocess.TimeoutExpired:
-                    end()
-            for number in mine:
-                signal.signal(number, before[number])
+                    process.kill()
+                    process.wait()
 
 
-def _written(here: Path, files: dict[str, str]) -> int:
-    there = [name for name in files if (here / name).exists()]
+def _write_test(here: Path, files: Mapping[str, str], ads: str) -> int:
+    """Write the files of a test, which have to be new, after one run of the test. Return the exit code.
+
+    Raises:
+        PlanError: if a file is there or cannot be written, or if the test cannot run.
+    """
+    there = [name for name in files if os.path.lexists(here / name)]
     if there:
         raise PlanError(
             f"--write-test: expected a folder without {' and '.join(there)}, received {here}; run the command in "
             "another folder, or write the test by hand"
         )
-    for name, text in files.items():
-        (here / name).write_text(text, encoding="utf-8")
-        sys.stdout.write(f"{name}\n")
+    _check_that_it_runs(files, ads)
+    written: list[str] = []
+    try:
+        for name, text in files.items():
+            if not write_if_free(here / name, text.encode()):
+                raise OSError(f"{name} was written meanwhile")
+            written.append(name)
+    except OSError as error:
+        for name in written:
+            (here / name).unlink(missing_ok=True)
+        fix = way_out(error, "or run the command in another folder")
+        raise PlanError(
+            f"--write-test: expected a folder in which {' and '.join(files)} can be written, received {here}: "
+            f"{error.strerror or error}; {fix}"
+        ) from None
+    sys.stdout.write("".join(f"{name}\n" for name in files))
     return 0
+
+
+def _check_that_it_runs(files: Mapping[str, str], ads: str) -> None:
+    """Run a test once, so that only a test that can run is written. A run that fails is a finding, and no error.
+
+    Raises:
+        PlanError: if the test cannot run.
+    """
+    with tempfile.TemporaryDirectory(prefix="pafot-") as scratch, tempfile.TemporaryFile() as output:
+        told, environ = Path(scratch, "pafot.json"), {**os.environ, OF_COMMAND: ads}
+        given = {"runs": 1, "seed": 0, "save": "none", "shrink_rollouts": 0, "json": told}
+        once = [f"{flag(name)}={value}" for name, value in given.items()]
+        with _session(files) as session:
+            code = _code_of([*session, *once, f"{flag('corpus')}={scratch}", "-q"], environ, output.fileno())
+        record = json.loads(told.read_bytes()) if told.exists() else {"searches": []}
+        output.seek(0)
+        words = output.read().decode("utf-8", "replace").splitlines()
+    if code == 0 or any(search["finds"] or search["unsaved"] for search in record["searches"]):
+        return
+    errors = [line[1:].strip() for line in words if line.startswith("E ")]
+    received = next((search["message"] for search in record["searches"] if search["message"]), " ".join(errors[-1:]))
+    raise PlanError(
+        f"--write-test: expected a test that can run, received {one_line(visible(received or 'no test'))}; nothing was "
+        "written: correct it, and see more by the same command without --write-test"
+    )
 
 
 def _conftest(arguments: argparse.Namespace) -> str:

@@ -128,11 +128,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     except (PlanError, WorldError, AdsFactoryError, ScenarioError, ChildProcessError) as error:
         sys.stderr.write(f"compare: {error}\n")
         return BAD_USE
-    except KeyboardInterrupt:
-        sys.stderr.write(
-            "\ncompare: interrupted; finished runs are saved, and the same command continues with the rest\n"
-        )
-        return 130
+    except KeyboardInterrupt as interrupt:
+        interrupt.add_note("finished runs are saved, and the same command continues with the rest")
+        raise
     sys.stdout.write(f"{folder / 'report.md'}\n")
     return 0
 

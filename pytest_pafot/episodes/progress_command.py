@@ -190,7 +190,7 @@ def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[Prog
         return
     here, name = Path.cwd().resolve(), plan.new.removesuffix(PLANNER)
     plan.factory("new")
-    with revision_at(plan.old, here, here, shlex.join(copy), "--copy", exits=True) as revision:
+    with revision_at(plan.old, here, here, shlex.join(copy), "--copy") as revision:
         policy = revision.policy(PROCESS, name)
         try:
             policy.start()

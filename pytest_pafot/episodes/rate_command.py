@@ -106,11 +106,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     except (PlanError, WorldError, AdsFactoryError, ChildProcessError, AnimationError) as error:
         sys.stderr.write(f"rate: {error}\n")
         return BAD_USE
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         kept = f"finished tasks of up to {CHUNK} episodes are saved, and the same command continues with the rest"
-        lost = "nothing is saved without --out"
-        sys.stderr.write(f"\nrate: interrupted; {lost if arguments.out is None else kept}\n")
-        return 130
+        interrupt.add_note("nothing is saved without --out" if arguments.out is None else kept)
+        raise
     return 0 if all(rate.episodes for rate in rates) else NOTHING_DRIVEN
 
 

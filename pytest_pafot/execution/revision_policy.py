@@ -86,7 +86,7 @@ class RevisionPolicy:
     @property
     def hint(self) -> str:
         """The likely way out if the policy cannot be used."""
-        return f"files that git ignores, such as weights, need {self.copy}"
+        return f"files that git ignores or that Git LFS stores, such as weights, need {self.copy}"
 
     def __call__(self) -> NoReturn:
         """Refuse to make an ADS in this process."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import ExitStack
 
 import pytest
 
@@ -32,6 +33,7 @@ from pytest_pafot.plugin.session import (
     shared_by_controller,
 )
 from pytest_pafot.plugin.terminal_reporter import Reporter
+from pytest_pafot.support.interrupts import interrupted_by_signals
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -79,6 +81,9 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
 
     _register(session.config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
+    stack = ExitStack()
+    session.config.add_cleanup(stack.close)
+    stack.enter_context(interrupted_by_signals())  # SIGTERM alone would leave processes and copies of revisions behind.
 
 
 def _register(config: pytest.Config, features: Mapping[str, object]) -> None:

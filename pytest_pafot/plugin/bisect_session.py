@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ import pytest
 
 from pytest_pafot.campaign.replays import FLAKY
 from pytest_pafot.campaign.verdict import Verdict, headline
-from pytest_pafot.commands.bisect_command import TOLD
+from pytest_pafot.commands.bisect_command import ALIVE, TOLD
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import ending, is_same_failure, replay_label, unhandled
 from pytest_pafot.findings.situation import missed
@@ -22,6 +24,20 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.failure_reports import REPLAYED, SUMMARY
 from pytest_pafot.plugin.marks import SAVED_MARK
 from pytest_pafot.support.text import one_line, visible
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_load_initial_conftests() -> None:
+    """Let this session, which has a group of its own, end with the command, also if the command is killed."""
+    alive = os.environ.pop(ALIVE, "")
+    if alive:
+        os.set_inheritable(int(alive), False)
+        threading.Thread(target=_end_with_command, args=(int(alive),), daemon=True).start()
+
+
+def _end_with_command(alive: int) -> None:
+    os.read(alive, 1)  # It returns when the pipe has no writer any more.
+    os.killpg(0, signal.SIGKILL)
 
 
 def pytest_runtest_teardown(item: pytest.Item) -> None:

@@ -16,7 +16,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, is_page_file
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SEARCH_MARK
-from pytest_pafot.plugin.session import SUMMARY_LINES, refused_output
+from pytest_pafot.plugin.session import SUMMARY_LINES, not_written
 from pytest_pafot.support.ways_out import flag, rerun
 
 if TYPE_CHECKING:
@@ -105,10 +105,6 @@ class Pages:
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
         from pytest_pafot.report.session_report import write_report  # noqa: PLC0415
 
-        folder = path.parent if is_page_file(draft.target) else path
-        refused = refused_output(self._config, draft.target, folder)
-        if refused:
-            return "", f"{flag('report', draft.target)}: not written: {refused}"
         errors = tuple(
             (node_id, text)
             for (node_id, when), text in sorted(self._failures.items())
@@ -123,7 +119,14 @@ class Pages:
             errors=errors,
             is_interrupted=is_interrupted,
         )
-        return write_report(draft.target, path, report)
+        told = ["", ""]
+        folder = path.parent if is_page_file(draft.target) else path
+
+        def write() -> None:
+            told[:] = write_report(draft.target, path, report)
+
+        problem = not_written(self._config, draft.target, folder, write)
+        return ("", f"{flag('report', draft.target)}: not written: {problem}") if problem else (told[0], told[1])
 
     def _completed(self, finding: FindingView) -> FindingView:
         """Return a finding with its number of runs and its label, which are known only at the end of its search."""

@@ -2,7 +2,8 @@
 
 A CSV file grows with each generation, so a killed session leaves the runs so far. At the end, the rows are sorted by
 test and run, so their order does not depend on the number of workers. Until then a temporary file stores them, so that
-the memory of the session does not grow with the number of runs.
+the memory of the session does not grow with the number of runs. A Parquet file cannot grow, and a stream cannot be
+sorted later, so both are written at the end.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import io
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, islice
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
@@ -21,7 +22,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.session import SUMMARY_LINES, refused_output
+from pytest_pafot.plugin.session import SUMMARY_LINES, not_written
 from pytest_pafot.support.ways_out import flag, install
 
 if TYPE_CHECKING:
@@ -59,77 +60,81 @@ class Tables:
     """Hooks that write the table of runs, only on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
+        from pytest_pafot.support.files import is_stream  # noqa: PLC0415
+
         self._config = config
         self._name: str = config.getoption(TABLE.key)
         self._path = Path(os.path.normpath(config.invocation_params.dir / self._name))
         self._is_parquet = self._path.suffix.lower() == ".parquet"
+        self._grows = not (self._is_parquet or is_stream(self._path))
         self._rows = StoredRows()
-        self._problem = refused_output(config, self._name, self._path.parent)
+        self._is_begun = False
+        self._problem = ""
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
-        """Replace the file of an earlier session."""
-        from pytest_pafot.campaign.run_table import COLUMNS  # noqa: PLC0415
-
+        """Refuse a Parquet file without the package that writes it."""
         if self._is_parquet:
             try:
                 import pyarrow  # noqa: F401, PLC0415
             except ImportError:
                 fix = f"{install('table')}, or name a file that ends in .csv"
                 raise pytest.UsageError(f"{flag('table', self._name)}: expected pyarrow; {fix}") from None
-        else:
-            self._write("w", [list(COLUMNS)])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Write or store the rows that a search sends."""
+        """Begin the table with the first search, and write or store the rows that searches send."""
         message = messages.received(report)
-        if message is None or message.kind != "runs":
+        if message is None or message.kind not in ("start", "runs"):
             return
-        try:
-            self._rows.add(message.data["rows"])
-        except OSError as error:
-            self._fail(error)
-        if not self._is_parquet:
-            self._write("a", message.data["rows"])
+        self._begin()
+        if message.kind == "runs":
+            rows = message.data["rows"]
+            self._write("not all runs were written", lambda: self._rows.add(rows))
+            if self._grows:
+                from pytest_pafot.support.files import append  # noqa: PLC0415
+
+                self._write("not all runs were written", lambda: append(self._path, _text(rows)))
 
     @pytest.hookimpl(trylast=True)
-    def pytest_sessionfinish(self) -> None:
+    def pytest_sessionfinish(self, exitstatus: int) -> None:
         """Sort the rows of the file, even if the session was interrupted."""
         lines = self._config.stash[SUMMARY_LINES]
-        if not self._problem:
-            self._finish()
+        if not self._is_begun and exitstatus not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+            lines.problems.append(f"{flag('table', self._name)}: nothing was written, since no search ran")
+            return
+        with lines.faults(flag("table", self._name)):
+            self._begin()
+            self._write("its rows were not sorted" if self._grows else "not written", self._finish)
+            if self._problem:
+                lines.problems.append(f"{flag('table', self._name)}: {self._problem}")
+            else:
+                lines.reports.append(f"table: {self._name}")
         self._rows.close()
-        if self._problem:
-            lines.problems.append(f"{flag('table', self._name)}: not written: {self._problem}")
-        else:
-            lines.reports.append(f"table: {self._name}")
+
+    def _begin(self) -> None:
+        """Replace the file of an earlier session, before the first search of this one."""
+        if self._grows and not self._is_begun:
+            from pytest_pafot.campaign.run_table import COLUMNS  # noqa: PLC0415
+            from pytest_pafot.support.files import write_whole  # noqa: PLC0415
+
+            self._write("not written", lambda: write_whole(self._path, _text([list(COLUMNS)])))
+        self._is_begun = True
 
     def _finish(self) -> None:
         from pytest_pafot.campaign.run_table import COLUMNS  # noqa: PLC0415
         from pytest_pafot.support.files import write_whole  # noqa: PLC0415
 
-        try:
-            if self._is_parquet:
-                write_whole(self._path, _parquet(list(COLUMNS), self._rows))
-            elif not self._rows.are_ordered:
-                write_whole(self._path, _text(chain([list(COLUMNS)], self._rows)))
-        except OSError as error:
-            self._fail(error)
+        if self._is_parquet:
+            write_whole(self._path, _parquet(list(COLUMNS), self._rows))
+        elif not (self._grows and self._rows.are_ordered):
+            write_whole(self._path, _text(chain([list(COLUMNS)], self._rows)))
 
-    def _write(self, mode: str, rows: list[list[Any]]) -> None:
-        if self._problem:
-            return
-        try:
-            with self._path.open(mode, encoding="utf-8", newline="") as file:
-                file.write(_text(rows))
-        except OSError as error:
-            self._fail(error)
-
-    def _fail(self, error: OSError) -> None:
-        from pytest_pafot.support.files import way_out  # noqa: PLC0415
-
-        self._problem = f"{error.strerror or error}; {way_out(error, 'or name another file')}"
+    def _write(self, what: str, write: Callable[[], None]) -> None:
+        """Write by a function, unless that has failed before; ``what`` says what is wrong with the file if it fails."""
+        if not self._problem:
+            why = not_written(self._config, self._name, self._path.parent, write)
+            self._problem = f"{what}: {why}" if why else ""
 
 
 class _Part(NamedTuple):

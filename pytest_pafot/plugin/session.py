@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import date
@@ -146,13 +146,22 @@ def unclaimed(config: pytest.Config) -> list[str]:
     return own
 
 
-def refused_output(config: pytest.Config, name: str, folder: Path) -> str:
-    """Return why an output file must not be written to a folder; empty if it may be written.
+def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[[], object]) -> str:
+    """Write an output file to a folder by a function; return why it is not written and what to do, or an empty text.
 
-    A relative path that leads through a link is refused, since the link may be part of a checkout.
+    A relative path that leads through a linked folder is refused, since the link may be part of a checkout. ``name`` is
+    the path as the user has named it.
     """
     link = None if os.path.isabs(name) else link_below(config.rootpath, folder)  # noqa: PTH117  (a text of the user)
-    return "" if link is None else refusal(link)
+    if link is not None:
+        return refusal(link)
+    try:
+        write()
+    except OSError as error:
+        from pytest_pafot.support.files import way_out  # noqa: PLC0415
+
+        return f"{error.strerror or error}; {way_out(error, 'or name another file')}"
+    return ""
 
 
 def _cached_folder(config: pytest.Config) -> Path | None:

@@ -25,7 +25,7 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.orphans import UNRUN
-from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, refused_output
+from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, not_written
 from pytest_pafot.support.ways_out import flag, rerun
 
 if TYPE_CHECKING:
@@ -109,15 +109,13 @@ class Records:
             return  # A session without anything to report imports nothing for it.
         with self._lines.faults(f"the summary in {SUMMARY}"):
             from pytest_pafot.report.job_summary import markdown  # noqa: PLC0415
-            from pytest_pafot.support.files import way_out  # noqa: PLC0415
+            from pytest_pafot.support.files import append  # noqa: PLC0415
 
+            file = self._config.invocation_params.dir / path
             text = markdown(self._record(int(session.exitstatus)))
-            try:
-                with Path(path).open("a", encoding="utf-8") as file:
-                    file.write(text)
-            except OSError as error:
-                fix = way_out(error, "or name another file")
-                self._lines.problems.append(f"{SUMMARY}={path}: not written: {error.strerror or error}; {fix}")
+            problem = not_written(self._config, path, file.parent, lambda: append(file, text))
+            if problem:
+                self._lines.problems.append(f"{SUMMARY}={path}: not written: {problem}")
 
     def _take(self, node_id: str, message: messages.Message) -> None:
         from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
@@ -229,27 +227,18 @@ class Records:
         if self._file is None or (code is None and began < self._next):
             return
         from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
-        from pytest_pafot.support.files import way_out, write_whole  # noqa: PLC0415
+        from pytest_pafot.support.files import is_stream, write_whole  # noqa: PLC0415
 
         path = Path(os.path.normpath(self._config.invocation_params.dir / self._file))
-        refused = refused_output(self._config, self._file, path.parent)
-        if refused:
-            if code is not None:
-                self._lines.problems.append(f"{flag('json', self._file)}: not written: {refused}")
-            return
-        try:
-            write_whole(path, to_text(self._record(code)))
-        except OSError as error:
-            if code is not None:  # reported once, at the end
-                fix = way_out(error, "or name another file")
-                self._lines.problems.append(
-                    f"{flag('json', self._file)}: not written: {error.strerror or error}; {fix}"
-                )
-            return
+        if code is None and is_stream(path):
+            return  # It keeps all that it receives, so it receives only the last record.
+        text = to_text(self._record(code))
+        problem = not_written(self._config, self._file, path.parent, lambda: write_whole(path, text))
         took = self._clock() - began
         self._next = began + (REST * took if took > QUICK else 0.0)
-        if code is not None:
-            self._lines.reports.append(f"json: {self._file}")
+        if code is not None:  # A problem is reported once, at the end.
+            lines = self._lines.problems if problem else self._lines.reports
+            lines.append(f"{flag('json', self._file)}: not written: {problem}" if problem else f"json: {self._file}")
 
 
 def _result(report: pytest.TestReport) -> str:

@@ -213,6 +213,7 @@ class Reporter:
             warnings=sorted({*self._warnings, *self._lines.warnings}),
             notes=list(self._notes),
             again=rerun(["pytest", "FILE"], os.environ, saved="ID"),
+            incomparable=list(self._incomparable),
         )
         width = self._config.stash[SHARED].width
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)

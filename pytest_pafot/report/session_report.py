@@ -109,6 +109,9 @@ def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
 
     The path is the absolute path of ``target``, the user's text. The second line is empty if there is no problem. After
     an interrupt there are no pictures, because each picture takes seconds and a page does not.
+
+    Raises:
+        OSError: if a file cannot be written.
     """
     is_file = is_page_file(target)
     files = iter([("", render_page(report).encode())]) if is_file else report_files(report)
@@ -118,9 +121,6 @@ def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
         for name, content in islice(files, 1 if report.is_interrupted else None):
             write_whole(path / name, content)
             pictures += name.endswith(".png")
-    except OSError as error:
-        reason = f"{error.strerror or error}: {error.filename or path}"
-        return "", f"{flag('report', target)}: not written: {reason}; choose another path"
     except AnimationError as error:
         missing = f": {error}"
     shown = target if is_file else os.path.join(target, PAGE)  # noqa: PTH118

@@ -89,6 +89,7 @@ class SessionSummary:
         interrupted: node ids of searches that began and did not end.
         warnings: warnings about saved scenarios that are no longer accepted, or that fail in the same way.
         again: the command that runs a single saved scenario.
+        incomparable: node ids of tests whose policy could not be compared with its reference.
     """
 
     searches: Sequence[SearchSummary] = ()
@@ -104,6 +105,7 @@ class SessionSummary:
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
     again: str = ""
+    incomparable: Sequence[str] = ()
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
@@ -299,8 +301,13 @@ def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[s
 
 
 def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
-    """Say for each reference what changes with the policy: failures that it introduces, fixes or shares."""
-    lines = []
+    """Say for each reference what changes with the policy: failures that it introduces, fixes or shares.
+
+    A session with a test that could not be compared says nothing of that: its figures would be those of a part.
+    """
+    lines: list[str] = []
+    if session.incomparable:
+        return lines
     names = [*(each.against for each in session.searches), *(each.against for each in session.replays)]
     for name in filter(None, dict.fromkeys(names)):
         labels = Counter(replay.label for replay in session.replays if replay.against == name)

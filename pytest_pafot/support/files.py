@@ -123,19 +123,48 @@ _WAYS_OUT: Mapping[int, str] = MappingProxyType(
 def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file and create its folders. At any time a reader finds either the whole new or the whole old content.
 
-    A pipe, or a device such as ``/dev/null``, receives the content. A file in its place would take it from everybody.
+    A link is replaced, and what it leads to stays as it is. A stream receives the content, see :func:`is_stream`.
 
     Raises:
         OSError: if the file cannot be written; no partial file is left behind.
     """
     data = content.encode() if isinstance(content, str) else content
-    mode = 0
-    with contextlib.suppress(OSError):  # If it cannot be looked at, writing it fails as well, or there is no such file.
-        mode = path.lstat().st_mode
-    if stat.S_ISCHR(mode) or stat.S_ISFIFO(mode):
-        path.write_bytes(data)
+    if is_stream(path):
+        append(path, data)
     else:
         _through_temporary(path, data, Path.replace)
+
+
+def append(path: Path, content: str | bytes) -> None:
+    """Add a content to the end of a file, not through a link; or write it into a stream, see :func:`is_stream`.
+
+    Raises:
+        OSError: if the path is a link or cannot be written. The file is then as long as before, unless it is a stream.
+    """
+    rest = memoryview(content.encode() if isinstance(content, str) else content)
+    with path.open("ab") if is_stream(path) else open_regular(path, "ab") as file:
+        size = os.fstat(file.fileno()).st_size
+        try:
+            while rest:
+                rest = rest[os.write(file.fileno(), rest) :]
+        except OSError:
+            with contextlib.suppress(OSError):  # a stream has no length
+                os.ftruncate(file.fileno(), size)
+            raise
+
+
+def is_stream(path: Path) -> bool:
+    """Return whether a path is a pipe or a character device, also by one of the system's links like ``/dev/stdout``.
+
+    Content is written into it. A file in its place would take it from everybody.
+    """
+    folder = os.path.realpath(path.parent)
+    is_of_system = folder == "/dev" or re.fullmatch(r"/proc/\d+/fd", folder) is not None
+    try:
+        mode = path.stat().st_mode if is_of_system else path.lstat().st_mode
+    except (OSError, ValueError):  # If it cannot be looked at, writing it fails as well, or there is no such file.
+        return False
+    return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode) or (is_of_system and path.is_symlink())
 
 
 def write_if_free(path: Path, content: bytes) -> bool:

@@ -196,6 +196,112 @@ def test_worktree_of_a_killed_process_is_removed_by_the_next(repository):
     assert git(repository, "worktree", "list").count("\n") == 1
 
 
+def test_folder_that_git_does_not_list_is_removed_when_old(repository, tmp_path, monkeypatch):
+    places = tmp_path / "places"
+    for name in ("pafot-tree-old", "pafot-tree-new", "other"):
+        (places / name).mkdir(parents=True)
+    (places / "pafot-tree-link").symlink_to(repository)
+    for name in ("pafot-tree-old", "other"):
+        os.utime(places / name, (0, 0))
+    os.utime(places / "pafot-tree-link", (0, 0), follow_symlinks=False)
+    monkeypatch.setattr("tempfile.tempdir", str(places))
+    with History.of([], repository).revision("main", []):
+        pass
+    assert sorted(each.name for each in places.iterdir()) == ["other", "pafot-tree-link", "pafot-tree-new"]
+
+
+def test_worktree_whose_folder_is_gone_is_forgotten(repository):
+    history = History.of([], repository)
+    code = "import os, shutil\nfrom pathlib import Path\nfrom pytest_pafot.commands.history import History\n"
+    code += f"with History.of([], Path({str(repository)!r})).revision('main', []) as tree:\n"
+    code += "    shutil.rmtree(tree.parent)\n    os._exit(9)\n"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
+    assert git(repository, "worktree", "list").count("\n") == 2
+    with history.revision("main", []):
+        assert git(repository, "worktree", "list").count("\n") == 2
+    assert git(repository, "worktree", "list").count("\n") == 1
+
+
+def test_policy_in_a_submodule_is_put_commit_by_commit(repository, tmp_path):
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    git(inner, "init", "-q", "-b", "main")
+    git(repository, "rm", "-rq", "policy")
+    for number, files in enumerate((["a.py"], ["a.py", "deep/b.py"], ["c.py"])):
+        git(inner, "rm", "-rq", "--ignore-unmatch", ".")
+        for name in files:
+            (inner / name).parent.mkdir(parents=True, exist_ok=True)
+            (inner / name).write_text(str(number))
+        git(inner, "add", ".")
+        git(inner, "commit", "-qm", str(number))
+        if number == 0:
+            git(repository, *LOCAL, "submodule", "--quiet", "add", "--name", "named", str(inner), "the policy")
+        git(repository / "the policy", "pull", "-q", "origin", "main")
+        git(repository, "add", ".")
+        git(repository, "commit", "-qm", str(number))
+    (repository / "the policy/net.npz").write_text("weights")
+    before = state_of(repository)
+    history = History.of(["the policy/a.py"], repository).with_whole_submodules("main~2", "main")
+    assert history.paths == ("the policy",)
+    assert history.between("main~2", "main") == git(repository, "rev-list", "--reverse", "main~2..main").split()
+    with history.worktree(["the policy/net.npz"]) as tree:
+        for commit, names in (("main~2", ["a.py"]), ("main", ["c.py"]), ("main~1", ["a.py", "deep/b.py"])):
+            history.put(tree, commit)
+            assert names_in(tree / "the policy") == {"net.npz", *names}
+        assert (tree / "the policy/deep/b.py").read_text() == "1"
+        history.put(tree, "main~3")  # before the submodule
+        assert not (tree / "the policy").exists()
+        history.put(tree, "main~2")
+        assert names_in(tree / "the policy") == {"a.py"}
+    assert state_of(repository) == before
+    git(tmp_path, "clone", "-q", str(repository), "clone")
+    clone = History.of(["the policy"], tmp_path / "clone")
+    expected = r"expected the submodule the policy to be cloned .*run `git submodule update --init 'the policy'` first"
+    with clone.worktree([]) as tree, pytest.raises(HistoryError, match=expected):
+        clone.put(tree, "main")
+    git(tmp_path / "clone", *LOCAL, "submodule", "--quiet", "update", "--init", "the policy")
+    with clone.worktree([]) as tree:
+        clone.put(tree, "main")
+        assert names_in(tree / "the policy") == {"c.py"}
+
+
+def test_object_that_is_no_commit_is_named(repository):
+    history = History.of([], repository)
+    with pytest.raises(HistoryError, match=r"received 'HEAD\^\{tree\}', which is a tree; name the commit itself"):
+        history.named("HEAD^{tree}")
+    with pytest.raises(HistoryError, match="received 'nothing', which does not exist in"):
+        history.named("nothing")
+
+
+def test_file_replaces_a_pointer_of_git_lfs_on_request(repository):
+    pointer = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 7\n"
+    (repository / "net.bin").write_text(pointer)
+    git(repository, "add", ".")
+    git(repository, "commit", "-qm", "Weights")
+    (repository / "net.bin").write_text("weights")
+    history = History.of([], repository)
+    assert [history.has("main", name) for name in ("net.bin", "test_it.py", "policy", "none")] == [
+        False,
+        True,
+        True,
+        False,
+    ]
+    for extra, expected in (([], pointer), (["net.bin"], "weights")):
+        with history.revision("main", extra) as tree:
+            assert (tree / "net.bin").read_text() == expected
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
+def test_repository_that_cannot_be_written_has_a_way_out(repository):
+    history = History.of([], repository)
+    (repository / ".git").chmod(0o500)
+    try:
+        with pytest.raises(HistoryError, match="copy the repository to a folder that you can write, and run there"):
+            history.revision("main", []).__enter__()
+    finally:
+        (repository / ".git").chmod(0o700)
+
+
 @pytest.mark.parametrize("end", [KeyboardInterrupt, SystemExit])
 def test_the_worktree_is_removed_whatever_ends_the_search(repository, end):
     before = state_of(repository)

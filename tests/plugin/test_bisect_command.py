@@ -375,7 +375,7 @@ def test_interrupt_leaves_no_processes_or_folders_behind(real, tmp_path, monkeyp
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     before = git("status"), git("worktree", "list"), git("for-each-ref"), Path(".git/index").read_bytes()
     command = [*INTERRUPTIBLE, "bisect", FILE, "--good", first, "--policy", "planner.py"]
-    for end, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):
+    for end, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)):
         pid.unlink(missing_ok=True)
         with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE) as process:
             wait_for(lambda: pid.exists() and pid.read_text())
@@ -386,6 +386,27 @@ def test_interrupt_leaves_no_processes_or_folders_behind(real, tmp_path, monkeyp
         assert (git("status"), git("worktree", "list"), git("for-each-ref"), Path(".git/index").read_bytes()) == before
         with pytest.raises(ProcessLookupError):
             os.kill(int(pid.read_text()), 0)
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(os.name == "nt", reason="a session has no group of its own there")
+def test_killed_bisect_takes_its_session_along(real, tmp_path, monkeypatch, capsys):
+    pid = tmp_path / "pid"
+    first = real(PLANNER)
+    real(
+        f"import os, pathlib, time\npathlib.Path({str(pid)!r}).write_text(str(os.getpid()))\ntime.sleep(100)\n{PLANNER}"
+    )
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    command = [sys.executable, "-m", "pytest_pafot", "bisect", FILE, "--good", first, "--policy", "planner.py"]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
+        wait_for(lambda: pid.exists() and pid.read_text())
+        process.kill()
+    wait_for(lambda: not Path(f"/proc/{pid.read_text()}/cmdline").exists())
+    assert git("worktree", "list").count("\n") == 1
+    assert bisect("--good", "HEAD~1", "--timeout", "0.1") == 2
+    assert git("worktree", "list").count("\n") == 0
+    assert not list((tmp_path / "temporary").iterdir())
 
 
 def wait_for(condition):

@@ -147,7 +147,7 @@ def test_unwritable_page_is_one_problem_and_changes_nothing(failing):
     result.assert_outcomes(failed=2)
     text = " ".join(result.stdout.str().split())
     assert "problem: --pafot-report=taken/report.html: not written: " in text
-    assert "choose another path" in text
+    assert "or name another file" in text
     assert "Traceback" not in text
 
 

@@ -499,7 +499,7 @@ def test_resumed_search_agrees_on_the_commit_and_not_its_name(repository):
     result.stdout.no_fnmatch_line("*resumed after*")
 
 
-@table("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@table("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_copy_of_an_ended_session_is_removed(repository, number):
     write(
         repository, {"test_it.py": (repository.path / "test_it.py").read_text().replace("stop_after=1", "max_time=99")}

@@ -1,6 +1,7 @@
 """The option ``--pafot-table``: all runs of a session's searches in one file."""
 
 import csv
+import os
 
 import pytest
 
@@ -68,9 +69,67 @@ def test_a_name_without_a_known_ending_is_refused(failing, name):
 
 
 def test_unwritable_table_is_reported_and_search_continues(failing):
-    result = failing.run("--pafot-table=none/runs.csv")
-    result.stdout.fnmatch_lines(["*--pafot-table=none/runs.csv: not written: No such file or directory*"])
+    (failing.path / "taken").write_text("a file")
+    result = failing.run("--pafot-table=taken/runs.csv")
+    result.stdout.fnmatch_lines(["*--pafot-table=taken/runs.csv: not written: *; there is a file where*"])
     assert failing.files
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+@pytest.mark.parametrize("name", ["runs.csv", "runs.parquet"])
+def test_table_replaces_a_link_but_not_its_target(failing, tmp_path_factory, name):
+    pytest.importorskip("pyarrow")
+    secret = tmp_path_factory.mktemp("elsewhere") / "secret"
+    secret.write_text("mine")
+    (failing.path / name).symlink_to(secret)
+    failing.run(f"--pafot-table={name}")
+    assert not (failing.path / name).is_symlink()
+    assert secret.read_text() == "mine"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+def test_link_that_appears_in_the_session_is_not_followed(project, tmp_path_factory):
+    secret = tmp_path_factory.mktemp("elsewhere") / "secret"
+    secret.write_text("mine")
+    body = f"    Path('runs.csv').unlink()\n    Path('runs.csv').symlink_to({str(secret)!r})\n"
+    project.write(f"from pathlib import Path\n\n@pafot.search(SHORT)\ndef test_swaps(run):\n{body}")
+    result = project.run("--pafot-table=runs.csv")
+    assert "runs.csv: not all runs were written:" in " ".join(result.stdout.str().split())
+    assert secret.read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["runs.csv", "runs.parquet"])
+@pytest.mark.parametrize(
+    ("given", "code"),
+    [
+        (["none.py"], pytest.ExitCode.USAGE_ERROR),
+        (["--pafot-against=rev:none"], pytest.ExitCode.USAGE_ERROR),
+        (["-k", "nothing"], pytest.ExitCode.NO_TESTS_COLLECTED),
+    ],
+)
+def test_session_that_is_refused_leaves_the_earlier_table(failing, name, given, code):
+    pytest.importorskip("pyarrow")
+    (failing.path / name).write_text("an earlier one")
+    result = failing.run(f"--pafot-table={name}", *given)
+    assert result.ret == code
+    result.stdout.fnmatch_lines([f"*--pafot-table={name}: nothing was written, since no search ran"])
+    assert (failing.path / name).read_text() == "an earlier one"
+
+
+def test_session_without_a_search_writes_a_table_without_rows(failing):
+    failing.run("--pafot-table=runs.csv", generations=0)
+    assert rows_of(failing) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_pipe_receives_the_table_at_the_end(failing):
+    os.mkfifo(failing.path / "runs.csv")
+    reader = os.open(failing.path / "runs.csv", os.O_RDONLY | os.O_NONBLOCK)
+    failing.run("--pafot-table=runs.csv", "--pafot-save=none")
+    received = os.read(reader, 1_000_000).decode()
+    os.close(reader)
+    failing.run("--pafot-table=file.csv", "--pafot-save=none")
+    assert received == (failing.path / "file.csv").read_text()
 
 
 def test_a_parquet_file_has_the_same_rows(failing):

@@ -26,6 +26,10 @@ def make(name):
     return Planner()
 
 
+def idle():
+    return lambda observation: 1
+
+
 def keeps_moving(run):
     pafot.check(run.ego.speed, name="speed", at_least=30.0)
 """
@@ -88,14 +92,19 @@ def test_search_command_counts_what_a_revision_passes(here):
 
 
 def test_search_command_uses_the_requested_world_and_check(here):
-    arguments = ["search", "a_planner:make:fast", "--blame", "any", "--check", "a_planner:keeps_moving"]
+    arguments = ["search", "a_planner:idle", "--blame", "any", "--check", "a_planner:keeps_moving"]
     assert main([*arguments, "--world", "highway-v0", "--traffic", "everyday", "--write-test"]) == 0
     test = (here / "test_safety.py").read_text()
     assert (
         "@pafot.search(world=pafot.World('highway-v0'), traffic=\"everyday\")\n"
         "def test_keeps_moving(run):\n    holds(run)\n"
     ) in test
+    for name in ("conftest.py", "test_safety.py"):
+        (here / name).unlink()
+    assert main(["search", "a_planner:make:fast", "--write-test"]) == 0
     assert 'return lambda: factory("fast")' in (here / "conftest.py").read_text().replace("'", '"')
+    for name in ("conftest.py", "test_safety.py"):
+        (here / name).unlink()
     code, told = python("pytest_pafot", "search", "example_ads.idm_mobil:make", "--runs", "2", "--seed", "0")
     assert code == 0, told
 
@@ -157,6 +166,64 @@ def test_search_in_a_project_reports_no_file_of_its_tests(here, monkeypatch):
     monkeypatch.setenv("CI", "1")
     _, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "1", "--seed", "0")
     assert ("1 run " in told, "without a test" in told, "prune" in told, " error" in told) == (True, *3 * [False]), told
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(
+    ("arguments", "received"),
+    [
+        (
+            ["a_planner:Planner", "--world", "nosuch-v0"],
+            "@pafot.search(world=...): env_id: expected a registered environment",
+        ),
+        (["a_planner:Planner", "--world", "highway-v0"], "the ADS failed: "),
+        (["a_planner:make"], "ads: expected a factory that can be called without arguments, received one with"),
+        (
+            ["a_planner:Planner", "--check", "a_planner:idle"],
+            "TypeError: idle() takes 0 positional arguments but 1 was",
+        ),
+        (["a-planner:Planner"], "SyntaxError: invalid syntax"),
+    ],
+)
+def test_a_test_that_cannot_run_is_not_written(here, capsys, arguments, received):
+    (here / "a-planner.py").write_text(POLICY)
+    before = sorted(here.iterdir())
+    assert main(["search", *arguments, "--write-test"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"search: --write-test: expected a test that can run, received {received}")
+    assert (told.count("\n"), [path for path in sorted(here.iterdir()) if path.name != "__pycache__"]) == (1, before)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+@pytest.mark.parametrize("name", ["conftest.py", "test_safety.py"])
+def test_a_written_test_follows_no_link(here, capsys, tmp_path_factory, name):
+    outside = tmp_path_factory.mktemp("outside") / "stolen.py"
+    (here / name).symlink_to(outside)
+    assert main(["search", "a_planner:Planner", "--write-test"]) == 2
+    assert f"expected a folder without {name}" in capsys.readouterr().err
+    assert not outside.exists()
+    assert {each.name for each in here.iterdir()} - {"__pycache__"} == {"a_planner.py", name}
+
+
+@pytest.mark.processes
+def test_a_folder_that_is_full_is_told_in_one_line(here, capsys, monkeypatch):
+    real = os.fsync
+    calls = []
+
+    def fsync(descriptor):
+        calls.append(descriptor)
+        if len(calls) == 2:
+            raise OSError(28, "No space left on device")
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    assert main(["search", "a_planner:Planner", "--write-test"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("search: --write-test: expected a folder in which conftest.py and test_safety.py can be wr")
+    assert told.endswith(
+        ": No space left on device; free some space on the disk, or run the command in another folder\n"
+    )
+    assert not {"conftest.py", "test_safety.py"} & {each.name for each in here.iterdir()}
 
 
 def test_an_error_is_no_test_to_keep(here):
@@ -235,7 +302,7 @@ def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_
     ("arguments", "told"),
     [
         (["a_planner:Nobody"], "search: ADS: expected a factory in the module a_planner"),
-        (["a_planner:Nobody"], "'a_planner:Nobody'; it has Planner, make, keeps_moving"),
+        (["a_planner:Nobody"], "'a_planner:Nobody'; it has Planner, make, idle, keeps_moving"),
         (["a_planner.py:Planner"], "search: ADS: expected a module that can be imported"),
         (["a_planner.py:Planner"], "; give a_planner:Planner"),
         (["broken:Planner"], "received 'broken:Planner', which raises ValueError: no gpu ("),

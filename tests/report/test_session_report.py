@@ -114,12 +114,10 @@ def test_page_is_written_if_pictures_cannot_be_drawn(tmp_path, monkeypatch):
     assert [path.name for path in (tmp_path / "x").iterdir()] == ["index.html"]
 
 
-def test_unwritable_report_says_why_and_what_to_do(tmp_path):
+def test_unwritable_report_is_an_error_of_its_file(tmp_path):
     (tmp_path / "x").write_text("a file")
-    written, problem = write_report("x/", tmp_path / "x", Report(title="t"))
-    assert written == ""
-    assert problem.startswith("--pafot-report=x/: not written: ")
-    assert problem.endswith("; choose another path")
+    with pytest.raises(OSError, match=str(tmp_path)):
+        write_report("x/", tmp_path / "x", Report(title="t"))
 
 
 MANY = [shown(f"{'ab'[number % 2]}{number}", closing=float(number % 37)) for number in range(WHOLE + 7)]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.support import files
-from pytest_pafot.support.files import open_regular, remove_unfinished, write_if_free, write_whole
+from pytest_pafot.support.files import append, open_regular, remove_unfinished, write_if_free, write_whole
 
 
 @pytest.fixture
@@ -38,6 +38,45 @@ def test_pipe_receives_the_content_and_stays(tmp_path):
     os.close(reader)
     assert [each.name for each in tmp_path.iterdir()] == ["pipe"]
     assert (tmp_path / "pipe").is_fifo()
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="this system has no links to open files")
+def test_link_of_the_system_to_an_open_file_stays(tmp_path):
+    with (tmp_path / "output").open("wb") as output:
+        output.write(b"before, ")
+        output.flush()
+        link = Path(f"/proc/self/fd/{output.fileno()}")
+        write_whole(link, "content")
+        assert link.is_symlink()
+    assert (tmp_path / "output").read_bytes() == b"before, content"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no device that is always full")
+def test_full_device_is_an_error_and_stays():
+    for write in (write_whole, append):
+        with pytest.raises(OSError, match="No space left on device"):
+            write(Path("/dev/full"), "content")
+    assert Path("/dev/full").is_char_device()
+
+
+def test_failed_addition_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+    path = tmp_path / "file.txt"
+    append(path, "first\n")
+    parts = iter([1, OSError(errno.ENOSPC, "No space left on device")])
+    real = os.write
+
+    def write(descriptor, data):
+        part = next(parts)
+        if isinstance(part, OSError):
+            raise part
+        return real(descriptor, data[:part])
+
+    monkeypatch.setattr(files.os, "write", write)
+    with pytest.raises(OSError, match="No space left"):
+        append(path, "second\n")
+    monkeypatch.undo()
+    append(path, "third\n")
+    assert path.read_text() == "first\nthird\n"
 
 
 @pytest.mark.parametrize("write", [write_whole, write_if_free])
@@ -206,6 +245,8 @@ def test_write_replaces_link_but_not_its_target(path, tmp_path):
     for link in (path, temporary):
         link.symlink_to(secret)
     assert not write_if_free(path, b"content")
+    with pytest.raises(OSError, match=str(path)):
+        append(path, b"content")
     write_whole(path, b"content")
     assert (path.read_text(), path.is_symlink(), temporary.is_symlink()) == ("content", False, True)
     assert secret.read_text() == "mine"

@@ -1,0 +1,64 @@
+"""Signals that end a process as Ctrl-C does."""
+
+import os
+import signal
+
+import pytest
+
+from pytest_pafot.support.interrupts import ENDS, Ended, interrupted_by_signals, undisturbed
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
+
+
+@pytest.mark.parametrize("number", ENDS)
+def test_first_signal_is_an_interrupt_and_others_have_no_effect(number):
+    def receive():
+        try:
+            os.kill(os.getpid(), number)
+        finally:
+            for each in ENDS:
+                os.kill(os.getpid(), each)
+
+    before = [signal.getsignal(each) for each in ENDS]
+    with pytest.raises(Ended) as ended, interrupted_by_signals():
+        receive()
+    assert ended.value.code == 128 + number
+    assert isinstance(ended.value, KeyboardInterrupt)
+    assert [signal.getsignal(each) for each in ENDS] == before
+
+
+def test_signal_that_is_ignored_or_handled_stays_so():
+    received = []
+    before = {signal.SIGHUP: signal.SIG_IGN, signal.SIGTERM: lambda *given: received.append(given[0])}
+    first = {number: signal.signal(number, handler) for number, handler in before.items()}
+    try:
+        with interrupted_by_signals():
+            os.kill(os.getpid(), signal.SIGHUP)
+            os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        for number, handler in first.items():
+            signal.signal(number, handler)
+    assert received == [signal.SIGTERM]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_forked_process_ends_by_the_signal_itself():
+    with interrupted_by_signals():
+        pid = os.fork()
+        if not pid:
+            try:
+                os.kill(os.getpid(), signal.SIGTERM)
+            finally:
+                os._exit(0)
+        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    assert status == -signal.SIGTERM
+
+
+def test_clean_up_is_disturbed_by_no_signal():
+    with interrupted_by_signals():
+        with undisturbed():
+            for number in (signal.SIGINT, *ENDS):
+                os.kill(os.getpid(), number)
+        with pytest.raises(Ended):
+            os.kill(os.getpid(), signal.SIGTERM)
