@@ -233,7 +233,7 @@ def _answer(fact: Fact) -> list[str]:
     elif fact.what is What.SHOULD_NOT_HAVE_SPED_UP:
         made = [f"{who} should not have sped up."]
     elif fact.what is What.SHOULD_HAVE_BRAKED:
-        instead = "" if fact.has_braked else " but did not brake"
+        instead = "" if fact.has_braked else " but did not"
         how = "harder" if fact.braking_m_per_s2 >= BRAKES else "hard"
         made = [f"{who} should have braked {how} by {at}{instead}."]
     told = []
@@ -246,9 +246,8 @@ def _answer(fact: Fact) -> list[str]:
         rest = "" if each.doing in (Doing.KEPT, Doing.STOOD) else f" and {deed}"
         told.append(f"{'It' if made else who} {begun} at {each.time_s:.1f} s{rest}")
     if len(told) == 1 and fact.phases[0].doing is Doing.KEPT:
-        told = [
-            f"{'It' if made else who} kept {fact.phases[0].last_m_per_s:.1f} m/s from {fact.phases[0].time_s:.1f} s on"
-        ]
+        kept = f"kept {fact.phases[0].last_m_per_s:.1f} m/s from {fact.phases[0].time_s:.1f} s on"
+        told = [] if made else [f"{who} {kept}"]  # "but did not brake" says enough
     # two phases in a sentence, if they are short enough
     while told:
         both = "; ".join(told[:2])

@@ -33,7 +33,6 @@ from pytest_pafot.plugin.session import (
     shared_by_controller,
 )
 from pytest_pafot.plugin.terminal_reporter import Reporter
-from pytest_pafot.support.interrupts import interrupted_by_signals
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -79,6 +78,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         return  # these plugins import the simulation, and an editor that only lists tests would wait for it
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
+    from pytest_pafot.support.interrupts import interrupted_by_signals  # noqa: PLC0415
 
     _register(session.config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
     stack = ExitStack()

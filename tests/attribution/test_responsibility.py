@@ -43,7 +43,7 @@ class TestInOneLane:
         assert found.time == pytest.approx((100.0 - 5.0 - 47.1) / 10.0, abs=0.1)
         assert found.sentences == (
             "The ego was only 47.0 m behind NPC 0 at 4.8 s (safe: 47.1 m). NPC 0 was 10.0 m/s slower.",
-            "The ego should have braked hard by 8.6 s but did not brake. It kept 20.0 m/s from 2.7 s on.",
+            "The ego should have braked hard by 8.6 s but did not.",
         )
 
     def test_ego_not_braking_behind_braking_leader_is_responsible(self):
@@ -97,10 +97,7 @@ class TestInOneLane:
         ego = driven(0.0, brakes=[(2.0, 7.0, 5.0)])
         found = rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR))
         assert (found.responsibility, found.fault) == ("both", "braked-for-nothing")
-        assert (
-            found.sentences[1]
-            == "NPC 0 should have braked hard by 4.1 s but did not brake. It kept 20.0 m/s from 0.0 s on."
-        )
+        assert found.sentences[1] == "NPC 0 should have braked hard by 4.1 s but did not."
 
     @pytest.mark.parametrize(
         "ahead", [driven(130.0, speed=2.0), driven(40.0, OWN + 4.0, speed=30.0, shifts=[(1.0, OWN, 2.0)])]
@@ -185,7 +182,7 @@ class TestCutIn:
         npc = driven(25.0, LEFT, brakes=[(9.0, brakes, 0.0)], shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0), npc))
         assert found.responsibility == responsible
-        assert found.sentences[1].startswith(f"The ego should have braked hard by {due} s but did not brake.")
+        assert found.sentences[1].startswith(f"The ego should have braked hard by {due} s but did not.")
 
     def test_ego_must_avoid_slow_vehicle_cutting_in_far(self):
         npc = driven(70.0, LEFT, speed=8.0, shifts=[(0.5, OWN, 2.0)])

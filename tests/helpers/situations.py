@@ -913,7 +913,7 @@ SITUATIONS = {
             "An NPC from the left that has no priority drives into the crossing with 3 m/s, two seconds before the "
             "ego. The ego never brakes.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 4, 3), priority="ego"),
-            "both", "entered-taken-zone", "9", "The ego should have braked hard by 5.3 s but did not brake.",
+            "both", "entered-taken-zone", "9", "The ego should have braked hard by 5.3 s but did not.",
         ),
         Situation(
             "crossing-npc-has-no-priority-and-the-ego-lets-go",

@@ -18,7 +18,7 @@ from tests.helpers.polygons import corners, polygon_distance
 WHO = r"(?P<who>[Tt]he ego|NPC \d+)"
 TIME, FIGURE = r"(\d+\.\d) s", r"(\d+\.\d) m/s"
 DUTIES = {
-    "braked": rf"{WHO} should have braked (?P<how>hard|harder) by {TIME}(?P<never> but did not brake)?\.",
+    "braked": rf"{WHO} should have braked (?P<how>hard|harder) by {TIME}(?P<never> but did not)?\.",
     "waited": rf"{WHO} should have waited but set off at {TIME}\.",
     "not sped up": rf"{WHO} should not have sped up\.",
 }
@@ -62,6 +62,8 @@ class Story:
         """
         text = self.text[self.due.end() :] if self.due else self.text
         began = re.match(rf"\s*{BEGAN}", text)
+        if not text:
+            return []  # it kept its speed
         if began is None:
             raise ValueError(f"no beginning: {text!r}")
         *_, drove, kept, time = began.groups()
@@ -108,7 +110,7 @@ class Story:
             is_braking = {bool(self.slowed[at] >= 0.5) for at in due if at < self.end}
             yield "braking when it was due", (self.due["how"] == "harder") in is_braking
             if self.due["never"]:
-                yield "did not brake", self.lost(begins[0][-1]) < 0.25
+                yield "did not brake", self.lost(begins[0][-1] if begins else due[0]) < 0.25
         elif self.duty == "waited":
             yield "set off", any(self.speed[at] <= 0.3 for at in self.ticks(self.due[2]))
         elif self.duty == "not sped up":
@@ -116,6 +118,8 @@ class Story:
         for lane, time in self.moves:
             lanes = self.trace.states[:, self.vehicle, LANE]
             yield "lane", any(lanes[at] == int(lane) != lanes[at - 1] for at in self.ticks(time))
+        if not self.phases:
+            return
         yield from self.of_phases([each[len(each) // 2] for each in begins])
 
     def of_phases(self, begins):

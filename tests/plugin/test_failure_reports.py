@@ -80,7 +80,7 @@ def test_summary_explains_a_search_that_tested_nothing(project):
     assert re.fullmatch(r"the search tested nothing: \S.*", line)
 
 
-@pytest.mark.parametrize(("columns", "at_most"), [(60, 23), (80, 20), (120, 20)])
+@pytest.mark.parametrize(("columns", "at_most"), [(60, 24), (80, 20), (120, 20)])
 def test_finding_report_fits_terminal_and_line_limit(explained, monkeypatch, columns, at_most):
     monkeypatch.setenv("COLUMNS", str(columns))
     lines = block(search(explained), f"test_collides[saved-{explained.only_id}]")

@@ -152,7 +152,7 @@ def test_every_best_is_announced_once(make_evaluation):
 @table(
     ("parameters", "message"),
     [
-        ({"population": 0}, "population: expected a count of at least 1, received 0"),
+        ({"population": 0}, "population: expected a count from 1 to 10000, received 0"),
         ({"random_runs": 0}, "random_runs: expected a count of at least 1, received 0"),
         ({"most_mutations": 0}, "most_mutations: expected a count of at least 1, received 0"),
         ({"crossover_rate": 1.5}, "crossover_rate: expected a number from 0 to 1, received 1.5"),

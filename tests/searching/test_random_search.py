@@ -51,5 +51,5 @@ def test_turns_are_kept(make_evaluation):
 
 
 def test_an_empty_population_is_refused():
-    with pytest.raises(ValueError, match="population: expected a count of at least 1, received 0"):
+    with pytest.raises(ValueError, match="population: expected a count from 1 to 10000, received 0"):
         RandomSearch(population=0)
