@@ -344,7 +344,7 @@ def test_programs_of_a_policy_import_from_its_revision(repository, monkeypatch, 
 @pytest.mark.parametrize(
     ("policy", "received"),
     [
-        ("raise ValueError('bad')", "received ValueError: bad (*core.py:1); files that git ignores, "),
+        ("raise ValueError('bad')", "received ValueError: bad (*core.py:1); files that git ignores or "),
         ("def (", "SyntaxError"),
         ("import os; os._exit(3)", "expected a process with its policy, received ended with exit code 3"),
     ],
