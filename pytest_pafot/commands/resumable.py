@@ -285,8 +285,11 @@ def _done(
 
 def _run_in(scratch: str, work: Callable[[Task, Tick], None], task: Task, tick: Tick) -> None:
     """Run a task in a worker, whose temporary files go with the command: a worker that is killed removes none."""
-    tempfile.tempdir = scratch
-    work(task, tick)
+    before, tempfile.tempdir = tempfile.tempdir, scratch
+    try:
+        work(task, tick)
+    finally:
+        tempfile.tempdir = before
 
 
 def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:

@@ -179,7 +179,7 @@ def test_every_failure_of_a_new_policy_counts(repository):
     write(repository, {".gitignore": "newer.py\n"})
     result = run(repository, "test_new.py", "--pafot-save=none")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stdout.fnmatch_lines(["*No module named 'pkg.newer' (*); files that git ignores, *need --pafot-copy*"])
+    result.stdout.fnmatch_lines(["*No module named 'pkg.newer' (*); files that git ignores or *need --pafot-copy*"])
 
 
 WEIGHTS = """
@@ -194,7 +194,7 @@ def test_ignored_weights_are_copied_by_the_option(repository):
     write(repository, {"pkg/core.py": WEIGHTS + "SPEED_UP += 1.25\n"})
     result = run(repository)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stdout.fnmatch_lines(["*FileNotFoundError*net.npz*; files that git ignores, *need --pafot-copy*"])
+    result.stdout.fnmatch_lines(["*FileNotFoundError*net.npz*; files that git ignores or *need --pafot-copy*"])
     run(repository, "--pafot-copy=pkg/net.npz").stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
 
 
@@ -206,7 +206,7 @@ def test_weights_that_only_some_runs_need_are_no_failure_with_both(repository):
     write(repository, {"pkg/core.py": NOW, "pkg/adapter.py.npz": ""})
     result = run(repository)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stdout.fnmatch_lines(["*FileNotFoundError: * in a run; files that git ignores, *need --pafot-copy*"])
+    result.stdout.fnmatch_lines(["*FileNotFoundError: * in a run; files that git ignores or *need --pafot-copy*"])
     result = run(repository, "--pafot-copy=pkg/adapter.py.npz pkg/core.py")
     told = [
         "*note: copied, so the same on both sides: pkg/adapter.py.npz",
