@@ -198,6 +198,24 @@ def test_ignored_weights_are_copied_by_the_option(repository):
     run(repository, "--pafot-copy=pkg/net.npz").stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
 
 
+def test_pointer_of_git_lfs_is_not_compared_with_weights(repository):
+    pointer = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 3\n"
+    copes = WEIGHTS.replace('float((Path(__file__).parent / "net.npz").read_text())', "TEXT.startswith('1.25') * 1.25")
+    copes = copes.replace("SPEED_UP", 'TEXT = (Path(__file__).parent / "net.npz").read_text()\nSPEED_UP')
+    (repository.path / ".gitignore").unlink(missing_ok=True)
+    commit(repository, **{"pkg/core.py": copes, "pkg/net.npz": pointer})
+    git(repository, "add", "-f", "pkg/net.npz")
+    git(repository, "commit", "-q", "--amend", "--no-edit")
+    write(repository, {"pkg/core.py": copes + "\n", "pkg/net.npz": "1.25"})
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    told = " ".join(result.stdout.str().split())
+    assert "received pkg/net.npz, a pointer of Git LFS, as nothing is fetched here; name it with --pafot-copy" in told
+    assert "introduces" not in told
+    result = run(repository, "--pafot-copy=pkg/net.npz")
+    result.stdout.fnmatch_lines(["against rev:main (*): introduces 0 failures, *"])
+
+
 def test_weights_that_only_some_runs_need_are_no_failure_with_both(repository):
     late = ADAPTER.replace(
         "        return", "        open(__file__ + '.npz') if observation.time > 1.0 else None\n        return"
