@@ -85,8 +85,7 @@ class Revision:
         if pointer := next((name for name in sorted(seen) if is_pointer(self.tree / name)), ""):
             raise RevisionError(
                 f"{self.label}: expected the files of the policy, received {visible(pointer)}, a pointer of Git LFS, "
-                f"because nothing is fetched here; name the file with {self.option}, so that both sides have "
-                "the present one"
+                f"as nothing is fetched here; name it with {self.option}, which gives both sides the present one"
             )
         try:
             head, dirty = self.history.named("HEAD"), self.history.uncommitted()

@@ -180,7 +180,7 @@ def test_every_failure_of_a_new_policy_counts(repository):
     write(repository, {".gitignore": "newer.py\n"})
     result = run(repository, "test_new.py", "--pafot-save=none")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stdout.fnmatch_lines(["*No module named 'pkg.newer' (*); files that git ignores, *need --pafot-copy*"])
+    result.stdout.fnmatch_lines(["*No module named 'pkg.newer' (*); files that git ignores or *need --pafot-copy*"])
 
 
 WEIGHTS = """
@@ -195,8 +195,26 @@ def test_ignored_weights_are_copied_by_the_option(repository):
     write(repository, {"pkg/core.py": WEIGHTS + "SPEED_UP += 1.25\n"})
     result = run(repository)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stdout.fnmatch_lines(["*FileNotFoundError*net.npz*; files that git ignores, *need --pafot-copy*"])
+    result.stdout.fnmatch_lines(["*FileNotFoundError*net.npz*; files that git ignores or *need --pafot-copy*"])
     run(repository, "--pafot-copy=pkg/net.npz").stdout.fnmatch_lines(["against rev:main (*): introduces 1 failure, *"])
+
+
+def test_pointer_of_git_lfs_is_not_compared_with_weights(repository):
+    pointer = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 3\n"
+    copes = WEIGHTS.replace('float((Path(__file__).parent / "net.npz").read_text())', "TEXT.startswith('1.25') * 1.25")
+    copes = copes.replace("SPEED_UP", 'TEXT = (Path(__file__).parent / "net.npz").read_text()\nSPEED_UP')
+    (repository.path / ".gitignore").unlink(missing_ok=True)
+    commit(repository, **{"pkg/core.py": copes, "pkg/net.npz": pointer})
+    git(repository, "add", "-f", "pkg/net.npz")
+    git(repository, "commit", "-q", "--amend", "--no-edit")
+    write(repository, {"pkg/core.py": copes + "\n", "pkg/net.npz": "1.25"})
+    result = run(repository)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    told = " ".join(result.stdout.str().split())
+    assert "received pkg/net.npz, a pointer of Git LFS, as nothing is fetched here; name it with --pafot-copy" in told
+    assert "introduces" not in told
+    result = run(repository, "--pafot-copy=pkg/net.npz")
+    result.stdout.fnmatch_lines(["against rev:main (*): introduces 0 failures, *"])
 
 
 def test_weights_that_only_some_runs_need_are_no_failure_with_both(repository):
@@ -207,7 +225,7 @@ def test_weights_that_only_some_runs_need_are_no_failure_with_both(repository):
     write(repository, {"pkg/core.py": NOW, "pkg/adapter.py.npz": ""})
     result = run(repository)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stdout.fnmatch_lines(["*FileNotFoundError: * in a run; files that git ignores, *need --pafot-copy*"])
+    result.stdout.fnmatch_lines(["*FileNotFoundError: * in a run; files that git ignores or *need --pafot-copy*"])
     result = run(repository, "--pafot-copy=pkg/adapter.py.npz pkg/core.py")
     told = [
         "*note: copied, so the same on both sides: pkg/adapter.py.npz",
@@ -345,7 +363,7 @@ def test_programs_of_a_policy_import_from_its_revision(repository, monkeypatch, 
 @pytest.mark.parametrize(
     ("policy", "received"),
     [
-        ("raise ValueError('bad')", "received ValueError: bad (*core.py:1); files that git ignores, "),
+        ("raise ValueError('bad')", "received ValueError: bad (*core.py:1); files that git ignores or "),
         ("def (", "SyntaxError"),
         ("import os; os._exit(3)", "expected a process with its policy, received ended with exit code 3"),
     ],

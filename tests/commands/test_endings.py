@@ -1,0 +1,89 @@
+"""Commands that a signal ends leave no process and no temporary folder behind."""
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.sessions import INTERRUPTIBLE
+
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by their variables"),
+]
+
+SLOW = """
+import time
+
+
+def make():
+    def drive(observation):
+        time.sleep(0.05)
+        return 0.0, 0.0
+
+    return drive
+
+
+def other():
+    return lambda observation: (time.sleep(0.05), (1.0, 0.0))[1]
+"""
+COMMANDS = {
+    "search": ["search", "slow:make", "--runs", "100000", "--", "--pafot-workers=2"],
+    "compare": [
+        "compare",
+        "--ads",
+        "slow:make",
+        "--algorithms",
+        "random",
+        "--runs",
+        "4",
+        "--out",
+        "out",
+        "--workers=2",
+    ],
+    "rate": ["rate", "--ads", "slow:make@planner", "--world", "highway-fast-v0", "--workers=2"],
+    "progress": ["progress", "slow:make", "slow:other", "--workers=2"],
+}
+
+
+def processes_with(mark):
+    """Return the ids of the processes that have a variable of the environment and have not ended."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark in (folder / "environ").read_bytes().split(b"\0"):
+                found.append(int(folder.name))
+        except OSError:
+            continue  # it ended, or is of a different user
+    return found
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_command_ends_all_that_it_began(tmp_path, tmp_path_factory, command, name):
+    places, number = tmp_path_factory.mktemp("places"), getattr(signal, name)
+    (tmp_path / "slow.py").write_text(SLOW)
+    environ = {**os.environ, "TMPDIR": str(places)}
+    begun = subprocess.Popen(
+        [*INTERRUPTIBLE, *COMMANDS[command]],
+        cwd=tmp_path,
+        env=environ,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    with begun:
+        mark, deadline = f"TMPDIR={places}".encode(), time.monotonic() + 60.0
+        while len(processes_with(mark)) < 3 and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert len(processes_with(mark)) >= 3
+        os.killpg(begun.pid, number) if number == signal.SIGINT else begun.send_signal(number)
+        begun.wait(60)
+    assert begun.returncode == 128 + number
+    while processes_with(mark) and time.monotonic() < deadline:  # what is killed takes a moment to go
+        time.sleep(0.1)
+    assert processes_with(mark) == []
+    assert [each.name for each in places.iterdir() if not each.name.startswith("pytest-")] == []
