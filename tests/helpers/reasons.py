@@ -126,10 +126,9 @@ class Reading:
         """Return whether braking was due after the danger had begun, and where ways meet before the vehicle entered."""
         vehicle = self.npc if story.vehicle else self.ego
         since, told = self.since_when(vehicle) + self.since, story.ticks(story.due[story.due.re.groups - 1])
-        if self.crossing is None or self.crossing.decides != "priority":
+        if self.crossing is None or self.crossing.decides != "priority" or story.vehicle:
             return since <= told[-1]
-        one = self.crossing.npc if story.vehicle else self.crossing.ego
-        return since <= told[-1] and told[0] < one.enters
+        return since <= told[-1] and told[0] < self.crossing.ego.enters
 
     def hard_braking(self, said):
         braker, _ = self.who(said)

@@ -100,10 +100,11 @@ class Story:
         deed = self.end if entry is None else entry
         if self.duty == "braked":
             due = self.ticks(self.due[self.due.re.groups - 1])
-            yield "due before the deed", due[0] < deed
+            # an NPC may have to stop short of an ego in the zone that it has entered as well
+            yield "due before the deed", due[0] < deed or self.vehicle > 0
             if entry is None:
                 yield "due in time", any(self.is_free(at) for at in range(max(due[0] - 2, 0), due[-1] + 1))
-                later = [self.is_free(at) for at in range(due[-1] + 1, due[-1] + 5) if at < deed]
+                later = [self.is_free(at) for at in range(due[-1] + 1, due[-1] + round(0.6 * self.hz) + 1) if at < deed]
                 yield "due as late as it helps", not later or not all(later)
             elif self.trace.zones[self.trace.collision.npc].kind == "crossing":
                 yield "due in time", any(self.stops_short(at, self.end) for at in due) or self.is_free(due[0])
@@ -132,7 +133,7 @@ class Story:
             steepest = max([0.0, *slopes])
             far = np.abs(np.interp(ticks, at, speeds) - self.speed[ticks]).max()
             is_constant = "kept" in [name for name, *_ in self.phases]
-            yield "speed", far <= NEAR + 0.06 + min(steepest, 0.6) + KEPT * is_constant
+            yield "speed", far <= NEAR + 0.06 + min(steepest, 1.0) + KEPT * is_constant
         for (name, _, before, after, braking), begin, over in zip(self.phases, at[:-1], at[1:], strict=True):
             near = range(max(begin - 1, 0), begin + 2), range(over - 3, min(over + 4, self.end + 1))
             told = [abs(float(self.speed[tick]) - after) for tick in near[1]]
