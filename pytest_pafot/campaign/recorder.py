@@ -218,16 +218,10 @@ class Recorder:
         """
         others = " and others in lock step" if leftover.is_lock_step else ""
         text = f"a process (pid {leftover.pid}) died while it ran this scenario{others}, "
-        if leftover.is_tried:
+        if again is None:
             text += (
-                "which ran to its end when the next session tried it alone, but then that session died as well: "
-                "because of something that builds up from run to run, such as memory, or a kill from outside; if it "
-                "was killed from outside, delete the file"
-            )
-        elif again is None:
-            text += (
-                "because of a crash of native code, a lack of memory or a kill from outside; if it was killed from "
-                "outside, delete the file"
+                "because of a crash of native code, something that builds up from run to run, such as memory, or a "
+                "kill from outside; if it was killed from outside, delete the file"
             )
         else:
             text += f"and the one that ran it again {again.how}: {cause(again, 'delete the file')}"

@@ -193,7 +193,8 @@ class Search:
         recorder.listener(SearchStarted(node_id=self.node_id, seed=self.sessions.seed, speed_limit=speed_limit))
         began = self.sessions.clock()
         recorder.until = max(self.limit.until, began + LEAST)
-        retried = [self._retried(leftover) for leftover in harness.left_behind()]
+        left = harness.left_behind()
+        retried = [self._retried(leftover, left) for leftover in left]
         self.process_notes += [note for each in retried for note in each.notes]
         reason, fault = "interrupted", None
         try:
@@ -245,12 +246,17 @@ class Search:
             is_vacuous=loop.health.vacuous or bool(loop.broken),
         )
 
-    def _retried(self, leftover: Leftover) -> Retried:
+    def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Retried:
         """Run the scenarios again in which a process of an earlier session died; return the result.
 
-        They are run in the world of the dead process. If that world cannot be made, this is only reported.
+        They are run in the world of the dead process. If that world cannot be made, this is only reported. ``left`` are
+        the records of all dead processes. If another one died in the same scenario, only the first record counts.
         """
         harness, world = self.harness, self.harness.world
+        same = [each for each in left if each.scenarios == leftover.scenarios]
+        if same[0] is not leftover:
+            leftover.discard()
+            return Retried()
         if leftover.world not in (None, harness.job().world_data):
             try:
                 world = None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
@@ -267,6 +273,7 @@ class Search:
             harness.job(world),
             partial(harness.judge_trace, world),
             isolate=harness.request.settings.isolate,
+            has_died_twice=len(same) > 1,
             keep=self.loop.recorder.keep_crash,
             run_here=self.loop.simulation.rerun_one_by_one,
         )

@@ -148,7 +148,13 @@ def _accept(name: str, arguments: argparse.Namespace) -> int:
         if parsed(path, accepted) != finding:
             raise ValueError(f"{path}: expected one line `xfail:`, received more; write `{line.decode()}` by hand")
         write_whole(path, accepted)
-    except (CorpusError, OSError, ValueError) as error:
+    except OSError as error:
+        fix = way_out(error, "then accept it again")
+        sys.stderr.write(
+            f"corpus: {visible(name)}: expected a file that can be written, received {error.strerror or error}; {fix}\n"
+        )
+        return 1
+    except (CorpusError, ValueError) as error:
         sys.stderr.write(f"corpus: {visible(str(error))}\n")
         return 1
     sys.stdout.write(f"{ascii_text(f'{path}: {_accepted(finding.xfail, arguments.until)}')}\n")

@@ -28,8 +28,6 @@ from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.support.files import hold, is_held, open_regular, pid_of, write_if_free
 
 SUFFIX = ".inflight"
-TRIED = ".tried"
-"""The part of a record's file name, before the suffix, after its scenario was run again without a crash."""
 MAX_BYTES = 1 << 20
 KEY_BYTES = 32
 _SIGNATURE = b', "signature": "'
@@ -219,19 +217,6 @@ class Leftover:
     def is_lock_step(self) -> bool:
         """True if several scenarios were running in lock step."""
         return len(self.scenarios) > 1
-
-    @property
-    def is_tried(self) -> bool:
-        """True if an earlier session ran the scenario again without a crash, but then died later in its search."""
-        return self.path.name.endswith(TRIED + SUFFIX)
-
-    def tried(self) -> Leftover:
-        """Mark that this session has run the scenario again without a crash; return the marked record."""
-        marked = self.path.with_name(self.path.name.removesuffix(SUFFIX) + TRIED + SUFFIX)
-        with suppress(OSError):  # if it cannot be renamed, it is only run again
-            self.path.rename(marked)
-            return replace(self, path=marked)
-        return self
 
     def discard(self) -> None:
         """Remove the record's file, if it still exists."""

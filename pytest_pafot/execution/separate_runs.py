@@ -130,8 +130,9 @@ def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Tr
 # A scenario in which a process died runs again in a separate process before it is called a finding.
 #
 # A process may also be killed from outside: a job is cancelled, or the system is short of memory. Then the scenario
-# says nothing about the ADS. But if the next session dies as well, the cause is probably something that builds up from
-# run to run, such as memory. Then the scenario is called a finding after all, or this would never be reported.
+# says nothing about the ADS, however many sessions are killed in a row. But if two processes died in the same scenario,
+# the cause is probably something that builds up from run to run, such as memory of the test function. Then the scenario
+# is called a finding after all, or this would never be reported.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,7 +142,7 @@ class Retried:
     notes: tuple[str, ...] = ()
     """Notes for the user on scenarios that did not cause the death of the process."""
     pending: Leftover | None = None
-    """The crash record to remove at the end of the search, or None. Until then this session may die as well."""
+    """The crash record to remove at the end of the search, or None. If this session dies, the next one reads it."""
 
 
 def retry(
@@ -150,19 +151,21 @@ def retry(
     judge: Callable[[Trace], object],
     *,
     isolate: bool,
+    has_died_twice: bool,
     keep: Callable[[Leftover, Scenario, LostRun | None], object],
     run_here: Callable[[Leftover], object],
 ) -> Retried:
     """Try the scenarios of a process that died a second time, and save the scenarios that caused its death.
 
     If a reference was driving when the process died, the reference is the cause, and nothing is run again. A scenario
-    that ran by itself is saved after one death, without a second attempt, in two cases: no separate process can be
-    started, or the session that ran it again died as well.
+    that ran by itself is saved although a second attempt survives, or is impossible, in two cases: two processes died
+    in it, or no separate process can be started.
 
     Args:
         leftover: the crash record of the process; it is removed unless the result contains it as ``pending``.
         job: everything that a run of the scenarios needs.
         judge, isolate: see :func:`answers_apart`.
+        has_died_twice: whether another process died in the same scenarios.
         keep: saves a scenario in which a process died; its last argument is the second death, or None if unknown.
         run_here: runs the scenarios of a batch in this process, one by one, each with a crash record on disk. If this
             process dies, the next session reads that record.
@@ -175,13 +178,15 @@ def retry(
         )
         return Retried(notes=(note,), pending=leftover)
     answers: dict[Scenario, Answer] | None = None
-    if not leftover.is_tried:
-        with suppress(ExecutionError):  # The first run of the search reports it.
-            answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
+    with suppress(ExecutionError):  # The first run of the search reports it.
+        answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
     if answers is None and leftover.is_lock_step:
         run_here(leftover)
         return Retried()
-    guilty = [each for each in leftover.scenarios if answers is None or not _came_to_its_end(answers[each])]
+    is_build_up = has_died_twice and not leftover.is_lock_step
+    guilty = [
+        each for each in leftover.scenarios if answers is None or is_build_up or not _came_to_its_end(answers[each])
+    ]
     for scenario in guilty:
         answer = None if answers is None else answers[scenario]
         lost = answer if isinstance(answer, ProcessLostError) else None
@@ -197,7 +202,7 @@ def retry(
         f"a process (pid {leftover.pid}) died while it ran {ran} which ran to its end when it was tried again: the "
         "process was killed from outside, or there was too little memory"
     )
-    return Retried(notes=(note,), pending=leftover.tried())
+    return Retried(notes=(note,), pending=leftover)
 
 
 def _came_to_its_end(answer: Answer) -> bool:

@@ -16,7 +16,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, is_page_file
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SEARCH_MARK
-from pytest_pafot.plugin.session import SUMMARY_LINES, not_written
+from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.ways_out import flag, rerun
 
 if TYPE_CHECKING:
@@ -69,12 +69,12 @@ class Pages:
             row = extras.html(render_frame(Report.of(self._completed(self._rows.pop(report.nodeid)))))
             report.extras = [*getattr(report, "extras", ()), row]  # type: ignore[attr-defined]
 
-    def pytest_sessionfinish(self, exitstatus: int) -> None:
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the report pages, even if the session was interrupted."""
-        lines = self._config.stash[SUMMARY_LINES]
+        lines, is_interrupted = self._config.stash[SUMMARY_LINES], exit_code(session) == pytest.ExitCode.INTERRUPTED
         for path, draft in self._drafts.items():
             with lines.faults(f"{flag('report', draft.target)}: not written"):
-                written, problem = self._write(path, draft, is_interrupted=exitstatus == pytest.ExitCode.INTERRUPTED)
+                written, problem = self._write(path, draft, is_interrupted=is_interrupted)
                 lines.reports.extend(filter(None, [written]))
                 lines.problems.extend(filter(None, [problem]))
         asked = self._config.getoption(BY_NAME["report"].key)

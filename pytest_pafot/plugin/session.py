@@ -6,6 +6,7 @@ import difflib
 import json
 import os
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -144,6 +145,12 @@ def unclaimed(config: pytest.Config) -> list[str]:
             f"{plural(len(others), 'record')} from elsewhere or from before a restart; they are ignored: delete them"
         )
     return own
+
+
+def exit_code(session: pytest.Session) -> int:
+    """Return the exit code of a session that ends. A second Ctrl-C may come before pytest has noted the first one."""
+    is_interrupted = isinstance(sys.exc_info()[1], KeyboardInterrupt)
+    return int(pytest.ExitCode.INTERRUPTED if is_interrupted else session.exitstatus)
 
 
 def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[[], object]) -> str:

@@ -25,7 +25,7 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.orphans import UNRUN
-from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, not_written
+from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.ways_out import flag, rerun
 
 if TYPE_CHECKING:
@@ -102,7 +102,8 @@ class Records:
     @pytest.hookimpl(trylast=True)  # after the pages are written and the new findings are reported
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the JSON file and the summary, even if the session was interrupted."""
-        self._write_json(int(session.exitstatus))
+        code = exit_code(session)
+        self._write_json(code)
         path = os.environ.get(SUMMARY)
         orphans = self._config.stash[UNRUN].orphans
         if not path or not any((self._searches, self._findings, *self._texts.values(), orphans, self._lines.problems)):
@@ -112,7 +113,7 @@ class Records:
             from pytest_pafot.support.files import append  # noqa: PLC0415
 
             file = self._config.invocation_params.dir / path
-            text = markdown(self._record(int(session.exitstatus)))
+            text = markdown(self._record(code))
             problem = not_written(self._config, path, file.parent, lambda: append(file, text))
             if problem:
                 self._lines.problems.append(f"{SUMMARY}={path}: not written: {problem}")

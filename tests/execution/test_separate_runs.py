@@ -119,7 +119,7 @@ class TestRetrying:
             (folder / "1-x.inflight").write_text(json.dumps({"owner": "it", "pid": 1, "world": None, **several}))
             return again(drive)
 
-        def again(drive=idle):
+        def again(drive=idle, *, twice=False):
             (leftover,) = leftovers(tmp_path / "records")
             kept, here = [], []
             came = retry(
@@ -127,6 +127,7 @@ class TestRetrying:
                 job_of(drive),
                 praise,
                 isolate=False,
+                has_died_twice=twice,
                 keep=lambda leftover, scenario, lost: kept.append((scenario, lost and lost.how)),
                 run_here=lambda leftover: here.append(leftover.scenarios),
             )
@@ -141,7 +142,6 @@ class TestRetrying:
         came, kept, here = retried(*scenarios)
         assert (kept, here) == ([], [])
         assert "ran to its end when it was tried again" in came.notes[0]
-        assert came.pending.is_tried
         assert [each.path for each in leftovers(tmp_path / "records")] == [came.pending.path]
 
     @needs_fork
@@ -152,9 +152,17 @@ class TestRetrying:
         assert leftovers(tmp_path / "records") == ()
 
     @needs_fork
-    def test_scenario_tried_before_a_second_death_is_saved(self, retried):
+    def test_sessions_that_are_killed_again_and_again_are_no_finding(self, retried):
         retried(ONE)
-        came, kept, _ = retried.again()
+        for _ in range(2):
+            came, kept, here = retried.again()
+            assert (kept, here) == ([], [])
+            assert "killed from outside" in came.notes[0]
+
+    @needs_fork
+    def test_scenario_in_which_two_processes_died_is_saved(self, retried):
+        retried(ONE)
+        came, kept, _ = retried.again(twice=True)
         assert (kept, came.pending) == ([(ONE, None)], None)
 
     def test_without_retrying_one_death_of_lone_scenario_suffices(self, retried, no_fork):

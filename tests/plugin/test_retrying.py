@@ -107,10 +107,8 @@ def test_it(run):
     for _ in range(2):
         assert project.run(apart=True, generations=5).ret == 9
     assert project.files == []
-    assert left_in_the_end(project, 2), "of both sessions, the first one tried"
-    replayed(project).stdout.fnmatch_lines(
-        ["*ran to its end when the next session tried it alone, but then that session died*"]
-    )
+    assert left_in_the_end(project, 2), "of both sessions"
+    replayed(project).stdout.fnmatch_lines(["*something that builds up from run to run*"])
     assert project.only_id.startswith("crash-")
     assert records(project) == []
 
