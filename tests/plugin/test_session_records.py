@@ -2,6 +2,7 @@
 
 import json
 import os
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.plugin import session_records
+from pytest_pafot.plugin.session import exit_code
 from pytest_pafot.report.job_summary import markdown
 from pytest_pafot.world import codec
 from tests.helpers.sessions import read_record
@@ -371,3 +373,13 @@ def test_nested_replay_session_writes_no_record_or_summary(summary, saved, monke
     saved.run("--pafot-json=pafot.json", generations=0)
     assert summary.read_text() == "before\n"
     assert not (saved.path / "pafot.json").exists()
+
+
+def test_second_interrupt_leaves_the_code_of_the_first():
+    session = SimpleNamespace(exitstatus=pytest.ExitCode.OK)  # pytest has not noted the first Ctrl-C yet
+    assert exit_code(session) == 0
+    with pytest.raises(KeyboardInterrupt):
+        try:
+            raise KeyboardInterrupt
+        finally:
+            assert exit_code(session) == 2
