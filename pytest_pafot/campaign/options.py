@@ -12,7 +12,7 @@ import os
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pytest_pafot.corpus.layout import CORPUS
@@ -427,8 +427,10 @@ def _read_table(option: Option, value: object) -> str:
 
 
 def is_page_file(text: str) -> bool:
-    """Return whether a value of the option ``report`` names a file; otherwise it names a folder."""
-    return text.lower().endswith((".html", ".htm"))
+    """Return whether a value of the option ``report`` names a file, or a stream; otherwise it names a folder."""
+    from pytest_pafot.support.files import is_stream  # noqa: PLC0415  (only for sessions with a page)
+
+    return text.lower().endswith((".html", ".htm")) or is_stream(Path(text))
 
 
 def _read_switch(option: Option, value: object) -> bool:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePath
@@ -124,6 +126,28 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
     with written_into(folder, AGAIN):
         write_whole(folder / RESULTS, header + "".join(part.partition("\n")[2] for part in parts))
     return folder / RESULTS
+
+
+def gate_workers(workers: int, job: ResumableJob, *, is_gate: bool) -> int:
+    """Return the number of processes for a job. A command that may fail a CI job drives in no process of its own.
+
+    A policy that ends its process with the exit code 0 would end the command with it.
+    """
+    return max(min(workers, len(job.tasks)), 2 if is_gate else 1)
+
+
+@contextmanager
+def printing_elsewhere() -> Iterator[None]:
+    """Let what this process and its children print go to the standard error, for a command that prints JSON."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        os.dup2(2, 1)
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def worker_count(given: int | None) -> int:

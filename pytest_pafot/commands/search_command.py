@@ -162,7 +162,7 @@ def _code_of(session: Sequence[str], environ: Mapping[str, str], output: int | N
 
 
 def _write_test(here: Path, files: Mapping[str, str], ads: str) -> int:
-    """Write the files of a test, which have to be new, after one run of the test. Return the exit code.
+    """Write the files of a test, which have to be new, after a few runs of the test. Return the exit code.
 
     Raises:
         PlanError: if a file is there or cannot be written, or if the test cannot run.
@@ -193,14 +193,14 @@ def _write_test(here: Path, files: Mapping[str, str], ads: str) -> int:
 
 
 def _check_that_it_runs(files: Mapping[str, str], ads: str) -> None:
-    """Run a test once, so that only a test that can run is written. A run that fails is a finding, and no error.
+    """Run a test on a few scenarios, so that only a test that can run is written. A failing run is a finding, no error.
 
     Raises:
         PlanError: if the test cannot run.
     """
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch, tempfile.TemporaryFile() as output:
         told, environ = Path(scratch, "pafot.json"), {**os.environ, OF_COMMAND: ads}
-        given = {"runs": 1, "seed": 0, "save": "none", "shrink_rollouts": 0, "json": told}
+        given = {"runs": 4, "seed": 0, "save": "none", "shrink_rollouts": 0, "json": told}
         once = [f"{flag(name)}={value}" for name, value in given.items()]
         with _session(files) as session:
             code = _code_of([*session, *once, f"{flag('corpus')}={scratch}", "-q"], environ, output.fileno())
@@ -239,7 +239,7 @@ def _test(arguments: argparse.Namespace) -> str:
     if arguments.check is not None:
         check_function(arguments.check)
         module, name = arguments.check.split(":")
-        holds, imports = "holds(run)", _import(module, name, "holds", "--check")
+        holds, imports = "return holds(run)", _import(module, name, "holds", "--check")
     name = name if name.startswith("test") else f"test_{name}"
     return (
         f"import pytest_pafot as pafot\n{imports}\n\n@pafot.search({', '.join(given)})\ndef {name}(run):\n    {holds}\n"

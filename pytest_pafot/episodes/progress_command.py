@@ -34,7 +34,7 @@ from pytest_pafot.commands.policy_reference import (
     ads_factory,
     check_function,
 )
-from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job, worker_count
+from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, gate_workers, run_job, worker_count
 from pytest_pafot.commands.revision import PROCESS, revision_at
 from pytest_pafot.commands.revision_process import Served
 from pytest_pafot.corpus.layout import CORPUS, files_below
@@ -364,7 +364,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         workers, rows = worker_count(workers), []
         with _of_revision(plan, given.copy) as (plan, both, same_as):
             if not same_as:
-                rows = _compared(checked(plan), workers)
+                rows = _compared(checked(plan), workers, is_gate=given.fail_on is not None)
         old = plan.old if plan.revision is None else plan.revision.label
         lines = lines_of(rows)
         verdict, sentence, shown = verdict_of(lines), same_as, f"{same_as}\n"
@@ -409,11 +409,11 @@ def _check_arguments(given: argparse.Namespace) -> None:
         raise PlanError("--episodes: expected an environment, received none; give --world")
 
 
-def _compared(plan: ProgressPlan, workers: int) -> list[PairRow]:
+def _compared(plan: ProgressPlan, workers: int, *, is_gate: bool) -> list[PairRow]:
     """Run all situations with both policies, and return the rows of the results."""
     job = plan.job
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
-        workers, clock = min(workers, len(job.tasks)), time.monotonic
+        workers, clock = gate_workers(workers, job, is_gate=is_gate), time.monotonic
         results = run_job(job, Path(folder), workers=workers, told=sys.stderr, clock=clock).read_text("utf-8")
     return [PairRow.of_data(json.loads(each["row"])) for each in csv.DictReader(io.StringIO(results))]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.commands.policy_reference import BAD_USE, PlanError
-from pytest_pafot.commands.resumable import AGAIN, run_job, worker_count, written_into
+from pytest_pafot.commands.resumable import AGAIN, gate_workers, printing_elsewhere, run_job, worker_count, written_into
 from pytest_pafot.episodes.rate import Pair, Rate, rows_of
 from pytest_pafot.episodes.rate_page import page, picture
 from pytest_pafot.episodes.rate_plan import CHUNK, RatePlan, checked, factory_of, told
@@ -87,7 +87,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         with ExitStack() as stack:
             folder = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
             job = plan.job
-            results = run_job(job, folder, workers=min(workers, len(job.tasks)), told=sys.stderr, clock=time.monotonic)
+            workers = gate_workers(workers, job, is_gate=limit is not None)
+            if arguments.json:
+                stack.enter_context(printing_elsewhere())
+            results = run_job(job, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
             rows = rows_of(results.read_text(encoding="utf-8"))
         rates = [Rate(ads=name, rows=tuple(row for row in rows if row.ads == name)) for name in plan.policies.values()]
         objection = "" if limit is None else _objection(rates[0], limit)

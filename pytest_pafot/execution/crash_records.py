@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from pytest_pafot.model.scenario import Scenario, ScenarioError
-from pytest_pafot.support.files import hold, is_held, open_regular, pid_of, write_if_free
+from pytest_pafot.support.files import hold, is_held, open_regular, pid_of, way_out, write_if_free
 
 SUFFIX = ".inflight"
 MAX_BYTES = 1 << 20
@@ -45,16 +45,16 @@ class CrashRecordError(Exception):
     """
 
     def __init__(self, folder: Path, error: OSError) -> None:
-        way_out = "make the folder readable and writable"
+        advice = way_out(error, "or set TMPDIR to another one")
         if error.errno in (errno.EMFILE, errno.ENFILE):
-            way_out = "close the files that the ADS and the tests open"
+            advice = "close the files that the ADS and the tests open"
         elif isinstance(error, KeyFolderError):
-            way_out = "delete that, or set TMPDIR to a folder for temporary files that belongs to you"
+            advice = "delete that, or set TMPDIR to a folder for temporary files that belongs to you"
         elif error.errno == errno.EINVAL:
-            way_out = "put the folder itself in its place, or name it by its absolute path with pytest's key cache_dir"
+            advice = "put the folder itself in its place, or name it by its absolute path with pytest's key cache_dir"
         super().__init__(
             f"{folder}: expected a folder that can be read and written, received: {error.strerror or error}; a hard "
-            f"crash of this process will not name the scenario that caused it; {way_out}"
+            f"crash of this process will not name the scenario that caused it; {advice}"
         )
 
 

@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import re
+import subprocess
 import sys
 
 import pytest
@@ -179,6 +180,7 @@ def test_fail_above_compares_the_lower_end_of_the_interval(capsys, monkeypatch, 
         outcome = "collision" if seed < crashes else "safe"
         return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="", steps="")
 
+    monkeypatch.setattr(rate_command, "gate_workers", lambda *_, **__: 1)  # the episodes are made up in this process
     monkeypatch.setattr(rate_plan, "driven", driven)  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", limit) == code
     assert ("received an interval that begins at" in capsys.readouterr().err) == bool(code)
@@ -189,6 +191,7 @@ def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, monkeypat
         outcome = "safe" if seed else "ads_error"
         return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="KeyError", steps="")
 
+    monkeypatch.setattr(rate_command, "gate_workers", lambda *_, **__: 1)
     monkeypatch.setattr(rate_plan, "driven", driven)
     assert rate("--ads", "idm_mobil", "--episodes", "10") == 0
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", "2%") == 1
@@ -301,3 +304,37 @@ def test_comparison_uses_seeds_that_crash_only_one_policy():
     pair = Pair.of(first, second)
     assert (pair.first_only, pair.second_only, pair.both, len(pair.neither)) == ((0, 1), (), (2,), 6)
     assert "2 crashed only with a, 0 only with b, 1 with both, 6 with neither: p = 0.5" in pair.sentence
+
+
+ENDS = """\
+import os
+
+
+def ends():
+    return lambda seen: os._exit(0)
+
+
+def talks():
+    return lambda seen: print("hello") or 1
+"""
+
+
+@pytest.mark.processes
+def test_policy_that_ends_its_process_fails_a_gate(tmp_path, monkeypatch):
+    (tmp_path / "policies.py").write_text(ENDS)
+    monkeypatch.chdir(tmp_path)
+    given = ["rate", "--world", "highway-fast-v0", "--episodes", "2", "--json"]
+    told = subprocess.run(
+        [sys.executable, "-m", "pytest_pafot", *given, "--ads", "policies:ends", "--fail-above", "2%"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (told.returncode, "expected a worker" in told.stderr) == (2, True), told
+    told = subprocess.run(
+        [sys.executable, "-m", "pytest_pafot", *given, "--ads", "policies:talks"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert (json.loads(told.stdout)["episodes"], "hello" in told.stderr) == (2, True)

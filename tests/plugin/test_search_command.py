@@ -97,7 +97,7 @@ def test_search_command_uses_the_requested_world_and_check(here):
     test = (here / "test_safety.py").read_text()
     assert (
         "@pafot.search(world=pafot.World('highway-v0'), traffic=\"everyday\")\n"
-        "def test_keeps_moving(run):\n    holds(run)\n"
+        "def test_keeps_moving(run):\n    return holds(run)\n"
     ) in test
     for name in ("conftest.py", "test_safety.py"):
         (here / name).unlink()
@@ -328,3 +328,11 @@ def test_impossible_search_is_reported_and_writes_nothing(here, capsys, argument
     assert told in capsys.readouterr().err
     assert (here / "conftest.py").read_text() == "# the user's\n"
     assert not (here / "test_safety.py").exists()
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("check", ["def wrong(run): return True", "async def wrong(run): assert False"])
+def test_a_check_that_asserts_nothing_does_not_pass(here, check):
+    (here / "checks.py").write_text(f"{check}\n")
+    code, told = python("pytest_pafot", "search", "a_planner:Planner", "--check", "checks:wrong", "--runs", "4")
+    assert (code, "expected the test function to assert" in told) == (1, True), told

@@ -378,8 +378,7 @@ def test_nested_replay_session_writes_no_record_or_summary(summary, saved, monke
 def test_second_interrupt_leaves_the_code_of_the_first():
     session = SimpleNamespace(exitstatus=pytest.ExitCode.OK)  # pytest has not noted the first Ctrl-C yet
     assert exit_code(session) == 0
-    with pytest.raises(KeyboardInterrupt):
-        try:
-            raise KeyboardInterrupt
-        finally:
-            assert exit_code(session) == 2
+    try:
+        raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        assert exit_code(session) == 2
