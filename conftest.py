@@ -1,6 +1,7 @@
 """Configuration of the project's own tests."""
 
 import gc
+import signal
 from collections.abc import Callable, Generator
 from importlib import metadata
 
@@ -18,6 +19,9 @@ settings.register_profile(
 settings.register_profile("thorough", settings.get_profile("project"), max_examples=60)
 settings.register_profile("fresh", settings.get_profile("thorough"), derandomize=False)
 settings.load_profile("project")
+
+if hasattr(signal, "SIGHUP"):  # Under nohup, all processes that tests start would ignore this signal.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.hookimpl(tryfirst=True)

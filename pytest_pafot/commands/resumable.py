@@ -299,8 +299,8 @@ def _done(
             if pool.failure or isinstance(answer, ProcessLostError):
                 ended = f"its process {answer.how}" if isinstance(answer, ProcessLostError) else pool.failure
                 raise ChildProcessError(
-                    f"{job.command}: expected a worker to finish {task!r}, received: {ended}; the system may be short "
-                    "of memory: use fewer --workers and run it again; finished tasks are not repeated"
+                    f"expected a worker to finish {task!r}, received: {ended}; correct a policy that ends its "
+                    "process, or if memory was short, use fewer --workers; finished tasks are not repeated"
                 )
             if isinstance(answer, Exception):
                 raise answer
