@@ -20,8 +20,11 @@ settings.register_profile("thorough", settings.get_profile("project"), max_examp
 settings.register_profile("fresh", settings.get_profile("thorough"), derandomize=False)
 settings.load_profile("project")
 
-if hasattr(signal, "SIGHUP"):  # Under nohup, all processes that tests start would ignore this signal.
+# Under nohup, or in the background of a script, all processes that tests start would ignore these signals.
+if hasattr(signal, "SIGHUP"):
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -66,8 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fail-above",
         metavar="SHARE",
-        help="exit with 1 if the 95 %% interval of the crashes of --ads begins above this share of the episodes, such "
-        "as 2%% or 0.02, or if the policy failed in an episode",
+        help="exit with 1 if the 95 %% interval of the crashes of the policy (that of --ads) begins above this share "
+        "of the episodes, such as 2%% or 0.02, or if the policy failed in an episode",
     )
 
 
