@@ -125,7 +125,7 @@ def answer(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Conduct:
-    """What a vehicle should have done and did in a danger, which is worked out only if somebody reads it.
+    """The duty and the deeds of a vehicle in a danger, which are worked out only if somebody reads them.
 
     Attributes:
         trace: trace of the run, or of the part of it that was judged.

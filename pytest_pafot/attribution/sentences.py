@@ -49,12 +49,7 @@ class What(Enum):
     DROVE = "drove"
 
 
-ANSWERS = (
-    What.SHOULD_HAVE_BRAKED,
-    What.SHOULD_HAVE_WAITED,
-    What.SHOULD_NOT_HAVE_SPED_UP,
-    What.DROVE,
-)
+ANSWERS = (What.SHOULD_HAVE_BRAKED, What.SHOULD_HAVE_WAITED, What.SHOULD_NOT_HAVE_SPED_UP, What.DROVE)
 """The facts on what a vehicle should have done in a danger, and what it did. Their sentences depend on its phases."""
 BRAKES = 0.5
 """The least deceleration that counts as braking in the sentences of a verdict [m/s^2]."""
@@ -247,7 +242,7 @@ def _answer(fact: Fact) -> list[str]:
         told.append(f"{'It' if made else who} {begun} at {each.time_s:.1f} s{rest}")
     if len(told) == 1 and fact.phases[0].doing is Doing.KEPT:
         kept = f"kept {fact.phases[0].last_m_per_s:.1f} m/s from {fact.phases[0].time_s:.1f} s on"
-        told = [] if made else [f"{who} {kept}"]  # "but did not brake" says enough
+        told = [] if made else [f"{who} {kept}"]  # the duty says enough
     # two phases in a sentence, if they are short enough
     while told:
         both = "; ".join(told[:2])

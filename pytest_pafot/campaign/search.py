@@ -305,7 +305,7 @@ class Search:
         loop.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
         search_until = began + (self.limit.until - began) * (1 - FOR_SIMPLIFYING)
         try:
-            with runs_end_in(max(self.limit.until, began + LEAST) - self.sessions.clock()):
+            with runs_end_in(loop.recorder.until - self.sessions.clock()):
                 loop.shown = self.replays.shown_by(others)  # Their failures are not new.
                 self.sessions.find_again(saved, search_until)
         except OutOfTime:  # It is unknown what is known, so nothing could be called new.

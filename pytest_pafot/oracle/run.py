@@ -361,7 +361,7 @@ class Run(Drawn):
 
     @cached_property
     def escape(self) -> Escape | None:
-        """How a reference driver avoids the collision if the rules excuse the ego because it had too little time.
+        """The way out of the collision by a reference driver, if the rules say that the ego had too little time.
 
         The driver is simulated, and takes over at the time that the verdict names. It is ``careful-human``, or the
         world's first driver. None for any other run, and if the driver does not avoid the collision.
