@@ -1,0 +1,182 @@
+"""Careful drivers that overtake on the left and go back to the right."""
+
+from __future__ import annotations
+
+import math
+
+from tests.benchmarks.planted.policy import WIDE, Driver, braking_needed, clip, listed
+
+
+class Overtaker(Driver):
+    """The sound driver: it overtakes slow vehicles on the left, and goes back as soon as the lane to the right serves
+    as well.
+    """
+
+    WORTH = 3.0  # the difference to the wanted speed at which it overtakes [m/s]
+    BACK = 4.0  # the time after a lane change until it goes back [s]
+    ANSWER, BRAKE = 1.5, 4.5  # time to answer [s], braking that it plans with [m/s^2]
+
+    def along(self, o, cars):
+        v, leaders = o.ego.speed, self.ahead(o, cars)
+        return min([self.cruise(o)] + [min(self.behind(v, c), self.emergency(v, c)) for c in leaders])
+
+    def behind(self, v, c):
+        """Approach the speed from which it could stop behind the other."""
+        f, room, late = max(c.v + 0.4 * min(c.a, 0.0), 0.0), max(c.gap - 3.0, 0.0), self.BRAKE * self.ANSWER
+        safe = math.sqrt(late * late + 2 * self.BRAKE * room + f * f) - late
+        return clip((safe - v) / 0.9, -4.0, 2.0)
+
+    def emergency(self, v, c):
+        needed = braking_needed(v, c)
+        return -1.3 * needed if needed > 1.8 else 2.0
+
+    def options(self, o, cars):
+        wanted, own = self.SHARE * o.speed_limit, self.flow(o, cars, self.lane)
+        if own < wanted - self.WORTH and self.lane > 0 and self.flow(o, cars, self.lane - 1) > own + 2.0:
+            return [self.lane - 1]
+        right = self.lane + 1
+        goes_back = right < o.lanes and o.time > self.arrived + self.BACK
+        return [right] if goes_back and self.flow(o, cars, right) > min(own, wanted) - 1.0 else []
+
+    def clear(self, o, cars, k):
+        return all(self.room(o.ego.speed, c) for c in cars if self.concerns(o, c, k))
+
+    def concerns(self, o, c, k):
+        """Return whether the other is in lane k, or may come into it from either side."""
+        beyond = abs(c.y - k * WIDE) < 7.0 and abs(c.y - o.ego.y) > 5.0 and c.gap < 15.0
+        return self.inside(c, k) or beyond
+
+    def room(self, v, c):
+        """Return whether the gap to a vehicle in the other lane is enough."""
+        if c.dx > 0:
+            return c.gap > 9 + 1.4 * v + 4 * max(v - c.v, 0.0)
+        closing = max(c.v + 1 - v, 0.0)
+        return c.gap > 15 + 1.3 * max(c.v, v) + 4 * closing + closing * closing / 6
+
+
+class TableFull(Overtaker):
+    """The list of objects has places for five vehicles within 60 m. While it is full, a vehicle that comes within range
+    is not added; only the parking sensors see it within 6 m.
+    """
+
+    PLACES, RANGE, PARKING = 5, 60.0, 6.0
+
+    def begin(self):
+        self.known = []
+
+    def look(self, o):
+        cars = super().look(o)
+        near = [c.i for c in sorted(cars, key=lambda c: c.gap) if c.gap < self.RANGE]
+        self.known = [i for i in self.known if i in near]
+        self.known += [i for i in near if i not in self.known][: max(self.PLACES - len(self.known), 0)]
+        if self.repaired:
+            return cars
+        return [c for c in cars if not self.PARKING < c.gap < self.RANGE or c.i in self.known]
+
+
+class StillPassed(Overtaker):
+    """When an overtaking lane change begins, the vehicle that is overtaken is marked as passed. If the change is given
+    up, the mark stays, and the ego does not brake for that vehicle in its own lane.
+    """
+
+    def begin(self):
+        self.passed = None
+
+    def lanes(self, o, cars):
+        lane, old = self.lane, self.old
+        super().lanes(o, cars)
+        if old is None and self.old is not None:
+            ahead = [c for c in cars if c.dx > 0 and abs(c.y - lane * WIDE) < 2.0]
+            self.passed = min(ahead, key=lambda c: c.dx).i if ahead and self.lane < lane else None
+        elif old is not None and self.old is None and (self.lane == lane or self.repaired):
+            self.passed = None
+
+    def ahead(self, o, cars):
+        leaders = super().ahead(o, cars)
+        if self.old is not None:
+            return leaders
+        return [c for c in leaders if c.i != self.passed]
+
+
+class Patience(Overtaker):
+    """Each second of waiting for a gap makes the driver content with one that is shorter by a fifth. Nothing limits
+    this, so after a long wait any gap is enough.
+    """
+
+    FACTOR, LEAST = 0.8, 0.85  # in a second, at least
+
+    def begin(self):
+        self.share = 1.0
+
+    def lanes(self, o, cars):
+        old = self.old
+        super().lanes(o, cars)
+        if old is not None and self.old is None:
+            self.share = 1.0
+
+    def clear(self, o, cars, k):
+        is_clear = super().clear(o, cars, k)
+        if not is_clear and self.old is None:
+            self.share = max(self.share * self.FACTOR**self.dt, self.LEAST if self.repaired else 0.0)
+        return is_clear
+
+    def room(self, v, c):
+        gap, c.gap = c.gap, c.gap / self.share
+        enough = super().room(v, c)
+        c.gap = gap
+        return enough
+
+
+class WaitsForBlocker(Overtaker):
+    """After it has given up a lane change because of a vehicle, the driver waits until that one has gone, and then
+    changes into that lane without a look at the others.
+    """
+
+    FORGETS = 40.0  # [s]
+
+    def begin(self):
+        self.blocker, self.into, self.since = None, None, -math.inf
+
+    def clear(self, o, cars, k):
+        blocking = [c for c in cars if self.concerns(o, c, k) and not self.room(o.ego.speed, c)]
+        if k == self.into and o.time < self.since + self.FORGETS and not self.repaired:
+            return all(c.i != self.blocker for c in blocking)
+        if self.old is not None and blocking:
+            self.blocker, self.into, self.since = min(blocking, key=lambda c: c.gap).i, k, o.time
+        return not blocking
+
+
+class RememberedSpeed(Overtaker):
+    """The speed of a vehicle that is overtaken is measured when the lane change begins. The same value is used for the
+    way back, even if the vehicle has sped up meanwhile.
+    """
+
+    NEAREST, TIME = 8.0, 0.6  # that it keeps to a vehicle behind, [m] and [s]
+
+    def begin(self):
+        self.measured = {}
+
+    def lanes(self, o, cars):
+        old = self.old
+        super().lanes(o, cars)
+        if old is None and self.old is not None and self.lane < self.old:
+            self.measured = {c.i: c.v for c in cars if abs(c.y - self.old * WIDE) < 2.0 and c.dx > 0}
+
+    def room(self, v, c):
+        if c.dx > 0:
+            return super().room(v, c)
+        f = c.v if self.repaired else self.measured.get(c.i, c.v)
+        closing = max(f + 1 - v, 0.0)
+        return c.gap > self.NEAREST + self.TIME * f + 4 * closing + closing * closing / 4
+
+
+PLANTED = listed(
+    "merging",
+    {
+        "table-full": (TableFull, 1),
+        "still-passed": (StillPassed, 2),
+        "patience-without-end": (Patience, 2),
+        "waits-for-blocker": (WaitsForBlocker, 3),
+        "remembered-speed": (RememberedSpeed, 3),
+    },
+)
