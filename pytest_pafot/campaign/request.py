@@ -26,7 +26,7 @@ from pytest_pafot.world.driving.ads import hint_at_object
 from pytest_pafot.world.validation import OTHER_KIND
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
-SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts")
+SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts", "instructions")
 NPCS = 4
 """The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""
 MOST_NPCS = 6
@@ -38,7 +38,11 @@ Three are enough to hide one NPC behind another. With more of them, the ego woul
 others at other times than their slots, so the scenarios would show less.
 """
 GENE_DURATIONS = (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
-"""The durations from which the gene duration of a scenario is sampled [s]."""
+"""The durations from which the gene duration of a scenario is sampled if all NPCs are on the grid [s]."""
+SLICES = (2.0, 3.0, 4.0)
+"""The same for scenarios with Lane-Instructions [s]; a change of lanes takes some 3 s, a way to a cell 5 to 10 s."""
+SLICE = 3.0
+"""The duration of a gene on roads that are not straight, if NPCs may have Lane-Instructions [s]."""
 SLOWEST_START = 12.0
 """The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower."""
 BLAMES = ("any", "ego", "preventable")
@@ -66,6 +70,7 @@ class SearchArguments(TypedDict, total=False):
     ego_speed: float
     traffic: str | Traffic
     acts: Sequence[str]
+    instructions: str
     ads: Any
     arg: str
     fitness: str | Weights | Callable[[Trace], float]
@@ -242,6 +247,19 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected a world in which NPCs cross the ego's way, received {world!r:.100}, in which none does; "
                 'leave acts out, or search in a world such as pafot.World("intersection-v0")',
             )
+        kinds = request.algorithm.instructions
+        if request.space.get("instructions", kinds[0]) not in kinds:
+            raise request.error(
+                "instructions=...",
+                f"expected {' or '.join(map(repr, kinds))} for the algorithm {request.algorithm.name}, received "
+                f"{request.space['instructions']!r:.100}",
+            )
+        if request.space.get("instructions", "cells") != "cells" and not protocol.has_lane_instructions(world):
+            raise request.error(
+                "instructions=...",
+                f"expected a world whose NPCs can have Lane-Instructions, received {world!r:.100}, which declares "
+                "none; leave instructions out, or write has_lane_instructions = True in its class if its NPCs can",
+            )
         if SearchSpace(**request.space).traffic != PAPERS and not protocol.has_traffic_styles(world):
             raise request.error(
                 "traffic=...",
@@ -269,8 +287,14 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     drawn: dict[str, Any] = {}
     if protocol.has_traffic_styles(world):
         drawn["traffic"] = given.get("traffic", Traffic().style)
+    if protocol.has_lane_instructions(world):
+        drawn["instructions"] = given.get("instructions", "both")
+    durations = GENE_DURATIONS if drawn.get("instructions", "cells") == "cells" else SLICES
+    draws_genes = "genes" not in given and "gene_seconds" not in given
     road = protocol.straight_road(world)
     if road is None:
+        if draws_genes and durations is SLICES:
+            drawn["gene_seconds"] = SLICE
         return drawn | _crossing_space(world, given)
     drawn["patterns"] = True
     npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
@@ -281,8 +305,8 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         if "npcs" not in given:
             starts = lanes if draws_lane else [each for each in lanes if each == lane]
             drawn["most_npcs"] = tuple(min(MOST_NPCS, len(road.cells(each)) - 1) for each in starts)
-    if "genes" not in given and "gene_seconds" not in given:
-        drawn["gene_durations"] = GENE_DURATIONS
+    if draws_genes:
+        drawn["gene_durations"] = durations
     if draws_lane:
         drawn["ego_lanes"] = lanes
     if isinstance(world, Highway) and "ego_speed" not in given:

@@ -282,7 +282,7 @@ class Search:
         """Run the campaign; return why it ended. ``began`` is the time at which the search began [s].
 
         Raises:
-            RequestError: if the algorithm does not support the settings or the road, or the fitness cannot be used.
+            RequestError: if the algorithm does not support the settings, or the fitness cannot be used.
         """
         __tracebackhide__ = True
         if self.loop.space is None:
@@ -295,7 +295,6 @@ class Search:
             for_batches = request.algorithm.make(
                 space, **_population(settings.population or request.algorithm.batch_population)
             )
-            request.algorithm.check_road(is_straight=protocol.road_start(self.harness.world) is None)
         except ValueError as error:
             raise RequestError(str(error)) from None
         self.sessions.beginning.most = getattr(algorithm, "random_at_first", 0.0)

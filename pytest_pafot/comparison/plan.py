@@ -20,7 +20,7 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway, codec
 from pytest_pafot.world import from_dict as world_from_dict
-from pytest_pafot.world.protocol import WorldLike, crossings, road_start
+from pytest_pafot.world.protocol import WorldLike, crossings
 
 DIFFERENT = (
     "the algorithms have different scenarios, so differences between these groups may be due to the scenarios; "
@@ -203,7 +203,6 @@ def _check_searches(plan: Plan) -> None:
             raise PlanError(f"--algorithms: expected each name once, received {', '.join(repeated)} again")
         for name in names:
             plan.made(name)
-            plan.entrant(name).algorithm.check_road(is_straight=road_start(plan.setting(name)[0]) is None)
         if plan.fitness is not None:
             resolve(plan.fitness)
     except ValueError as error:

@@ -43,8 +43,7 @@ class DecisionCache:
     Until the end of gene ``g``, a run depends only on the start and on the first ``g`` genes of each NPC. The last
     decision that depends only on these genes is at the tick at which the next gene begins. Two scenarios share
     decisions if their chains as driven are the same, or if their requested chains and their seeds are the same (see
-    :class:`~pytest_pafot.searching.evaluation_cache.EvaluationCache`). With Lane-Instructions, the seeds must always be
-    the same, because the start of these NPCs may depend on the seed.
+    :class:`~pytest_pafot.searching.evaluation_cache.EvaluationCache`).
 
     The cache is valid only for an ADS that decides only from its observation.
 
@@ -70,7 +69,7 @@ class DecisionCache:
             count = min(genes * gene_ticks // every + 1, len(actions))
             by_chains, by_seed = _key(scenario, driven, genes, None), _key(scenario, asked, genes, scenario.seed)
             by_both = [by_chains] if by_chains[-1] == by_seed[-1] else [by_chains, by_seed]
-            for key in by_both if scenario.positions else [by_seed]:
+            for key in by_both:
                 self._known[key] = (actions, count)
                 keys.append(key)
         self._runs.append((actions, keys))

@@ -1,8 +1,8 @@
 """Position-Instructions, chromosomes and scenarios, which a search evolves and a corpus file stores.
 
-Lane-Instructions are the genes of baselines without a grid. A Crossing-Instruction sends an NPC across or into the
-ego's way. All genes of a chain are of one kind; a scenario may mix NPCs with Position-Instructions and NPCs with a
-Crossing-Instruction.
+Position-Instructions place an NPC around the ego, Lane-Instructions make it change lanes wherever the ego is, and a
+Crossing-Instruction sends it across or into the ego's way. All genes of a chain are of one kind, and the NPCs of a
+scenario may have different kinds.
 
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
 """
@@ -96,10 +96,9 @@ Shift = Literal["keep", "left", "right"]
 
 SHIFTS: tuple[Shift, ...] = get_args(Shift)
 
-LANE_STARTS = (1, 2, 3, 8, 4, 6, 7, 5)
-"""The cells in which NPCs with Lane-Instructions start, by the NPC's index. If the lane of a cell does not exist, the
-NPC starts in the nearest cell whose lane exists. The first two cells are the starts of the NPCs in the released
-AV-Fuzzer: ahead to the left of the ego, and ahead in the ego's lane."""
+LANE_STARTS = tuple(map(Cell, (1, 2, 3, 8, 4, 6, 7, 5)))
+"""The cells in which NPCs with Lane-Instructions start: each NPC in the first cell that exists and is free. The first
+two are the starts of the NPCs in the released AV-Fuzzer: ahead to the left of the ego, and ahead in the ego's lane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,8 +243,8 @@ class Scenario:
 
     Attributes:
         npcs: chains of one to eight NPCs, one non-empty chain per NPC; lengths may differ. After its last gene an NPC
-            keeps its lane and speed (paper, section 2). Either all genes are Lane-Instructions, or each NPC has
-            Position-Instructions or one Crossing-Instruction.
+            keeps its lane and speed (paper, section 2). Each NPC has Position-Instructions, Lane-Instructions or one
+            Crossing-Instruction.
         seed: seed of all random choices in the run, such as those that repair chains and the noise of the sight, 0 to
             2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
@@ -302,7 +301,7 @@ class Scenario:
         seed = _checked_whole("seed", seed, MAX_SEED)
         wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
         cells = repair_chains(wanted, seed)
-        npcs = chains if [list(row) for row in cells] == wanted else with_cells(chains, on_grid(chains, cells))
+        npcs = chains if [list(row) for row in cells] == wanted else with_targets(chains, on_grid(chains, cells))
         return cls(
             npcs=npcs,
             seed=seed,
@@ -463,7 +462,7 @@ def _checked_whole(name: str, value: object, top: int) -> int:
 
 
 def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
-    """Return the chains as tuples; raise for an NPC without genes and for a mixture of kinds of genes."""
+    """Return the chains as tuples; raise for an NPC without genes and for a chain with several kinds of genes."""
     try:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
@@ -479,9 +478,6 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
         for gene, each in enumerate(chain):
             if not isinstance(each, (PositionInstruction, LaneInstruction, CrossingInstruction)):
                 expected, fix = "a PositionInstruction", "write PositionInstruction(cell, speed)"
-            elif isinstance(each, LaneInstruction) is not isinstance(chains[0][0], LaneInstruction):
-                expected = f"a {type(chains[0][0]).__name__} like npcs[0][0]"
-                fix = "give all NPCs of a scenario Lane-Instructions, or none"
             elif type(each) is not (kind := type(chain[0])):
                 expected = f"a {kind.__name__} like npcs[{npc}][0]"
                 fix = "give an NPC instructions of one kind"
@@ -495,10 +491,8 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
 
 def positions_of(npcs: Sequence[Sequence[Gene]]) -> tuple[tuple[PositionInstruction, ...], ...]:
     """Return the chains that consist of Position-Instructions."""
-    if npcs and not isinstance(npcs[0][0], LaneInstruction):
-        positions = tuple(tuple(chain) for chain in npcs if isinstance(chain[0], PositionInstruction))
-        return cast("tuple[tuple[PositionInstruction, ...], ...]", positions)
-    return ()
+    positions = tuple(tuple(chain) for chain in npcs if isinstance(chain[0], PositionInstruction))
+    return cast("tuple[tuple[PositionInstruction, ...], ...]", positions)
 
 
 def on_grid(npcs: Sequence[Sequence[Gene]], rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
@@ -507,11 +501,11 @@ def on_grid(npcs: Sequence[Sequence[Gene]], rows: Sequence[Sequence[Cell]]) -> l
     return [next(each) if isinstance(chain[0], PositionInstruction) else () for chain in npcs]
 
 
-def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> tuple[Chromosome, ...]:
-    """Return the chains with new cells in their first genes; a chain without new cells is unchanged."""
+def with_targets(npcs: Sequence[Chromosome], targets: Sequence[Sequence[Any]]) -> tuple[Chromosome, ...]:
+    """Return the chains with new cells or lanes in their first genes; a chain without new ones is unchanged."""
     return tuple(
-        (*(PositionInstruction(c, g.speed) for c, g in zip(row, chain, strict=False)), *chain[len(row) :])
-        for chain, row in zip_longest(npcs, cells, fillvalue=())
+        (*(gene_of(target, gene.speed) for target, gene in zip(row, chain, strict=False)), *chain[len(row) :])
+        for chain, row in zip_longest(npcs, targets, fillvalue=())
     )
 
 
@@ -519,12 +513,17 @@ def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
     """Return a chain of genes that last ``wanted`` instead of ``seconds`` [s], with nearly the same targets in time.
 
     Each new gene equals the old gene that was active at the middle of the new one. Longer genes may skip a cell, in
-    which case the chain needs repair. A Crossing-Instruction has no duration, so its chain is unchanged.
+    which case the chain needs repair. If several new genes come from one Lane-Instruction, only the first of them
+    changes lanes. A Crossing-Instruction has no duration, so its chain is unchanged.
     """
     if isinstance(chain[0], CrossingInstruction):
         return chain
     count = max(1, math.ceil(len(chain) * seconds / wanted - 1e-9))
-    return tuple(chain[min(int((gene + 0.5) * wanted / seconds), len(chain) - 1)] for gene in range(count))
+    olds = [min(int((gene + 0.5) * wanted / seconds), len(chain) - 1) for gene in range(count)]
+    return tuple(
+        replace(gene, lane="keep") if old == before and isinstance(gene := chain[old], LaneInstruction) else chain[old]
+        for before, old in zip([-1, *olds], olds, strict=False)
+    )
 
 
 def _check_adjacency(npcs: Sequence[Chromosome]) -> None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Chromosome, Scenario, with_cells
+from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.support.shown import Drawn
 
 ReadT = TypeVar("ReadT")
@@ -266,7 +266,7 @@ class Trace(Drawn):
     @property
     def chains(self) -> tuple[Chromosome, ...]:
         """The chains that the NPCs drove: the chains of ``executed``, with the cells of ``driven`` in their place."""
-        return with_cells(self.executed.npcs, self.driven)
+        return with_targets(self.executed.npcs, self.driven)
 
     @property
     def speed_limit(self) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pytest_pafot.criticality import Encounters, passages, sweep, time_advantage
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Chromosome, Scenario, with_cells
+from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
 from pytest_pafot.searching.interaction import InteractionSweep
 
@@ -154,7 +154,7 @@ class Evaluation:
     @property
     def chains(self) -> tuple[Chromosome, ...]:
         """The chain that each NPC drove; see :attr:`Trace.chains`."""
-        return with_cells(self.executed.npcs, self.driven)
+        return with_targets(self.executed.npcs, self.driven)
 
     @property
     def depth(self) -> int:

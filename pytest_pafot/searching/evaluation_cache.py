@@ -7,14 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice
 
-from pytest_pafot.model.scenario import (
-    SHIFTS,
-    CrossingInstruction,
-    Gene,
-    LaneInstruction,
-    PositionInstruction,
-    Scenario,
-)
+from pytest_pafot.model.scenario import SHIFTS, CrossingInstruction, Gene, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.space import repaired
 
@@ -93,9 +86,7 @@ class EvaluationCache:
         asked = driven = plain_chains(evaluation.scenario)
         if evaluation.executed is not evaluation.scenario:
             driven = plain_chains(evaluation.executed)
-        # The seed decides where NPCs with Lane-Instructions start, which the driven chains do not show.
-        has_lanes = isinstance(evaluation.scenario.npcs[0][0], LaneInstruction)
-        seed = evaluation.scenario.seed if has_lanes or self._seeds_matter else None
+        seed = evaluation.scenario.seed if self._seeds_matter else None
         keys = [(driven, seed)] if asked == driven else [(driven, seed), (asked, evaluation.scenario.seed)]
         return [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
 

@@ -13,11 +13,25 @@ from dataclasses import replace
 from numpy.random import Generator
 
 from pytest_pafot.model.grid import is_adjacent
-from pytest_pafot.model.scenario import Chromosome, CrossingInstruction, PositionInstruction, Scenario, retimed
+from pytest_pafot.model.scenario import (
+    Chromosome,
+    CrossingInstruction,
+    LaneInstruction,
+    PositionInstruction,
+    Scenario,
+    retimed,
+)
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic, mixed
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.patterns import followed_by_pattern
-from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction, repaired, sample
+from pytest_pafot.searching.space import (
+    SearchSpace,
+    fresh_seed,
+    random_instruction,
+    random_manoeuvres,
+    repaired,
+    sample,
+)
 
 STARTS, PATTERNS = 0.1, 0.35
 """Share of mutations that sample a new start, if the space has several, and that insert a pattern, if it has any."""
@@ -64,14 +78,14 @@ def _taken(scenario: Scenario, npc: int, other: Scenario) -> Chromosome:
 
 
 def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Replace a random Position-Instruction by a new instruction, which is repaired to fit in (section 3.4.2).
+    """Replace a random instruction by a new one of its kind, which is repaired to fit in (section 3.4.2).
 
-    The repair changes only the new instruction, not its neighbours in the chain. Repairing what follows it instead
-    would rewrite the rest of the chain and lose what the parent was selected for.
+    The repair changes only a new Position-Instruction, not its neighbours in the chain. Repairing what follows it
+    instead would rewrite the rest of the chain and lose what the parent was selected for.
 
     If the space has several starts, a tenth of the mutations sample a new start. If it has patterns, a third insert a
-    pattern into a chain. NPCs that cross are mutated as often as NPCs on the grid: half of the time the slot is moved,
-    otherwise the speed, the act or the whole instruction changes. If two NPCs conflict, one is sampled again.
+    pattern into a chain on the grid. NPCs that cross are mutated as often as all others: half of the time the slot is
+    moved, otherwise the speed, the act or the whole instruction changes. If two NPCs conflict, one is sampled again.
     """
     child, crossing = _mutated(scenario, space, rng), space.crossing_traffic
     return child if crossing is None else _cleared(child, crossing, rng)
@@ -90,24 +104,23 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
         return _started_anew(scenario, space, rng)
     if draw < starts + sizes:
         return _of_another_size(scenario, space, rng)
-    chains, crossing = scenario.positions, space.crossing_traffic
-    if crossing is not None and rng.random() * len(scenario.npcs) >= len(chains):
+    numbers = [npc for npc, chain in enumerate(scenario.npcs) if not isinstance(chain[0], CrossingInstruction)]
+    crossing = space.crossing_traffic
+    if crossing is not None and rng.random() * len(scenario.npcs) >= len(numbers):
         return _crossing_otherwise(scenario, crossing, rng)
-    if space.patterns and draw < starts + sizes + PATTERNS:
+    if draw < starts + sizes + PATTERNS and space.patterns and scenario.positions:
         return _with_pattern(scenario, space, rng)
-    places = [(npc, gene) for npc, chain in enumerate(chains) for gene in range(len(chain))]
+    places = [(npc, gene) for npc in numbers for gene in range(len(scenario.npcs[npc]))]
     npc, gene = places[int(rng.integers(len(places)))]
-    chain = chains[npc]
+    chain = scenario.npcs[npc]
     new = chain[gene]
     while new == chain[gene]:
-        new = _fitted(chains, npc, gene, random_instruction(space, rng), bool(rng.integers(2)))
-    return _with_chain_on_grid(scenario, npc, (*chain[:gene], new, *chain[gene + 1 :]), rng)
-
-
-def _with_chain_on_grid(scenario: Scenario, npc: int, chain: Chromosome, rng: Generator) -> Scenario:
-    """Return the scenario with a different chain for one of the NPCs on the grid."""
-    numbers = [each for each, chain in enumerate(scenario.npcs) if isinstance(chain[0], PositionInstruction)]
-    return _child(scenario, with_chain(scenario.npcs, numbers[npc], chain), rng)
+        if isinstance(new, LaneInstruction):
+            new = random_manoeuvres(replace(space, genes=1), 1, rng)[0][0]
+        else:
+            on_grid = _on_grid(scenario).index(npc)
+            new = _fitted(scenario.positions, on_grid, gene, random_instruction(space, rng), bool(rng.integers(2)))
+    return _child(scenario, with_chain(scenario.npcs, npc, (*chain[:gene], new, *chain[gene + 1 :])), rng)
 
 
 def _crossing_otherwise(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> Scenario:
@@ -155,11 +168,16 @@ def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """Return the scenario with a pattern in a random chain, after steps to its first cell from a random gene on."""
     chains = scenario.positions
-    npc = int(rng.integers(len(chains)))
-    chain = chains[npc]
+    own = int(rng.integers(len(chains)))
+    chain = chains[own]
     before = chain[: int(rng.integers(len(chain)))]
     new = followed_by_pattern(before, scenario.ego_speed, (space.low_step, space.top_step), rng)
-    return _with_chain_on_grid(scenario, npc, (*new, *chain[len(new) :])[: len(chain)], rng)
+    chain = (*new, *chain[len(new) :])[: len(chain)]
+    return _child(scenario, with_chain(scenario.npcs, _on_grid(scenario)[own], chain), rng)
+
+
+def _on_grid(scenario: Scenario) -> list[int]:
+    return [npc for npc, chain in enumerate(scenario.npcs) if isinstance(chain[0], PositionInstruction)]
 
 
 def _fitted(

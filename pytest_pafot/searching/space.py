@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Literal
 
 import numpy as np
 from numpy.random import Generator
@@ -44,6 +45,11 @@ CROSSING = 0.75
 MOST_ON_GRID = 2
 """Largest number of NPCs on the grid next to NPCs that cross: one ahead of the ego and one behind it in one lane."""
 
+Instructions = Literal["cells", "lanes", "both"]
+"""The kinds of instructions of NPCs on the ego's way: Position-Instructions, Lane-Instructions, or either."""
+LANE_SHARES: Mapping[Instructions, float] = MappingProxyType({"cells": 0.0, "lanes": 1.0, "both": 0.5})
+"""Probability with which an NPC on the ego's way has Lane-Instructions."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSpace:
@@ -72,6 +78,8 @@ class SearchSpace:
             them. None if all NPCs are on the grid.
         acts: acts of the NPCs on ways that meet the ego's way: any of ``pass``, ``hold``, ``stop`` and ``late``.
         most_on_grid: largest number of NPCs on the grid if other NPCs cross; each needs a cell to start in.
+        instructions: the instructions of NPCs on the ego's way: ``"cells"``, ``"lanes"``, or ``"both"``, by which each
+            NPC has either kind with equal probability.
     """
 
     npcs: int = 2
@@ -89,6 +97,7 @@ class SearchSpace:
     crossings: Crossings | None = None
     acts: tuple[Act, ...] = crossing_traffic.ACTS
     most_on_grid: int = MOST_ON_GRID
+    instructions: Instructions = "cells"
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -104,6 +113,9 @@ class SearchSpace:
         if not acts or not set(acts) <= set(ACTS):
             raise ValueError(f"acts: expected one or more of {', '.join(ACTS)}, received {self.acts!r}")
         object.__setattr__(self, "acts", acts)
+        if self.instructions not in LANE_SHARES:
+            expected = f"one of {', '.join(LANE_SHARES)}"
+            raise ValueError(f"instructions: expected {expected}, received {self.instructions!r:.100}")
         if self.ego_speeds is not None and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf:
             raise ValueError(
                 f"ego_speeds: expected the lowest and the highest speed in m/s, received {self.ego_speeds!r}"
@@ -115,9 +127,14 @@ class SearchSpace:
 
     @property
     def plain(self) -> dict[str, Any]:
-        """The fields as plain data: without ``crossings``; ``acts`` and ``most_on_grid`` only if they are not usual."""
+        """The fields as plain data: without ``crossings``; some others only if they are not usual."""
         data = asdict(replace(self, crossings=None))
-        usual = {"crossings": None, "acts": crossing_traffic.ACTS, "most_on_grid": MOST_ON_GRID}
+        usual = {
+            "crossings": None,
+            "acts": crossing_traffic.ACTS,
+            "most_on_grid": MOST_ON_GRID,
+            "instructions": "cells",
+        }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 
     @property
@@ -140,7 +157,8 @@ class SearchSpace:
         traffic = f" in {self.traffic.described}" if self.traffic.described else ""
         count = 0 if self.crossings is None else len(self.crossings.ways)
         ways = f", most of them on {count} ways that meet the ego's" if count else ""
-        return f"{npcs}{traffic}{ways}; the ego starts at {speed} m/s in {lane}"
+        kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
+        return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}"
 
     @property
     def crossing_traffic(self) -> CrossingTraffic | None:
@@ -229,11 +247,12 @@ def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int]
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a valid scenario.
 
-    The start, the number of NPCs and the duration of genes are sampled first, if the space varies them. The NPCs begin
-    in random distinct cells. Then each NPC walks on the ring: it stays in its cell or steps to either side with equal
-    probability. A step into a cell that a different NPC holds is repaired. Speeds are uniform over the steps of 0.1 m/s
-    up to the limit. If the space has patterns, half of the scenarios are made of patterns instead, and repaired in the
-    same way.
+    The start, the number of NPCs and the duration of genes are sampled first, if the space varies them. Then each NPC
+    gets Lane-Instructions, if the space has them: keep, left or right, with uniform speeds up to the limit. The others
+    begin in random distinct cells and walk on the ring: each stays in its cell or steps to either side with equal
+    probability. A step into a cell that a different NPC holds is repaired. Speeds are uniform
+    over the steps of 0.1 m/s up to the limit. If the space has patterns, half of the scenarios are made of patterns
+    instead of walks, and repaired in the same way.
 
     If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
     """
@@ -241,15 +260,23 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     crossing = space.crossing_traffic
     if crossing is not None:
         return _sample_crossing(space, crossing, rng)
-    if space.patterns and rng.integers(2):
+    share = LANE_SHARES[space.instructions]
+    in_lanes = int(rng.binomial(space.npcs, share)) if share else 0
+    chains: list[Sequence[Gene]] = [
+        *_on_grid(space, space.npcs - in_lanes, rng),
+        *random_manoeuvres(space, in_lanes, rng),
+    ]
+    return repaired(chains, fresh_seed(rng), space)
+
+
+def _on_grid(space: SearchSpace, npcs: int, rng: Generator) -> list[list[PositionInstruction]]:
+    if npcs and space.patterns and rng.integers(2):
         bounds = space.low_step, space.top_step
-        chains = [chain_of_patterns(space.genes, space.ego_speed, bounds, rng) for _ in range(space.npcs)]
-        return repaired(chains, fresh_seed(rng), space)
-    first = rng.permutation(8)[: space.npcs, None]
-    steps = rng.integers(-1, 2, size=(space.npcs, space.genes - 1))
+        return [chain_of_patterns(space.genes, space.ego_speed, bounds, rng) for _ in range(npcs)]
+    first = rng.permutation(8)[:npcs, None]
+    steps = rng.integers(-1, 2, size=(npcs, space.genes - 1))
     walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
-    speeds = rng.integers(space.low_step, space.top_step + 1, size=(space.npcs, space.genes)).tolist()
-    return repaired(chains_of(walks, speeds), fresh_seed(rng), space)
+    return chains_of(walks, rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes)).tolist())
 
 
 def _sample_crossing(space: SearchSpace, crossing: CrossingTraffic, rng: Generator) -> Scenario:
@@ -270,17 +297,8 @@ def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
-    """Sample a scenario of Lane-Instructions: uniform speeds up to the limit, with keep, left or right.
-
-    The scenario needs no repair, so its seed is 0.
-    """
-    shifts = rng.integers(len(SHIFTS), size=(space.npcs, space.genes)).tolist()
-    speeds = rng.integers(space.low_step, space.top_step + 1, size=(space.npcs, space.genes)).tolist()
-    chains = [
-        [LaneInstruction(SHIFTS[shift], speed / SPEED_STEPS_PER_MPS) for shift, speed in zip(*chain, strict=True)]
-        for chain in zip(shifts, speeds, strict=True)
-    ]
-    return repaired(chains, 0, space)
+    """Sample a scenario in which all NPCs have Lane-Instructions; it needs no repair, so its seed is 0."""
+    return repaired(random_manoeuvres(space, space.npcs, rng), 0, space)
 
 
 def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | SearchSpace) -> Scenario:
@@ -328,6 +346,16 @@ def random_instruction(space: SearchSpace, rng: Generator) -> PositionInstructio
     """Sample a Position-Instruction, uniform over the eight cells and the speeds up to the limit."""
     cell = Cell(int(rng.integers(1, 9)))
     return PositionInstruction(cell, int(rng.integers(space.low_step, space.top_step + 1)) / SPEED_STEPS_PER_MPS)
+
+
+def random_manoeuvres(space: SearchSpace, npcs: int, rng: Generator) -> list[list[LaneInstruction]]:
+    """Sample chains of Lane-Instructions, uniform over keep, left and right, and the speeds up to the limit."""
+    shifts = rng.integers(len(SHIFTS), size=(npcs, space.genes)).tolist()
+    speeds = rng.integers(space.low_step, space.top_step + 1, size=(npcs, space.genes)).tolist()
+    return [
+        [LaneInstruction(SHIFTS[shift], speed / SPEED_STEPS_PER_MPS) for shift, speed in zip(*chain, strict=True)]
+        for chain in zip(shifts, speeds, strict=True)
+    ]
 
 
 def fresh_seed(rng: Generator) -> int:

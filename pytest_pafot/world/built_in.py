@@ -130,6 +130,11 @@ class BuiltInWorld(ABC):
         return True
 
     @property
+    def has_lane_instructions(self) -> bool:
+        """True, because NPCs can have Lane-Instructions."""
+        return True
+
+    @property
     def has_lock_step(self) -> bool:
         """True if several runs can proceed in lock step, one decision at a time."""
         return True

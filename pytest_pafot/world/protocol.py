@@ -240,6 +240,11 @@ def has_traffic_styles(world: Any) -> bool:
     return getattr(world, "has_traffic_styles", False) is True
 
 
+def has_lane_instructions(world: Any) -> bool:
+    """Return whether NPCs in a world can have Lane-Instructions, which the world declares."""
+    return getattr(world, "has_lane_instructions", False) is True
+
+
 def reference_world(world: Any) -> ReferenceWorld | None:
     """Return the world if it has reference drivers, in runs like those of its ``rollout``, else None."""
     return world if _fits_rollout(world, "rollout_reference") and hasattr(world, "reference_drivers") else None

@@ -12,11 +12,9 @@ from pytest_pafot.model.scenario import (
     LARGEST_SLOT,
     SLOT_STEPS_PER_SECOND,
     CrossingInstruction,
-    LaneInstruction,
     Scenario,
     ScenarioError,
 )
-from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.junction_director import JunctionDirector
 from pytest_pafot.world.driving.network_director import NetworkDirector
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
@@ -101,9 +99,10 @@ class Rules:
         grid, cells = None, self.start_cells(scenario, ego_length)
         if not scenario.crossings or self.junction is None:
             return NetworkDirector(scenario, self.road, self.limits, start_cells=cells, **common)
-        if scenario.positions:
-            positions = replace(scenario, npcs=scenario.positions)
-            grid = NetworkDirector(positions, self.road, self.limits, start_cells=cells, **common)
+        if None in scenario.crossings:
+            pairs = zip(scenario.npcs, scenario.crossings, strict=True)
+            others = replace(scenario, npcs=tuple(npc for npc, crossing in pairs if crossing is None))
+            grid = NetworkDirector(others, self.road, self.limits, start_cells=cells, **common)
         del common["clearance"], common["ego_length"]
         return JunctionDirector(scenario, self.road, self.junction, self.limits, grid=grid, **common)
 
@@ -112,15 +111,9 @@ class Rules:
 
         Raises:
             ScenarioError: for a value that does not fit; the error names the field.
-            WorldError: for Lane-Instructions on a road that is not straight.
         """
         if not isinstance(scenario, Scenario):
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
-        if not isinstance(self.road, StraightRoad) and isinstance(scenario.npcs[0][0], LaneInstruction):
-            expected = "Position-Instructions on a road that is not straight"
-            received = "Lane-Instructions, which cannot handle lanes that begin or end"
-            fix = "give NPCs PositionInstruction(cell, speed), or use a straight road such as pafot.Highway()"
-            raise WorldError(field="scenario", expected=expected, received=received, fix=fix)
         self._check_lane(scenario.ego_lane)
         cells, crossings = self.start_cells(scenario), scenario.crossings
         on_grid = crossings.count(None) if crossings else len(scenario.npcs)

@@ -71,7 +71,7 @@ class AvFuzzerSearch:
     name: ClassVar[str] = "av-fuzzer"
     is_papers: ClassVar[bool] = True
     fitness: ClassVar[str] = "av-fuzzer"
-    knows_grid: ClassVar[bool] = False
+    instructions: ClassVar[tuple[str, ...]] = ("lanes",)
 
     space: SearchSpace = field(default_factory=SearchSpace)
     population: int = field(default=4, kw_only=True)

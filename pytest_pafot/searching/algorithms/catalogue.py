@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from importlib.util import find_spec
 from types import MappingProxyType
@@ -19,7 +19,7 @@ from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Fitness, Weights
-from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.searching.space import LANE_SHARES, SearchSpace
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.ways_out import install
 
@@ -43,7 +43,7 @@ class AlgorithmClass:
     name: str  # the name in files and reports
     # the fitness that it maximises unless a different one is requested: a name, weights or a function
     fitness: str | Weights | Fitness = "default"
-    knows_grid: bool = True  # whether its genes are Position-Instructions; else they are Lane-Instructions
+    instructions: Sequence[str] = tuple(LANE_SHARES)  # the kinds of instructions that it can sample
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
     batch_population: int | None = None  # scenarios in a generation if the ADS decides for many runs at once
     library: str | None = None  # the library that it needs besides this package, by its import name
@@ -68,21 +68,6 @@ class AlgorithmClass:
                     f"{parameter}: expected a parameter of the algorithm {self.name!r}, which takes {', '.join(known)}"
                 )
         return self.made_by(space, **parameters)
-
-    def check_road(self, *, is_straight: bool) -> None:
-        """Check that the algorithm can be used on a straight or bent road.
-
-        Raises:
-            ValueError: for an algorithm with Lane-Instructions on a bent road; the message lists those that can be
-                used.
-        """
-        if self.knows_grid or is_straight:
-            return
-        others = ", ".join(name for name in ALGORITHMS if resolve_algorithm(name).knows_grid)
-        raise ValueError(
-            f"algorithm: expected one of {others} on a road that is not straight, received {self.name!r}, whose "
-            "Lane-Instructions cannot handle lanes that begin and end; or use a straight road such as pafot.Highway()"
-        )
 
 
 def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:

@@ -44,6 +44,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
 
     name: ClassVar[str] = "cma-es"
     is_papers: ClassVar[bool] = True
+    instructions: ClassVar[tuple[str, ...]] = ("cells",)
     library: ClassVar[str] = "cmaes"
 
     def __post_init__(self) -> None:

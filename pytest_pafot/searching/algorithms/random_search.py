@@ -59,7 +59,7 @@ class RandomManoeuvreSearch(RandomSearch):
 
     name: ClassVar[str] = "random-manoeuvre"
     is_papers: ClassVar[bool] = True
-    knows_grid: ClassVar[bool] = False
+    instructions: ClassVar[tuple[str, ...]] = ("lanes",)
 
     slices: int = field(default=5, kw_only=True)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario, on_grid
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director, Npc
 from pytest_pafot.world.kernel.driver import following_speed, gap_speed
@@ -75,15 +75,19 @@ class NetworkDirector(Director):
     @property
     def driven(self) -> tuple[tuple[Cell, ...], ...]:
         """The cell that each NPC drove to in each started gene if cells were skipped; else empty."""
-        cells = tuple(tuple(npc.executed) for npc in self.npcs)
-        written = super().executed.positions
+        cells = [tuple(npc.executed) for npc in self._on_grid]
+        written = super().executed
         is_written = all(
-            [gene.cell for gene in chain[: len(row)]] == list(row) for chain, row in zip(written, cells, strict=True)
+            [gene.cell for gene in chain[: len(row)]] == list(row)
+            for chain, row in zip(written.positions, cells, strict=True)
         )
-        return () if is_written else cells
+        return () if is_written else tuple(tuple(row) for row in on_grid(self._scenario.npcs, cells))
 
     def _first_existing(self) -> frozenset[Cell]:
         return self._start_cells
+
+    def _has_lane(self, npc: Npc, lane: int) -> bool:
+        return self._network.exists(lane, npc.x)
 
     def _existing(self, ego: Body) -> frozenset[Cell]:
         return self._network.cells(ego.x, ego.lane, (self._row + self._clearance) / self._stretch(ego))
@@ -122,11 +126,14 @@ class NetworkDirector(Director):
         along = self._target(npc, ego) if self._attentive else npc.target
         target = ego.x + along / ego_stretch
         distance = (target - npc.x) * stretch
-        if npc.kept_lane < 0:
+        shift = npc.shift_lane
+        if npc.kept_lane < 0 <= shift:
+            self._keep_shift_lane_if_there(npc, self._network.centre(shift))
+        elif npc.kept_lane < 0:
             exists = self._network.exists(target_lane, target)
             self._keep_lane_if_due(npc, target_lane if exists else -1, distance)
-        if npc.kept_lane >= 0:
-            return self._next_lane(npc, npc.kept_lane, ego), npc.kept_speed
+        if npc.kept_lane >= 0 or shift >= 0:
+            return self._next_lane(npc, npc.kept_lane if npc.kept_lane >= 0 else shift, ego), npc.kept_speed
         goal = self._next_lane(npc, target_lane, ego)
         wanted = ego.speed * stretch / ego_stretch + gap_speed(distance)
         if goal != npc.lane:

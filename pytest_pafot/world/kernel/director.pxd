@@ -20,7 +20,7 @@ cdef class Director:
     cdef readonly list npcs
     cdef public bint skips
     cdef readonly object _scenario, _road
-    cdef object _positions
+    cdef readonly list _on_grid, _in_lanes
     cdef readonly double _clearance, _row, _length
     cdef double _width, _lane_width, _far
     cdef readonly int _tick
@@ -35,16 +35,14 @@ cdef class Director:
     cpdef void command(self, Body ego) except *
 
     @cython.final
-    @cython.locals(npc=Npc)
+    @cython.locals(npc=Npc, gene=int, wanted_lane=int, has_lane=bint)
     cdef _begin_gene(self, Body ego)
+
+    cpdef bint _has_lane(self, Npc npc, int lane) except -1
 
     cpdef object _first_existing(self)
 
     cpdef object _existing(self, Body ego)
-
-    @cython.final
-    @cython.locals(npc=Npc, wanted=int)
-    cdef _begin_shifts(self)
 
     @cython.final
     @cython.locals(npc=Npc)
@@ -77,6 +75,8 @@ cdef class Director:
 
     @cython.locals(beside=bint)
     cpdef void _keep_lane_if_due(self, Npc npc, int target_lane, double distance) except *
+
+    cpdef void _keep_shift_lane_if_there(self, Npc npc, double centre) except *
 
     @cython.locals(lane=int, step=int, other=Npc, beside_ego=bint)
     cpdef int _next_lane(self, Npc npc, int target_lane, Body ego) except -2

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.model.driving_style import AMPLE
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
-from pytest_pafot.model.scenario import LANE_STARTS, Chromosome, LaneInstruction, Scenario, with_cells
+from pytest_pafot.model.scenario import (
+    LANE_STARTS,
+    Chromosome,
+    LaneInstruction,
+    PositionInstruction,
+    Scenario,
+    with_targets,
+)
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import (
     NpcDriver,
@@ -58,7 +65,7 @@ class Npc(Body):
     Attributes:
         index: its index in the scenario.
         chain: its instructions.
-        executed: the cells of the genes that have begun.
+        executed: the cells or lanes of the genes that have begun.
         arrivals: for each gene that has begun, the tick at which the NPC arrived; None if it has not.
         row, column: the row and column of the current cell.
         target: the distance from the ego to the cell's centre along the road [m].
@@ -77,8 +84,8 @@ class Npc(Body):
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
         super().__init__(length, width)
         self.index = index
-        self.chain = chain
-        self.executed: list[Cell] = []
+        self.chain: tuple[Any, ...] = chain
+        self.executed: list[Any] = []
         self.arrivals: list[int | None] = []
         self.row = 0
         self.column = 0
@@ -125,7 +132,8 @@ class Director:
         top_speed = limits.overspeed * road.speed_limit
         self.npcs = [Npc(index, chain, length, width) for index, chain in enumerate(scenario.npcs)]
         self._scenario = scenario
-        self._positions = scenario.positions
+        self._on_grid = [npc for npc in self.npcs if isinstance(npc.chain[0], PositionInstruction)]
+        self._in_lanes = [npc for npc in self.npcs if isinstance(npc.chain[0], LaneInstruction)]
         self.skips = False
         self._road: Any = road
         self._clearance = clearance
@@ -158,14 +166,14 @@ class Director:
     @property
     def executed(self) -> Scenario:
         """The scenario with the genes that have begun as driven, and the later genes as requested."""
-        if all(
-            cell == gene.cell
-            for npc, chain in zip(self.npcs, self._positions, strict=False)
-            for cell, gene in zip(npc.executed, chain, strict=False)
-        ):
-            return self._scenario
         scenario: Scenario = self._scenario
-        return scenario.rechained(with_cells(scenario.npcs, [npc.executed for npc in self.npcs]))
+        on_grid, in_lanes = (
+            [(done, gene) for npc in npcs for done, gene in zip(npc.executed, npc.chain, strict=False)]
+            for npcs in (self._on_grid, self._in_lanes)
+        )
+        if all(cell == gene.cell for cell, gene in on_grid) and all(lane == gene.lane for lane, gene in in_lanes):
+            return scenario
+        return scenario.rechained(with_targets(scenario.npcs, [npc.executed for npc in self.npcs]))
 
     @property
     def driven(self) -> tuple[tuple[Cell, ...], ...]:
@@ -178,18 +186,19 @@ class Director:
         return tuple([tuple(npc.arrivals) for npc in self.npcs])
 
     def first_cells(self) -> tuple[Cell, ...]:
-        """Return the cells of the first gene as executed, in which the NPCs start."""
-        return self._repaired(0, self._first_existing(), list(range(len(self.npcs))))
+        """Return the cells in which the NPCs start; for NPCs on the grid, those of the first gene as executed."""
+        existing = self._first_existing()
+        held = self._repaired(None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0)
+        on_grid = iter(held)
+        free = iter([cell for cell in LANE_STARTS if cell in existing and cell not in held])
+        return tuple([next(on_grid if npc in self._on_grid else free) for npc in self.npcs])
 
     def command(self, ego: Body) -> None:
         """Set acceleration and steering of each NPC for the coming tick."""
         if self._left == 0:
             self._left = self._gene_ticks
             if self._gene < self._genes:
-                if self._positions:
-                    self._begin_gene(ego)
-                else:
-                    self._begin_shifts()
+                self._begin_gene(ego)
                 for npc in self.npcs:  # after its last gene it keeps lane and speed (paper, section 2)
                     if self._gene == len(npc.chain) and npc.kept_lane == NO_LANE:
                         npc.kept_lane = npc.lane
@@ -222,32 +231,36 @@ class Director:
         seen[2 * place + 1] = ego.speed
 
     def _begin_gene(self, ego: Body) -> None:
-        active = [index for index, npc in enumerate(self.npcs) if self._gene < len(npc.chain)]
-        existing = self._existing(ego) if self._gene else self._first_existing()
-        for index, cell in zip(active, self._repaired(self._gene, existing, active), strict=True):
-            npc = self.npcs[index]
+        gene = self._gene
+        active = [npc for npc in self._on_grid if gene < len(npc.chain)]
+        if gene:
+            before, wanted = [npc.executed[-1] for npc in active], [npc.chain[gene].cell for npc in active]
+            cells = self._repaired(before, wanted, self._existing(ego), active, gene)
+        else:
+            cells = tuple([cell for npc, cell in zip(self.npcs, self.first_cells(), strict=True) if npc in active])
+            for npc in self.npcs:
+                npc.heading_for = npc.lane
+        for npc, cell in zip(active, cells, strict=True):
             npc.executed.append(cell)
             npc.arrivals.append(None)
             npc.row, npc.column = cell.row, cell.column
             npc.target = longitudinal_target(cell, self._row, self._clearance)
-            npc.target_speed = npc.chain[self._gene].speed
+            npc.target_speed = npc.chain[gene].speed
             npc.kept_lane = NO_LANE
-        if self._gene == 0:
-            for npc in self.npcs:
-                npc.heading_for = npc.lane
-
-    def _begin_shifts(self) -> None:
-        """Begin Lane-Instructions; if a target lane does not exist, the NPC keeps its own lane."""
-        for npc in self.npcs:
-            instruction = npc.chain[self._gene] if self._gene < len(npc.chain) else None
-            if isinstance(instruction, LaneInstruction):
-                wanted = npc.lane + instruction.column
-                npc.shift_lane = wanted if 0 <= wanted <= self._last_lane else npc.lane
+        for npc in self._in_lanes:
+            if gene < len(npc.chain):
+                instruction = npc.chain[gene]
+                wanted_lane = npc.lane + instruction.column
+                has_lane = self._has_lane(npc, wanted_lane)
+                npc.executed.append(instruction.lane if has_lane else "keep")
+                npc.arrivals.append(None)
+                npc.shift_lane = wanted_lane if has_lane else npc.lane
                 npc.kept_speed = instruction.speed
                 npc.kept_lane = NO_LANE
-                npc.arrivals.append(None)
-                if self._gene == 0:
-                    npc.heading_for = npc.lane
+
+    def _has_lane(self, npc: Npc, lane: int) -> bool:
+        """Return whether a lane exists next to an NPC."""
+        return 0 <= lane <= self._last_lane
 
     def _first_existing(self) -> frozenset[Cell]:
         """Return the cells in which an NPC may start."""
@@ -259,14 +272,15 @@ class Director:
         cells: frozenset[Cell] = self._road.cells(ego.lane)
         return cells
 
-    def _repaired(self, gene: int, existing: frozenset[Cell], active: list[int]) -> tuple[Cell, ...]:
+    def _repaired(
+        self, before: list[Cell] | None, wanted: list[Cell], existing: frozenset[Cell], npcs: list[Npc], gene: int
+    ) -> tuple[Cell, ...]:
+        indices = [npc.index for npc in npcs]
         return repair_gene(
-            [self.npcs[index].executed[-1] for index in active] if gene else None,
-            [self._positions[index][gene].cell for index in active]
-            if self._positions
-            else [Cell(start) for start in LANE_STARTS[: len(active)]],
+            before,
+            wanted,
             existing,
-            lambda position: toss(self._scenario.seed, active[position], gene),
+            lambda position: toss(self._scenario.seed, indices[position], gene),
             skipping=self.skips,
         )
 
@@ -276,9 +290,8 @@ class Director:
         distance = ego.x + target - npc.x
         if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
             self._keep_lane_if_due(npc, ego.lane + npc.column, distance)
-        elif npc.kept_lane == NO_LANE and abs(npc.y - npc.shift_lane * self._lane_width) <= ARRIVED_LATERAL:
-            npc.kept_lane = npc.shift_lane
-            npc.arrivals[-1] = self._tick
+        elif npc.kept_lane == NO_LANE:
+            self._keep_shift_lane_if_there(npc, npc.shift_lane * self._lane_width)
         if npc.kept_lane != NO_LANE:
             wanted_speed = npc.kept_speed
             goal = npc.kept_lane
@@ -380,6 +393,12 @@ class Director:
         if beside and abs(distance) <= self._length / 2.0:
             npc.kept_lane = target_lane
             npc.kept_speed = npc.target_speed
+            npc.arrivals[-1] = self._tick
+
+    def _keep_shift_lane_if_there(self, npc: Npc, centre: float) -> None:
+        """Keep the target lane of a Lane-Instruction if the NPC has arrived; the lane's centre is at ``centre`` [m]."""
+        if abs(npc.y - centre) <= ARRIVED_LATERAL:
+            npc.kept_lane = npc.shift_lane
             npc.arrivals[-1] = self._tick
 
     def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
