@@ -31,6 +31,8 @@ NPCS = 4
 """The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""
 MOST_NPCS = 6
 """The largest number of NPCs in a random scenario. It is lower if the ego is in an outer lane: a cell must be free."""
+LEAST_NPCS = 3
+"""The smallest number of NPCs in a random scenario on a straight road, unless all NPCs are on the grid."""
 MOST_CROSSING = 3
 """The largest number of NPCs in a random scenario on a road where they cross the ego's way.
 
@@ -287,13 +289,13 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     drawn: dict[str, Any] = {}
     if protocol.has_traffic_styles(world):
         drawn["traffic"] = given.get("traffic", Traffic().style)
-    if protocol.has_lane_instructions(world):
+    in_lanes = protocol.has_lane_instructions(world) and given.get("instructions") != "cells"
+    if in_lanes:
         drawn["instructions"] = given.get("instructions", "both")
-    durations = GENE_DURATIONS if drawn.get("instructions", "cells") == "cells" else SLICES
     draws_genes = "genes" not in given and "gene_seconds" not in given
     road = protocol.straight_road(world)
     if road is None:
-        if draws_genes and durations is SLICES:
+        if draws_genes and in_lanes:
             drawn["gene_seconds"] = SLICE
         return drawn | _crossing_space(world, given)
     drawn["patterns"] = True
@@ -304,9 +306,10 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         drawn["npcs"] = npcs
         if "npcs" not in given:
             starts = lanes if draws_lane else [each for each in lanes if each == lane]
+            drawn["least_npcs"] = LEAST_NPCS if in_lanes else 1
             drawn["most_npcs"] = tuple(min(MOST_NPCS, len(road.cells(each)) - 1) for each in starts)
     if draws_genes:
-        drawn["gene_durations"] = durations
+        drawn["gene_durations"] = SLICES if in_lanes else GENE_DURATIONS
     if draws_lane:
         drawn["ego_lanes"] = lanes
     if isinstance(world, Highway) and "ego_speed" not in given:

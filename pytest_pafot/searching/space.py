@@ -70,8 +70,9 @@ class SearchSpace:
         patterns: whether half of the sampled scenarios, and a third of the mutations, are made of
             :data:`~pytest_pafot.searching.patterns.PATTERNS`.
         traffic: how the NPCs drive in all scenarios.
-        most_npcs: largest number of NPCs for each of the ``ego_lanes``; the number is sampled from 1 up to it. If
-            empty, the number is always ``npcs``.
+        most_npcs: largest number of NPCs for each of the ``ego_lanes``; the number is sampled from ``least_npcs`` up to
+            it. If empty, the number is always ``npcs``.
+        least_npcs: smallest number of NPCs if the number is sampled, unless ``most_npcs`` is smaller.
         gene_durations: durations of a gene [s], of which one is sampled for each scenario; if empty, the duration is
             always ``gene_seconds``.
         crossings: the ways that meet the ego's way, from ``world.crossings``; three quarters of all NPCs then drive on
@@ -93,6 +94,7 @@ class SearchSpace:
     patterns: bool = False
     traffic: Traffic = PAPERS
     most_npcs: tuple[int, ...] = ()
+    least_npcs: int = 1
     gene_durations: tuple[float, ...] = ()
     crossings: Crossings | None = None
     acts: tuple[Act, ...] = crossing_traffic.ACTS
@@ -134,6 +136,7 @@ class SearchSpace:
             "acts": crossing_traffic.ACTS,
             "most_on_grid": MOST_ON_GRID,
             "instructions": "cells",
+            "least_npcs": 1,
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 
@@ -153,7 +156,9 @@ class SearchSpace:
         speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
         speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
         lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
-        npcs = f"1 to {max(self.most_npcs)} NPCs" if self.most_npcs else plural(self.npcs, "NPC")
+        npcs = plural(self.npcs, "NPC")
+        if self.most_npcs:
+            npcs = f"{min(self.least_npcs, *self.most_npcs)} to {max(self.most_npcs)} NPCs"
         traffic = f" in {self.traffic.described}" if self.traffic.described else ""
         count = 0 if self.crossings is None else len(self.crossings.ways)
         ways = f", most of them on {count} ways that meet the ego's" if count else ""
@@ -178,7 +183,8 @@ class SearchSpace:
         if not self.draws_start:
             return self
         lane, speed = self.drawn_lane(rng), self.drawn_speed(rng)
-        npcs = int(rng.integers(1, self.most_on(lane) + 1)) if self.most_npcs else self.npcs
+        most = self.most_on(lane)
+        npcs = int(rng.integers(min(self.least_npcs, most), most + 1)) if self.most_npcs else self.npcs
         durations = self.gene_durations
         seconds = durations[int(rng.integers(len(durations)))] if durations else self.gene_seconds
         return self.fixed(lane, speed, npcs, self.genes_of(seconds), seconds)

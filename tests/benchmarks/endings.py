@@ -1,12 +1,13 @@
 """How do random runs end, and whose fault is it? Five sound policies in the traffic of each style.
 
     python -m tests.benchmarks.endings [--policies NAME ...] [--styles paper hostile ...] [--runs 2000] [--first-seed 0]
-        [--workers 2]
+        [--instructions both] [--workers 2]
 
-The scenarios are sampled as in the default search, in traffic of the style. Prints for each policy and style how many
-runs passed, how many ended in a collision for which the ego or an NPC is responsible, by the ego's side that was hit,
-how many ended otherwise, their mean length, and how many of the genes that began reached their cell, with the cell
-behind listed separately. The planner FISS has a tenth of the runs, because each takes seconds.
+The scenarios are sampled as in the default search, in traffic of the style and with instructions of the given kind.
+Prints for each policy and style how many runs passed, how many ended in a collision for which the ego or an NPC is
+responsible, by the ego's side that was hit, how many ended otherwise, their mean length, and how many of the
+Position-Instructions that began reached their cell, with the cell behind listed separately. The planner FISS has a tenth
+of the runs, because each takes seconds.
 """
 
 from __future__ import annotations
@@ -44,18 +45,20 @@ SLOW = "fiss"
 SIDES = ("front", "rear", "left", "right")
 
 
-def counted(pair: tuple[str, str], tenth: int, runs: int, first_seed: int) -> Counter[str]:
+def counted(pair: tuple[str, str], tenth: int, runs: int, first_seed: int, instructions: str) -> Counter[str]:
     """Count the endings of the runs of some scenarios."""
     policy, style = pair
     world, ads = pafot.Highway(ads_hz=15), POLICIES[policy]()
-    space = space_on(world, {**drawn_space(world, {}), "traffic": Traffic.of(style)})
+    space = space_on(world, {**drawn_space(world, {"instructions": instructions}), "traffic": Traffic.of(style)})
     counts: Counter[str] = Counter()
     size = max(runs // TENTHS // (TENTHS if policy == SLOW else 1), 1)
     for number in range(tenth * size, (tenth + 1) * size):
         run = pafot.Run(world.rollout(sample(space, np.random.default_rng([first_seed, number])), ads))
         counts.update({"runs": 1, "seconds": run.duration, ending(run): 1})
-        for chain, cells in zip(run.trace.arrivals, run.trace.executed.positions, strict=True):
-            for arrived, gene in zip(chain, cells, strict=False):
+        for chain, genes in zip(run.trace.arrivals, run.trace.executed.npcs, strict=True):
+            for arrived, gene in zip(chain, genes, strict=False):
+                if not isinstance(gene, pafot.PositionInstruction):
+                    continue
                 name = "behind" if gene.cell is Cell.REAR else "cell"
                 counts.update({name: 1, f"{name} reached": arrived is not None})
     return counts
@@ -82,13 +85,13 @@ def row(policy: str, style: str, counts: Counter[str]) -> str:
 
 
 def main() -> None:
-    given = options(__doc__, policies=POLICIES, styles=STYLES, runs=2000, first_seed=0, workers=2)
+    given = options(__doc__, policies=POLICIES, styles=STYLES, runs=2000, first_seed=0, instructions="both", workers=2)
     print_head(
         "policy", "traffic", "safe", "the ego's fault", "an NPC's: rear", "side", "front", "other", "invalid",
         "mean [s]", "cells reached", "the cell behind",
     )  # fmt: skip
     pairs = product(given.policies, given.styles)
-    more = given.runs, given.first_seed
+    more = given.runs, given.first_seed, given.instructions
     for (policy, style), parts in in_processes(given.workers, counted, pairs, range(TENTHS), *more):
         print(row(policy, style, sum(parts, Counter())), flush=True)
 

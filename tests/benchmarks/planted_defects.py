@@ -51,6 +51,9 @@ ARMS: Mapping[str, Mapping[str, Any]] = {
     DEFAULT: {},
     "random": {"algorithm": RandomSearch},
     "pafot": {"algorithm": PafotSearch},
+    "cells": {"instructions": "cells"},
+    "lanes": {"instructions": "lanes"},
+    "random-cells": {"algorithm": RandomSearch, "instructions": "cells"},
 }
 """Further arguments of ``pafot.explore`` for each search; to add a search, add a line."""
 
