@@ -9,7 +9,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import MOST_ON_GRID
 from tests.helpers.road_cases import world_of
 
-RUNS = {"runs": 16, "seed": 3, "blame": "ego", "shrink_rollouts": 40}
+RUNS = {"runs": 16, "seed": 1, "blame": "ego", "shrink_rollouts": 40}
 
 
 class Steady:
@@ -51,7 +51,7 @@ def test_search_finds_collisions_from_several_sides(found):
     assert {each.expect.zone for each in found.findings} >= {"crossing from the left", "oncoming from ahead"}
     assert any(each.startswith("did-not-give-way-left-") for each in ids)
     assert "slots at zones" in found.summary.coverage
-    assert found.summary.drawn.startswith("1 to 3 NPCs in hostile traffic, most of them on 6 ways that meet the ego's")
+    assert found.summary.drawn.startswith("1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic, most of")
     assert found.summary.notes == ()
 
 

@@ -285,8 +285,8 @@ def mistakes(tmp_path_factory):
 
 def mistakes_of_one_who_changes_blindly(**settings):
     return pafot.explore(
-        ChangesLanesBlindly, holds=never_collides, world=SHORT_ROAD, blame="ego", genes=2, npcs=2, ego_lane=1,
-        ego_speed=22, runs=32, population=4, shrink_rollouts=20, **settings,
+        ChangesLanesBlindly, holds=never_collides, world=SHORT_ROAD, blame="ego", instructions="cells", genes=2, npcs=2,
+        ego_lane=1, ego_speed=22, runs=32, population=4, shrink_rollouts=20, **settings,
     )  # fmt: skip
 
 

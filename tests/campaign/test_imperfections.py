@@ -55,8 +55,8 @@ def no_collision(run):
 @pytest.mark.parametrize(
     ("planner", "seed", "imperfections", "sentence"),
     [
-        (Careful, 1, {"latency": 1.5, "occlusion": True}, "only with 1.5 s of latency"),
-        (Debouncing, 2, {"noise": {"position": 2.0}}, "only with noise of 2 m"),
+        (Careful, 15, {"latency": 1.5, "occlusion": True}, "only with 1.5 s of latency"),
+        (Debouncing, 1, {"noise": {"position": 2.0}}, "only with noise of 2 m"),
         oracle(GhostFiltering, 13, {"occlusion": True}, "only with occlusion"),
         (Oblivious, 0, {"latency": 0.3, "occlusion": True}, "fails also with perfect sight"),
     ],

@@ -73,7 +73,7 @@ def test_collision_is_avoidable_until_last_successful_braking():
 
 def test_excused_collision_has_the_driver_that_escapes_it():
     world = Highway(duration=30.0)
-    found = pafot.explore(constant_speed.make, holds=is_not_hit, world=world, seed=2, runs=60, shrink_rollouts=0)
+    found = pafot.explore(constant_speed.make, holds=is_not_hit, world=world, seed=0, runs=60, shrink_rollouts=0)
     told = next(each for each in found.told if each.finding.expect.escaped_by is not None)
     run, escape = told.run, told.finding.expect.escaped_by
     assert run.responsibility == "npc"

@@ -14,7 +14,7 @@ def no_collision(run):
 
 def explored(**arguments):
     return pafot.explore(
-        constant_speed.make, holds=no_collision, seed=5, shrink_rollouts=0, gene_seconds=5.0, genes=2, **arguments
+        constant_speed.make, holds=no_collision, seed=0, shrink_rollouts=0, gene_seconds=5.0, genes=2, **arguments
     )
 
 

@@ -25,6 +25,7 @@ SHORT = {
     "genes": 2,
     "gene_seconds": 5,
     "npcs": 2,
+    "seed": 7,
     "shrink_rollouts": 2,
     "node_id": "test_it.py::test_it",
 }
@@ -231,7 +232,7 @@ def refused(search, match, **options):
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"seed": 7}, "seed 0 in the file, 7 now"),
+        ({"seed": 6}, "seed 7 in the file, 6 now"),
         ({"population": 5}, "algorithm.population 4 in the file, 5 now"),
         ({"algorithm": "random"}, "algorithm.name 'distinct' in the file, 'random' now"),
         ({"npcs": 3}, "space.npcs 2 in the file, 3 now"),
