@@ -6,8 +6,8 @@
 The scenarios are sampled as in the default search, in traffic of the style and with instructions of the given kind.
 Prints for each policy and style how many runs passed, how many ended in a collision for which the ego or an NPC is
 responsible, by the ego's side that was hit, how many ended otherwise, their mean length, and how many of the
-Position-Instructions that began reached their cell, with the cell behind listed separately. The planner FISS has a tenth
-of the runs, because each takes seconds.
+Position-Instructions that began reached their cell, with the cell behind listed separately. The planner FISS has a
+tenth of the runs, because each takes seconds.
 """
 
 from __future__ import annotations

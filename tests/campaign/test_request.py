@@ -76,8 +76,8 @@ def test_most_npcs_cross_where_ways_meet():
     world = World("intersection-v0")
     drawn = space_of(world)
     assert (drawn.crossings, drawn.most_npcs, drawn.most_on_grid) == (world.crossings, (3,), 2)
-    told = "1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic, most of them on 6 ways that meet the ego's"
-    assert drawn.described.startswith(f"{told}; the")
+    told = "1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic, most of them on 6 ways that meet the ego"
+    assert drawn.described.startswith(f"{told}'s; the")
     assert space_of(world, npcs=3, acts=("pass", "late")).most_npcs == ()
     assert space_of(world, acts=("pass", "late")).acts == ("pass", "late")
     for algorithm in ("pafot", "cma-es"):
