@@ -181,10 +181,10 @@ def test_the_repr_shows_the_chains_on_one_line():
     [
         ({"npcs": []}, "npcs: expected 1 to 8 NPCs, one per cell at most, received 0"),
         ({"npcs": [[one()]] * 9}, "npcs: expected 1 to 8 NPCs, one per cell at most, received 9"),
-        ({"npcs": [[one()], []]}, "npcs[1]: expected at least one Position-Instruction, received an empty chain"),
-        ({"npcs": [[(2, 20.0)]]}, "npcs[0][0]: expected a PositionInstruction, received (2, 20.0); write Position"),
-        ({"npcs": [one()]}, "npcs: expected one chain of Position-Instructions per NPC, received [Position"),
-        ({"npcs": None}, "npcs: expected one chain of Position-Instructions per NPC, received None; write [["),
+        ({"npcs": [[one()], []]}, "npcs[1]: expected at least one instruction, received an empty chain"),
+        ({"npcs": [[(2, 20.0)]]}, "a LaneInstruction or a CrossingInstruction, received (2, 20.0); write Position"),
+        ({"npcs": [one()]}, "npcs: expected one chain of instructions per NPC, received [Position"),
+        ({"npcs": None}, "npcs: expected one chain of instructions per NPC, received None; write [["),
         ({"seed": -1}, "seed: expected a whole number from 0 to 9223372036854775807, received -1"),
         ({"seed": 2**63}, "seed: expected a whole number from 0 to 9223372036854775807, received 9223372036854775808"),
         ({"seed": 1.5}, "seed: expected a whole number"),
@@ -283,11 +283,8 @@ class TestLaneInstructions:
             == 3
         )
 
-    @pytest.mark.parametrize(
-        "chains", [([one()], [LaneInstruction("keep", 1.0)]), ([one(), LaneInstruction("keep", 1.0)],)]
-    )
-    def test_mixed_kinds_of_genes_are_refused_with_place(self, chains):
-        with pytest.raises(
-            ScenarioError, match=r"npcs\[[01]\]\[[01]\]: expected a PositionInstruction like npcs\[0\]\[0\]"
-        ):
-            Scenario(npcs=chains)
+    def test_chain_of_both_kinds_is_refused_with_its_place(self):
+        in_lanes = [LaneInstruction("keep", 1.0)]
+        assert Scenario(npcs=[[one()], in_lanes]).npcs == ((one(),), tuple(in_lanes))
+        with pytest.raises(ScenarioError, match=r"npcs\[1\]\[1\]: expected a PositionInstruction like npcs\[1\]\[0\]"):
+            Scenario(npcs=[in_lanes, [one(), *in_lanes]])
