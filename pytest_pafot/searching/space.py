@@ -67,8 +67,8 @@ class SearchSpace:
             ``ego_lane`` is the lane that the shrinker prefers.
         ego_speeds: lowest and highest first speed [m/s], between which it is sampled in steps of 0.1 m/s; if None, it
             is always ``ego_speed``. Otherwise ``ego_speed`` is the speed that the shrinker prefers.
-        patterns: whether half of the sampled scenarios, and a third of the mutations, are made of
-            :data:`~pytest_pafot.searching.patterns.PATTERNS`.
+        patterns: whether half of the sampled scenarios, and a third of the mutations, have
+            :data:`~pytest_pafot.searching.patterns.PATTERNS` in chains of Position-Instructions.
         traffic: how the NPCs drive in all scenarios.
         most_npcs: largest number of NPCs for each of the ``ego_lanes``; the number is sampled from 1 up to it. If
             empty, the number is always ``npcs``.

@@ -155,10 +155,11 @@ class TestScenarios:
             ([[crosses(), crosses()]], "npcs[0][1]: expected one CrossingInstruction"),
             ([[crosses(), one()]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
             ([[one(), crosses()]], "npcs[0][1]: expected a PositionInstruction like npcs[0][0]"),
-            ([[LaneInstruction("keep", 1), crosses()]], "npcs[0][1]: expected a LaneInstruction like npcs[0][0]"),
+            ([[LaneInstruction("keep", 1)], [crosses()]], "npcs[1][0]: expected a LaneInstruction like npcs[0][0]"),
+            ([[crosses()], [LaneInstruction("keep", 1)]], "npcs[1][0]: expected a CrossingInstruction like"),
         ],
     )
-    def test_crossing_npc_has_one_instruction_and_no_others(self, npcs, message):
+    def test_crossing_npc_has_one_instruction_and_no_lanes(self, npcs, message):
         with pytest.raises(ScenarioError, match=re.escape(message)):
             Scenario(npcs=npcs)
 

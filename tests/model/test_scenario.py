@@ -283,8 +283,11 @@ class TestLaneInstructions:
             == 3
         )
 
-    def test_chain_of_both_kinds_is_refused_with_its_place(self):
-        in_lanes = [LaneInstruction("keep", 1.0)]
-        assert Scenario(npcs=[[one()], in_lanes]).npcs == ((one(),), tuple(in_lanes))
-        with pytest.raises(ScenarioError, match=r"npcs\[1\]\[1\]: expected a PositionInstruction like npcs\[1\]\[0\]"):
-            Scenario(npcs=[in_lanes, [one(), *in_lanes]])
+    @pytest.mark.parametrize(
+        "chains", [([one()], [LaneInstruction("keep", 1.0)]), ([one(), LaneInstruction("keep", 1.0)],)]
+    )
+    def test_mixed_kinds_of_genes_are_refused_with_place(self, chains):
+        with pytest.raises(
+            ScenarioError, match=r"npcs\[[01]\]\[[01]\]: expected a PositionInstruction like npcs\[0\]\[0\]"
+        ):
+            Scenario(npcs=chains)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.model.grid import Cell, is_adjacent
-from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest
@@ -179,14 +179,6 @@ def test_nsga2_compares_scenarios_of_different_sizes_by_time(make_evaluation):
     both = Scenario(npcs=[[ahead] * 4, [left] * 4], gene_seconds=5.0)
     values = objectives([make_evaluation(each) for each in (alone, split, both)])
     assert values[:, 2].tolist() == [0.0, 0.0, -0.5]
-
-
-def test_nsga2_compares_lanes_of_lane_instructions(make_evaluation):
-    from pytest_pafot.searching.algorithms.nsga2 import objectives
-
-    keeps, changes = ([[LaneInstruction(lane, 20.0), LaneInstruction("keep", 9.0)]] for lane in ("keep", "left"))
-    values = objectives([make_evaluation(Scenario(npcs=npcs)) for npcs in (keeps, changes)])
-    assert values[:, 2].tolist() == [-0.5, -0.5]
 
 
 def test_map_elites_retains_fittest_of_each_impact_kind(make_evaluation, make_population):

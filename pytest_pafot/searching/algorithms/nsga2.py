@@ -97,8 +97,8 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
 
     They are minus the fitness, minus the closing speed at the impact [m/s] and minus the novelty, then the margin of
     each check that any of the runs evaluated, sorted by name. Novelty is the share of genes in which a scenario, as
-    driven, differs from the most similar other scenario: in the cell or lane, in the zone or slot, or by an NPC that
-    only one of the two has.
+    driven, differs from the most similar other scenario: in the cell, in the zone or slot, or by an NPC that only one
+    of the two has.
     """
     cells = cells_of(evaluations)
     one, other = cells[:, None, :], cells[None, :, :]
@@ -116,10 +116,9 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
 
 
 def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
-    """Return the driven cells, shape [evaluations, npcs * genes], in steps of the shortest gene; 0 for no instruction.
+    """Return the driven cells, shape [evaluations, npcs * genes], in steps of the shortest gene; 0 for no cell.
 
-    From 9 on there is a number for each lane of a Lane-Instruction, and for each zone and slot, of which an NPC that
-    crosses has a single one.
+    An NPC that crosses has a single number, from 9 on, for its zone and slot.
     """
     shortest = min(each.executed.gene_seconds for each in evaluations)
     chains = [[retimed(chain, each.executed.gene_seconds, shortest) for chain in each.chains] for each in evaluations]
@@ -135,4 +134,4 @@ def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
 def _number(gene: Gene, places: dict[tuple[str, str], int]) -> int:
     if isinstance(gene, CrossingInstruction):
         return 9 + places.setdefault((gene.zone, slot_name(gene.slot)), len(places))
-    return gene.cell if isinstance(gene, PositionInstruction) else 9 + places.setdefault((gene.lane, ""), len(places))
+    return gene.cell if isinstance(gene, PositionInstruction) else 0
