@@ -77,6 +77,9 @@ MARKER_TEXTS: Mapping[str, str] = {
     '`"ego"`, and a failed assertion is a failure only if a reference driver would have prevented it.',
     "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
     '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
+    "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
+    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), or `"both"`, in which each NPC has '
+    "either kind with equal probability.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Meanings of arguments that no docstring explains."""
@@ -86,8 +89,9 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "world": "-",
     "genes": "as many as fill the run",
     "npcs": "sampled, or `2`",
-    "gene_seconds": "sampled, `10.0`, or by the length of a run",
+    "gene_seconds": "sampled, `3.0`, `10.0`, or by the length of a run",
     "traffic": '`"hostile"`, or `"paper"`',
+    "instructions": '`"both"`, or `"cells"`',
     "ego_lane": "sampled, `1`, or as in the environment",
     "ego_speed": "sampled, `22.0`, or as in the environment",
 }
@@ -106,15 +110,14 @@ FILE_TEXTS: Mapping[str, str] = {
     "and its `data`.",
     "scenario.seed": "Seed of the repair inside the run.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which the ego and "
-    "all NPCs on the grid start.",
+    "all NPCs that do not cross start.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
     "scenario.traffic": "How the NPCs drive within their instructions: `hostile`, `assertive` or `everyday` "
     "([what they "
     "mean](../explanation/traffic.md)); with separate parts, `{style: everyday, least_gap: 4.0}`. If it is "
     "not given, they drive as in the paper.",
-    "scenario.npcs": "One list per NPC. It has Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]. "
-    "In findings of "
-    "algorithms that know no grid, it has Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`. "
+    "scenario.npcs": "One list per NPC. It has Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]; or "
+    "Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`. "
     "An NPC that meets the ego where ways cross has one Crossing-Instruction `{zone, slot, speed, act}`: the "
     "entry and exit of its way, the slot [s] after the ego (negative: before it), and the act, `pass` if it "
     "is not given.",

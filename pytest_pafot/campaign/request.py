@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypedDict
@@ -268,7 +269,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected a world whose NPCs have styles, received {world!r:.100}, which declares none; leave traffic "
                 "out, or write has_traffic_styles = True in its class if its NPCs keep to scenario.traffic",
             )
-        drawn = {} if request.algorithm.is_papers else drawn_space(world, request.space)
+        drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
         space = space_on(world, {**drawn, **request.space}, protocol.road_start(world))
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error before the search begins
@@ -296,7 +297,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     road = protocol.straight_road(world)
     if road is None:
         if draws_genes and in_lanes:
-            drawn["gene_seconds"] = SLICE
+            drawn |= {"gene_seconds": SLICE, "genes": max(1, math.ceil(world.longest_run / SLICE - 1e-9))}
         return drawn | _crossing_space(world, given)
     drawn["patterns"] = True
     npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)

@@ -153,7 +153,7 @@ class Plan:
         found: dict[str, list[str]] = {}
         for name in self.names:
             _, space = self.setting(name)
-            patterns = "; half of them are made of dangerous patterns" if space.patterns else ""
+            patterns = "; half of them have dangerous patterns" if space.patterns else ""
             drawn, whole = space.gene_durations, round(space.genes * space.gene_seconds, 1)
             genes = f"{plural(space.genes, 'gene')} of {round(space.gene_seconds, 1):g} s"
             if drawn:

@@ -413,11 +413,11 @@ class NpcSignals(_Vehicle):
 
     @property
     def zone(self) -> Zone | None:
-        """The zone where the NPC's way meets the ego's; None for an NPC on the grid."""
+        """The zone where the NPC's way meets the ego's; None for an NPC that does not cross."""
         zones = self._signals.trace.zones
         return zones[self._npc or 0] if zones else None
 
     @property
     def passage(self) -> Passage | None:
-        """The times at which the NPC and the ego were in the zone of their ways; None for an NPC on the grid."""
+        """The times at which the NPC and the ego were in the zone of their ways; None if it does not cross."""
         return passages(self._signals.trace)[self._npc or 0]

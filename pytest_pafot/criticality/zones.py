@@ -54,7 +54,7 @@ class Passage:
 
 
 def passages(trace: Trace) -> tuple[Passage | None, ...]:
-    """Return, for each NPC, the passage of the zone where its way meets the ego's; None for an NPC on the grid.
+    """Return, for each NPC, the passage of the zone where its way meets the ego's; None if it does not cross.
 
     None, too, if a user's world records zones but not the vehicles' positions on their ways.
     """
@@ -66,7 +66,7 @@ def time_advantage(trace: Trace) -> FloatArray:
     """Return the post-encroachment time that would result if ego and NPC kept their speeds [s]; lower is worse.
 
     Shape [ticks + 1, NPCs]. 0 if both would be in the zone at the same time. Infinite if one of them would never reach
-    the zone, and for an NPC on the grid. After a vehicle has entered or left the zone, the actual time is used.
+    the zone, and for an NPC that does not cross. After a vehicle has entered or left the zone, the actual time is used.
     """
     advantage = np.full((trace.ticks + 1, trace.states.shape[1] - 1), np.inf)
     for npc, zone in enumerate(trace.zones):
@@ -89,7 +89,7 @@ def time_advantage(trace: Trace) -> FloatArray:
 def still_to_pass(trace: Trace) -> npt.NDArray[np.bool_]:
     """Return whether neither ego nor NPC has left the zone of their ways yet, shape [ticks + 1, NPCs].
 
-    False for an NPC on the grid.
+    False for an NPC that does not cross.
     """
     ticks = np.arange(trace.ticks + 1)[:, None]
     left = [0.0 if each is None else min(each.ego_leaves, each.npc_leaves) for each in passages(trace)]

@@ -121,7 +121,7 @@ class Situation:
 
     @classmethod
     def of(cls, run: Run, failure: Failure, npc: int, time: float) -> Self:
-        """Return the situation from which a failure at a time [s] arose that concerns an NPC on the grid.
+        """Return the situation from which a failure at a time [s] arose that concerns an NPC that does not cross.
 
         The moment is when the ego made its mistake (:func:`tick_of_mistake`); if that is unknown, 2 s before ``time``.
         If the ego was changing lanes then, or braking for nothing, it is the last moment before it began to. Otherwise,

@@ -1,4 +1,4 @@
-"""Position-Instructions, chromosomes and scenarios, which a search evolves and a corpus file stores.
+"""Instructions, chromosomes and scenarios, which a search evolves and a corpus file stores.
 
 Position-Instructions place an NPC around the ego, Lane-Instructions make it change lanes wherever the ego is, and a
 Crossing-Instruction sends it across or into the ego's way. All genes of a chain are of one kind, and the NPCs of a
@@ -248,7 +248,7 @@ class Scenario:
         seed: seed of all random choices in the run, such as those that repair chains and the noise of the sight, 0 to
             2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of the ego and of all NPCs on the grid [m/s].
+        ego_speed: first speed of the ego and of all NPCs that do not cross [m/s].
         gene_seconds: duration of one gene [s].
         traffic: driving style of the NPCs; the paper's by default.
 
@@ -466,18 +466,19 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
     try:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
-        expected = "one chain of Position-Instructions per NPC"
+        expected = "one chain of instructions per NPC"
         fix = "write [[PositionInstruction(cell, speed), ...], ...]"
         raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
     if not 1 <= len(chains) <= 8:
         raise ScenarioError(field="npcs", expected="1 to 8 NPCs, one per cell at most", received=str(len(chains)))
     for npc, chain in enumerate(chains):
         if not chain:
-            expected = "at least one Position-Instruction"
+            expected = "at least one instruction"
             raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received="an empty chain")
         for gene, each in enumerate(chain):
             if not isinstance(each, (PositionInstruction, LaneInstruction, CrossingInstruction)):
-                expected, fix = "a PositionInstruction", "write PositionInstruction(cell, speed)"
+                expected = "a PositionInstruction, a LaneInstruction or a CrossingInstruction"
+                fix = "write PositionInstruction(cell, speed), or LaneInstruction(lane, speed)"
             elif type(each) is not (kind := type(chain[0])):
                 expected = f"a {kind.__name__} like npcs[{npc}][0]"
                 fix = "give an NPC instructions of one kind"

@@ -149,10 +149,10 @@ class Trace(Drawn):
             [rad], offset from the centre of the vehicle's lane [m], metres that the vehicle drives per metre of the
             way (more on the outside of a bend). NaN for an NPC that crosses, while it is not on the ego's way. None on
             straight roads, where ``lanes`` is enough.
-        zones: for each NPC the zone in which its way meets the ego's, None for an NPC on the grid; empty if no NPC
-            crosses.
+        zones: for each NPC the zone in which its way meets the ego's, None for an NPC that does not cross; empty if no
+            NPC crosses.
         on_way: position of each NPC that crosses, along its own way [m]; float64, read-only, shape [ticks + 1, NPCs],
-            NaN for NPCs on the grid. None if no NPC crosses.
+            NaN for NPCs that do not cross. None if no NPC crosses.
         driven: for each NPC and started gene, the cell that the NPC drove to. It differs from ``executed`` if cells
             that the road does not have were skipped, which no chain can express. Empty if it equals ``executed``.
     """

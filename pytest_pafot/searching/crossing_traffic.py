@@ -1,6 +1,6 @@
 """NPCs on ways that cross the ego's: their instructions are sampled and varied so that these NPCs do not conflict.
 
-NPCs on the grid are not checked for conflicts, because the ego determines where they drive.
+NPCs that do not cross are not checked for conflicts, because where they drive depends on the ego.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class CrossingTraffic:
         crossings: the ways of the world.
         acts: acts that are sampled.
         low, high: lowest and highest target speed [m/s]; bends of a way may limit it further.
-        most_on_grid: largest number of NPCs on the grid in the same scenario; each needs a cell to start in.
+        most_on_grid: largest number of NPCs that do not cross in the same scenario; each needs a cell to start in.
     """
 
     crossings: Crossings
@@ -100,11 +100,11 @@ class CrossingTraffic:
         return self.crossings.fits(instruction) and not any(self.crossings.clash(instruction, each) for each in others)
 
     def cleared(self, npcs: Sequence[Chromosome], rng: Generator) -> tuple[Chromosome, ...]:
-        """Return the chains without conflicts between crossing NPCs, and with at most ``most_on_grid`` on the grid.
+        """Return the chains without conflicts between crossing NPCs, and with at most ``most_on_grid`` others.
 
         An instruction that conflicts with an earlier chain is sampled again, at first with the same way, speed and act.
         If that does not help, the NPC arrives as long after the ego as possible. If that conflicts as well, the NPC is
-        left out. An NPC without room on the grid crosses instead. No random number is used if everything fits.
+        left out. An NPC without a cell to start in crosses instead. No random number is used if everything fits.
         """
         kept: list[Chromosome] = []
         told: list[CrossingInstruction] = []

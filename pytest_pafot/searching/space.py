@@ -43,12 +43,12 @@ LEAST_GENES = 3
 CROSSING = 0.75
 """Share of the NPCs that cross the ego's way, turn across it or join it, if the world has ways that do so."""
 MOST_ON_GRID = 2
-"""Largest number of NPCs on the grid next to NPCs that cross: one ahead of the ego and one behind it in one lane."""
+"""Largest number of NPCs next to those that cross: one ahead of the ego and one behind it in one lane."""
 
 Instructions = Literal["cells", "lanes", "both"]
-"""The kinds of instructions of NPCs on the ego's way: Position-Instructions, Lane-Instructions, or either."""
+"""The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, or either."""
 LANE_SHARES: Mapping[Instructions, float] = MappingProxyType({"cells": 0.0, "lanes": 1.0, "both": 0.5})
-"""Probability with which an NPC on the ego's way has Lane-Instructions."""
+"""Probability with which an NPC that does not cross has Lane-Instructions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,18 +57,18 @@ class SearchSpace:
 
     Attributes:
         npcs: number of NPCs in a scenario, 1 to 8, unless it is sampled.
-        genes: number of Position-Instructions of each NPC.
+        genes: number of instructions of each NPC that does not cross.
         gene_seconds: duration of one gene [s]. If it is sampled, the number of genes varies as well, so that all genes
             together last equally long.
         speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
         ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of the ego and of all NPCs on the grid [m/s].
+        ego_speed: first speed of the ego and of all NPCs that do not cross [m/s].
         ego_lanes: lanes from which the ego's first lane is sampled; if empty, it is always ``ego_lane``. Otherwise
             ``ego_lane`` is the lane that the shrinker prefers.
         ego_speeds: lowest and highest first speed [m/s], between which it is sampled in steps of 0.1 m/s; if None, it
             is always ``ego_speed``. Otherwise ``ego_speed`` is the speed that the shrinker prefers.
-        patterns: whether half of the sampled scenarios, and a third of the mutations, are made of
-            :data:`~pytest_pafot.searching.patterns.PATTERNS`.
+        patterns: whether half of the sampled scenarios, and a third of the mutations, have
+            :data:`~pytest_pafot.searching.patterns.PATTERNS` in chains of Position-Instructions.
         traffic: how the NPCs drive in all scenarios.
         most_npcs: largest number of NPCs for each of the ``ego_lanes``; the number is sampled from ``least_npcs`` up to
             it. If empty, the number is always ``npcs``.
@@ -76,11 +76,11 @@ class SearchSpace:
         gene_durations: durations of a gene [s], of which one is sampled for each scenario; if empty, the duration is
             always ``gene_seconds``.
         crossings: the ways that meet the ego's way, from ``world.crossings``; three quarters of all NPCs then drive on
-            them. None if all NPCs are on the grid.
+            them. None if no NPC crosses.
         acts: acts of the NPCs on ways that meet the ego's way: any of ``pass``, ``hold``, ``stop`` and ``late``.
-        most_on_grid: largest number of NPCs on the grid if other NPCs cross; each needs a cell to start in.
-        instructions: the instructions of NPCs on the ego's way: ``"cells"``, ``"lanes"``, or ``"both"``, by which each
-            NPC has either kind with equal probability.
+        most_on_grid: largest number of NPCs that do not cross if others do; each needs a cell to start in.
+        instructions: the instructions of the NPCs that do not cross: ``"cells"`` (Position-Instructions), ``"lanes"``
+            (Lane-Instructions), or ``"both"``, in which each NPC has either kind with equal probability.
     """
 
     npcs: int = 2
@@ -104,7 +104,7 @@ class SearchSpace:
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
         object.__setattr__(self, "npcs", npcs)
-        genes = checked_whole(self.genes, "genes", "at least one Position-Instruction per NPC", least=1)
+        genes = checked_whole(self.genes, "genes", "at least one instruction per NPC", least=1)
         object.__setattr__(self, "genes", genes)
         expected = f"seconds, more than 0 and at most {LONGEST_GENE:g}"
         checked_number(self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE)
@@ -167,7 +167,7 @@ class SearchSpace:
 
     @property
     def crossing_traffic(self) -> CrossingTraffic | None:
-        """The distribution of the instructions of crossing NPCs; None if all NPCs are on the grid."""
+        """The distribution of the instructions of crossing NPCs; None if no NPC crosses."""
         if self.crossings is None:
             return None
         low, high = self.low_step / SPEED_STEPS_PER_MPS, self.top_step / SPEED_STEPS_PER_MPS
@@ -253,12 +253,12 @@ def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int]
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a valid scenario.
 
-    The start, the number of NPCs and the duration of genes are sampled first, if the space varies them. Then each NPC
-    gets Lane-Instructions, if the space has them: keep, left or right, with uniform speeds up to the limit. The others
-    begin in random distinct cells and walk on the ring: each stays in its cell or steps to either side with equal
-    probability. A step into a cell that a different NPC holds is repaired. Speeds are uniform
-    over the steps of 0.1 m/s up to the limit. If the space has patterns, half of the scenarios are made of patterns
-    instead of walks, and repaired in the same way.
+    The start, the number of NPCs and the duration of genes are sampled first, if the space varies them, then the kind
+    of each NPC's instructions. NPCs with Position-Instructions begin in random distinct cells and walk on the ring:
+    each stays in its cell or steps to either side with equal probability. A step into a cell that a different NPC holds
+    is repaired. If the space has patterns, half of the scenarios have patterns instead of walks, repaired in the same
+    way. Lane-Instructions keep the lane or change it to either side with equal probability. Speeds are uniform over the
+    steps of 0.1 m/s up to the limit.
 
     If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
     """

@@ -58,7 +58,7 @@ class Rules:
         return None if self.junction is None else self.junction.crossings
 
     def ways(self, scenario: Scenario) -> list[CrossingWay | None]:
-        """Return the way of each crossing NPC, None for each NPC on the grid; empty if no NPC crosses."""
+        """Return the way of each crossing NPC, None for each other NPC; empty if no NPC crosses."""
         known = {} if self.junction is None else self.junction.ways
         return [None if each is None else known[each.zone] for each in scenario.crossings]
 
@@ -118,7 +118,7 @@ class Rules:
         cells, crossings = self.start_cells(scenario), scenario.crossings
         on_grid = crossings.count(None) if crossings else len(scenario.npcs)
         if on_grid > len(cells):
-            kind = " on the grid" if crossings else ""
+            kind = " that do not cross" if crossings else ""
             expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"
             raise ScenarioError(field="npcs", expected=expected, received=str(on_grid))
         self._check_speeds(scenario)
@@ -146,7 +146,7 @@ class Rules:
     def _check_crossing(self, place: str, instruction: CrossingInstruction) -> None:
         crossings = self.crossings
         if crossings is None:
-            expected = "Position-Instructions on a road on which no way of other traffic meets the ego's way"
+            expected = "Position- or Lane-Instructions on a road on which no way of other traffic meets the ego's way"
             fix = 'give NPCs PositionInstruction(cell, speed), or use a world with crossings, such as "intersection-v0"'
             raise ScenarioError(field=place, expected=expected, received=instruction.goal, fix=fix)
         if instruction.zone not in crossings.ways:

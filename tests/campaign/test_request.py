@@ -6,9 +6,10 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, World
 from pytest_pafot.campaign.explore import request_of
-from pytest_pafot.campaign.request import RequestError, build_space
+from pytest_pafot.campaign.request import RequestError, build_space, drawn_space
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching.space import sample
+from pytest_pafot.searching.algorithms.random_search import RandomSearch
+from pytest_pafot.searching.space import SearchSpace, sample
 from tests.helpers.tables import table
 
 ANY_LANE, ANY_SPEED = (0, 1, 2, 3), (12.0, 26.8)
@@ -76,13 +77,38 @@ def test_most_npcs_cross_where_ways_meet():
     world = World("intersection-v0")
     drawn = space_of(world)
     assert (drawn.crossings, drawn.most_npcs, drawn.most_on_grid) == (world.crossings, (3,), 2)
-    told = "1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic, most of them on 6 ways that meet the ego"
-    assert drawn.described.startswith(f"{told}'s; the")
+    assert drawn.described.startswith(
+        "1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic, most of them on 6 ways that "
+    )
     assert space_of(world, npcs=3, acts=("pass", "late")).most_npcs == ()
     assert space_of(world, acts=("pass", "late")).acts == ("pass", "late")
     for algorithm in ("pafot", "cma-es"):
         assert space_of(world, algorithm=algorithm).crossings is None
     assert space_of(Highway()).crossings is space_of(World("highway-v0")).crossings is None
+
+
+@table(
+    ("kinds", "drawn"),
+    [
+        (("cells", "lanes", "both"), ("both", (2.0, 3.0, 4.0))),
+        (("lanes",), ("lanes", (2.0, 3.0, 4.0))),
+        (("cells",), ("cells", (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0))),
+    ],
+)
+def test_own_algorithm_gets_instructions_that_it_can_sample(kinds, drawn):
+    own = type("Own", (RandomSearch,), {"name": "own", "instructions": kinds})
+    space = space_of(Highway(), algorithm=own)
+    assert (space.instructions, space.gene_durations) == drawn
+    for refused in {"cells", "lanes", "both"}.difference(kinds):
+        with pytest.raises(RequestError, match=f"instructions=.*: expected .* algorithm own, received '{refused}'"):
+            space_of(Highway(), algorithm=own, instructions=refused)
+
+
+def test_drawn_genes_fill_a_run_on_a_bent_road():
+    world = World("merge-v0")
+    drawn = SearchSpace(**drawn_space(world, {}))
+    assert (drawn.genes, drawn.gene_seconds) == (5, 3.0)
+    assert 4 * 3.0 < world.longest_run <= 5 * 3.0
 
 
 def test_acts_are_refused_where_no_npc_crosses():

@@ -43,7 +43,7 @@ class AlgorithmClass:
     name: str  # the name in files and reports
     # the fitness that it maximises unless a different one is requested: a name, weights or a function
     fitness: str | Weights | Fitness = "default"
-    instructions: Sequence[str] = tuple(LANE_SHARES)  # the kinds of instructions that it can sample
+    instructions: Sequence[str] = tuple(LANE_SHARES)  # the kinds of instructions that it can sample, last the default
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
     batch_population: int | None = None  # scenarios in a generation if the ADS decides for many runs at once
     library: str | None = None  # the library that it needs besides this package, by its import name

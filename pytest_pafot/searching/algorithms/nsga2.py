@@ -39,7 +39,7 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
     Attributes:
         population: number of survivors, and of children in a generation.
         crossover_rate: probability that a pair of parents swaps two NPCs, as in the paper.
-        mutation_rate: probability that a child has one Position-Instruction replaced, as in the paper.
+        mutation_rate: probability that a child has one instruction replaced, as in the paper.
     """
 
     name: ClassVar[str] = "nsga2"

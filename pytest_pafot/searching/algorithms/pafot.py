@@ -46,7 +46,7 @@ class PafotSearch:
         space: space of the scenarios.
         population: number of individuals in a generation. The paper gives no number; its totals imply 4.
         crossover_rate: probability that a pair of parents swaps two NPCs, p_c.
-        mutation_rate: probability that a child has one Position-Instruction replaced, p_m.
+        mutation_rate: probability that a child has one instruction replaced, p_m.
         elite_share: share of the population, rounded up, that passes on unchanged because it is the best. It is not
             evaluated again.
         local_generations: generations that a local search breeds from its mutants; 0 turns local searches off.
