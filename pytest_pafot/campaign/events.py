@@ -91,7 +91,7 @@ class SearchSummary:
     common: int = 0
     rejected: int = 0
     skipped: int = 0
-    reached: float | None = None  # share of Position-Instructions whose cell was reached; None if it is unknown
+    reached: float | None = None  # share of instructions whose cell, lane or zone was reached; None if it is unknown
     no_interaction: int = 0  # runs in which no NPC came near the ego
     failing: int = 0  # runs in which the test failed
     finds: tuple[Find, ...] = ()  # distinct new findings
@@ -108,7 +108,7 @@ class SearchSummary:
     random: tuple[int, int] = (0, 0)
     random_otherwise: int = 0
     drawn: str = ""  # one line on the space from which the scenarios were sampled
-    coverage: str = ""  # one line on the Position-Instructions that the runs covered
+    coverage: str = ""  # one line on the instructions that the runs covered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -31,8 +32,18 @@ from pytest_pafot.criticality.signals import (
 )
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import CrossingInstruction, Scenario
-from pytest_pafot.model.trace import ACCELERATION, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Scenario
+from pytest_pafot.model.trace import (
+    ACCELERATION,
+    ACROSS,
+    LANE,
+    OFFSET,
+    AdsError,
+    Collision,
+    FloatArray,
+    Outcome,
+    Trace,
+)
 from pytest_pafot.support.errors import driven_by
 from pytest_pafot.support.shown import Drawn
 from pytest_pafot.support.text import ascii_text
@@ -539,10 +550,60 @@ def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
     return ", ".join(filter(None, (whence, instruction.when, instruction.deed)))
 
 
+def lane_text(trace: Trace, npc: int, gene: int) -> str:
+    """Return a Lane-Instruction as driven in words, such as ``from the left into the ego's lane``.
+
+    The lanes are those in which the ego and the NPC are when the gene begins. If one of them is unknown, the words do
+    not mention the ego.
+    """
+    instruction = trace.chains[npc][gene]
+    before = _lane_at(trace, npc + 1, gene) - _lane_at(trace, 0, gene)
+    if not isinstance(instruction, LaneInstruction) or math.isnan(before):
+        return instruction.goal
+    after = before + instruction.column
+    if before == 0 != after:
+        return f"out of the ego's lane to the {instruction.lane}"
+    if after == 0 != before:
+        return f"from the {'left' if before < 0 else 'right'} into the ego's lane"
+    number = {0: "", 1: "", 2: "2nd ", 3: "3rd "}.get(far := round(abs(after)), f"{far}th ")
+    place = f"the {number}lane {'left' if after < 0 else 'right'} of the ego" if after else "the ego's lane"
+    return f"{'keep' if before == after else 'into'} {place}"
+
+
+def arrival(trace: Trace, npc: int, gene: int) -> int | None:
+    """Return the tick at which an NPC reached the target of a gene; None if it did not.
+
+    A change of lanes takes longer than a short gene. It counts as finished, too, when the NPC arrives in its new lane
+    during the next genes that keep that lane.
+    """
+    chain, arrivals = trace.chains[npc], trace.arrivals[npc] if npc < len(trace.arrivals) else ()
+
+
+    def keeps_new_lane(later: int) -> bool:
+        if getattr(chain[later], "lane", "") != "keep":
+            return False
+        return _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == chain[gene].column
+
+    genes = (gene, *takewhile(keeps_new_lane, range(gene + 1, len(arrivals))))
+    return next((arrivals[each] for each in genes if each < len(arrivals) and arrivals[each] is not None), None)
+
+
+def _lane_at(trace: Trace, vehicle: int, gene: int) -> float:
+    """Return the lane of a vehicle at the beginning of a gene, counted to the right; NaN if it is unknown."""
+    tick = gene * round(trace.scenario.gene_seconds * trace.physics_hz)
+    if tick > trace.ticks:
+        return math.nan
+    if trace.track is not None:
+        across, offset = trace.track[tick, vehicle, [ACROSS, OFFSET]]
+        return float(np.round((across - offset) / trace.lanes[0].width))
+    lane = float(trace.states[tick, vehicle, LANE])
+    return lane if lane >= 0 else math.nan
+
+
 def _crossing_lines(trace: Trace) -> list[str]:
     """Return one line for each NPC that crosses: its way, its instruction, and its time in the zone."""
     told = [(npc, each) for npc, each in enumerate(trace.executed.crossings) if each is not None]
-    shown = told[: MAX_GENE_ROWS - (2 if trace.executed.positions else 0)]
+    shown = told[: MAX_GENE_ROWS - (2 if None in trace.executed.crossings else 0)]
     zones, passed = trace.zones or (None,) * len(trace.executed.npcs), passages(trace)
     lines = [
         f"  NPC {npc}: {each.zone} {crossing_text(each, zones[npc])}, {each.speed:.1f} m/s{_passed(passed[npc])}"
@@ -579,15 +640,19 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)
     reached = {1: "reached at ", 2: "reached "}.get(len(npcs), "")  # as many words as there is room for
     header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
-    rows = [
-        [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, reached) for npc in npcs)]
-        for gene in range(started)
-    ]
+    rows: list[list[str]] = []
+    for gene in range(started):
+        row = [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, reached) for npc in npcs)]
+        begun = [chain[gene] for chain in scenario.npcs if gene < len(chain)]
+        # NPCs that keep their lanes and speeds do nothing new, however many genes say so.
+        if not (rows and row[1:] == rows[-1][1:] and all(getattr(each, "lane", "") == "keep" for each in begun)):
+            rows.append(row)
     shown = rows[-max(room, 1) :]
     widths = [max(len(row[column]) for row in [header, *shown]) for column in range(len(header))]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in [header, *shown]]
     if len(rows) > len(shown):
-        lines[0] += f"  ({len(rows) - len(shown)} earlier)"
+        earlier = f"  ({len(rows) - len(shown)} earlier)"
+        lines[0] = (lines[0] if len(lines[0] + earlier) <= LINE_LENGTH else lines[0].rstrip()) + earlier
     return [line.rstrip() for line in lines]
 
 
@@ -602,7 +667,9 @@ def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
     instruction = chain[gene]
     if not reached:
         return f"{instruction.target} {instruction.speed:.1f}"
-    arrivals = trace.arrivals[npc] if npc < len(trace.arrivals) else ()
-    arrival = arrivals[gene] if gene < len(arrivals) else None
-    end = "not reached" if arrival is None else f"{reached}{arrival / trace.physics_hz:.1f} s"
+    tick = arrival(trace, npc, gene)
+    end = "not reached" if tick is None else f"{reached}{tick / trace.physics_hz:.1f} s"
+    if isinstance(instruction, LaneInstruction):  # two of its texts with the time of arrival do not fit into a line
+        end = "" if instruction.lane == "keep" or reached == "reached " else f" {end}"
+        return f"{lane_text(trace, npc, gene)} {instruction.speed:.1f} m/s{end}"
     return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"

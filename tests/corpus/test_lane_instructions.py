@@ -11,10 +11,8 @@ from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.execution.crash_records import CrashRecord, leftovers
 from pytest_pafot.findings.shrink import shrink, size_of, sort_key
 from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
-from tests.helpers.traces import trace_of, vehicle
 
 PATH = "front-2-1f3a9c.pafot.yaml"
 
@@ -102,16 +100,3 @@ def test_manoeuvres_that_do_not_matter_become_keep():
 def test_staying_is_simpler_than_moving():
     assert sort_key(scenario("keep@10 keep@20")) < sort_key(scenario("left@10 keep@20"))
     assert size_of(BUSY) == "2 NPCs, 7 instructions, 40 s"
-
-
-def test_a_run_tells_what_the_npcs_were_told():
-    given = scenario("left@22 keep@8")
-    trace = trace_of(
-        vehicle(0.0, speed=20.0, ticks=225),
-        vehicle(30.0, speed=20.0, ticks=225),
-        scenario=given,
-        arrivals=((30, None),),
-    )
-    text = Run(trace).explain()
-    assert "lane left 22.0 m/s reached at 2.0 s" in text
-    assert "keep lane 8.0 m/s not reached" in text
