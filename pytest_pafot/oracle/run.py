@@ -578,11 +578,11 @@ def arrival(trace: Trace, npc: int, gene: int) -> int | None:
     """
     chain, arrivals = trace.chains[npc], trace.arrivals[npc] if npc < len(trace.arrivals) else ()
 
-
     def keeps_new_lane(later: int) -> bool:
-        if getattr(chain[later], "lane", "") != "keep":
+        one, other = chain[gene], chain[later]
+        if not (isinstance(one, LaneInstruction) and isinstance(other, LaneInstruction) and other.lane == "keep"):
             return False
-        return _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == chain[gene].column
+        return _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == one.column
 
     genes = (gene, *takewhile(keeps_new_lane, range(gene + 1, len(arrivals))))
     return next((arrivals[each] for each in genes if each < len(arrivals) and arrivals[each] is not None), None)

@@ -346,7 +346,7 @@ class CoverageRow:
         label: the kind of instruction in words.
         requested: number of instructions in the scenarios as the search made them.
         driven: number of instructions that were driven after the repair, as far as the runs got.
-        reached: number of driven instructions whose cell or zone the NPC reached.
+        reached: number of driven instructions whose cell, lane or zone the NPC reached.
     """
 
     label: str

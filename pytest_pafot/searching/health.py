@@ -220,9 +220,9 @@ class Health:
                 f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash between NPCs and "
                 "tested nothing, which should be at most 25 %; use fewer NPCs or more lanes"
             )
-        kinds = {str(key[0]) for key in self.coverage.requested} & {"lane", "zone"}
-        goal = " or ".join(["cell", *sorted(kinds)])
-        instructions = "instructions" if kinds else "Position-Instructions"
+        kinds = {str(key[0]) for key in self.coverage.requested} & {"cell", "lane", "zone"}
+        goal = " or ".join(sorted(kinds))
+        instructions = "Position-Instructions" if kinds == {"cell"} else "instructions"
         if self.genes_started and self.reached_share < MIN_REACHED_SHARE:
             found.append(
                 f"NPCs reached the {goal} of only {_percent(self.genes_reached, self.genes_started)} {instructions} "

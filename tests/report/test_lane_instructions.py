@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.report.drawing import speed_texts
 from pytest_pafot.report.finding_view import shrink_view
 from pytest_pafot.report.markup import instruction_table
