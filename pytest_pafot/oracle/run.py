@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -57,6 +58,9 @@ LINE_LENGTH = 99
 """The longest line of an explanation."""
 MAX_GENE_ROWS = 5
 """The largest number of rows in an explanation's table of genes."""
+_WORDINGS = (("reached at ", True), ("reached ", True), ("reached ", False), ("", False))
+"""The wordings of that table, from the longest: the text before a time of arrival, which is empty if there is no room
+for that time, and whether the side from which an NPC comes into the ego's lane is named."""
 _DEPARTURES = {
     Outcome.END_OF_ROAD: ", when a vehicle reached the end of the road",
     Outcome.LEFT_ROUTE: ", when the ego left its route",
@@ -556,7 +560,7 @@ def lane_text(trace: Trace, npc: int, gene: int) -> str:
     The lanes are those in which the ego and the NPC are when the gene begins. If one of them is unknown, the words do
     not mention the ego.
     """
-    instruction = trace.chains[npc][gene]
+    instruction = trace.executed.npcs[npc][gene]
     before = _lane_at(trace, npc + 1, gene) - _lane_at(trace, 0, gene)
     if not isinstance(instruction, LaneInstruction) or math.isnan(before):
         return instruction.goal
@@ -576,7 +580,7 @@ def arrival(trace: Trace, npc: int, gene: int) -> int | None:
     A change of lanes takes longer than a short gene. It counts as finished, too, when the NPC arrives in its new lane
     during the next genes that keep that lane.
     """
-    chain, arrivals = trace.chains[npc], trace.arrivals[npc] if npc < len(trace.arrivals) else ()
+    chain, arrivals = trace.executed.npcs[npc], trace.arrivals[npc] if npc < len(trace.arrivals) else ()
 
     def keeps_new_lane(later: int) -> bool:
         one, other = chain[gene], chain[later]
@@ -638,29 +642,27 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     if not npcs:
         return []
     started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)
-    reached = {1: "reached at ", 2: "reached "}.get(len(npcs), "")  # as many words as there is room for
     header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
-    rows: list[list[str]] = []
-    for gene in range(started):
-        row = [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, reached) for npc in npcs)]
-        begun = [chain[gene] for chain in scenario.npcs if gene < len(chain)]
-        # NPCs that keep their lanes and speeds do nothing new, however many genes say so.
-        if not (rows and row[1:] == rows[-1][1:] and all(getattr(each, "lane", "") == "keep" for each in begun)):
-            rows.append(row)
-    shown = rows[-max(room, 1) :]
-    widths = [max(len(row[column]) for row in [header, *shown]) for column in range(len(header))]
-    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in [header, *shown]]
-    if len(rows) > len(shown):
-        earlier = f"  ({len(rows) - len(shown)} earlier)"
-        lines[0] = (lines[0] if len(lines[0] + earlier) <= LINE_LENGTH else lines[0].rstrip()) + earlier
-    return [line.rstrip() for line in lines]
+    for wording in _WORDINGS[{1: 0, 2: 1}.get(len(npcs), -1) :]:
+        rows: list[list[str]] = []
+        for gene in range(started):
+            row = [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, *wording) for npc in npcs)]
+            begun = [chain[gene] for chain in scenario.npcs if gene < len(chain)]
+            # NPCs that keep their lanes and speeds do nothing new, however many genes say so.
+            if not (rows and row[1:] == rows[-1][1:] and all(getattr(each, "lane", "") == "keep" for each in begun)):
+                rows.append(row)
+        shown = [header, *rows[-max(room, 1) :]]
+        widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+        head, *lines = ["  ".join(map(str.ljust, row, widths)) for row in shown]
+        if max(len(line.rstrip()) for line in lines) <= LINE_LENGTH:
+            break
+    earlier = f"  ({len(rows) - len(lines)} earlier)" if len(rows) > len(lines) else ""
+    head = head if len(head + earlier) <= LINE_LENGTH else head.rstrip()
+    return [line.rstrip() for line in (head + earlier, *lines)]
 
 
-def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
-    """Return one NPC's instruction in words.
-
-    ``reached`` is the text before the time of arrival; it is empty if the table has no room for that time.
-    """
+def _gene(trace: Trace, npc: int, gene: int, reached: str, names_side: bool) -> str:
+    """Return one NPC's instruction in one of the wordings of the table."""
     chain = trace.chains[npc]
     if gene >= len(chain):
         return "-"
@@ -669,7 +671,8 @@ def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
         return f"{instruction.target} {instruction.speed:.1f}"
     tick = arrival(trace, npc, gene)
     end = "not reached" if tick is None else f"{reached}{tick / trace.physics_hz:.1f} s"
-    if isinstance(instruction, LaneInstruction):  # two of its texts with the time of arrival do not fit into a line
-        end = "" if instruction.lane == "keep" or reached == "reached " else f" {end}"
-        return f"{lane_text(trace, npc, gene)} {instruction.speed:.1f} m/s{end}"
-    return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"
+    if not isinstance(instruction, LaneInstruction):
+        return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"
+    words = lane_text(trace, npc, gene)
+    words = words if names_side else re.sub("^from the [a-z]+ | to the [a-z]+$", "", words)
+    return f"{words} {instruction.speed:.1f} m/s{'' if instruction.lane == 'keep' else f' {end}'}"

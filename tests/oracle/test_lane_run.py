@@ -113,7 +113,7 @@ def test_both_kinds_share_a_table():
     on_grid = (PositionInstruction(2, 26.8), PositionInstruction(1, 26.8))
     run = run_of(on_grid, in_lanes("left@26.8 keep@8"), lanes=((1, 1), (2, 1)), arrivals=((20, None), (None, 40)))
     assert rows(run) == [
-        "       0.0  2 front 26.8 m/s reached 1.3 s     from the right into the ego's lane 26.8 m/s",
+        "       0.0  2 front 26.8 m/s reached 1.3 s     into the ego's lane 26.8 m/s reached 2.7 s",
         "       2.0  1 front-left 26.8 m/s not reached  keep the ego's lane 8.0 m/s",
     ]
 
@@ -134,3 +134,14 @@ def test_lanes_of_a_bend_are_counted_across_it():
     assert npc_across[:3] == pytest.approx([-5.0, 0.0, 0.0], abs=0.5)
     words = [lane_text(trace, 0, gene) for gene in range(3)]
     assert words == ["from the left into the ego's lane", "keep the ego's lane", "out of the ego's lane to the left"]
+
+
+def test_two_columns_drop_words_until_they_fit():
+    """The arrival in the ego's lane comes before the side, and a table of more lanes has only the targets."""
+    cut_ins = [in_lanes("right@10"), in_lanes("left@10")]
+    run = run_of(*cut_ins, lanes=((0, 0), (2, 2)), arrivals=((28,), (None,)))
+    expected = "       0.0  into the ego's lane 10.0 m/s reached 1.9 s  into the ego's lane 10.0 m/s not reached"
+    assert rows(run) == [expected]
+    far = [in_lanes("right@10"), in_lanes("right@10")]
+    run = run_of(*far, ego=0, lanes=((1, 1), (2, 2)))
+    assert rows(run) == ["       0.0  right 10.0  right 10.0"]
