@@ -116,8 +116,9 @@ FILE_TEXTS: Mapping[str, str] = {
     "([what they "
     "mean](../explanation/traffic.md)); with separate parts, `{style: everyday, least_gap: 4.0}`. If it is "
     "not given, they drive as in the paper.",
-    "scenario.npcs": "One list per NPC. It has Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]; or "
-    "Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`. "
+    "scenario.npcs": "One list per NPC. It has Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]. "
+    "Or it has Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`, as seen from the NPC's lane when the "
+    "gene begins. Such an NPC starts in the first free cell of 1, 2, 3, 8, 4, 6, 7 and 5 that has a lane. "
     "An NPC that meets the ego where ways cross has one Crossing-Instruction `{zone, slot, speed, act}`: the "
     "entry and exit of its way, the slot [s] after the ego (negative: before it), and the act, `pass` if it "
     "is not given.",

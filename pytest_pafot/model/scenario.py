@@ -133,8 +133,8 @@ class LaneInstruction:
 
     @property
     def goal(self) -> str:
-        """The target in words: ``lane left``."""
-        return "keep lane" if self.lane == "keep" else f"lane {self.lane}"
+        """The target in words: ``one lane left``."""
+        return "keep lane" if self.lane == "keep" else f"one lane {self.lane}"
 
 
 Act = Literal["pass", "hold", "stop", "late"]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -31,8 +33,18 @@ from pytest_pafot.criticality.signals import (
 )
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import CrossingInstruction, Scenario
-from pytest_pafot.model.trace import ACCELERATION, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, Scenario
+from pytest_pafot.model.trace import (
+    ACCELERATION,
+    ACROSS,
+    LANE,
+    OFFSET,
+    AdsError,
+    Collision,
+    FloatArray,
+    Outcome,
+    Trace,
+)
 from pytest_pafot.support.errors import driven_by
 from pytest_pafot.support.shown import Drawn
 from pytest_pafot.support.text import ascii_text
@@ -46,6 +58,9 @@ LINE_LENGTH = 99
 """The longest line of an explanation."""
 MAX_GENE_ROWS = 5
 """The largest number of rows in an explanation's table of genes."""
+_WORDINGS = (("reached at ", True), ("reached ", True), ("reached ", False), ("", False))
+"""The wordings of that table, from the longest: the text before a time of arrival, which is empty if there is no room
+for that time, and whether the side from which an NPC comes into the ego's lane is named."""
 _DEPARTURES = {
     Outcome.END_OF_ROAD: ", when a vehicle reached the end of the road",
     Outcome.LEFT_ROUTE: ", when the ego left its route",
@@ -539,10 +554,60 @@ def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:
     return ", ".join(filter(None, (whence, instruction.when, instruction.deed)))
 
 
+def lane_text(trace: Trace, npc: int, gene: int) -> str:
+    """Return a Lane-Instruction as driven in words, such as ``from the left into the ego's lane``.
+
+    The lanes are those in which the ego and the NPC are when the gene begins. If one of them is unknown, the words do
+    not mention the ego.
+    """
+    instruction = trace.executed.npcs[npc][gene]
+    before = _lane_at(trace, npc + 1, gene) - _lane_at(trace, 0, gene)
+    if not isinstance(instruction, LaneInstruction) or math.isnan(before):
+        return instruction.goal
+    after = before + instruction.column
+    if before == 0 != after:
+        return f"out of the ego's lane to the {instruction.lane}"
+    if after == 0 != before:
+        return f"from the {'left' if before < 0 else 'right'} into the ego's lane"
+    number = {0: "", 1: "", 2: "2nd ", 3: "3rd "}.get(far := round(abs(after)), f"{far}th ")
+    place = f"the {number}lane {'left' if after < 0 else 'right'} of the ego" if after else "the ego's lane"
+    return f"{'keep' if before == after else 'into'} {place}"
+
+
+def arrival(trace: Trace, npc: int, gene: int) -> int | None:
+    """Return the tick at which an NPC reached the target of a gene; None if it did not.
+
+    A change of lanes takes longer than a short gene. It counts as finished, too, when the NPC arrives in its new lane
+    during the next genes that keep that lane.
+    """
+    chain, arrivals = trace.executed.npcs[npc], trace.arrivals[npc] if npc < len(trace.arrivals) else ()
+
+    def keeps_new_lane(later: int) -> bool:
+        one, other = chain[gene], chain[later]
+        if not (isinstance(one, LaneInstruction) and isinstance(other, LaneInstruction) and other.lane == "keep"):
+            return False
+        return _lane_at(trace, npc + 1, later) - _lane_at(trace, npc + 1, gene) == one.column
+
+    genes = (gene, *takewhile(keeps_new_lane, range(gene + 1, len(arrivals))))
+    return next((arrivals[each] for each in genes if each < len(arrivals) and arrivals[each] is not None), None)
+
+
+def _lane_at(trace: Trace, vehicle: int, gene: int) -> float:
+    """Return the lane of a vehicle at the beginning of a gene, counted to the right; NaN if it is unknown."""
+    tick = gene * round(trace.scenario.gene_seconds * trace.physics_hz)
+    if tick > trace.ticks:
+        return math.nan
+    if trace.track is not None:
+        across, offset = trace.track[tick, vehicle, [ACROSS, OFFSET]]
+        return float(np.round((across - offset) / trace.lanes[0].width))
+    lane = float(trace.states[tick, vehicle, LANE])
+    return lane if lane >= 0 else math.nan
+
+
 def _crossing_lines(trace: Trace) -> list[str]:
     """Return one line for each NPC that crosses: its way, its instruction, and its time in the zone."""
     told = [(npc, each) for npc, each in enumerate(trace.executed.crossings) if each is not None]
-    shown = told[: MAX_GENE_ROWS - (2 if trace.executed.positions else 0)]
+    shown = told[: MAX_GENE_ROWS - (2 if None in trace.executed.crossings else 0)]
     zones, passed = trace.zones or (None,) * len(trace.executed.npcs), passages(trace)
     lines = [
         f"  NPC {npc}: {each.zone} {crossing_text(each, zones[npc])}, {each.speed:.1f} m/s{_passed(passed[npc])}"
@@ -577,32 +642,37 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     if not npcs:
         return []
     started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)
-    reached = {1: "reached at ", 2: "reached "}.get(len(npcs), "")  # as many words as there is room for
     header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
-    rows = [
-        [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, reached) for npc in npcs)]
-        for gene in range(started)
-    ]
-    shown = rows[-max(room, 1) :]
-    widths = [max(len(row[column]) for row in [header, *shown]) for column in range(len(header))]
-    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in [header, *shown]]
-    if len(rows) > len(shown):
-        lines[0] += f"  ({len(rows) - len(shown)} earlier)"
-    return [line.rstrip() for line in lines]
+    for wording in _WORDINGS[{1: 0, 2: 1}.get(len(npcs), -1) :]:
+        rows: list[list[str]] = []
+        for gene in range(started):
+            row = [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, *wording) for npc in npcs)]
+            begun = [chain[gene] for chain in scenario.npcs if gene < len(chain)]
+            # NPCs that keep their lanes and speeds do nothing new, however many genes say so.
+            if not (rows and row[1:] == rows[-1][1:] and all(getattr(each, "lane", "") == "keep" for each in begun)):
+                rows.append(row)
+        shown = [header, *rows[-max(room, 1) :]]
+        widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+        head, *lines = ["  ".join(map(str.ljust, row, widths)) for row in shown]
+        if max(len(line.rstrip()) for line in lines) <= LINE_LENGTH:
+            break
+    earlier = f"  ({len(rows) - len(lines)} earlier)" if len(rows) > len(lines) else ""
+    head = head if len(head + earlier) <= LINE_LENGTH else head.rstrip()
+    return [line.rstrip() for line in (head + earlier, *lines)]
 
 
-def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
-    """Return one NPC's instruction in words.
-
-    ``reached`` is the text before the time of arrival; it is empty if the table has no room for that time.
-    """
+def _gene(trace: Trace, npc: int, gene: int, reached: str, names_side: bool) -> str:
+    """Return one NPC's instruction in one of the wordings of the table."""
     chain = trace.chains[npc]
     if gene >= len(chain):
         return "-"
     instruction = chain[gene]
     if not reached:
         return f"{instruction.target} {instruction.speed:.1f}"
-    arrivals = trace.arrivals[npc] if npc < len(trace.arrivals) else ()
-    arrival = arrivals[gene] if gene < len(arrivals) else None
-    end = "not reached" if arrival is None else f"{reached}{arrival / trace.physics_hz:.1f} s"
-    return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"
+    tick = arrival(trace, npc, gene)
+    end = "not reached" if tick is None else f"{reached}{tick / trace.physics_hz:.1f} s"
+    if not isinstance(instruction, LaneInstruction):
+        return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"
+    words = lane_text(trace, npc, gene)
+    words = words if names_side else re.sub("^from the [a-z]+ | to the [a-z]+$", "", words)
+    return f"{words} {instruction.speed:.1f} m/s{'' if instruction.lane == 'keep' else f' {end}'}"

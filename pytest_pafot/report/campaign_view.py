@@ -20,7 +20,7 @@ from pytest_pafot.searching.events import (
     LocalSearchFinished,
     Restarted,
 )
-from pytest_pafot.searching.health import CELLS, SPEED_BIN, STEPS, Coverage, Health, Key, speed_bins
+from pytest_pafot.searching.health import CELLS, LANES, SPEED_BIN, STEPS, Coverage, Health, Key, speed_bins
 
 
 @dataclass(slots=True)
@@ -89,6 +89,7 @@ class CampaignCounts:
             steps=_rows(coverage, ((" to ".join(map(str, key[1:])), key) for key in STEPS)),
             speeds=_rows(coverage, _speed_labels(speed_limit)),
             zones=_rows(coverage, _zone_labels(coverage)),
+            lanes=_rows(coverage, ((str(key[1]), key) for key in LANES if any(map(coverage.requested.get, LANES)))),
             warnings=tuple(self.health.warnings()),
         )
 

@@ -284,12 +284,13 @@ def _large(points: Sequence[Point]) -> list[Point]:
 
 
 def speed_texts(finding: FindingView, picture: Picture) -> list[str]:
-    """Return a text with the speed [m/s] of each vehicle, and with the cell to which an NPC is driving."""
+    """Return a text with the speed [m/s] of each vehicle, and with where an NPC is driving to."""
     parts = [f"ego {picture.ego.speed:.1f} m/s"]
     for npc, box in enumerate(picture.vehicles[1:]):
         told = instruction_at(finding, npc, picture.time)
         row = told[0] if told is not None and told[1] == "approach" else None
         goal = "" if row is None else f" to cell {row.cell}" if row.cell else f" to {row.zone}" if row.zone else ""
+        goal = f" to the {row.lane}" if row is not None and row.lane in ("left", "right") else goal
         parts.append(f"NPC {npc} " + ("unknown" if box is None else f"{box.speed:.1f} m/s{goal}"))
     return parts
 

@@ -29,7 +29,7 @@ from pytest_pafot.model.scenario import (
 )
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, FloatArray, Lane, Trace, X, Y
 from pytest_pafot.oracle.checks import Check
-from pytest_pafot.oracle.run import Run, crossing_text
+from pytest_pafot.oracle.run import Run, arrival, crossing_text, lane_text
 from pytest_pafot.report.page_data import (
     ChanceView,
     CheckView,
@@ -489,7 +489,7 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
     for npc, chain in enumerate(asked.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
         for gene, (requested, told) in enumerate(zip(chain, driven[npc], strict=False)):
-            tick = begun[gene] if gene < len(begun) else None
+            tick = None if trace is None else arrival(trace, npc, gene)
             view = InstructionView(
                 npc=npc,
                 gene=gene,
@@ -500,8 +500,11 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
                 speed=told.speed,
                 started=gene < len(begun),
                 arrived=None if tick is None else round(tick / hz, 3),
-                lane=told.lane if isinstance(told, LaneInstruction) else "",
             )
+            if isinstance(requested, LaneInstruction) and isinstance(told, LaneInstruction):
+                words = told.goal if trace is None else lane_text(trace, npc, gene)
+                words += "" if told == requested else f" (requested {requested.goal})"
+                view = replace(view, lane=told.lane, words=words)
             if isinstance(told, CrossingInstruction):
                 slot, words = f"{told.slot:+g} s" if told.slot else "together", crossing_text(told, zones[npc])
                 end = view.end if trace is None else max(view.end, trace.duration)  # it lasts for the whole run
@@ -519,11 +522,14 @@ def _numbers(values: FloatArray, digits: int) -> Numbers:
 def _chain_text(chain: Chromosome) -> str:
     """Write one NPC's instructions in a line, such as ``1 front-left 25.0 m/s x2, 2 front 8.0 m/s``.
 
-    An instruction that is repeated appears once, with the number of repetitions.
+    An instruction that is repeated appears once, with the number of repetitions. Repeated changes of lanes do not
+    extend each other but add up: ``3 times one lane left 8.0 m/s``.
     """
     if isinstance(chain[0], CrossingInstruction):
         return f"{chain[0].goal}, {chain[0].speed:.1f} m/s"
-    return ", ".join(
-        f"{chain[start].goal} {chain[start].speed:.1f} m/s" + (f" x{end - start}" if end - start > 1 else "")
-        for start, end in blocks(chain)
-    )
+    texts = []
+    for start, end in blocks(chain):
+        text, times = f"{chain[start].goal} {chain[start].speed:.1f} m/s", end - start
+        changes_lanes = getattr(chain[start], "lane", "keep") != "keep"
+        texts.append(text if times == 1 else f"{times} times {text}" if changes_lanes else f"{text} x{times}")
+    return ", ".join(texts)

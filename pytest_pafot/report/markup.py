@@ -249,10 +249,12 @@ def _shrink_section(shrink: ShrinkView) -> str:
 def instruction_table(instructions: Iterable[InstructionView]) -> str:
     """Return an HTML table of the NPCs' instructions, and whether the NPCs carried them out."""
     instructions = tuple(instructions)
-    places = "cell or zone" if any(told.zone for told in instructions) else "cell or lane"
+    is_crossed, is_in_lanes = any(told.zone for told in instructions), any(told.lane for told in instructions)
+    places = "cell or lane" if not is_crossed else "cell, lane or zone" if is_in_lanes else "cell or zone"
     rows = []
     for told in instructions:
         reached = "not reached" if told.arrived is None else f"at {told.arrived:.1f} s"
+        reached = "-" if told.lane == "keep" else reached
         cells = f"{told.start:.1f}", _goal(told), f"{told.speed:.1f}", reached if told.started else "not begun"
         rows.append(row(f"NPC {told.npc}", *cells, attributes="" if told.started else " class=unstarted"))
     head = columns("NPC", "from [s]", places, "speed [m/s]", "reached")
@@ -263,7 +265,7 @@ def _goal(told: InstructionView) -> str:
     if told.zone:
         return text(f"{told.zone} {told.words}")
     if told.lane:
-        return "keep lane" if told.lane == "keep" else f"lane {told.lane}"
+        return text(told.words)
     names = [f"{cell} {Cell(cell).label}" for cell in (told.cell, told.requested)]
     return names[0] if told.requested == told.cell else f"{names[0]} (requested {names[1]})"
 
@@ -301,7 +303,8 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
     folded += f", ended {end}" if view.reason in ("error", "interrupted") else ""
     warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in view.warnings)
     judged = sum(count for _, count in view.responsibilities)
-    is_on_grid = not view.zones or any(each.requested for each in view.cells)
+    is_on_grid = not (view.zones or view.lanes) or any(each.requested for each in view.cells)
+    goals = ["cell", *(["its lane"] if view.lanes else []), *(["its zone"] if view.zones else [])]
     return (
         f'<article class="campaign" data-campaign="{index}" aria-labelledby="campaign-{index}">'
         f"<details{' open' if is_open else ''}>"
@@ -312,8 +315,9 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
         f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div>"
         "<h4>Coverage: instructions requested, driven and reached</h4>"
         '<p class="note">Requested: in the scenarios that the search requested. Driven: as far as the runs got, '
-        f"after repair. Reached: the NPC arrived in its cell{' or its zone' if view.zones else ''}.</p>"
+        f"after repair. Reached: the NPC arrived in its {' or '.join(goals)}.</p>"
         f'<div class="columns">{_coverage("Cells", "cell", view.cells) if is_on_grid else ""}'
+        f"{_coverage('Lanes', 'lane', view.lanes) if view.lanes else ''}"
         f"{_coverage('Target speeds', 'speed', view.speeds)}"
         f"{_ring(view.steps) if is_on_grid else ''}{_slots(view.zones) if view.zones else ''}</div></details></article>"
     )

@@ -141,10 +141,10 @@ class InstructionView:
         speed: target speed.
         started: True if the run got as far as this instruction.
         arrived: time at which the NPC reached the cell, the lane or the zone; None if it did not.
-        lane: ``keep``, ``left`` or ``right`` if the instruction is for a lane; otherwise empty.
+        lane: ``keep``, ``left`` or ``right`` if the NPC drove to a lane; otherwise empty.
         zone: entry and exit of the NPC's way if it crosses the ego's way; otherwise empty.
         slot: when a crossing NPC is to be in the zone, relative to the ego, such as ``+0.5 s`` or ``together``.
-        words: the instruction to a crossing NPC in words.
+        words: the instruction for a lane or for crossing in words.
     """
 
     npc: int
@@ -346,7 +346,7 @@ class CoverageRow:
         label: the kind of instruction in words.
         requested: number of instructions in the scenarios as the search made them.
         driven: number of instructions that were driven after the repair, as far as the runs got.
-        reached: number of driven instructions whose cell or zone the NPC reached.
+        reached: number of driven instructions whose cell, lane or zone the NPC reached.
     """
 
     label: str
@@ -371,6 +371,7 @@ class CampaignView:
         speeds: a row per bin of target speeds, slowest first.
         warnings: warnings about the search's health.
         zones: five rows for each zone that NPCs were sent to, one per slot; empty if no NPC crosses.
+        lanes: three rows: keep the lane, change to the left, change to the right; empty if no NPC is in lanes.
     """
 
     node_id: str
@@ -388,6 +389,7 @@ class CampaignView:
     speeds: tuple[CoverageRow, ...]
     warnings: tuple[str, ...] = ()
     zones: tuple[CoverageRow, ...] = ()
+    lanes: tuple[CoverageRow, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.report.page_data import FindingView, InstructionView, Numbers, gap_to
+from pytest_pafot.report.page_data import FindingView, InstructionView, Numbers, RoadView, gap_to
 
 TRAIL_SECONDS = 4.0
 TRAIL_STEP = 0.125
@@ -52,7 +52,7 @@ class Picture:
     Attributes:
         vehicles: the ego first; None for a vehicle whose position is unknown.
         cells: the eight cells around the ego.
-        targets: the cell that each NPC is driving to, or None.
+        targets: the cell that each NPC is driving to, or its place in the lane that it is driving to, or None.
         trails: recent positions of each vehicle. The ego's trail is its path on the road. An NPC's trail is its path
             relative to the ego; on a bent road it is its path on the road, too.
         impact: point of contact of the ego with an NPC, from the collision on; None before it.
@@ -131,8 +131,7 @@ def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float)
     if not road.shapes:
         other = finding.vehicles[min(1, len(finding.vehicles) - 1)].length
         along = ego.along + cell.row * ((ego.length + other) / 2 + gap_to(road, cell, ego.speed))
-        # The nearest lane is the ego's; the left one of two at equal distance.
-        lane = min(range(len(road.lanes)), key=lambda lane: (round(abs(road.lanes[lane] - ego.across), 9), lane))
+        lane = _nearest_lane(road, ego.across)
         goal = lane + cell.column
         exists = 0 <= goal < len(road.lanes)
         across = road.lanes[goal] if exists else road.lanes[lane] + cell.column * road.lane_width
@@ -148,12 +147,29 @@ def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float)
     return DrawnCell(int(cell), x + dx, y + dy, exists=True, heading=heading)
 
 
+def _nearest_lane(road: RoadView, across: float) -> int:
+    """Return the lane that a vehicle is in; the left one of two at equal distance."""
+    return min(range(len(road.lanes)), key=lambda lane: (round(abs(road.lanes[lane] - across), 9), lane))
+
+
 def _target(finding: FindingView, cells: Sequence[DrawnCell], npc: int, time: float) -> DrawnCell | None:
-    """Return the cell to which an NPC is driving at a time [s]; None if it has no cell, or if there is no lane."""
-    told = instruction_at(finding, npc, time)
-    if told is None or told[0].cell == 0 or told[1] != "approach":
+    """Return the cell to which an NPC is driving at a time [s]; None if it has no cell, or if there is no lane.
+
+    The target of an NPC that changes lanes is drawn as a cell without a number, beside the NPC in its target lane.
+    """
+    row, phase = instruction_at(finding, npc, time) or (None, "ended")
+    if row is None or phase != "approach":
         return None
-    target = cells[told[0].cell - 1]
+    if row.lane and finding.road.lanes:
+        box, start = vehicle_at(finding, npc + 1, time), vehicle_at(finding, npc + 1, row.start)
+        if box is None or start is None:
+            return None
+        lane = _nearest_lane(finding.road, start.across) + {"left": -1, "right": 1}.get(row.lane, 0)
+        exists = 0 <= lane < len(finding.road.lanes)
+        return DrawnCell(0, box.along, finding.road.lanes[lane], exists) if exists else None
+    if row.cell == 0:
+        return None
+    target = cells[row.cell - 1]
     return target if target.exists or not finding.road.shapes else None
 
 

@@ -18,7 +18,7 @@ from pytest_pafot.campaign.events import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.severity import Severity, worst_first
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.model.scenario import CrossingInstruction, PositionInstruction
+from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, plural, wrapped_to
@@ -194,6 +194,7 @@ def speed_sentences(finding: Finding) -> list[str]:
     for interval in () if finding.shrunk is None else finding.shrunk.speeds:
         gene = finding.scenario.npcs[interval.npc][interval.gene]
         place = f"in cell {int(gene.cell)} ({gene.cell.label})" if isinstance(gene, PositionInstruction) else gene.goal
+        place = "in its lane" if isinstance(gene, LaneInstruction) and gene.lane == "keep" else place
         seconds = interval.gene * finding.scenario.gene_seconds
         when = "on " if isinstance(gene, CrossingInstruction) else f"from {round(seconds, 1):g} s "
         speeds = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"

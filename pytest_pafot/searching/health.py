@@ -11,20 +11,20 @@ from itertools import chain, compress, pairwise
 
 from pytest_pafot.model.crossings import SLOTS, slot_name
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Chromosome, CrossingInstruction, PositionInstruction
+from pytest_pafot.model.scenario import SHIFTS, Chromosome, CrossingInstruction, PositionInstruction
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
 from pytest_pafot.searching.events import Evaluated, Event
 from pytest_pafot.support.text import plural
 
 # Counts of the instructions that a search requested, that were driven, and that were reached: cells, steps on the ring,
-# target speeds, and zones with slots.
+# lanes, target speeds, and zones with slots.
 
 SPEED_BIN = 5.0  # width of a bin of target speeds [m/s]
 
-Key = tuple[str, int] | tuple[str, int, int] | tuple[str, str, str]
-"""A thing that is counted: ``("cell", 2)``; ``("step", 1, 2)`` from cell 1 to cell 2; ``("bin", 4)``, the bin of target
-speeds from 20 m/s; or ``("zone", "o1>o3", "just after")`` for an NPC that crosses."""
+Key = tuple[str, int] | tuple[str, int, int] | tuple[str, str] | tuple[str, str, str]
+"""A thing that is counted: ``("cell", 2)``; ``("step", 1, 2)`` from cell 1 to cell 2; ``("lane", "left")``;
+``("bin", 4)``, the bin of target speeds from 20 m/s; or ``("zone", "o1>o3", "just after")`` for an NPC that crosses."""
 
 CELLS: tuple[Key, ...] = tuple(("cell", int(cell)) for cell in Cell)  # the eight, cell 1 first
 
@@ -32,6 +32,8 @@ STEPS: tuple[Key, ...] = tuple(
     ("step", int(cell), int(target)) for cell in Cell for target in (cell, *reversed(cell.neighbours))
 )
 """The twenty-four steps that a chain can have: from each cell, staying, one step clockwise and one anticlockwise."""
+
+LANES: tuple[Key, ...] = tuple(("lane", shift) for shift in SHIFTS)
 
 
 def speed_bins(speed_limit: float) -> tuple[Key, ...]:
@@ -41,7 +43,7 @@ def speed_bins(speed_limit: float) -> tuple[Key, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """Counts of instructions in simulated runs. All have speeds; only Position-Instructions have cells and steps."""
+    """Counts of instructions in simulated runs. All have speeds, and cells and steps, lanes or zones by their kind."""
 
     requested: Counter[Key] = field(default_factory=Counter)  # in the requested scenarios
     # in the genes that the runs got to, after the repair inside the run
@@ -65,9 +67,13 @@ class Coverage:
         """Return a line for a summary: how many of all cells, steps, speed bins and slots were reached and requested.
 
         ``speed_limit`` [m/s] determines which bins exist; ``zones`` are the names of the ways in the world that cross.
+        Lanes are mentioned only if NPCs were in lanes, and cells are not if all of them were.
         """
         meetings: tuple[Key, ...] = tuple(("zone", zone, slot) for zone in zones for slot in SLOTS)
-        groups = [("cells", CELLS), ("ring steps", STEPS), ("speed bins", speed_bins(speed_limit))]
+        kinds = {str(key[0]) for key in self.requested}
+        groups = [] if "lane" in kinds and "cell" not in kinds else [("cells", CELLS), ("ring steps", STEPS)]
+        groups += [("lane choices", LANES)] if "lane" in kinds else []
+        groups += [("speed bins", speed_bins(speed_limit))]
         groups += [("slots at zones", meetings)] if meetings else []
         requested, reached = (
             [f"{sum(count[key] > 0 for key in keys)}/{len(keys)}" for _, keys in groups]
@@ -91,7 +97,7 @@ def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
         return [(bins[0], ("zone", genes[0].zone, slot_name(genes[0].slot)))]
     cells = [gene.target for gene in genes if isinstance(gene, PositionInstruction)]
     if not cells:
-        return [(each,) for each in bins]
+        return [(each, ("lane", str(gene.target))) for each, gene in zip(bins, genes, strict=True)]
     steps = [(("step", *step),) for step in pairwise(cells)]
     return [(speed, ("cell", cell), *step) for speed, cell, step in zip(bins, cells, [(), *steps], strict=True)]
 
@@ -214,8 +220,9 @@ class Health:
                 f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash between NPCs and "
                 "tested nothing, which should be at most 25 %; use fewer NPCs or more lanes"
             )
-        crosses = any(key[0] == "zone" for key in self.coverage.requested)
-        goal, instructions = ("cell or zone", "instructions") if crosses else ("cell", "Position-Instructions")
+        kinds = {str(key[0]) for key in self.coverage.requested} & {"cell", "lane", "zone"}
+        goal = " or ".join(sorted(kinds))
+        instructions = "Position-Instructions" if kinds == {"cell"} else "instructions"
         if self.genes_started and self.reached_share < MIN_REACHED_SHARE:
             found.append(
                 f"NPCs reached the {goal} of only {_percent(self.genes_reached, self.genes_started)} {instructions} "

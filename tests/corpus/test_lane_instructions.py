@@ -10,15 +10,15 @@ from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.execution.crash_records import CrashRecord, leftovers
 from pytest_pafot.findings.shrink import shrink, size_of, sort_key
-from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
-from tests.helpers.traces import trace_of, vehicle
 
 PATH = "front-2-1f3a9c.pafot.yaml"
 
 instructions = st.builds(LaneInstruction, st.sampled_from(SHIFTS), st.integers(0, 268).map(lambda tenths: tenths / 10))
+positions = st.builds(PositionInstruction, st.sampled_from(Cell), st.integers(0, 268).map(lambda tenths: tenths / 10))
 chains = st.lists(st.lists(instructions, min_size=1, max_size=6).map(tuple), min_size=1, max_size=8).map(tuple)
 
 
@@ -48,6 +48,13 @@ BUSY = scenario("left@22.3 keep@24.1 right@7.7 right@7.7", "keep@21 left@3.4 lef
 @given(chains)
 def test_what_is_written_is_read(npcs):
     finding = plain_finding(scenario=Scenario(npcs=npcs))
+    assert parsed(Path(PATH), text_of(finding).encode()) == finding
+
+
+@given(chains, st.lists(st.lists(positions, min_size=1, max_size=4), min_size=1, max_size=3))
+def test_both_kinds_in_one_file_are_read(in_lanes, on_grid):
+    scenario = Scenario.repaired([*on_grid, *in_lanes[:5]], seed=1)
+    finding = plain_finding(scenario=scenario)
     assert parsed(Path(PATH), text_of(finding).encode()) == finding
 
 
@@ -102,16 +109,3 @@ def test_manoeuvres_that_do_not_matter_become_keep():
 def test_staying_is_simpler_than_moving():
     assert sort_key(scenario("keep@10 keep@20")) < sort_key(scenario("left@10 keep@20"))
     assert size_of(BUSY) == "2 NPCs, 7 instructions, 40 s"
-
-
-def test_a_run_tells_what_the_npcs_were_told():
-    given = scenario("left@22 keep@8")
-    trace = trace_of(
-        vehicle(0.0, speed=20.0, ticks=225),
-        vehicle(30.0, speed=20.0, ticks=225),
-        scenario=given,
-        arrivals=((30, None),),
-    )
-    text = Run(trace).explain()
-    assert "lane left 22.0 m/s reached at 2.0 s" in text
-    assert "keep lane 8.0 m/s not reached" in text

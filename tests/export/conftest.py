@@ -7,12 +7,14 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.commands.policy_reference import ads_factory
+from pytest_pafot.model.trace import LANE
 
 FILES = Path(__file__).parents[1] / "corpus" / "saved"
 POLICIES = {"collision-xfail": "constant_speed", "gym-merge": "idm_mobil", "gym-roundabout": "idm_mobil"}
 """The policy that drives in each file; the first and the last one collide."""
-JUNCTION = "junction"
-"""A stand-in for a file: two NPCs cross the way of an ego with a constant action, and one of them is hit."""
+JUNCTION, BOTH_KINDS = "junction", "both kinds"
+"""Stand-ins for files: two NPCs cross the way of an ego with a constant action, and one of them is hit; an NPC cuts in,
+and another one leaves its cell on the grid."""
 
 
 def at_junction():
@@ -22,12 +24,23 @@ def at_junction():
     return world.rollout(scenario, lambda: lambda observation: 1)
 
 
-@pytest.fixture(scope="session", params=[*POLICIES, JUNCTION])
+def of_both_kinds():
+    lanes = pafot.LaneInstruction("right", 20.0), pafot.LaneInstruction("keep", 8.0)
+    cells = pafot.PositionInstruction(2, 22.0), pafot.PositionInstruction(3, 22.0)
+    trace = pafot.Highway(duration=8.0).rollout(
+        pafot.Scenario(npcs=[lanes, cells], gene_seconds=4.0), lambda: lambda observation: (0.0, 0.0)
+    )
+    assert trace.states[0, 1, LANE] != trace.states[-1, 1, LANE]
+    return trace
+
+
+@pytest.fixture(scope="session", params=[*POLICIES, JUNCTION, BOTH_KINDS])
 def exported(request):
     """Return a finding and its trace, for a built-in file or one that ``tests.benchmarks.exports`` gives."""
     name = request.param
-    if name == JUNCTION:  # an exporter only needs the finding's id
-        return pafot.load(FILES / "collision-xfail.pafot.yaml").finding, at_junction()
+    if name in (JUNCTION, BOTH_KINDS):  # an exporter only needs the finding's id
+        trace = at_junction() if name == JUNCTION else of_both_kinds()
+        return pafot.load(FILES / "collision-xfail.pafot.yaml").finding, trace
     file, policy = (FILES / f"{name}.pafot.yaml", POLICIES[name]) if isinstance(name, str) else name
     saved = pafot.load(file)
     return saved.finding, saved.replay(ads_factory(policy)).trace

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from pytest_pafot.model.scenario import LaneInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.report.markup import campaign_article
@@ -138,6 +139,24 @@ def test_a_real_search_shows_its_restarts(real):
     restarts = {event.generation for event in events if isinstance(event, Restarted)}
     assert restarts
     assert {row.generation for row in shown.generations if row.restarted} == restarts
+
+
+def test_page_of_search_in_lanes_counts_lanes_without_cells():
+    asked, driven = (
+        Scenario(npcs=[[LaneInstruction(lane, 8.0), LaneInstruction("keep", 8.0)]]) for lane in ("left", "keep")
+    )
+    view = campaign_view("a.py::test", [evaluated(evaluation(asked=asked, driven=driven, arrived=((False, True),)))])
+    assert [(row.label, row.requested, row.driven, row.reached) for row in view.lanes] == [
+        ("keep", 1, 2, 1),
+        ("left", 1, 0, 0),
+        ("right", 0, 0, 0),
+    ]
+    page = campaign_article(view, 0)
+    assert "<h4>Lanes</h4>" in page
+    assert '<th scope="row">left</th><td>1</td><td>0</td><td>0</td>' in page
+    assert "<h4>Cells</h4>" not in page
+    assert "arrived in its cell or its lane." in page
+    assert campaign_view("a.py::test", ()).lanes == ()
 
 
 def test_page_of_crossing_search_has_slots_without_cells():

@@ -1,47 +1,109 @@
-"""Findings of searches without a grid are displayed without cells."""
+"""Findings with NPCs in lanes are displayed by their lanes, seen from the ego, instead of cells."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from pytest_pafot.model.scenario import LaneInstruction, Scenario
+from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.report.drawing import speed_texts
+from pytest_pafot.report.finding_view import shrink_view
 from pytest_pafot.report.markup import instruction_table
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
-from pytest_pafot.report.picture import instruction_at, picture_at
+from pytest_pafot.report.picture import DrawnCell, instruction_at, picture_at
+from pytest_pafot.report.terminal import speed_sentences
+from tests.findings.builders import plain_finding
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import view_of
 
+IN_LANES = (LaneInstruction("right", 25.0), LaneInstruction("keep", 8.0), LaneInstruction("left", 8.0))
+ON_GRID = (PositionInstruction(2, 20.0), PositionInstruction(3, 20.0))
+
+
+def cut_in():
+    """Return a trace of 15 s: at 2 s, an NPC has changed from lane 0 to the ego's lane 1, where an NPC drives ahead."""
+    ticks = np.arange(226)
+    changing = vehicle(30.0 + ticks * 20.0 / 15, np.interp(ticks, [0, 30], [0.0, 4.0]), speed=20.0)
+    ego, ahead = (vehicle(x, 4.0, speed=20.0, ticks=225) for x in (0.0, 60.0))
+    scenario = Scenario(npcs=(IN_LANES, ON_GRID), gene_seconds=6.0)
+    return trace_of(ego, changing, ahead, scenario=scenario, arrivals=((30, 90, None), (0, None)))
+
 
 @pytest.fixture
 def view():
-    chain = (LaneInstruction("left", 25.0), LaneInstruction("keep", 8.0))
-    cars = (vehicle(x, speed=20.0, ticks=225) for x in (0.0, 30.0))
-    trace = trace_of(*cars, scenario=Scenario(npcs=(chain,)), arrivals=((30, None),))
-    return view_of(trace)
+    return view_of(cut_in())
 
 
 def test_an_instruction_has_its_lane_and_no_cell(view):
-    first, second = view.instructions
-    assert (first.lane, first.cell, first.requested, first.arrived) == ("left", 0, 0, 2.0)
-    assert (second.lane, second.started, second.arrived) == ("keep", True, None)
+    first, second, third = (row for row in view.instructions if row.npc == 0)
+    assert (first.lane, first.cell, first.requested, first.arrived) == ("right", 0, 0, 2.0)
+    assert (second.lane, second.words) == ("keep", "keep the ego's lane")
+    assert (third.lane, third.started, third.arrived) == ("left", True, None)
 
 
-def test_no_line_leads_to_a_cell(view):
+def test_line_leads_to_the_target_lane_beside_the_npc(view):
     assert instruction_at(view, 0, 1.0)[1] == "approach"
-    assert picture_at(view, 1.0).targets == (None,)
-    assert speed_texts(view, picture_at(view, 1.0))[-1] == "NPC 0 20.0 m/s"
+    lane_1 = DrawnCell(0, pytest.approx(50.0), 4.0, exists=True)
+    assert picture_at(view, 1.0).targets == (lane_1, None)
+    assert picture_at(view, 3.0).targets == (None, None)
+    assert picture_at(view, 13.0).targets[0].across == 0.0
+
+
+def test_picture_tells_the_side_of_a_lane_change(view):
+    told = {time: speed_texts(view, picture_at(view, time))[1:] for time in (1.0, 7.0, 13.0)}
+    assert told[1.0] == ["NPC 0 20.0 m/s to the right", "NPC 1 20.0 m/s"]
+    assert told[7.0] == ["NPC 0 20.0 m/s", "NPC 1 20.0 m/s to cell 3"]
+    assert told[13.0][0] == "NPC 0 20.0 m/s to the left"
+
+
+def test_target_outside_of_the_road_is_not_drawn():
+    """Only the trace of a user's world can have it: the plugin's NPCs keep their lanes if there is no other."""
+    trace = cut_in()
+    outwards = Scenario(npcs=((LaneInstruction("left", 8.0),), ON_GRID), gene_seconds=6.0)
+    view = view_of(replace(trace, scenario=outwards, executed=outwards, arrivals=((None,), (0, None))))
+    assert picture_at(view, 1.0).targets == (None, None)
 
 
 def test_the_table_says_where_to_in_words(view):
     table = instruction_table(view.instructions)
-    assert "<td>lane left</td><td>25.0</td><td>at 2.0 s</td>" in table
-    assert "<td>keep lane</td><td>8.0</td><td>not reached</td>" in table
+    assert '<th scope="col">cell or lane</th>' in table
+    assert "<td>from the left into the ego&#x27;s lane</td><td>25.0</td><td>at 2.0 s</td>" in table
+    assert "<td>keep the ego&#x27;s lane</td><td>8.0</td><td>-</td>" in table
+    assert "<td>out of the ego&#x27;s lane to the left</td><td>8.0</td><td>not reached</td>" in table
+    assert "<td>2 front</td><td>20.0</td><td>at 0.0 s</td>" in table
+
+
+def test_the_table_says_which_change_was_requested():
+    trace = cut_in()
+    asked = replace(trace.scenario, npcs=((LaneInstruction("left", 25.0), *IN_LANES[1:]), ON_GRID))
+    stayed = replace(trace.scenario, npcs=((LaneInstruction("keep", 25.0), *IN_LANES[1:]), ON_GRID))
+    first = view_of(replace(trace, scenario=asked, executed=stayed)).instructions[0]
+    assert first.words == "keep the lane left of the ego (requested one lane left)"
+
+
+def test_repeated_changes_of_lanes_are_counted_as_changes():
+    thrice = Scenario(npcs=((LaneInstruction("left", 8.0),) * 3 + (LaneInstruction("keep", 8.0),) * 2, ON_GRID[:1] * 2))
+    (lanes, grid) = shrink_view(thrice, thrice, rollouts=1).original
+    assert lanes == "3 times one lane left 8.0 m/s, keep lane 8.0 m/s x2"
+    assert grid == "2 front 20.0 m/s x2"
+
+
+def test_speeds_that_still_fail_name_the_lane():
+    scenario = Scenario(npcs=(IN_LANES,), gene_seconds=2.0)
+    speeds = tuple(SpeedInterval(npc=0, gene=gene, low=1.0, high=9.0) for gene in (0, 1))
+    shrunk = Shrunk(rollouts=9, is_minimal=True, speeds=speeds)
+    assert speed_sentences(plain_finding(scenario=scenario, shrunk=shrunk)) == [
+        "NPC 0 from 0 s one lane right: any speed from 1.0 to 9.0 m/s still fails",
+        "NPC 0 from 2 s in its lane: any speed from 1.0 to 9.0 m/s still fails",
+    ]
 
 
 @pytest.mark.processes
 @pytest.mark.skipif(find_chromium() is None, reason="no Chromium here: expected chromium or google-chrome on PATH")
-def test_page_names_lanes_and_draws_no_cell_lines(view, tmp_path):
+def test_page_names_lanes_and_draws_lines_to_them(view, tmp_path):
     path = tmp_path / "report.html"
     report = Report(title="t", facts=(), command="pytest", findings=(view,), campaigns=())
     path.write_text(render_page(report), encoding="utf-8")
@@ -49,11 +111,23 @@ def test_page_names_lanes_and_draws_no_cell_lines(view, tmp_path):
     try:
         page = browser.open(f"{path.as_uri()}#finding={view.id}&t=1")
         text = page.evaluate("document.querySelector('article.current').textContent")
-        assert "lane left at 25.0 m/s" in text
-        assert "NPC 0, 0.0 s: lane left, 25.0 m/s; reached at 2.0 s" in text
+        assert "from the left into the ego's lane at 25.0 m/s" in text
+        assert "NPC 0, 0.0 s: from the left into the ego's lane, 25.0 m/s; reached at 2.0 s" in text
+        assert "Dashed line: to the cell or lane that an NPC is to drive to." in text
         assert "undefined" not in text
+        rings, cells = (f"[...document.querySelectorAll('article.current rect.{name}')]" for name in ("target", "cell"))
+        top = "getBoundingClientRect().top"
+        beside_lane_0, beside_lane_1 = (page.evaluate(f"{cells}[{each}].{top}") for each in (0, 1))
+        assert page.evaluate(f"{rings}[0].{top}") == pytest.approx(beside_lane_1, abs=3)
+        for time in (3, 7, 13):
+            page.evaluate(f"location.hash = 'finding={view.id}&t={time}'")
+            moment = "Number(document.querySelector('article.current .player').dataset.time)"
+            page.until(f"Math.abs({moment} - {time}) < 0.01")
+            shown = page.evaluate(f"{rings}.map(each => each.getAttribute('visibility'))")
+            assert shown == ["hidden" if each is None else "visible" for each in picture_at(view, time).targets]
+            readout = page.evaluate("document.querySelector('article.current').textContent")
+            assert ("keep the ego's lane at 8.0 m/s" in readout) is (time == 7)
+        assert page.evaluate(f"{rings}[0].{top}") == pytest.approx(beside_lane_0, abs=3)
         assert page.complaints == []
-        page.evaluate(f"location.hash = 'finding={view.id}&t=12'")
-        page.until("document.querySelector('article.current').textContent.includes('keep lane at 8.0 m/s')")
     finally:
         browser.close()

@@ -57,10 +57,24 @@ def test_every_run_counts(make_evaluation):
     assert counted([run, run, run]).driven["cell", 4] == 6
 
 
-def test_lane_instructions_cover_speeds_and_no_cells(make_evaluation):
-    run = make_evaluation(Scenario(npcs=((LaneInstruction("left", 12.0), LaneInstruction("keep", 3.0)),)))
+def test_lane_instructions_cover_lanes_and_speeds_and_no_cells(make_evaluation):
+    asked = Scenario(npcs=((LaneInstruction("left", 12.0), LaneInstruction("keep", 3.0)),))
+    executed = Scenario(npcs=((LaneInstruction("keep", 12.0), LaneInstruction("keep", 3.0)),))
+    coverage = counted([make_evaluation(asked, executed=executed, arrived=((True, False),))])
+    assert set(coverage.requested) == {("bin", 2), ("bin", 0), ("lane", "left"), ("lane", "keep")}
+    assert coverage.driven == {("bin", 2): 1, ("bin", 0): 1, ("lane", "keep"): 2}
+    assert coverage.reached == {("bin", 2): 1, ("lane", "keep"): 1}
+    assert coverage.describe(26.8) == "reached 1/3 lane choices, 1/6 speed bins; requested 2/3, 2/6"
+
+
+def test_cells_and_lanes_are_covered_side_by_side(make_evaluation):
+    lanes = (LaneInstruction("right", 12.0), LaneInstruction("right", 3.0))
+    run = make_evaluation(Scenario(npcs=(*CHAINS, lanes)), arrived=((True,) * 3, (True,) * 2, (False, True)))
     coverage = counted([run])
-    assert set(coverage.requested) == {("bin", 2), ("bin", 0)} == set(coverage.driven)
+    assert coverage.requested["lane", "right"] == 2
+    assert coverage.reached["lane", "right"] == 1
+    described = coverage.describe(26.8)
+    assert described.startswith("reached 4/8 cells, 3/24 ring steps, 1/3 lane choices, ")
 
 
 def test_a_run_without_a_started_gene_drives_nothing(make_evaluation):

@@ -4,10 +4,13 @@ import math
 
 import pytest
 
+from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import Health, RandomSearch, run_campaign
 from tests.helpers.tables import table
 
+LANES, CELLS = (LaneInstruction("left", 8.0),), (PositionInstruction(2, 8.0),)
+CROSSES = (CrossingInstruction("o1>o3", 0.0, 8.0),)
 WELL = {"genes_started": 12, "genes_reached": 9}
 
 
@@ -53,6 +56,15 @@ def test_more_than_a_quarter_invalid_runs_warns(make_evaluation):
 def test_genes_that_are_hardly_reached_warn(make_evaluation):
     (warning,) = health_of(make_evaluation, (4, {"genes_reached": 2})).warnings()
     assert warning.startswith("NPCs reached the cell of only 17 % (8) of 48 Position-Instructions")
+
+
+@pytest.mark.parametrize(
+    ("chains", "goal"), [([LANES], "lane"), ([LANES, CELLS], "cell or lane"), ([CELLS, CROSSES], "cell or zone")]
+)
+def test_lanes_and_zones_that_are_hardly_reached_warn(make_evaluation, chains, goal):
+    fields = {"scenario": Scenario(npcs=chains), "genes_reached": 2}
+    (warning,) = health_of(make_evaluation, (4, fields)).warnings()
+    assert warning.startswith(f"NPCs reached the {goal} of only 17 % (8) of 48 instructions that")
 
 
 @table(

@@ -45,7 +45,8 @@ class Charts {
 
   timeline() {
     const zoned = isCrossed(this.finding);
-    this.heading(`instructions: cell or ${zoned ? "zone" : "lane"}, speed`, "m/s", zoned && this.width >= 600 ? ", coloured: the NPC is in the zone, grey: the ego is" : "");
+    const laned = zoned && this.finding.instructions.some((row) => row.lane);
+    this.heading(`instructions: cell${laned ? ", lane" : ""} or ${zoned ? "zone" : "lane"}, speed`, "m/s", zoned && this.width >= 600 ? ", coloured: the NPC is in the zone, grey: the ego is" : "");
     this.y += 2;
     this.finding.vehicles.slice(1).forEach((vehicle, npc) => {
       this.parts.push(svg("text", { x: CHART.left - 6, y: px(this.y + 15), class: "small", "text-anchor": "end" }, vehicle.name));
@@ -61,8 +62,8 @@ class Charts {
     const box = { x: px(x0 + 0.5), y: px(this.y), height, rx: 3 };
     const wide = Math.max(0, x1 - x0 - 1);
     if (row.zone) { this.crossing(row, npc, x0, wide); return; }
-    const what = `NPC ${npc}, ${fixed(row.start, 1)} s: ${row.lane ? "" : "cell "}${goalName(row)}, ${row.lane ? "" : "then "}${fixed(row.speed, 1)} m/s; ` +
-      (row.arrived === null ? "not reached" : `reached at ${fixed(row.arrived, 1)} s`) +
+    const what = `NPC ${npc}, ${fixed(row.start, 1)} s: ${row.lane ? "" : "cell "}${goalName(row)}, ${row.lane ? "" : "then "}${fixed(row.speed, 1)} m/s` +
+      (row.lane === "keep" ? "" : row.arrived === null ? "; not reached" : `; reached at ${fixed(row.arrived, 1)} s`) +
       (row.requested === row.cell ? "" : `; requested was cell ${cellName(row.requested)}`);
     this.parts.push(svg("rect", { ...box, width: px(wide), class: "block" }, svg("title", {}, what)));
     if (row.arrived !== null && row.arrived < this.duration) {

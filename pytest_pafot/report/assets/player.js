@@ -97,9 +97,13 @@ class Player {
     this.curves = new Charts(this.finding, width);
     this.checkCurve = this.checked ? new Charts(this.finding, width, this.finding.check) : null;
     if (this.checked) this.checked.replaceChildren(this.checkCurve.root);
+    const rows = this.finding.instructions;
+    const isLaned = !this.scene.isWorld && rows.some((row) => row.lane);
+    const isOnGrid = rows.some((row) => row.cell) || !(this.scene.isCrossed || rows.some((row) => row.lane));
+    const goals = [isOnGrid ? "cell" : "", isLaned ? "lane" : ""].filter(Boolean).join(" or ");
     this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
       `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " relative to the ego"}. ` +
-      (!this.scene.isCrossed || this.finding.instructions.some((row) => row.cell) ? "Dashed line: to the cell that an NPC is to drive to. " : "") +
+      (goals ? `Dashed line: to the ${goals} that an NPC is to drive to. ` : "") +
       (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's. " : "") +
       "Bars at the rear: braking."));
     this.charts.replaceChildren(this.curves.root);

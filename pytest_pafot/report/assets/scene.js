@@ -82,6 +82,12 @@ function cellCentre(finding, ego, cell, [index, share]) {
   return { along: ego.along + ROWS[cell] * row, across, heading: 0, exists };
 }
 
+function targetLane(finding, npc, row) {
+  // Returns where the lane of a Lane-Instruction is: next to the lane in which the NPC was when the instruction began.
+  const start = stateAt(finding, npc + 1, frameAt(finding.times, row.start));
+  return start ? finding.road.lanes[nearestLane(finding.road, start.across) + ({ left: -1, right: 1 }[row.lane] || 0)] : undefined;
+}
+
 function placeName(state, zone) {
   // Returns the place of an NPC: a cell or, until it has left the zone in which it meets the ego's way, its place relative to that zone.
   const [enters, leaves] = zone ? zone.stretch : [null, null];
@@ -94,7 +100,7 @@ function placeName(state, zone) {
 const PHASES = {
   crossing: (row) => `${row.zone} ${row.words}, ${fixed(row.speed, 1)} m/s` + (row.phase === "arrived" ? `; entered at ${fixed(row.arrived, 1)} s` : ""),
   approach: (row) => (row.lane ? `${goalName(row)} at ${fixed(row.speed, 1)} m/s` : `drives to cell ${cellName(row.cell)}, then ${fixed(row.speed, 1)} m/s`),
-  arrived: (row) => `reached ${row.lane ? "its lane" : `cell ${cellName(row.cell)}`} at ${fixed(row.arrived, 1)} s, keeps that lane at ${fixed(row.speed, 1)} m/s`,
+  arrived: (row) => row.lane === "keep" ? PHASES.approach(row) : `reached ${row.lane ? "its lane" : `cell ${cellName(row.cell)}`} at ${fixed(row.arrived, 1)} s, keeps that lane at ${fixed(row.speed, 1)} m/s`,
   ended: () => "keeps its lane and speed, its instructions are over",
 };
 
@@ -294,8 +300,11 @@ class Scene {
     this.lines.forEach(([line, ring], npc) => {
       const state = states[npc + 1];
       const row = instructionAt(this.finding, npc, time);
-      const isSought = state && row && row.cell && row.phase === "approach";
-      const goal = isSought ? cellCentre(this.finding, states[0], row.cell, frame) : null;
+      const isSought = state && row && row.phase === "approach";
+      let goal = isSought && row.cell ? cellCentre(this.finding, states[0], row.cell, frame) : null;
+      // The target of an NPC that changes lanes is its place in the target lane.
+      const across = isSought && row.lane && !this.isWorld ? targetLane(this.finding, npc, row) : undefined;
+      if (across !== undefined) goal = { along: state.along, across, heading: 0, exists: true };
       const isDrawn = goal && (goal.exists || !this.isWorld);
       change(line, { visibility: isDrawn ? "visible" : "hidden" });
       change(ring, { visibility: isDrawn ? "visible" : "hidden" });
