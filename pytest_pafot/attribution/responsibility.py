@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from pytest_pafot.attribution.avoidance import SPED_UP, Braking, Pursuit
+from pytest_pafot.attribution.avoidance import HARDEST, SPED_UP, Braking, Pursuit
 from pytest_pafot.attribution.lane_changes import DRIFTING, PAUSE, LaneChange, LanePlaces, first_lasting, stretches
 from pytest_pafot.attribution.needless_braking import (
     AFTERMATH_SECONDS,
@@ -428,8 +428,8 @@ class Conflict:
         """Return whether the NPC changed lanes ahead of the ego in the last 5 s without giving way to a driving ego."""
         if change is None or self._stands or self._end - change.tick > SOON * self._hz:
             return False
-        speed = float(self._frame.speed[self._npc + 1, change.tick])
-        return self._gap(change.tick) < self._room(change.tick, speed, behind=0)
+        speeds = float(self._frame.speed[self._npc + 1, change.tick]), self._lowest(change)
+        return any(self._gap(change.tick) < self._room(change.tick, speed, behind=0) for speed in speeds)
 
     def _npc_braked_hard(self, first: int, last: int) -> bool:
         """Return whether the NPC braked hard between two ticks, for long enough."""
@@ -507,12 +507,12 @@ class Conflict:
         return room_to_leave(float(follower), speed)
 
     def _lowest(self, change: LaneChange) -> float:
-        """Return the ego's lowest speed during its lane change [m/s].
+        """Return a vehicle's lowest speed during its lane change [m/s].
 
-        An ego that slows down while it changes lanes has to leave more room to the vehicle behind.
+        A vehicle that slows down while it changes lanes has to leave more room to the vehicle behind.
         """
         over = max(self._onset, change.tick) + round(HEADWAY * self._hz)
-        return float(self._frame.speed[0, change.tick : min(over, self._end) + 1].min())
+        return float(self._frame.speed[change.vehicle, change.tick : min(over, self._end) + 1].min())
 
     def _is_too_late(self, seen: int) -> bool:
         """Return whether the time to collision is too short to respond to a cut-in that the ego sees at a tick."""
@@ -571,10 +571,10 @@ class Conflict:
     ) -> Attribution:
         """Attribute to the NPC ahead, unless the ego had escaped the danger, or sped up, and then still ran into it."""
         chance = self._second_chance(tick, pursuit, by_ego=True)
-        if chance is None and seen is not None:
+        if chance is None and seen is not None and not pursuit.is_no_further(seen, CUT_OFF, EMERGENCY):
             chance = self._sped_up(0, seen, pursuit)
         if chance is None:
-            chance = self._eased(tick, pursuit)
+            chance = self._eased(tick, pursuit, change)
         if chance is None:
             return self._excused(tick, reason)
         if self._pushed_in(change):
@@ -601,15 +601,19 @@ class Conflict:
                 return Fact(What.LET_BRAKES_GO, behind, self._at(at))
         return None
 
-    def _eased(self, tick: int, pursuit: Pursuit) -> Fact | None:
+    def _eased(self, tick: int, pursuit: Pursuit, change: LaneChange | None) -> Fact | None:
         """Return the fact that the ego already braked when it became dangerous, and then braked less; None if not.
 
         It braked less although it was faster than the vehicle ahead, and could have avoided the collision without the
-        time in which a driver moves the foot to the brake.
+        time in which a driver moves the foot to the brake. If the NPC changed lanes, it must also have been enough to
+        keep the braking that it had, and to brake hard as late as a follower.
         """
         since, slowed = max(tick, self._before), braking(self._trace)
         brakes_behind = slowed[since] >= VISIBLY and self._gap(since) > 0 and not self._leads(since)
-        if not brakes_behind or pursuit.avoided_from(since, ALREADY_BRAKING) is None:
+        had = float(slowed[since])
+        kept = replace(FOLLOWING, deceleration=max(had, HARDEST), kept=had)
+        required = (ALREADY_BRAKING, kept) if change else (ALREADY_BRAKING,)
+        if not brakes_behind or any(pursuit.avoided_from(since, each) is None for each in required):
             return None
         until = min(since + round(FOLLOWING.delay * self._hz), self._end)
         is_faster = self._frame.speed[0] > self._frame.speed[self._npc + 1]

@@ -27,6 +27,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
 from pytest_pafot.oracle.run import LINE_LENGTH
 from tests.helpers.drives import HZ, crash, driven
+from tests.helpers.situations import cut_in
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, random_states, straight_lanes, trace_of, vehicle
 from tests.helpers.work import calls_in
@@ -223,6 +224,34 @@ class TestCutIn:
     def test_ego_changing_lanes_into_slower_vehicle_is_responsible(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         assert rss_rule(crash(ego, driven(32.0, speed=12.0))).responsibility == "ego"
+
+    @pytest.mark.parametrize(("gap", "leader_brakes", "brakes_at", "responsible"), [
+        (8.75, [(2.6, 2.0, 10.0)], 3.0, "npc"),
+        (7.5, [], 3.1, "both"),
+    ])  # fmt: skip
+    def test_braking_hard_can_make_up_for_a_gain(self, gap, leader_brakes, brakes_at, responsible):
+        """It sped up until it braked; by the impact, only the first is no further than the required response."""
+        brakes = [(1.0, -1.0, 19.0 + brakes_at), (brakes_at, 8.0, 0.0)]
+        found = rss_rule(cut_in(gap, slower=4.0, brakes=leader_brakes, ego_brakes=brakes))
+        assert found.responsibility == responsible
+        assert ("should not have sped up" in found.reason) == (responsible == "both")
+
+    @pytest.mark.parametrize(("gap", "slower", "brakes_at", "responsible"), [
+        (28.0, 0.0, 2.8, "both"),
+        (28.0, 0.0, 5.0, "ego"),
+        (20.0, -2.0, 3.2, "both"),
+    ])  # fmt: skip
+    def test_npc_braking_while_cutting_in_shares_the_responsibility(self, gap, slower, brakes_at, responsible):
+        """At 20 m/s, 20 m are enough at the moment. The last NPC is too close to the ego only by its speed then."""
+        found = rss_rule(cut_in(gap, slower=slower, brakes=[(brakes_at, 6.0 if slower else 8.0, 2.0)]))
+        assert found.responsibility == responsible
+
+    @pytest.mark.parametrize(("slower", "responsible"), [(8.0, "both"), (10.0, "npc")])
+    def test_easing_counts_if_kept_braking_was_enough(self, slower, responsible):
+        """The ego brakes with 2 m/s^2 and eases when the NPC moves in 8 m ahead; 6 m/s^2 after 0.4 s avoid both."""
+        found = rss_rule(cut_in(8.0, slower=slower, ego_brakes=[(1.5, 2.0, 18.2)]))
+        assert found.responsibility == responsible
+        assert ("should have kept braking" in found.reason) == (responsible == "both")
 
 
 class TestASecondChance:

@@ -3,11 +3,14 @@
 The page is docs/explanation/verdicts.md.
 
     python -m tests.benchmarks.verdicts_twice [--collisions 2000] [--seed 0] [--policies NAME ...] [--workers 2]
+        [--instructions cells]
 
-The collisions are shared out evenly among the policies of ``tests.helpers.random_collisions``. Prints by policy and by
-verdict how often the rules of the package and those of ``tests.helpers.pencil_and_paper`` agree on who is responsible,
-on the fault and on the tick. Also prints each collision on which they disagree, with both answers and the way to
-reproduce it, and each reason with a number that differs from the trace.
+The collisions are shared out evenly among the policies of ``tests.helpers.random_collisions``. The NPCs that do not
+cross have Position-Instructions, or with ``--instructions lanes`` or ``both`` Lane-Instructions or either.
+
+Prints by policy and by verdict how often the rules of the package and those of ``tests.helpers.pencil_and_paper`` agree
+on who is responsible, on the fault and on the tick. Also prints each collision on which they disagree, with both
+answers and the way to reproduce it, and each reason with a number that differs from the trace.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 from pytest_pafot.attribution.responsibility import rss_rule
+from pytest_pafot.searching.space import Instructions
 from tests.benchmarks.command import options
 from tests.helpers import pencil_and_paper
 from tests.helpers.random_collisions import POLICIES, collision
@@ -34,13 +38,13 @@ class Compared:
     text: str
 
 
-def compared(policy: str, number: int, seed: int) -> Compared:
+def compared(policy: str, number: int, seed: int, instructions: Instructions) -> Compared:
     """Compare both answers to a collision.
 
     Raises:
         LookupError: No collision is found.
     """
-    found = collision(policy, number, seed)
+    found = collision(policy, number, seed, instructions)
     first, second = rss_rule(found.trace), pencil_and_paper.judge(found.trace)
     mine = (second.responsibility, second.fault, second.tick)
     theirs = (first.responsibility, first.fault, first.tick)
@@ -49,7 +53,7 @@ def compared(policy: str, number: int, seed: int) -> Compared:
     except (LookupError, StopIteration, ValueError) as error:  # the reason describes something that did not happen
         said, true = [first.reason], [repr(error)]
     text = (
-        f"collision({policy!r}, {number}, {seed}) in {found.world!r}\n"
+        f"collision({policy!r}, {number}, {seed}, {instructions!r}) in {found.world!r}\n"
         f"    impact at tick {found.trace.collision.tick}, {found.trace.collision!r}\n"
         f"    package: {theirs}: {first.reason}\n    paper:   {mine}: {second.ticks}\n"
         f"    numbers: {said}, by the trace {true}"
@@ -65,11 +69,11 @@ def table(compared: list[Compared], key: str) -> str:
 
 
 def main() -> None:
-    arguments = options(__doc__, collisions=2000, seed=0, policies=POLICIES, workers=2)
-    names = arguments.policies
+    arguments = options(__doc__, collisions=2000, seed=0, policies=POLICIES, workers=2, instructions="cells")
+    names, seed, instructions = arguments.policies, arguments.seed, arguments.instructions
     with ProcessPoolExecutor(arguments.workers) as pool:
         jobs = [
-            pool.submit(compared, names[index % len(names)], index // len(names), arguments.seed)
+            pool.submit(compared, names[index % len(names)], index // len(names), seed, instructions)
             for index in range(arguments.collisions)
         ]
         done, without = [], Counter()

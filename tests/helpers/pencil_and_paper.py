@@ -290,14 +290,14 @@ class Crash:
         apart, then = gap(self.ego, self.npc, at), max(at, self.joined)
         return (
             apart > 0
-            and apart >= giving_way(self.npc.speed[at], self.slowest_in_change(at))
+            and apart >= giving_way(self.npc.speed[at], self.slowest_in_change(self.ego, at))
             and gap(self.ego, self.npc, then) >= giving_way(self.npc.speed[then], self.ego.speed[then])
         )
 
-    def slowest_in_change(self, at):
-        """Return the ego's lowest speed in a lane change ahead of the NPC [m/s]."""
+    def slowest_in_change(self, mover, at):
+        """Return the mover's lowest speed in a lane change ahead of the other [m/s]."""
         end = min(self.impact, max(at, self.joined) + round(1.0 * self.hz))
-        return min(self.ego.speed[at : end + 1])
+        return min(mover.speed[at : end + 1])
 
     def both_changed_lanes(self, mine, theirs):
         at, later = mine.moment, max(mine.moment, theirs.moment)
@@ -509,7 +509,7 @@ class Crash:
         if not (
             self.has_second_chance(self.ego, self.npc, named)
             or (seen is not None and self.ego_sped_up(seen))
-            or self.ego_braked_less(max(named, self.danger - 1))
+            or self.ego_braked_less(max(named, self.danger - 1), is_after_change=moment is not None)
         ):
             return self.opinion("npc", None, named)
         is_shared = moment is not None and not self.stands() and self.cuts_in_soon_before(moment)
@@ -518,7 +518,7 @@ class Crash:
     def ego_sped_up(self, seen):
         """Return whether the ego sped up towards an NPC ahead, counted from a tick, and should not have."""
         first = seen + round(0.4 * self.hz)
-        if first >= self.impact:
+        if first >= self.impact or self.is_as_far_back_as_asked(seen):
             return False
         drive = Response(self, self.ego, self.npc, first, delay=0.0, perceived=0.0)
         for tick in range(first, self.impact + 1):
@@ -530,7 +530,7 @@ class Crash:
             or self.would_have_avoided_a_cut_in(self.ego, self.npc, seen)
         )
 
-    def ego_braked_less(self, since):
+    def ego_braked_less(self, since, is_after_change):
         """Return whether the ego braked at a tick, soon braked less, and would have avoided the collision otherwise."""
         was = self.ego.deceleration(since)
         if was < 1.3 or not is_behind(self.ego, self.npc, since) or gap(self.ego, self.npc, since) <= 0:
@@ -541,8 +541,11 @@ class Crash:
             count = count + 1 if is_weak else 0
             if count == needed:
                 self.ticks["brakes less"] = tick - needed
-                drive = Response(self, self.ego, self.npc, since, delay=0.4, perceived=0.0)
-                return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
+                soon = Response(self, self.ego, self.npc, since, delay=0.4, perceived=0.0)
+                late = Response(self, self.ego, self.npc, since, delay=1.0, perceived=0.0, kept=was)
+                return soon.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in) and (
+                    not is_after_change or late.avoids(lambda tick: max(was, 6.0), brakes_on=self.is_cut_in)
+                )
         return False
 
     # Rule 5
@@ -588,7 +591,8 @@ class Crash:
 
     def cuts_in_soon_before(self, at):
         """Return whether the NPC's lane change did not give way and was at most 5 s before the impact."""
-        gave_way = gap(self.ego, self.npc, at) >= giving_way(self.ego.speed[at], self.npc.speed[at])
+        asked = [giving_way(self.ego.speed[at], v) for v in (self.npc.speed[at], self.slowest_in_change(self.npc, at))]
+        gave_way = gap(self.ego, self.npc, at) >= max(asked)
         return not gave_way and self.seconds(self.impact - at) <= 5.0
 
     def is_seen(self, tick, change):
@@ -858,9 +862,9 @@ class Response:
 
     LONGEST = 12.0
 
-    def __init__(self, crash, responder, other, since, *, delay, perceived, to_cut_in=False):
+    def __init__(self, crash, responder, other, since, *, delay, perceived, to_cut_in=False, kept=0.0):
         self.crash, self.responder, self.other, self.since = crash, responder, other, since
-        self.hz, self.impact, self.to_cut_in = crash.hz, crash.impact, to_cut_in
+        self.hz, self.impact, self.to_cut_in, self.kept = crash.hz, crash.impact, to_cut_in, kept
         self.delay = round(delay * self.hz)
         self.due = since + self.delay
         self.perceived = since + round(perceived * self.hz)
@@ -890,13 +894,12 @@ class Response:
 
     def next_speed(self, tick, deceleration):
         """Return the speed after the step that begins at a tick [m/s]."""
-        own = self.speeds[tick]
-        if tick + 1 >= self.due:
-            return max(0.0, own - deceleration / self.hz) if self.slows_down(tick) else own
-        if tick + 1 > self.impact:
-            return own
+        own, is_due = self.speeds[tick], tick + 1 >= self.due
+        braked = max(0.0, own - (deceleration if is_due else self.kept) / self.hz) if self.slows_down(tick) else own
+        if is_due or tick + 1 > self.impact:
+            return braked
         recorded = self.responder.speed[tick + 1]
-        return recorded if tick + 1 <= self.perceived else min(own, recorded)
+        return recorded if tick + 1 <= self.perceived else min(braked, recorded)
 
     def slows_down(self, tick):
         own, other = self.speeds[tick], self.others_speeds[tick]

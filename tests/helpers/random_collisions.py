@@ -6,7 +6,7 @@ import functools
 import math
 import random
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from example_ads import constant_speed, defects, idm_mobil
 from pytest_pafot import Highway, Scenario, Trace
 from pytest_pafot.model.scenario import Act
-from pytest_pafot.searching.space import SearchSpace, sample, space_on
+from pytest_pafot.searching.space import Instructions, SearchSpace, sample, space_on
 from pytest_pafot.world.protocol import road_start
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.junctions import random_meeting
@@ -150,7 +150,7 @@ class RandomCollision:
     trace: Trace
 
 
-def collision(policy: str, number: int, seed: int = 0) -> RandomCollision:
+def collision(policy: str, number: int, seed: int = 0, instructions: Instructions = "cells") -> RandomCollision:
     """Return the collision with a number; it is the same at every call.
 
     Raises:
@@ -169,7 +169,7 @@ def collision(policy: str, number: int, seed: int = 0) -> RandomCollision:
             space = crossing_space(world, rng)
         else:
             space = motorway_space(world, rng) if policy in ON_A_MOTORWAY else space_of(world, rng.randint(1, 2))
-        scenario = sample(space, drawn)
+        scenario = sample(replace(space, instructions=instructions), drawn)
         trace = world.rollout(scenario, POLICIES[policy](rng))
         if trace.collision is not None:
             return RandomCollision(policy, number, seed, world, scenario, trace)

@@ -90,7 +90,7 @@ class Reading:
     def room(self, said):
         """Return the gap that the ego owed when it crossed the line, or when it came in if the first was enough."""
         at, then = self.tick, max(self.crash.joined, self.tick)
-        room = giving_way(self.npc.speed[at], self.crash.slowest_in_change(at))
+        room = giving_way(self.npc.speed[at], self.crash.slowest_in_change(self.crash.ego, at))
         if "more than" in said or gap(self.ego, self.npc, at) < room:
             return [room]
         return [giving_way(self.npc.speed[then], self.ego.speed[then])]
