@@ -74,13 +74,11 @@ def test_missing_library_error_gives_the_install_command(project, monkeypatch):
     result.stdout.fnmatch_lines(["*pip install 'pytest-pafot?search?'*"])
 
 
-def test_unknown_or_unsuitable_algorithm_error_lists_the_choices(project):
-    road = "ads=lambda: lambda observation: 1, world=pafot.World('merge-v1')"
+def test_unknown_algorithm_or_kind_error_lists_the_choices(project):
     told = {
-        f"algorithm='av-fuzzer', {road}": "*algorithm: expected one of distinct, * on a road that is not straight, "
-        "received 'av-fuzzer', *",
-        f"algorithm='random-manoeuvre', {road}": "*algorithm: expected one of distinct, * on a road that is not "
-        "straight, received 'random-manoeuvre', *",
+        "SHORT, algorithm='av-fuzzer', instructions='both'": "*instructions=*expected 'lanes' for the algorithm "
+        "av-fuzzer, received 'both'*",
+        "SHORT, instructions='cell'": "*instructions: expected one of cells, lanes, both, received 'cell'*",
         "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or cma-es, received 'genetic'; or give your own "
         "class*",
         "SHORT, algorithm='randm'": "*or cma-es, received 'randm'; did you mean 'random'[?]",
