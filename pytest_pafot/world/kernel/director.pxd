@@ -85,6 +85,9 @@ cdef class Director:
     @cython.locals(front=Npc, rear=Npc, reach=double, in_lane=bint, claims=bint)
     cdef bint _clear_of(self, Npc mine, Npc theirs, int lane) except -1
 
+    @cython.final
+    cdef double _gap(self, Npc front, Npc rear) except? -1
+
     @cython.locals(theirs=Npc, lane=int, goal=int, distance=double, gap=double, safe=double,
                    crosses=bint)
     cpdef double _following(self, Npc mine, double speed) except? -1

@@ -423,7 +423,11 @@ class Director:
         if not (in_lane or claims):
             return True
         front, rear = (theirs, mine) if theirs.x > mine.x else (mine, theirs)
-        return clear_to_enter(front.x - rear.x - self._length, rear.speed - front.speed)
+        return clear_to_enter(self._gap(front, rear), rear.speed - front.speed)
+
+    def _gap(self, front: Npc, rear: Npc) -> float:
+        """Return the gap between two NPCs in one lane [m]; in a bend, that on the side on which it is shorter."""
+        return (front.x - rear.x) * min(self._stretch(front), self._stretch(rear)) - self._length
 
     def _following(self, mine: Npc, speed: float) -> float:
         """Limit a desired speed to what leaves room behind the NPCs ahead [m/s]."""
@@ -434,7 +438,7 @@ class Director:
                 continue
             if distance == 0.0 and theirs.index > mine.index:
                 continue
-            gap = distance - self._length
+            gap = self._gap(theirs, mine)
             crosses = gap > -self._length / 2.0 and (
                 theirs.lane == lane or theirs.lane == goal or theirs.heading_for == lane or theirs.heading_for == goal
             )
