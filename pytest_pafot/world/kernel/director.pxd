@@ -65,7 +65,7 @@ cdef class Director:
     cpdef double _attending(self, Npc npc, Body ego, double speed) except? -1
 
     @cython.final
-    @cython.locals(gap=double, closing=double)
+    @cython.locals(gap=double, speed=double, closing=double)
     cdef bint _may_enter(self, Npc npc, Body ego) except -1
 
     @cython.locals(driver=NpcDriver, target=double, distance=double, wanted_speed=double, goal=int)

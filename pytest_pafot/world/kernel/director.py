@@ -370,7 +370,9 @@ class Director:
         """Return whether there is room for an NPC in the ego's lane, ahead of the ego or behind it."""
         gap = abs(npc.x - ego.x) * self._stretch(ego) - self._row
         if npc.x > ego.x:
-            closing = max(ego.speed - npc.speed, 0.0)
+            # An NPC in lanes brakes to its target speed while it moves in; one on the grid first reaches its cell.
+            speed = npc.speed if npc.shift_lane == NO_LANE else min(npc.speed, npc.kept_speed)
+            closing = max(ego.speed - speed, 0.0)
             return gap > self._ahead(ego) + closing * (ENTRY_TIME + closing / (2.0 * ENTRY_BRAKING))
         return gap > closing_room(ENTRY_GAP, npc.speed - ego.speed)
 
