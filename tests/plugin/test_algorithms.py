@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from pytest_pafot.searching import ALGORITHMS, resolve_algorithm
 from tests.helpers.sessions import section
 
 TEST = "@pafot.search(SHORT, algorithm={!r}, stop_after=1)\ndef test_it(run):\n    assert not run.collision\n"
@@ -43,6 +44,35 @@ def test_the_algorithms_of_libraries_search_too(libraries, project):
     project.run(generations=8).assert_outcomes(failed=2 * len(algorithms))
     for text, algorithm in zip(project.contents.values(), algorithms, strict=True):
         assert f"algorithm: {algorithm}" in text
+
+
+KINDS = {
+    "cells": "kinds == {'PositionInstruction'}",
+    "lanes": "kinds == {'LaneInstruction'}",
+    "both": "kinds <= {'PositionInstruction', 'LaneInstruction'}",
+}
+
+
+def test_every_algorithm_searches_with_every_kind_it_supports(libraries, project):
+    """The others are refused with the kinds that the algorithm has."""
+    lines, supported = [], []
+    for algorithm in ALGORITHMS:
+        for kind, check in KINDS.items():
+            supported.append(kind in resolve_algorithm(algorithm).instructions)
+            lines += [
+                f"@pafot.search(SHORT, algorithm={algorithm!r}, instructions={kind!r})",
+                f"def test_{len(supported) - 1}(run):",
+                "    kinds = {type(chain[0]).__name__ for chain in run.trace.scenario.npcs}",
+                f"    assert {check}",
+            ]
+    project.write("\n".join(lines))
+    result = project.run(generations=4)
+    result.assert_outcomes(passed=supported.count(True), failed=supported.count(False))
+    for number, is_supported in enumerate(supported):
+        if not is_supported:
+            text = section(result, f"test_{number}")
+            assert re.search(r"instructions=\.\.\.\): expected '(cells|lanes)' for the algorithm \S+, received '", text)
+    assert supported.count(False) == 6, "av-fuzzer and random-manoeuvre have lanes only, cma-es has cells only"
 
 
 def test_a_find_without_cells_is_on_the_page(project):
