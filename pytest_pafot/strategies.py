@@ -1,8 +1,8 @@
-"""Hypothesis strategies for valid Position-Instructions, chromosomes and scenarios.
+"""Hypothesis strategies for valid instructions, chromosomes and scenarios.
 
 Examples are valid by construction: a chain is a start cell and steps along the ring, so hypothesis need not filter
-them. They shrink towards few NPCs, short chains, no change of the cell, and low round speeds; crossing NPCs shrink
-towards a slot of 0.
+them. They shrink towards few NPCs, Position-Instructions, short chains, no change of the cell or lane, and low round
+speeds; crossing NPCs shrink towards a slot of 0.
 
     from hypothesis import given
     import pytest_pafot as pafot
@@ -23,18 +23,20 @@ from pytest_pafot.model.scenario import (
     GENE_SECONDS,
     LARGEST_SLOT,
     PAPER_SPEED_LIMIT,
+    SHIFTS,
     SLOT_STEPS_PER_SECOND,
     SPEED_STEPS_PER_MPS,
     Act,
     Chromosome,
     CrossingInstruction,
+    LaneInstruction,
     PositionInstruction,
     Scenario,
 )
 
 
 def _register() -> None:
-    """Register strategies for the types ``PositionInstruction`` and ``Scenario``, so that hypothesis can infer them.
+    """Register strategies for ``PositionInstruction``, ``LaneInstruction`` and ``Scenario``, to be inferred from types.
 
     Hypothesis calls this function when it is imported. The function is defined before the import of hypothesis below,
     because that import may already call it.
@@ -42,13 +44,14 @@ def _register() -> None:
     from hypothesis import strategies  # noqa: PLC0415
 
     strategies.register_type_strategy(PositionInstruction, lambda _: position_instructions())
+    strategies.register_type_strategy(LaneInstruction, lambda _: lane_instructions())
     strategies.register_type_strategy(Scenario, lambda _: scenarios())
 
 
 from hypothesis import strategies as st  # noqa: E402
 from hypothesis.strategies import SearchStrategy  # noqa: E402
 
-__all__ = ["chromosomes", "position_instructions", "scenarios", "scenarios_in"]
+__all__ = ["chromosomes", "lane_instructions", "position_instructions", "scenarios", "scenarios_in"]
 
 _STEPS = round(LARGEST_SLOT * SLOT_STEPS_PER_SECOND)
 _SLOTS = [
@@ -72,6 +75,20 @@ def position_instructions(
     return st.builds(PositionInstruction, st.sampled_from(_cells(cells)), _speeds(min_speed, max_speed))
 
 
+def lane_instructions(
+    *, min_speed: float = 0.0, max_speed: float = PAPER_SPEED_LIMIT
+) -> SearchStrategy[LaneInstruction]:
+    """Return a strategy for single Lane-Instructions, each with keep, left or right and a target speed.
+
+    Args:
+        min_speed, max_speed: bounds of the target speed [m/s], rounded to multiples of 0.1.
+
+    Raises:
+        ValueError: if no speed is within the bounds.
+    """
+    return st.builds(LaneInstruction, st.sampled_from(SHIFTS), _speeds(min_speed, max_speed))
+
+
 def chromosomes(
     *,
     cells: Iterable[int] = tuple(Cell),
@@ -79,6 +96,7 @@ def chromosomes(
     max_speed: float = PAPER_SPEED_LIMIT,
     min_genes: int = 1,
     max_genes: int = 6,
+    instructions: str = "cells",
 ) -> SearchStrategy[Chromosome]:
     """Return a strategy for one NPC's chain: each cell equals the previous one or is its neighbour on the ring.
 
@@ -86,15 +104,18 @@ def chromosomes(
         cells: the cells that the chain may visit.
         min_speed, max_speed: bounds of the target speeds [m/s].
         min_genes, max_genes: bounds of the number of genes in the chain.
+        instructions: ``"cells"`` for Position-Instructions, ``"lanes"`` for Lane-Instructions, ``"both"`` for chains of
+            either kind.
 
     Raises:
         ValueError: if no chain is within the bounds.
     """
     allowed, speeds, lengths = _cells(cells), _speeds(min_speed, max_speed), _bounds("genes", min_genes, max_genes)
+    in_lanes = _in_lanes(instructions, speeds, min_genes, max_genes)
 
     @st.composite
     def build(draw: st.DrawFn) -> Chromosome:
-        return _chains(draw, 1, draw(lengths), starts=allowed, allowed=allowed, speeds=speeds)[0]
+        return _chains(draw, 1, draw(lengths), starts=allowed, allowed=allowed, speeds=speeds, in_lanes=in_lanes)[0]
 
     return build()
 
@@ -113,13 +134,15 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     ego_speed: float = EGO_SPEED,
     gene_seconds: float = GENE_SECONDS,
     traffic: str | Traffic = "hostile",
+    instructions: str = "both",
 ) -> SearchStrategy[Scenario]:
     """Return a strategy for whole scenarios on a straight road, in which NPCs never share a cell in the same gene.
 
     Args:
-        cells: the cells that the chains may visit.
+        cells: the cells that chains of Position-Instructions may visit.
         min_speed, max_speed: bounds of the target speeds [m/s].
-        min_genes, max_genes: bounds of the number of genes in a chain; all chains of a scenario have the same length.
+        min_genes, max_genes: bounds of the number of genes in a chain; the chains of Position-Instructions in a
+            scenario have the same length.
         min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8.
         lanes: the number of lanes of the road; every NPC starts in a cell whose lane exists.
         ego_lane: the ego's first lane, 0 at the left; None for a random one.
@@ -127,6 +150,8 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
         gene_seconds: the duration of one gene [s].
         traffic: the driving style of the NPCs, as its name or as a :class:`~pytest_pafot.Traffic`. Target speeds are at
             least its ``least_speed_share`` times ``max_speed``.
+        instructions: ``"cells"`` if all NPCs have Position-Instructions, ``"lanes"`` if all have Lane-Instructions,
+            ``"both"`` if each NPC has either kind.
 
     Raises:
         ValueError: if no scenario is within the bounds.
@@ -134,6 +159,7 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     style = Traffic.of(traffic)
     allowed, speeds = _cells(cells), _speeds(max(min_speed, style.least_speed(max_speed)), max_speed)
     lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
+    in_lanes = _in_lanes(instructions, speeds, min_genes, max_genes)
     if lanes < 1:
         raise ValueError(f"lanes: expected at least 1, received {lanes}")
     if ego_lane is not None and not 0 <= ego_lane < lanes:
@@ -151,7 +177,8 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     @st.composite
     def build(draw: st.DrawFn) -> Scenario:
         lane = draw(st.sampled_from(usable))
-        npcs = _chains(draw, draw(counts), draw(lengths), starts=starts[lane], allowed=allowed, speeds=speeds)
+        cells = {"starts": starts[lane], "allowed": allowed}
+        npcs = _chains(draw, draw(counts), draw(lengths), **cells, speeds=speeds, in_lanes=in_lanes)
         seed = draw(st.integers(0, 2**16 - 1))
         start: dict[str, Any] = {"ego_lane": lane, "ego_speed": ego_speed, "gene_seconds": gene_seconds}
         return Scenario(npcs=npcs, seed=seed, traffic=style, **start)
@@ -168,24 +195,32 @@ def scenarios_in(
     max_npcs: int = 2,
     acts: Iterable[Act] | None = None,
     traffic: str | Traffic = "hostile",
+    instructions: str | None = None,
 ) -> SearchStrategy[Scenario]:
     """Return a strategy for whole scenarios that fit a world: its lanes, its speeds, and NPCs on its crossing ways.
 
     Args:
         world: the world, such as ``pafot.World("intersection-v0")``.
-        min_genes, max_genes: bounds of the number of genes in the chain of an NPC on the grid.
+        min_genes, max_genes: bounds of the number of genes in the chain of an NPC that does not cross.
         min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8. If there is no room for a crossing NPC, the scenario
             has fewer NPCs.
         acts: the acts of crossing NPCs to choose from, of ``pass``, ``hold``, ``stop`` and ``late``; by default the
             first three. Only for a world in which NPCs cross.
         traffic: the driving style of the NPCs, as its name or as a :class:`~pytest_pafot.Traffic`.
+        instructions: the instructions of NPCs that do not cross, ``"cells"``, ``"lanes"`` or ``"both"``, as for
+            :func:`scenarios`; by default both kinds, if the world's NPCs can have Lane-Instructions.
 
     Raises:
-        ValueError: if no scenario is within the bounds.
+        ValueError: if no scenario is within the bounds, or if the world's NPCs cannot have the instructions.
         WorldError: if the world cannot be built.
     """
     from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and rarely needed)
-    from pytest_pafot.world.protocol import crossings, most_on_grid, road_start  # noqa: PLC0415
+    from pytest_pafot.world.protocol import (  # noqa: PLC0415
+        crossings,
+        has_lane_instructions,
+        most_on_grid,
+        road_start,
+    )
 
     given: dict[str, Any] = {"traffic": traffic, "crossings": crossings(world)}
     if acts is not None:
@@ -194,6 +229,12 @@ def scenarios_in(
                 f"acts: expected a world in which NPCs cross the ego's way, received {world!r:.100}; leave acts out"
             )
         given["acts"] = tuple(acts)
+    has_lanes = has_lane_instructions(world)
+    if instructions not in (None, "cells") and not has_lanes:
+        raise ValueError(
+            f"instructions: expected a world whose NPCs can have Lane-Instructions, received {world!r:.100}, which "
+            "declares none; leave instructions out, or write has_lane_instructions = True in its class if its NPCs can"
+        )
     space = space_on(world, given, road_start(world))
     crossing, starts, room = space.crossing_traffic, _starts(world, space.ego_lane), most_on_grid(world)
     usable = [lane for lane, cells in starts.items() if crossing is not None or min(len(cells), room) >= max_npcs]
@@ -204,6 +245,7 @@ def scenarios_in(
         )
     lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
     speeds = _speeds(space.low_step / SPEED_STEPS_PER_MPS, space.top_step / SPEED_STEPS_PER_MPS)
+    in_lanes = _in_lanes(instructions or ("both" if has_lanes else "cells"), speeds, min_genes, max_genes)
     ways = (
         []
         if crossing is None
@@ -224,7 +266,8 @@ def scenarios_in(
         if not told and not on_grid:
             told = [CrossingInstruction(ways[0][0], 0.0, ways[0][1][0])]
         genes = draw(lengths)
-        npcs = _chains(draw, on_grid, genes, starts=starts[lane], allowed=list(Cell), speeds=speeds) if on_grid else ()
+        cells = {"starts": starts[lane], "allowed": list(Cell)}
+        npcs = _chains(draw, on_grid, genes, **cells, speeds=speeds, in_lanes=in_lanes)
         start: dict[str, Any] = {"ego_lane": lane, "ego_speed": min(space.ego_speed, space.speed_limit)}
         start |= {"gene_seconds": space.gene_seconds, "traffic": space.traffic}
         return Scenario(npcs=(*npcs, *((each,) for each in told)), seed=draw(st.integers(0, 2**16 - 1)), **start)
@@ -254,25 +297,44 @@ def _chains(
     starts: list[Cell],
     allowed: list[Cell],
     speeds: SearchStrategy[float],
+    in_lanes: SearchStrategy[Chromosome | None],
 ) -> tuple[Chromosome, ...]:
     """Draw the chains of some NPCs, which start in the cells ``starts`` and stay within the cells ``allowed``.
+
+    If ``in_lanes`` gives a chain for an NPC, the NPC has this chain instead. These chains are drawn first, because
+    hypothesis can then leave out any other NPC when it shrinks an example.
 
     This is a plain function and not a strategy, because hypothesis reads the source of each strategy when the strategy
     is made, which would be slow at each draw.
     """
     held: list[Cell] = []
-    for _ in range(npcs):
+    lanes = [draw(in_lanes) for _ in range(npcs)]
+    on_grid = lanes.count(None)
+    for _ in range(on_grid):
         held.append(draw(st.sampled_from([cell for cell in starts if cell not in held])))
     rows = [list(held)]
     for _ in range(genes - 1):
         # One NPC after the other moves to a free cell, so that "stay" is always possible. The order decides which NPC
         # can follow which along the ring.
-        order = range(npcs) if npcs == 1 or not draw(st.booleans()) else reversed(range(npcs))
+        order = range(on_grid) if on_grid < 2 or not draw(st.booleans()) else reversed(range(on_grid))
         for npc in order:
             moves = [held[npc], *(c for c in held[npc].neighbours if c in allowed and c not in held)]
             held[npc] = draw(st.sampled_from(moves))
         rows.append(list(held))
-    return tuple(tuple(PositionInstruction(row[npc], draw(speeds)) for row in rows) for npc in range(npcs))
+    columns = zip(*rows, strict=True)
+    return tuple(chain or tuple(PositionInstruction(cell, draw(speeds)) for cell in next(columns)) for chain in lanes)
+
+
+def _in_lanes(
+    instructions: str, speeds: SearchStrategy[float], min_genes: int, max_genes: int
+) -> SearchStrategy[Chromosome | None]:
+    """Return a strategy for a chain of Lane-Instructions, or None for an NPC on the grid, towards which it shrinks."""
+    gene = st.builds(LaneInstruction, st.sampled_from(SHIFTS), speeds)
+    chain = st.lists(gene, min_size=min_genes, max_size=max_genes).map(tuple)
+    kinds = {"cells": st.none(), "lanes": chain, "both": st.none() | chain}
+    if instructions not in kinds:
+        raise ValueError(f"instructions: expected one of {', '.join(kinds)}, received {instructions!r:.100}")
+    return kinds[instructions]
 
 
 def _speeds(low: float, high: float) -> SearchStrategy[float]:

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from pytest_pafot import Highway, World, strategies
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell, is_adjacent
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
 from tests.helpers.tables import table
 
+KINDS = {PositionInstruction, LaneInstruction, CrossingInstruction}
 SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # no need to explain which parts matter
 
 
@@ -48,7 +49,39 @@ def test_scenarios_have_two_npcs_at_most_by_default(scenario):
 
 @given(strategies.scenarios(lanes=3, max_npcs=5))
 def test_every_npc_starts_in_a_lane_that_exists(scenario):
-    assert all(0 <= scenario.ego_lane + chain[0].cell.column < 3 for chain in scenario.npcs)
+    assert all(0 <= scenario.ego_lane + chain[0].cell.column < 3 for chain in scenario.positions)
+
+
+@given(strategies.scenarios(lanes=3, max_npcs=5))
+def test_npcs_of_both_kinds_fit_the_road(scenario):
+    Highway(lanes=3).check_fits(scenario)
+
+
+@table(("instructions", "kinds"), [("cells", {False}), ("lanes", {True}), ("both", {False, True})])
+def test_chains_and_scenarios_have_the_wanted_instructions(instructions, kinds):
+    drawn = {"chain": set(), "scenario": set(), "world": set()}
+
+    @given(
+        strategies.chromosomes(instructions=instructions),
+        strategies.scenarios(min_npcs=2, instructions=instructions),
+        strategies.scenarios_in(Highway(), min_npcs=2, instructions=instructions),
+    )
+    def draw(chain, scenario, in_world):
+        for name, chains in (("chain", [chain]), ("scenario", scenario.npcs), ("world", in_world.npcs)):
+            drawn[name].add(frozenset(isinstance(gene, LaneInstruction) for each in chains for gene in each))
+
+    draw()
+    for name, seen in drawn.items():
+        mixed = {frozenset(kinds)} if len(kinds) > 1 and name != "chain" else set()
+        assert seen == {frozenset([kind]) for kind in kinds} | mixed
+
+
+def test_failing_change_of_lanes_shrinks_to_one_npc():
+    def changes(scenario):
+        return any(isinstance(gene, LaneInstruction) and gene.lane == "right" for npc in scenario.npcs for gene in npc)
+
+    found = find(strategies.scenarios(max_npcs=4), changes, settings=SIMPLEST)
+    assert found.npcs == ((LaneInstruction("right", 0.0),),)
 
 
 @given(strategies.scenarios())
@@ -70,7 +103,8 @@ def test_instructions_respect_the_minimum_speed_of_traffic(scenario):
 @given(st.data())
 def test_types_alone_give_strategies(data):
     assert isinstance(data.draw(st.from_type(Scenario)), Scenario)
-    assert isinstance(data.draw(st.from_type(PositionInstruction)), PositionInstruction)
+    for kind in (PositionInstruction, LaneInstruction):
+        assert isinstance(data.draw(st.from_type(kind)), kind)
 
 
 def test_simplest_scenario_is_one_stationary_npc():
@@ -93,7 +127,7 @@ def test_npcs_may_follow_each_other_around_the_ring():
 
         return both_move
 
-    pairs = strategies.scenarios(min_npcs=2, max_npcs=2, min_genes=2, max_genes=2)
+    pairs = strategies.scenarios(min_npcs=2, max_npcs=2, min_genes=2, max_genes=2, instructions="cells")
     many = settings(max_examples=5000, phases=[Phase.generate])
     for step, seed in ((1, 1), (-1, 5)):  # these seeds find one soon
         assert find(pairs, follows(step), settings=many, random=random.Random(seed))
@@ -109,6 +143,7 @@ def test_npcs_may_follow_each_other_around_the_ring():
         ({"lanes": 2, "max_npcs": 8}, "no more NPCs than cells"),
         ({"ego_lane": 7}, "from 0 to 3"),
         ({"lanes": 0}, "lanes: expected at least 1, received 0"),
+        ({"instructions": "cell"}, "one of cells, lanes, both, received 'cell'"),
         ({"traffic": "rude"}, "one of paper, hostile, assertive, everyday, received 'rude'"),
     ],
 )
@@ -148,20 +183,39 @@ def test_acts_are_refused_where_no_npc_crosses():
         strategies.scenarios_in(Highway(), acts=("pass",))
 
 
+class Unequipped:
+    """A Highway that declares nothing, as a world of a user does by default."""
+
+    speed_limit, longest_run = 20.0, 30.0
+
+
+def test_world_without_lane_instructions_gets_none():
+    arguments = {"world": Unequipped(), "min_npcs": 3, "max_npcs": 3}
+    with pytest.raises(ValueError, match=r"Unequipped.*write has_lane_instructions = True in its class"):
+        strategies.scenarios_in(**arguments, instructions="both")
+
+    @given(strategies.scenarios_in(**arguments))
+    def has_only_cells(scenario):
+        assert len(scenario.positions) == 3
+
+    has_only_cells()
+
+
 def test_simplest_junction_scenario_meets_the_ego_exactly():
     simplest = find(strategies.scenarios_in(INTERSECTION), lambda _: True, settings=SIMPLEST)
     ((instruction,),) = simplest.npcs
     assert (instruction.slot, instruction.act) == (0.0, "pass")
 
 
-@pytest.mark.parametrize("kind", ["both", "late", "two zones"])
+@pytest.mark.parametrize("kind", ["both", "lanes too", "late", "two zones"])
 def test_every_kind_of_junction_traffic_is_drawn(kind):
     wanted = {
         "both": lambda scenario: scenario.positions and scenario.crossings,
+        "lanes too": lambda scenario: {type(npc[0]) for npc in scenario.npcs} == KINDS,
         "late": lambda scenario: any(each and each.act == "late" for each in scenario.crossings),
         "two zones": lambda scenario: len({each.zone for each in scenario.crossings if each}) == 2,
     }[kind]
-    drawn = strategies.scenarios_in(INTERSECTION, max_npcs=3, acts=("pass", "late"))
+    drawn = strategies.scenarios_in(INTERSECTION, max_npcs=4, acts=("pass", "late"))
     assert wanted(find(drawn, lambda scenario: bool(wanted(scenario)), settings=SIMPLEST))
 
 

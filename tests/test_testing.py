@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pytest_pafot import Cell, Highway, NpcLimits, Outcome, PositionInstruction, Scenario, World
+from pytest_pafot import Cell, Highway, LaneInstruction, NpcLimits, Outcome, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
 from pytest_pafot.testing import _check_lasting, check_world
 from pytest_pafot.testing.traces import contacts, places_at_start
@@ -333,6 +333,62 @@ def test_check_skips_hanging_if_it_takes_long(monkeypatch):
 # --- what a trace says of the motion, the road and the contacts
 
 LONGER = Highway(duration=20.0)
+
+
+class InLanes(Own):
+    """A world of more lanes in which NPCs can have Lane-Instructions, with runs that are long enough to show them."""
+
+    longest_run, has_lane_instructions = 6.0, True
+
+    def rollout(self, scenario, ads_factory):
+        self.seen = [*getattr(self, "seen", []), scenario]
+        return replace(ROAD, duration=6.0).rollout(self.told(scenario), ads_factory)
+
+    def told(self, scenario):
+        return scenario
+
+
+class KeepsLanes(InLanes):
+    """NPCs keep their lanes, whatever their Lane-Instructions say."""
+
+    def told(self, scenario):
+        return with_lanes(scenario, {"left": "keep", "right": "keep"})
+
+    def rollout(self, scenario, ads_factory):
+        trace = super().rollout(scenario, ads_factory)
+        return replace(trace, scenario=scenario, executed=scenario)
+
+
+class Mirrored(KeepsLanes):
+    """The world's lanes are counted from the other side, and only Lane-Instructions show it."""
+
+    def told(self, scenario):
+        return with_lanes(scenario, {"left": "right", "right": "left"})
+
+
+def with_lanes(scenario, instead):
+    chains = [
+        tuple(replace(gene, lane=instead.get(gene.lane, gene.lane)) for gene in chain)
+        if isinstance(chain[0], LaneInstruction)
+        else chain
+        for chain in scenario.npcs
+    ]
+    return replace(scenario, npcs=tuple(chains))
+
+
+def test_world_is_tried_with_the_instructions_that_it_declares():
+    for declares in (True, False):
+        world = InLanes()
+        world.has_lane_instructions = declares
+        check_world(world, runs=3, npcs=2, genes=3, gene_seconds=2.0)
+        kinds = {type(chain[0]) for scenario in world.seen for chain in scenario.npcs}
+        assert kinds == ({PositionInstruction, LaneInstruction} if declares else {PositionInstruction})
+
+
+@table("wrong", [KeepsLanes, Mirrored])
+def test_world_that_declares_lane_instructions_must_follow_them(wrong):
+    with pytest.raises(AssertionError, match="NPCs change lanes by Lane-Instructions, as has_lane_instructions decl"):
+        check_world(wrong(), runs=3, npcs=2, genes=3, gene_seconds=2.0)
 
 
 class Driven:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pytest_pafot.attribution.last_chance import STEADY_BRAKING, brakes_untouched
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Gene, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import Gene, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import SPEED, Outcome, Trace, X, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample, space_on
@@ -111,6 +111,8 @@ def check_world(
       touch, the outcome is ``invalid``.
     - The same scenario gives the same trace to the last bit, whatever ran before.
     - The scenario as executed, ``trace.executed``, gives the same trace.
+    - If the world has ``has_lane_instructions``, NPCs with Lane-Instructions are among those of all scenarios, and on a
+      straight road they change lanes to the side that their instructions name.
     - NPCs stay within the world's ``limits``, if these are a :class:`pytest_pafot.NpcLimits`.
     - An ADS that raises, returns no action or hangs ends its own run and does not affect other runs. An ADS that hangs
       is tried only if the world's ``hang_limit`` is at most one second.
@@ -144,8 +146,10 @@ def check_world(
         not (lacking := protocol.missing(world)), "a world has all that a search needs", f"no {', '.join(lacking)}"
     )
     _check_members(world)
-    ways = {} if (found := protocol.crossings(world)) is None else {"crossings": found}
-    random, within = np.random.default_rng(seed), space_on(world, {**ways, **space}, protocol.road_start(world))
+    able: dict[str, Any] = {} if (found := protocol.crossings(world)) is None else {"crossings": found}
+    if protocol.has_lane_instructions(world):
+        able["instructions"] = "both"
+    random, within = np.random.default_rng(seed), space_on(world, {**able, **space}, protocol.road_start(world))
     calls = _Calls(ads)
     done = [_run(world, sample(within, random), calls) for _ in range(runs)]
     for each in done:
@@ -159,6 +163,7 @@ def check_world(
         _keep(_decided(world, each))
     _check_repetition(world, done)
     _check_obedience(world, done, egos)
+    _check_lane_changes(world, done[0])
     _check_decisions(world, done)
     _check_drivers(world, staged, [*egos, *done])
     _check_batch(world, done, ads)
@@ -366,6 +371,27 @@ def _otherwise(scenario: Scenario, speed_limit: float) -> Scenario:
     since = 1 if scenario.genes > 1 else 0
     npcs = [(*one[:since], *(other(one[0], gene) for gene in one[since:])) for one in scenario.npcs]
     return replace(scenario, npcs=tuple(npcs))
+
+
+def _check_lane_changes(world: Any, done: _Done) -> None:
+    """Check that NPCs go to the left or to the right by their Lane-Instructions, in runs that last long enough."""
+    scenario, lanes = done.scenario, done.trace.lanes
+    if not protocol.has_lane_instructions(world) or len(lanes) < 2 or not rules.is_straight(done.trace):
+        return
+    across: list[Any] = []
+    for lane in ("left", "right"):
+        gene = LaneInstruction(lane, min(scenario.ego_speed, float(world.speed_limit)))
+        told = replace(scenario, npcs=((gene,) * scenario.genes,) * len(scenario.npcs))
+        trace = _run(world, told, done.calls).trace
+        _check_form(world, told, trace)
+        if trace.duration < SETTLED:
+            return
+        heading = lanes[0].heading
+        across.append(trace.npcs[..., Y] * np.cos(heading) - trace.npcs[..., X] * np.sin(heading))
+    until = min(map(len, across))
+    apart = float((across[1][:until] - across[0][:until]).mean(axis=1).max())
+    received = f"at most {apart:.1f} m between NPCs that go left and those that go right"
+    _promise(apart > DEEP, "NPCs change lanes by Lane-Instructions, as has_lane_instructions declares", received)
 
 
 def _check_decisions(world: Any, done: Sequence[_Done]) -> None:

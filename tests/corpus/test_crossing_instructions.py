@@ -101,7 +101,7 @@ def test_redundant_act_is_read_without_error():
         ("zone: o1>o3,", "zone: o1>o3, cell: 2,", "scenario.npcs[0][0].zone", "one of cell, speed"),
         ("    - - {cell: 6", "      - {cell: 6", "scenario.npcs[0][1].cell", "a CrossingInstruction like npcs[0][0]"),
         ("    - - {zone: o3", "      - {zone: o3", "scenario.npcs[1][1]", "a PositionInstruction like npcs[1][0]"),
-        ("{cell: 6, speed: 8.0}", "{lane: keep, speed: 8.0}", "scenario.npcs[1][0]", "a CrossingInstruction like"),
+        ("    - - {cell: 6", "      - {lane: keep, speed: 8}\n    - - {cell: 6", "scenario.npcs[0][1]", "a CrossingIn"),
         ("zone: crossing from the left, ", "", "expect", "the key 'cell'"),
         ("zone: crossing from the left", "zone: crossing from above", "expect.zone", "one of crossing from the left"),
         ("zone: crossing from the left", "zone: o1>o3", "expect.zone", "one of crossing from the left, crossing from"),

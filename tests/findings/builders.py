@@ -15,7 +15,15 @@ from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import Situation, ZoneSituation
 from pytest_pafot.model.driving_style import BOUNDS, PAPERS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import ACTS, MAX_SEED, CrossingInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import (
+    ACTS,
+    MAX_SEED,
+    SHIFTS,
+    CrossingInstruction,
+    LaneInstruction,
+    PositionInstruction,
+    Scenario,
+)
 from pytest_pafot.model.sight import NOISES, Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import ReferenceOutcome
@@ -119,13 +127,15 @@ def crossing_instructions():
 
 @st.composite
 def scenarios(draw):
-    steps = st.lists(st.tuples(st.integers(-12, 12), st.integers(0, 268)), min_size=1, max_size=8)
-    chains = [
-        [PositionInstruction(Cell((step - 1) % 8 + 1), speed / 10) for step, speed in row]
-        if isinstance(row, list)
-        else [row]
-        for row in draw(st.lists(steps | crossing_instructions(), min_size=1, max_size=4))
-    ]
+    speeds = st.integers(0, 268).map(lambda tenths: tenths / 10)
+    cells = st.builds(PositionInstruction, st.integers(1, 8), speeds)
+    lanes = st.builds(LaneInstruction, st.sampled_from(SHIFTS), speeds)
+    chain = st.one_of(
+        st.lists(cells, min_size=1, max_size=8),
+        st.lists(lanes, min_size=1, max_size=8),
+        crossing_instructions().map(lambda each: [each]),
+    )
+    chains = draw(st.lists(chain, min_size=1, max_size=4))
     return Scenario.repaired(
         chains,
         seed=draw(st.integers(0, MAX_SEED)),

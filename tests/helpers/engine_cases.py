@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario
+from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.world import Highway
 from tests.helpers.world_cases import EGOS, random_scenario
 
@@ -65,7 +65,10 @@ class Case:
 
     @classmethod
     def random(cls, seed: int) -> Case:
-        """Return a case with one to eight NPCs on three to six lanes; every fourth case has Lane-Instructions."""
+        """Return a case with one to eight NPCs on three to six lanes.
+
+        In every fourth case all NPCs have Lane-Instructions, and in every other fourth case about half of them have.
+        """
         rng = random.Random(seed)
         lanes, (physics_hz, ads_hz) = rng.randint(3, 6), rng.choice(FREQUENCIES)
         world = Highway(
@@ -79,18 +82,23 @@ class Case:
         scenario = random_scenario(rng, lanes=lanes, speed_limit=world.speed_limit)
         if rng.random() < 0.3:
             scenario = replace(scenario, gene_seconds=10.0)
-        if seed % 4 == 3:
-            scenario = in_lanes(scenario, rng)
+        if seed % 2:
+            scenario = in_lanes(scenario, rng, share=0.5 if seed % 4 == 1 else 1.0)
         return cls(world, scenario, rng.choice(ALL_EGOS))
 
     def run(self, engine: str):
         return replace(self.world, engine=engine).rollout(self.scenario, self.ego)
 
 
-def in_lanes(scenario: Scenario, rng: random.Random) -> Scenario:
-    """Return the scenario with the same speeds, but with Lane-Instructions instead of cells."""
-    chains = [[LaneInstruction(rng.choice(SHIFTS), gene.speed) for gene in chain] for chain in scenario.npcs]
-    return replace(scenario, npcs=tuple(map(tuple, chains)))
+def in_lanes(scenario: Scenario, rng: random.Random, share: float = 1.0) -> Scenario:
+    """Return the scenario with Lane-Instructions instead of cells for a share of the NPCs on the grid."""
+    chains = [
+        tuple(LaneInstruction(rng.choice(SHIFTS), gene.speed) for gene in chain)
+        if isinstance(chain[0], PositionInstruction) and rng.random() < share
+        else chain
+        for chain in scenario.npcs
+    ]
+    return replace(scenario, npcs=tuple(chains))
 
 
 def differences(first, second) -> list[str]:

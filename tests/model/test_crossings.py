@@ -149,17 +149,23 @@ class TestScenarios:
         assert Scenario(npcs=[[one()]]).crossings == ()
         assert on_grid(scenario.npcs, [[Cell(2), Cell(3)]]) == [(), [Cell(2), Cell(3)], ()]
 
+    def test_npc_in_lanes_may_be_beside_all_others(self):
+        lanes = LaneInstruction("left", 8.0), LaneInstruction("keep", 5.0)
+        scenario = Scenario(npcs=[lanes, [crosses()], [one(2)]])
+        assert scenario.positions == ((one(2),),)
+        assert scenario.crossings == (None, crosses(), None)
+
     @table(
         ("npcs", "message"),
         [
             ([[crosses(), crosses()]], "npcs[0][1]: expected one CrossingInstruction"),
             ([[crosses(), one()]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
             ([[one(), crosses()]], "npcs[0][1]: expected a PositionInstruction like npcs[0][0]"),
-            ([[LaneInstruction("keep", 1)], [crosses()]], "npcs[1][0]: expected a LaneInstruction like npcs[0][0]"),
-            ([[crosses()], [LaneInstruction("keep", 1)]], "npcs[1][0]: expected a CrossingInstruction like"),
+            ([[LaneInstruction("keep", 1), crosses()]], "npcs[0][1]: expected a LaneInstruction like npcs[0][0]"),
+            ([[crosses(), LaneInstruction("keep", 1)]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
         ],
     )
-    def test_crossing_npc_has_one_instruction_and_no_lanes(self, npcs, message):
+    def test_crossing_npc_has_one_instruction_and_nothing_else(self, npcs, message):
         with pytest.raises(ScenarioError, match=re.escape(message)):
             Scenario(npcs=npcs)
 

@@ -23,6 +23,7 @@ from pytest_pafot.model.scenario import (
     PositionInstruction,
     Scenario,
     ScenarioError,
+    retimed,
 )
 from tests.findings.builders import traffics
 from tests.helpers.tables import table
@@ -283,11 +284,22 @@ class TestLaneInstructions:
             == 3
         )
 
-    @pytest.mark.parametrize(
-        "chains", [([one()], [LaneInstruction("keep", 1.0)]), ([one(), LaneInstruction("keep", 1.0)],)]
-    )
-    def test_mixed_kinds_of_genes_are_refused_with_place(self, chains):
-        with pytest.raises(
-            ScenarioError, match=r"npcs\[[01]\]\[[01]\]: expected a PositionInstruction like npcs\[0\]\[0\]"
-        ):
-            Scenario(npcs=chains)
+    def test_mixed_kinds_in_a_chain_are_refused_with_place(self):
+        lane = LaneInstruction("keep", 1.0)
+        for chain, kind in (([one(), lane], "PositionInstruction"), ([lane, one()], "LaneInstruction")):
+            with pytest.raises(ScenarioError, match=rf"npcs\[1\]\[1\]: expected a {kind} like npcs\[1\]\[0\]"):
+                Scenario(npcs=([one()], chain))
+
+    def test_npcs_may_differ_in_kind_and_only_cells_are_repaired(self):
+        lanes = LaneInstruction("left", 1.0), LaneInstruction("left", 2.0)
+        scenario = Scenario.repaired([lanes, [one(2), one(5)], [one(2), one(2)]], seed=3)
+        alone = Scenario.repaired([[one(2), one(5)], [one(2), one(2)]], seed=3)
+        assert scenario.npcs == (lanes, *alone.npcs)
+        assert scenario.positions == alone.npcs
+        assert scenario.canonical().startswith('[[[["left",1.0],["left",2.0]],[[2,')
+
+    def test_a_change_that_lasts_several_genes_happens_once(self):
+        chain = LaneInstruction("left", 20.0), LaneInstruction("keep", 8.0)
+        keeps = LaneInstruction("keep", 20.0)
+        assert retimed(chain, 6.0, 2.0) == (chain[0], keeps, keeps, *[chain[1]] * 3)
+        assert retimed((chain[0],) * 2, 3.0, 3.0) == (chain[0],) * 2, "two changes stay two"

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from pytest_pafot.searching import ALGORITHMS, resolve_algorithm
 from tests.helpers.sessions import section
 
 TEST = "@pafot.search(SHORT, algorithm={!r}, stop_after=1)\ndef test_it(run):\n    assert not run.collision\n"
@@ -45,6 +46,35 @@ def test_the_algorithms_of_libraries_search_too(libraries, project):
         assert f"algorithm: {algorithm}" in text
 
 
+KINDS = {
+    "cells": "kinds == {'PositionInstruction'}",
+    "lanes": "kinds == {'LaneInstruction'}",
+    "both": "kinds <= {'PositionInstruction', 'LaneInstruction'}",
+}
+
+
+def test_every_algorithm_searches_with_every_kind_it_supports(libraries, project):
+    """The others are refused with the kinds that the algorithm has."""
+    lines, supported = [], []
+    for algorithm in ALGORITHMS:
+        for kind, check in KINDS.items():
+            supported.append(kind in resolve_algorithm(algorithm).instructions)
+            lines += [
+                f"@pafot.search(SHORT, algorithm={algorithm!r}, instructions={kind!r})",
+                f"def test_{len(supported) - 1}(run):",
+                "    kinds = {type(chain[0]).__name__ for chain in run.trace.scenario.npcs}",
+                f"    assert {check}",
+            ]
+    project.write("\n".join(lines))
+    result = project.run(generations=4)
+    result.assert_outcomes(passed=supported.count(True), failed=supported.count(False))
+    for number, is_supported in enumerate(supported):
+        if not is_supported:
+            text = section(result, f"test_{number}")
+            assert re.search(r"instructions=\.\.\.\): expected '(cells|lanes)' for the algorithm \S+, received '", text)
+    assert supported.count(False) == 6, "av-fuzzer and random-manoeuvre have lanes only, cma-es has cells only"
+
+
 def test_a_find_without_cells_is_on_the_page(project):
     project.write(TEST.format("av-fuzzer"))
     project.run("--pafot-report=page.html", generations=6)
@@ -74,13 +104,11 @@ def test_missing_library_error_gives_the_install_command(project, monkeypatch):
     result.stdout.fnmatch_lines(["*pip install 'pytest-pafot?search?'*"])
 
 
-def test_unknown_or_unsuitable_algorithm_error_lists_the_choices(project):
-    road = "ads=lambda: lambda observation: 1, world=pafot.World('merge-v1')"
+def test_unknown_algorithm_or_kind_error_lists_the_choices(project):
     told = {
-        f"algorithm='av-fuzzer', {road}": "*algorithm: expected one of distinct, * on a road that is not straight, "
-        "received 'av-fuzzer', *",
-        f"algorithm='random-manoeuvre', {road}": "*algorithm: expected one of distinct, * on a road that is not "
-        "straight, received 'random-manoeuvre', *",
+        "SHORT, algorithm='av-fuzzer', instructions='both'": "*instructions=*expected 'lanes' for the algorithm "
+        "av-fuzzer, received 'both'*",
+        "SHORT, instructions='cell'": "*instructions: expected one of cells, lanes, both, received 'cell'*",
         "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or cma-es, received 'genetic'; or give your own "
         "class*",
         "SHORT, algorithm='randm'": "*or cma-es, received 'randm'; did you mean 'random'[?]",

@@ -381,6 +381,23 @@ def test_style_is_refused_for_a_world_without_styles(project):
     project.run(generations=1).stdout.no_fnmatch_line("*whose NPCs have styles*")
 
 
+@pytest.mark.parametrize("has_lanes", [False, True])
+def test_lanes_are_only_drawn_for_worlds_that_have_them(project, has_lanes):
+    only_cells = "trace.scenario.positions == run.trace.scenario.npcs"
+    own(project, data="{'lanes': self.lanes}\n\n    has_lane_instructions = " + str(has_lanes), verdict=only_cells)
+    project.run(generations=2).assert_outcomes(**({"failed": 2} if has_lanes else {"passed": 1, "skipped": 0}))
+
+
+def test_kind_is_refused_for_a_world_without_lane_instructions(project):
+    own(project)
+    path = project.path / "test_it.py"
+    path.write_text(path.read_text().replace("npcs=1", "npcs=1, instructions='both'"))
+    result = project.run()
+    result.stdout.fnmatch_lines(["*expected a world whose NPCs can have Lane-Ins*has_lane_instructions = True*"])
+    path.write_text(path.read_text().replace("class Ring:", "class Ring:\n    has_lane_instructions = True\n"))
+    project.run(generations=1).stdout.no_fnmatch_line("*whose NPCs can have Lane-Instructions*")
+
+
 DRIVERS = """
 class Driven(Ring):
     reference_drivers = ("calm", "idm-aeb")

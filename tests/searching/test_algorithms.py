@@ -46,7 +46,7 @@ class Structural:
 
     name = "structural"
     fitness = "paper"
-    knows_grid = False
+    instructions = ("lanes",)
 
     def __init__(self, space, population=4):
         self.inner = RandomSearch(space, population=population)
@@ -93,13 +93,13 @@ def test_custom_algorithm_is_a_class_or_its_name():
     of_class = resolve_algorithm(Own)
     assert of_class.make(SPACE, population=6, jump=0.1) == Own(SPACE, population=6, jump=0.1)
     assert resolve_algorithm("tests.searching.test_algorithms:Own") == of_class
-    assert (of_class.name, of_class.fitness, of_class.knows_grid) == ("own", "default", True)
+    assert (of_class.name, of_class.fitness, of_class.instructions) == ("own", "default", ("cells", "lanes", "both"))
     assert of_class.library is None
 
 
-def test_algorithm_subclass_inherits_fitness_and_grid_knowledge():
+def test_algorithm_class_declares_fitness_and_kinds_of_instructions():
     told = resolve_algorithm(Structural)
-    assert (told.fitness, told.knows_grid) == ("paper", False)
+    assert (told.fitness, told.instructions) == ("paper", ("lanes",))
     assert resolve_algorithm(Careful).batch_population == DistinctSearch.batch_population
     assert resolve_algorithm(AvFuzzerSearch) == resolve_algorithm("av-fuzzer")
 

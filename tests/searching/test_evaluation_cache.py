@@ -124,12 +124,15 @@ def test_lanes_differ_from_each_other_and_from_cells(make_evaluation, lane):
         assert memory.recall(Scenario(npcs=((gene,),))) is None
 
 
-def test_lane_instructions_are_known_with_their_seed_only(make_evaluation):
-    """Their NPCs' start is repaired by the seed."""
-    scenario = Scenario(npcs=((LaneInstruction("keep", 20.0),),), seed=3)
-    memory = EvaluationCache([make_evaluation(scenario)])
-    assert memory.recall(scenario) is not None
-    assert memory.recall(replace(scenario, seed=4)) is None
+def test_lane_instructions_as_driven_are_known_with_any_seed(make_evaluation):
+    """The seed neither places their NPCs nor repairs them; it may repair the cells of another NPC in the scenario."""
+    lanes = LaneInstruction("left", 20.0), LaneInstruction("left", 20.0)
+    asked = Scenario(npcs=(lanes, chain((8, 1.0), (8, 2.0))), seed=3)
+    driven = replace(asked, npcs=((lanes[0], LaneInstruction("keep", 20.0)), chain((1, 1.0), (1, 2.0))))
+    memory = EvaluationCache([make_evaluation(asked, executed=driven)])
+    assert memory.recall(asked) is not None
+    assert memory.recall(replace(asked, seed=4)) is None
+    assert memory.recall(replace(driven, seed=4)) is not None
 
 
 def test_oldest_runs_are_forgotten_without_a_trace(cheap_world):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.model.grid import Cell, is_adjacent
-from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest
@@ -179,6 +179,17 @@ def test_nsga2_compares_scenarios_of_different_sizes_by_time(make_evaluation):
     both = Scenario(npcs=[[ahead] * 4, [left] * 4], gene_seconds=5.0)
     values = objectives([make_evaluation(each) for each in (alone, split, both)])
     assert values[:, 2].tolist() == [0.0, 0.0, -0.5]
+
+
+def test_nsga2_novelty_counts_lanes_as_different_from_each_other_and_cells(make_evaluation):
+    from pytest_pafot.searching.algorithms.nsga2 import objectives
+
+    genes = LaneInstruction("left", 20.0), LaneInstruction("right", 20.0), PositionInstruction(Cell.FRONT, 20.0)
+    values = objectives([make_evaluation(Scenario(npcs=[[gene, gene]])) for gene in genes])
+    assert values[:, 2].tolist() == [-1.0] * 3
+    half = Scenario(npcs=[[genes[0], genes[1]]])
+    values = objectives([make_evaluation(each) for each in (Scenario(npcs=[[genes[0]] * 2]), half)])
+    assert values[:, 2].tolist() == [-0.5] * 2
 
 
 def test_map_elites_retains_fittest_of_each_impact_kind(make_evaluation, make_population):

@@ -97,8 +97,8 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
 
     They are minus the fitness, minus the closing speed at the impact [m/s] and minus the novelty, then the margin of
     each check that any of the runs evaluated, sorted by name. Novelty is the share of genes in which a scenario, as
-    driven, differs from the most similar other scenario: in the cell, in the zone or slot, or by an NPC that only one
-    of the two has.
+    driven, differs from the most similar other scenario: in the cell or lane, in the zone or slot, or by an NPC that
+    only one of the two has.
     """
     cells = cells_of(evaluations)
     one, other = cells[:, None, :], cells[None, :, :]
@@ -116,22 +116,23 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
 
 
 def cells_of(evaluations: Sequence[Evaluation]) -> FloatArray:
-    """Return the driven cells, shape [evaluations, npcs * genes], in steps of the shortest gene; 0 for no cell.
+    """Return the driven cells, shape [evaluations, npcs * genes], in steps of the shortest gene; 0 for no gene.
 
-    An NPC that crosses has a single number, from 9 on, for its zone and slot.
+    Numbers from 9 on stand for the lanes of Lane-Instructions, and for the zone and slot of an NPC that crosses.
     """
     shortest = min(each.executed.gene_seconds for each in evaluations)
     chains = [[retimed(chain, each.executed.gene_seconds, shortest) for chain in each.chains] for each in evaluations]
     genes = max(len(chain) for npcs in chains for chain in npcs)
     cells = np.zeros((len(chains), max(map(len, chains)), genes))
-    places: dict[tuple[str, str], int] = {}
+    places: dict[tuple[str, str] | str, int] = {}
     for index, npcs in enumerate(chains):
         for npc, chain in enumerate(npcs):
             cells[index, npc, : len(chain)] = [_number(gene, places) for gene in chain]
     return cells.reshape(len(chains), -1)
 
 
-def _number(gene: Gene, places: dict[tuple[str, str], int]) -> int:
-    if isinstance(gene, CrossingInstruction):
-        return 9 + places.setdefault((gene.zone, slot_name(gene.slot)), len(places))
-    return gene.cell if isinstance(gene, PositionInstruction) else 0
+def _number(gene: Gene, places: dict[tuple[str, str] | str, int]) -> int:
+    if isinstance(gene, PositionInstruction):
+        return gene.cell
+    place = (gene.zone, slot_name(gene.slot)) if isinstance(gene, CrossingInstruction) else gene.lane
+    return 9 + places.setdefault(place, len(places))

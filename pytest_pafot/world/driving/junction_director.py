@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import ACTS, CrossingInstruction, Scenario, on_grid
+from pytest_pafot.model.scenario import ACTS, CrossingInstruction, Scenario
 from pytest_pafot.world.driving.network_director import NetworkDirector
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import Crosser, CrossingNpc, LeaderAhead, SharedPlace
@@ -113,7 +113,8 @@ class JunctionDirector:
     def driven(self) -> tuple[tuple[Cell, ...], ...]:
         """The cell that each NPC drove to in each started gene if ``executed`` cannot express it; else empty."""
         rows = () if self._grid is None else self._grid.driven
-        return tuple(tuple(row) for row in on_grid(self._scenario.npcs, rows)) if rows else ()
+        others = iter(rows)
+        return tuple(next(others) if each is None else () for each in self._scenario.crossings) if rows else ()
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:

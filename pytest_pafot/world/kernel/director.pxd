@@ -65,7 +65,7 @@ cdef class Director:
     cpdef double _attending(self, Npc npc, Body ego, double speed) except? -1
 
     @cython.final
-    @cython.locals(gap=double, closing=double)
+    @cython.locals(gap=double, speed=double, closing=double)
     cdef bint _may_enter(self, Npc npc, Body ego) except -1
 
     @cython.locals(driver=NpcDriver, target=double, distance=double, wanted_speed=double, goal=int)
@@ -84,6 +84,9 @@ cdef class Director:
     @cython.final
     @cython.locals(front=Npc, rear=Npc, reach=double, in_lane=bint, claims=bint)
     cdef bint _clear_of(self, Npc mine, Npc theirs, int lane) except -1
+
+    @cython.final
+    cdef double _gap(self, Npc front, Npc rear) except? -1
 
     @cython.locals(theirs=Npc, lane=int, goal=int, distance=double, gap=double, safe=double,
                    crosses=bint)

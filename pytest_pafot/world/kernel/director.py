@@ -370,7 +370,9 @@ class Director:
         """Return whether there is room for an NPC in the ego's lane, ahead of the ego or behind it."""
         gap = abs(npc.x - ego.x) * self._stretch(ego) - self._row
         if npc.x > ego.x:
-            closing = max(ego.speed - npc.speed, 0.0)
+            # An NPC in lanes brakes to its target speed while it moves in; one on the grid first reaches its cell.
+            speed = npc.speed if npc.shift_lane == NO_LANE else min(npc.speed, npc.kept_speed)
+            closing = max(ego.speed - speed, 0.0)
             return gap > self._ahead(ego) + closing * (ENTRY_TIME + closing / (2.0 * ENTRY_BRAKING))
         return gap > closing_room(ENTRY_GAP, npc.speed - ego.speed)
 
@@ -423,7 +425,11 @@ class Director:
         if not (in_lane or claims):
             return True
         front, rear = (theirs, mine) if theirs.x > mine.x else (mine, theirs)
-        return clear_to_enter(front.x - rear.x - self._length, rear.speed - front.speed)
+        return clear_to_enter(self._gap(front, rear), rear.speed - front.speed)
+
+    def _gap(self, front: Npc, rear: Npc) -> float:
+        """Return the gap between two NPCs in one lane [m]; in a bend, that on the side on which it is shorter."""
+        return (front.x - rear.x) * min(self._stretch(front), self._stretch(rear)) - self._length
 
     def _following(self, mine: Npc, speed: float) -> float:
         """Limit a desired speed to what leaves room behind the NPCs ahead [m/s]."""
@@ -434,7 +440,7 @@ class Director:
                 continue
             if distance == 0.0 and theirs.index > mine.index:
                 continue
-            gap = distance - self._length
+            gap = self._gap(theirs, mine)
             crosses = gap > -self._length / 2.0 and (
                 theirs.lane == lane or theirs.lane == goal or theirs.heading_for == lane or theirs.heading_for == goal
             )

@@ -172,11 +172,28 @@ def test_more_npcs_than_start_cells_is_clear_error():
         world.rollout(hold(world, 2, ego_lane=0), idm)
 
 
-def test_lane_instructions_are_refused_on_curved_roads():
+def test_npc_in_lanes_uses_lanes_where_they_exist():
+    """The ramp of the merge is the rightmost lane, from 230 m to 309.5 m of the ego's way."""
     world = world_of("merge-v1")
-    given = Scenario(npcs=[[LaneInstruction("left", 8.0)]], ego_lane=1, ego_speed=20.0, gene_seconds=1.0)
-    with pytest.raises(WorldError, match="expected Position-Instructions on a road that is not straight"):
-        world.rollout(given, idm)
+    genes = [("right", 20.0)] * 3 + [("keep", 20.0)] * 5 + [("right", 8.0)] * 3 + [("keep", 8.0)] * 6
+    npc = [LaneInstruction(lane, speed) for lane, speed in genes]
+    trace = world.rollout(Scenario(npcs=[npc], ego_lane=1, ego_speed=20.0, gene_seconds=1.0), constant)
+    along, lane = trace.track[:, 1, ALONG], trace.npcs[:, 0, LANE]
+    assert [gene.lane for gene in trace.executed.npcs[0][:3]] == ["right", "right", "keep"], "no ramp is there yet"
+    assert set(lane[along < 230]) == {0, 1}
+    assert lane[-1] == 2
+    assert trace.npcs[-1, 0, SPEED] < 7.0, "it brakes before the ramp ends"
+    assert violations(trace, world) == []
+
+
+def test_bends_limit_speed_of_npc_in_lanes():
+    world = world_of("racetrack-v1", duration=20.0)
+    lane, speed = world.start
+    npc = [LaneInstruction("keep", 10.0)] * 10
+    trace = world.rollout(Scenario(npcs=[npc], ego_lane=lane, ego_speed=speed, gene_seconds=2.0), constant)
+    assert violations(trace, world) == []
+    assert trace.npcs[:, 0, SPEED].min() < 7.0
+    assert trace.npcs[:, 0, SPEED].max() > 9.5, "between the bends it drives as fast as its instruction says"
 
 
 def test_ring_steps_skip_cells_that_do_not_exist():

@@ -1,0 +1,196 @@
+"""Scenarios in which some NPCs are on the grid, others in lanes, and others cross, on every kind of road."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from pytest_pafot import Highway, strategies
+from pytest_pafot.execution.runner import DecisionCache
+from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.model.driving_style import Traffic
+from pytest_pafot.model.scenario import CrossingInstruction, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.trace import LANE, Outcome, Y
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching import Evaluation
+from pytest_pafot.searching.evaluation_cache import EvaluationCache
+from pytest_pafot.searching.operators import crossover, mutate
+from pytest_pafot.searching.space import sample, space_on
+from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.protocol import crossings, road_start
+from tests.helpers.road_cases import violations, world_of
+from tests.helpers.world_cases import TRAFFICS
+
+LI, PI = LaneInstruction, PositionInstruction
+BENT = ("merge-v1", "roundabout-v1", "intersection-v1", "racetrack-v1")
+
+
+def world_named(name):
+    return Highway(duration=8.0) if name == "Highway" else world_of(name, duration=8.0)
+
+
+def idm():
+    return IDMVehicle
+
+
+def space_in(world, **given):
+    """Return the space of scenarios of both kinds, and of all that cross, in a world."""
+    given = {"instructions": "both", "npcs": 3, "crossings": crossings(world), "gene_seconds": 2.0, **given}
+    return space_on(world, given, road_start(world))
+
+
+def repeated(world, scenario, ego):
+    """Return the run of a scenario, after checking that its executed scenario gives the same run."""
+    trace = world.rollout(scenario, ego)
+    again = world.rollout(trace.executed, ego)
+    assert (again.executed, again.driven, again.arrivals) == (trace.executed, trace.driven, trace.arrivals)
+    assert again.states.tobytes() == trace.states.tobytes()
+    return trace
+
+
+@pytest.mark.parametrize("name", ["Highway", *BENT])
+@settings(max_examples=6, deadline=None)
+@given(st.data())
+def test_executed_scenario_gives_the_same_run_again(name, data):
+    world = world_named(name)
+    scenario = data.draw(strategies.scenarios_in(world, max_npcs=2 if name in BENT else 5))
+    trace = repeated(world, scenario, idm)
+    for chain, done in zip(scenario.npcs, trace.executed.npcs, strict=True):
+        assert [type(gene) for gene in done] == [type(gene) for gene in chain]
+        if isinstance(chain[0], LaneInstruction):
+            assert all(was.lane in (gene.lane, "keep") for gene, was in zip(chain, done, strict=True))
+
+
+@pytest.mark.parametrize("name", ["merge-v1", "intersection-v1"])
+def test_bent_road_gives_the_same_run_by_env_step(name):
+    world, rng = world_named(name), np.random.default_rng(4)
+    for _ in range(2):
+        trace = world.rollout(sample(space_in(world), rng), idm)
+        assert not disagreement(Run(trace), Run(world.rollout_in_gym(trace.executed, idm)))
+
+
+@pytest.mark.parametrize("name", ["merge-v1", "racetrack-v1", "u-turn-v1"])
+def test_npcs_in_lanes_respect_limits_and_stay_on_lanes_in_bends(name):
+    world, rng = world_named(name), np.random.default_rng(7)
+    for number in range(4):
+        traffic = TRAFFICS[number % len(TRAFFICS)]
+        trace = world.rollout(sample(space_in(world, npcs=2, traffic=traffic, instructions="lanes"), rng), idm)
+        assert violations(trace, world) == [], trace.scenario.canonical()
+
+
+@given(strategies.scenarios(max_npcs=5), st.sampled_from([3, 4, 5]))
+def test_npcs_start_in_distinct_cells_that_exist(scenario, lanes):
+    world = Highway(lanes=lanes, duration=0.2)
+    if scenario.ego_lane >= lanes or len(scenario.npcs) > len(world.road.cells(scenario.ego_lane)):
+        return
+    director = world.rules.director(scenario, 5.0)
+    assert isinstance(director, Director)
+    cells = director.first_cells()
+    assert len(set(cells)) == len(scenario.npcs)
+    assert set(cells) <= world.road.cells(scenario.ego_lane)
+    start = world.rollout(scenario, idm).npcs[0]
+    assert start[:, LANE].tolist() == [scenario.ego_lane + cell.column for cell in cells]
+
+
+def test_npc_in_lanes_takes_the_first_cell_that_the_grid_leaves():
+    """Its order of cells is 1, 2, 3, 8, 4, ...; the ego is in the leftmost lane, and cell 2 is taken."""
+    npcs = [[LI("keep", 20.0)], [PI(2, 20.0)], [LI("keep", 20.0)]]
+    for seed in range(5):
+        director = Highway().rules.director(Scenario(npcs=npcs, ego_lane=0, seed=seed), 5.0)
+        assert [int(cell) for cell in director.first_cells()] == [3, 2, 4]
+
+
+def test_npc_on_grid_and_npc_in_lanes_do_not_head_for_one_place():
+    """Both want the lane between them at the same time, side by side; the one with the lower number goes first."""
+    between = [[PI(1, 20.0)] * 2, [LI("right", 20.0), LI("right", 20.0)]]
+    for npcs in (between, between[::-1]):
+        scenario = Scenario(npcs=npcs, ego_lane=1, ego_speed=20.0, gene_seconds=4.0)
+        trace = Highway(duration=8.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+        assert trace.outcome is not Outcome.INVALID
+        apart = abs(np.diff(trace.npcs[..., 0], axis=1))
+        beside = abs(np.diff(trace.npcs[..., Y], axis=1)) < 2.0
+        assert not (beside & (apart < 5.0)).any()
+
+
+def test_attentive_npc_in_lanes_leaves_room_for_its_target_speed():
+    """It is 20 m ahead in the next lane: room for an instruction at the ego's speed, not for one that stops it."""
+
+    def crossed(speed):
+        chain = LI("keep", 20.0), LI("right", speed)
+        scenario = Scenario(npcs=[chain], ego_lane=1, ego_speed=20.0, gene_seconds=2.0, traffic=Traffic())
+        trace = Highway(duration=4.0, headway=0.9, clearance=3.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+        return bool((trace.npcs[:, 0, LANE] == 1).any())
+
+    assert crossed(20.0)
+    assert not crossed(0.0)
+
+
+@pytest.mark.parametrize("name", ["Highway", "intersection-v1"])
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 2**32))
+@example(seed=1)
+def test_children_of_mixed_scenarios_fit_the_world(name, seed):
+    world, rng = world_named(name), np.random.default_rng(seed)
+    durations = (2.0, 3.0, 4.0) if name == "Highway" else ()
+    space = space_in(world, npcs=2, gene_durations=durations, patterns=name == "Highway")
+    one, other = sample(space, rng), sample(space, rng)
+    for _ in range(12):
+        one, other = crossover(one, other, rng)
+        one, other = mutate(one, space, rng), mutate(other, space, rng)
+        for child in (one, other):
+            world.check_fits(child)
+            again = Scenario.repaired(
+                child.npcs, seed=child.seed, ego_lane=child.ego_lane, ego_speed=child.ego_speed,
+                gene_seconds=child.gene_seconds, traffic=child.traffic,
+            )  # fmt: skip
+            assert again == child
+
+
+@pytest.mark.parametrize("name", ["Highway", "merge-v1"])
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 2**32))
+def test_cached_runs_equal_fresh_ones_in_mixed_scenarios(name, seed):
+    world, rng = world_named(name), np.random.default_rng(seed)
+    space = space_in(world, npcs=2, ego_lane=1)
+    runs, decisions = EvaluationCache(), DecisionCache()
+
+    def follows():
+        def decide(seen):
+            gaps = [each.x - seen.ego.x for each in seen.others if each.lane == seen.ego.lane and each.x > seen.ego.x]
+            return (0.1 * min(min(gaps, default=50.0) - 12.0, 20.0 - seen.ego.speed), 0.0)
+
+        return decide
+
+    scenario = sample(space, rng)
+    for _ in range(10):
+        ego = follows if name == "Highway" else idm
+        trace = world.rollout(scenario, ego)
+        fresh = Evaluation.of(trace, fitness=float(trace.states.sum()), failing=trace.collision is not None)
+        known = runs.recall(scenario)
+        assert known in (None, fresh)
+        if name == "Highway":
+            resumed = world.rollout(scenario, ego, decisions=decisions.recall(scenario))
+            assert resumed.states.tobytes() == trace.states.tobytes()
+            decisions.remember(trace)
+        runs.add(fresh)
+        scenario = mutate(trace.executed if rng.random() < 0.7 else scenario, space, rng)
+
+
+def test_cells_at_a_junction_are_those_of_their_own_npcs():
+    """Skipped cells are recorded for the NPC on the grid, although one in lanes and one that crosses come before it."""
+    world = world_of("intersection-v1", duration=8.0)
+    zone = sorted(crossings(world).ways)[0]
+    npcs = [
+        [LI("keep", 5.0)] * 4,
+        [CrossingInstruction(zone, 2.0, 8.0)],
+        [PI(6, 8.0), PI(7, 8.0), PI(8, 8.0), PI(1, 8.0)],
+    ]
+    lane, speed = world.start
+    scenario = Scenario(npcs=npcs, ego_lane=lane, ego_speed=speed, gene_seconds=1.0)
+    trace = repeated(world, scenario, idm)
+    assert trace.driven[:2] == ((), ())
+    assert len(trace.driven[2]) > 1
+    assert [type(chain[0]) for chain in trace.chains] == [LI, CrossingInstruction, PI]
