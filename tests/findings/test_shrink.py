@@ -342,7 +342,7 @@ def test_the_order_of_simpler(simpler, other):
 @st.composite
 def failures(draw):
     """Return a scenario and a failure that it shows: numbers of NPCs and genes, and cells with speed limits."""
-    given = draw(scenarios(max_npcs=2, max_genes=4))
+    given = draw(scenarios(max_npcs=2, max_genes=4, instructions="cells"))
     genes = [gene for chain in given.npcs for gene in chain]
     cells = draw(st.sets(st.sampled_from(sorted({gene.cell for gene in genes})), max_size=3))
     least = draw(st.integers(1, len(given.npcs))), draw(st.integers(1, given.genes))
