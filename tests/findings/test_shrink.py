@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pytest_pafot.findings.shrink import SpeedInterval, _furthest, instructions, shrink, size_of, sort_key
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario, gene_of
+from pytest_pafot.model.scenario import SHIFTS, Scenario, gene_of
 from pytest_pafot.strategies import scenarios
 from tests.helpers.tables import table
 
@@ -408,13 +408,8 @@ def test_the_order_of_simpler(simpler, other):
 
 @st.composite
 def failures(draw):
-    """Return a scenario and a failure that it shows: numbers of NPCs and genes, and cells or lanes with speed limits.
-
-    Each NPC is on the grid or in lanes.
-    """
+    """Return a scenario and a failure that it shows: numbers of NPCs and genes, and cells or lanes with speed limits."""
     given = draw(scenarios(max_npcs=2, max_genes=4))
-    in_lanes = [[LaneInstruction(draw(st.sampled_from(SHIFTS)), gene.speed) for gene in chain] for chain in given.npcs]
-    given = replace(given, npcs=[draw(st.sampled_from(pair)) for pair in zip(given.npcs, in_lanes, strict=True)])
     genes = [gene for chain in given.npcs for gene in chain]
     targets = draw(st.sets(st.sampled_from(sorted({gene.target for gene in genes}, key=str)), max_size=3))
     least = draw(st.integers(1, len(given.npcs))), draw(st.integers(1, given.genes))

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from pytest_pafot.model.driving_style import PARTS, Traffic
@@ -153,17 +153,19 @@ def test_npc_moving_in_behind_adjusts_distance_at_once():
     assert scene.gap > 0.8 * KEPT
 
 
-@given(st.floats(2.0, 26.0), st.floats(2.0, 26.0), st.floats(0.1, 60.0), st.booleans())
-def test_ego_lane_is_entered_only_with_enough_room(npc_speed, ego_speed, gap, is_ahead):
+@given(st.floats(2.0, 26.0), st.floats(2.0, 26.0), st.floats(0.1, 60.0), st.booleans(), st.integers(0, 26))
+@example(19.0, 20.0, 6.0, True, 10)
+def test_ego_lane_is_entered_only_with_enough_room(npc_speed, ego_speed, gap, is_ahead, told):
+    """Ahead of the ego, the room is for the speed to which the instruction slows the NPC while it moves in."""
     if is_ahead:
-        closing = max(ego_speed - npc_speed, 0.0)
+        closing = max(ego_speed - min(npc_speed, told), 0.0)
         needed = closing * 0.35 + closing**2 / 12.0
     else:
         closing = max(npc_speed - ego_speed, 0.0)
         needed = 1.5 + 0.5 * closing + closing**2 / 6.0
     needed = max(needed, 1.5)  # within half the clearance the ego is beside it
     assume(abs(gap - needed) > 1e-6)
-    scene = Scene((2, gap if is_ahead else -gap, npc_speed, "left@20"), ego_speed=ego_speed)
+    scene = Scene((2, gap if is_ahead else -gap, npc_speed, f"left@{told}"), ego_speed=ego_speed)
     scene.director.command(scene.ego)
     assert (scene.npc.heading_for == 1) == (gap > needed)
 
@@ -173,7 +175,7 @@ def test_styles_leave_more_room_ahead_of_the_ego(style, gap, share):
     for speed in (10.0, 18.0, 26.0):
         needed = max(gap, share * speed)
         for room, enters in ((needed - 0.01, False), (needed + 0.01, True)):
-            scene = Scene((2, room, speed, "left@20"), traffic=style, ego_speed=speed)
+            scene = Scene((2, room, speed, f"left@{speed:g}"), traffic=style, ego_speed=speed)
             scene.director.command(scene.ego)
             assert (scene.npc.heading_for == 1) == enters
 
