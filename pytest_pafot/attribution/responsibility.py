@@ -472,7 +472,7 @@ class Conflict:
         """Return the fact that the follower, which saw the leader from a tick on, sped up into it; None if it did not.
 
         The follower must have been able to avoid the leader without speeding up. An ego may instead have been able to
-        avoid the collision by the response that the rules require.
+        avoid the collision by the response that the rules require. If it came no further than that, it did no harm.
         """
         perceived = tick + round(CUT_OFF.perception * self._hz)
         if perceived >= self._end:
@@ -481,7 +481,7 @@ class Conflict:
         if behind == 0:
             since, nearer = pursuit.last_at_ease(perceived, CUT_OFF.headway), NEARER
         gain = pursuit.gain(since)
-        if gain is None:
+        if gain is None or (behind == 0 and pursuit.is_no_further(tick, CUT_OFF, EMERGENCY)):
             return None
         would_answer = behind == 0 and pursuit.avoided_from(tick, CUT_OFF, EMERGENCY) is not None
         if not (would_answer or pursuit.stays_off_unless_faster(since, nearer)):
@@ -571,7 +571,7 @@ class Conflict:
     ) -> Attribution:
         """Attribute to the NPC ahead, unless the ego had escaped the danger, or sped up, and then still ran into it."""
         chance = self._second_chance(tick, pursuit, by_ego=True)
-        if chance is None and seen is not None and not pursuit.is_no_further(seen, CUT_OFF, EMERGENCY):
+        if chance is None and seen is not None:
             chance = self._sped_up(0, seen, pursuit)
         if chance is None:
             chance = self._eased(tick, pursuit, change)
