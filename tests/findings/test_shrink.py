@@ -408,7 +408,7 @@ def test_the_order_of_simpler(simpler, other):
 
 @st.composite
 def failures(draw):
-    """Return a scenario and a failure that it shows: numbers of NPCs and genes, and cells or lanes with speed limits."""
+    """Return a scenario and a failure that it shows: numbers of NPCs and genes, cells or lanes, and speed limits."""
     given = draw(scenarios(max_npcs=2, max_genes=4))
     genes = [gene for chain in given.npcs for gene in chain]
     targets = draw(st.sets(st.sampled_from(sorted({gene.target for gene in genes}, key=str)), max_size=3))
