@@ -15,15 +15,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from itertools import combinations, pairwise, permutations, product
+from itertools import combinations, pairwise, permutations, product, zip_longest
 from typing import Any
 
 from pytest_pafot.model.driving_style import PAPERS, Traffic
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.grid import Cell, cell_at
 from pytest_pafot.model.scenario import (
     EGO_LANE,
     EGO_SPEED,
     GENE_SECONDS,
+    LANE_STARTS,
     MAX_SPEED,
     SHIFTS,
     SLOT_STEPS_PER_SECOND,
@@ -128,22 +129,24 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     """Return the key that defines "simpler": the scenario with the smaller key is simpler, compared from the left.
 
     1. The number of NPCs, because a reader has to understand each of them.
-    2. The number of instructions to read: equal instructions in a row are read as one.
+    2. The number of instructions to read: equal instructions in a row are read as one, except changes of lanes.
     3. The number of moves to a different cell or lane, because staying is simpler. For an NPC that crosses, 1 if it
        holds or stops, because passing is simpler.
-    4. The number of genes of the longest chain, which decides the length of the run; then the number of all genes.
-    5. The ego's start: lane 1 and 22 m/s are simplest, then round speeds. Genes of 10 s are simpler than genes of any
+    4. The number of NPCs in lanes, because a cell says where an NPC is, whereas the start of an NPC in lanes depends on
+       the other NPCs.
+    5. The number of genes of the longest chain, which decides the length of the run; then the number of all genes.
+    6. The ego's start: lane 1 and 22 m/s are simplest, then round speeds. Genes of 10 s are simpler than genes of any
        other duration.
-    6. The roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and whole numbers are simpler
+    7. The roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and whole numbers are simpler
        than tenths. For slots, whole seconds are simpler than halves, and halves are simpler than tenths.
-    7. The sum of the instructions' speeds, because slower is simpler. For an NPC that crosses, the distance of its slot
+    8. The sum of the instructions' speeds, because slower is simpler. For an NPC that crosses, the distance of its slot
        from 0 instead of its speed.
-    8. The traffic: the paper's is simplest, because it adds no rules.
-    9. The seed of the repair: 0 is simplest.
+    9. The traffic: the paper's is simplest, because it adds no rules.
+    10. The seed of the repair: 0 is simplest.
 
     Every part is a non-negative integer, so every chain of simplifications ends.
     """
-    speeds = [_tenths(chain[start]) for chain in scenario.npcs for start, _ in blocks(chain)]
+    speeds = [_tenths(chain[start]) for chain in scenario.npcs for start, _ in _parts(chain)]
     slots = [round(abs(each.slot) * SLOT_STEPS_PER_SECOND) for each in scenario.crossings if each is not None]
     crossing = sum(_tenths(each) for each in scenario.crossings if each is not None)
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
@@ -151,6 +154,7 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
         len(scenario.npcs),
         len(speeds),
         sum(map(_moves, scenario.npcs)),
+        sum(isinstance(chain[0], LaneInstruction) for chain in scenario.npcs),
         scenario.genes,
         sum(map(len, scenario.npcs)),
         (scenario.ego_lane != EGO_LANE)
@@ -254,10 +258,16 @@ class _Gate:
 
     def exhausts(self, candidates: Pass) -> bool:
         """Repeat a pass until it finds no simpler scenario; return whether it found any."""
-        found = False
-        while any(self.simplifies(candidate) for candidate in candidates(self.best)):
-            found = True
-        return found
+        found, skipped = False, 0
+        while True:
+            for index, candidate in enumerate(candidates(self.best)):
+                if index >= skipped and self.simplifies(candidate):
+                    found, skipped = True, index  # Those before it just failed, so they are tried again last.
+                    break
+            else:
+                if not skipped:
+                    return found
+                skipped = 0
 
     def driven(self, candidate: Scenario) -> Scenario | None:
         """Return the candidate as driven if it fails in the same way, otherwise None.
@@ -275,6 +285,27 @@ class _Gate:
             if driven is not None:
                 self.tried[driven] = driven  # repair does not change a driven scenario
         return self.tried[candidate]
+
+
+def _on_grid(scenario: Scenario) -> Candidates:
+    """Let all NPCs in lanes, then each of them, drive on the grid: with the same moves from the cell of its start.
+
+    An NPC in lanes starts in a different cell if another NPC is removed, so that it often takes the others to put it
+    into its place. On the grid it needs none of them. The cells are right only if all eight exist around the ego.
+    """
+    free = iter([cell for cell in LANE_STARTS if all(chain[0].target != cell for chain in scenario.npcs)])
+    chains = list(scenario.npcs)
+    for npc, chain in enumerate(chains):
+        cell, cells = None, list[PositionInstruction]()
+        for gene in chain:
+            if isinstance(gene, LaneInstruction):
+                cell = cell or next(free)
+                cell = cell_at(cell.row, cell.column + gene.column, 1.0, 1.0) or cell  # a grid of 1 m by 1 m
+                cells.append(PositionInstruction(cell, gene.speed))
+        chains[npc] = tuple(cells) or chain
+    yield scenario.rechained(chains)
+    for npc, chain in enumerate(chains):
+        yield _with_chain(scenario, npc, chain)
 
 
 def _fewer_npcs(scenario: Scenario) -> Candidates:
@@ -337,20 +368,19 @@ def _shorter_chains(scenario: Scenario) -> Candidates:
 
 
 def _merged(scenario: Scenario) -> Candidates:
-    """Make a whole chain of one instruction, or let an instruction take over the block before or after it."""
+    """Let the first or the last instruction of a stretch of a chain take over the stretch; long stretches first."""
     for npc, chain in enumerate(scenario.npcs):
-        for instruction in dict.fromkeys(chain):
-            yield _with_chain(scenario, npc, (instruction,) * len(chain))
-        for (start, middle), (_, end) in pairwise(blocks(chain)):
-            before, after = chain[start], chain[middle]
-            yield _with_chain(scenario, npc, chain[:middle] + (before,) * (end - middle) + chain[end:])
-            yield _with_chain(scenario, npc, chain[:start] + (after,) * (middle - start) + chain[middle:])
+        parts = _parts(chain)
+        for first, last in _slices(len(parts) - 1, len(parts) - 1):
+            (start, _), (after, end) = parts[first], parts[last]
+            for instruction in (chain[start], chain[after]):
+                yield _with_chain(scenario, npc, chain[:start] + _lasting(instruction, end - start) + chain[end:])
 
 
 def _staying(scenario: Scenario) -> Candidates:
     """Let an NPC stay in its previous cell or lane from one gene to the end of the chain or of that gene's block."""
     for npc, chain in enumerate(scenario.npcs):
-        for gene, end in blocks(chain):
+        for gene, end in _parts(chain):
             before = chain[max(gene - 1, 0)]
             if isinstance(before, LaneInstruction):
                 stays: Chromosome = tuple(LaneInstruction("keep", each.speed) for each in chain[gene:])
@@ -408,7 +438,7 @@ def _papers_traffic(scenario: Scenario) -> Candidates:
         yield replace(scenario, traffic=PAPERS)
 
 
-STRUCTURE: tuple[Pass, ...] = (_fewer_npcs, _shorter, _merged, _staying, _shorter_chains, _passing)
+STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _shorter, _merged, _staying, _shorter_chains, _passing)
 PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_slots, _rounder, _slower, _plain_seed)
 """All passes; the first ones shorten runs most. The passes are repeated until none finds a simpler scenario."""
 
@@ -416,14 +446,17 @@ PASSES: tuple[Pass, ...] = (*STRUCTURE, _plainer_slots, _rounder, _slower, _plai
 def _small(scenario: Scenario, found: Scenario, plain: Start) -> Candidates:
     """Try one NPC with one or two instructions, or two NPCs with one each, at the ego's preferred and present starts.
 
-    If the scenario has NPCs that cross, try one NPC that crosses in a zone of the scenario.
+    They are on the grid; if the scenario has NPCs in lanes, every second one has NPCs in lanes instead. If the scenario
+    has NPCs that cross, try one NPC that crosses in a zone of the scenario.
     """
     size = len(scenario.npcs), instructions(scenario)
     length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
-    targets = SHIFTS if isinstance(found.npcs[0][0], LaneInstruction) else tuple(Cell)
+    in_lanes = any(isinstance(chain[0], LaneInstruction) for chain in found.npcs)
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
     begins = [replace(scenario, seed=0, ego_lane=lane, ego_speed=speed) for lane, speed in starts]
-    small = _small_crossings(found) if found.crossings else _small_ones(targets, length)
+    by_kind = [_small_ones(targets, length) for targets in ((SHIFTS, tuple(Cell)) if in_lanes else (tuple(Cell),))]
+    in_turn = (each for several in zip_longest(*by_kind) for each in several if each)
+    small = _small_crossings(found) if found.crossings else in_turn
     for (its_size, npcs), begin in product(small, begins):
         if its_size <= size:
             yield _valid(begin, npcs)
@@ -444,8 +477,8 @@ def _small_ones(targets: Sequence[Any], length: int) -> Sequence[Sized]:
     listed first, a limited number of runs finds less.
     """
     genes = [gene_of(target, speed) for target in targets for speed in SMALL_SPEEDS]
-    ones = [(gene,) * times for gene in genes for times in dict.fromkeys((1, length))]
-    twos = [(first, *(second,) * (length - 1)) for first, second in permutations(genes, 2) if length > 1]
+    ones = [_lasting(gene, times) for gene in genes for times in dict.fromkeys((1, length))]
+    twos = [(first, *_lasting(second, length - 1)) for first, second in permutations(genes, 2) if length > 1]
     small: list[Sized] = [*(((1, 1), (chain,)) for chain in ones), *(((1, 2), (chain,)) for chain in twos)]
     small += (((2, 2), pair) for pair in combinations(ones, 2))
     return [each for _, each in sorted(enumerate(small), key=lambda numbered: numbered[0] * GOLDEN % 2**64)]
@@ -489,16 +522,16 @@ def _furthest(holds: Callable[[int], bool], direction: int, most: int) -> int:
 
 
 def _slices(length: int, most: int) -> Iterator[tuple[int, int]]:
-    """Yield [start, end) of all slices of length ``most``, then of half of this length, and so on down to 1."""
+    """Yield [start, end) of slices of length ``most``, one after the other, then half as long, and so on down to 1."""
     while most > 0:
-        yield from ((start, start + most) for start in range(length - most + 1))
+        yield from ((start, start + most) for start in range(0, length - most + 1, most))
         most //= 2
 
 
 def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
-    """Yield the NPC, [start, end) and the speed in tenths of m/s of each block of equal instructions."""
+    """Yield the NPC, [start, end) and the speed in tenths of m/s of each instruction to read."""
     for npc, chain in enumerate(scenario.npcs):
-        for start, end in blocks(chain):
+        for start, end in _parts(chain):
             yield npc, start, end, _tenths(chain[start])
 
 
@@ -506,6 +539,21 @@ def blocks(chain: Chromosome) -> list[tuple[int, int]]:
     """Return [start, end) of each run of equal instructions."""
     starts = [gene for gene in range(len(chain)) if gene == 0 or chain[gene] != chain[gene - 1]]
     return list(pairwise([*starts, len(chain)]))
+
+
+def _parts(chain: Chromosome) -> list[tuple[int, int]]:
+    """Return [start, end) of each instruction to read: equal ones in a row, and each change of lanes on its own.
+
+    If an NPC keeps its lane after a change of lanes at the same speed, this is a part of the change.
+    """
+    starts = [0, *(gene for gene in range(1, len(chain)) if chain[gene] != _lasting(chain[gene - 1], 2)[1])]
+    return list(pairwise([*starts, len(chain)]))
+
+
+def _lasting(instruction: Gene, genes: int) -> Chromosome:
+    """Return an instruction that lasts several genes; an NPC changes lanes only in the first of them."""
+    later = replace(instruction, lane="keep") if isinstance(instruction, LaneInstruction) else instruction
+    return (instruction, *(later,) * (genes - 1))
 
 
 def _with_speed(scenario: Scenario, npc: int, start: int, end: int, tenths: int) -> Scenario | None:

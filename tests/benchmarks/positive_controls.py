@@ -2,6 +2,7 @@
 
     python -m tests.benchmarks.positive_controls [--seeds 10] [--first-seed 0] [--runs 400] [--workers 2]
         [--policies NAME ...] [--algorithm distinct] [--traffic hostile]
+        [--instructions both]
 
 The searches are those of ``pafot.explore``, with the defaults and without shrinking. Prints for each policy on how many
 seeds there was a collision for which the ego is responsible, in which run first, how many distinct signatures there are
@@ -29,7 +30,9 @@ from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.searching import ALGORITHMS
+from tests.benchmarks import policies_with_defects, policies_with_defects_2
 from tests.benchmarks.command import in_processes, options, seeds_of
+from tests.benchmarks.planted import PLANTED
 
 NOT_RUN_COLLISION = Failure(kind="AssertionError", assertion="assert not run.collision")
 
@@ -94,8 +97,16 @@ class Searched:
 
 
 def factory_of(policy: str) -> Any:
-    """Return the vehicle class of a known defect, or the object at ``module:name``."""
-    return resolve_name(policy) if ":" in policy else defects.make(policy)
+    """Return the ADS of a known or planted defect, one of the policies with defects, or the object at ``module:name``.
+
+    All names differ: those of example_ads.defects, PLANTED and the two modules of policies with defects.
+    """
+    if ":" in policy:
+        return resolve_name(policy)
+    if policy in PLANTED:
+        return PLANTED[policy].make()
+    made = next((each for each in (policies_with_defects, policies_with_defects_2) if policy in each.POLICIES), defects)
+    return made.make(policy)
 
 
 def holds(run: Run) -> None:
@@ -120,6 +131,7 @@ def searched(policy: str, seed: int, options: argparse.Namespace) -> Searched:
     pafot.explore(
         factory_of(policy), holds=holds, world=pafot.Highway(), blame="ego", runs=options.runs, seed=seed,
         shrink_rollouts=0, on_event=listen, algorithm=options.algorithm, traffic=options.traffic,
+        instructions=options.instructions,
     )  # fmt: skip
     return Searched(tuple(finds), runs)
 
@@ -163,7 +175,7 @@ def _sentence(explanation: str) -> list[str]:
 def main() -> None:
     given = options(
         __doc__, seeds=10, first_seed=0, algorithm=ALGORITHMS[0], runs=400, workers=2, policies=defects.POLICIES,
-        traffic="hostile",
+        traffic="hostile", instructions="both",
     )  # fmt: skip
     every: list[Searched] = []
     for name, searches in in_processes(given.workers, searched, given.policies, seeds_of(given), given):

@@ -9,26 +9,21 @@ from hypothesis import strategies as st
 from pytest_pafot.findings.shrink import SpeedInterval, _furthest, instructions, shrink, size_of, sort_key
 from pytest_pafot.model.driving_style import PAPERS, Traffic
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario, gene_of
 from pytest_pafot.strategies import scenarios
 from tests.helpers.tables import table
 
 
 def scenario(*chains, **fields):
-    """Return a scenario from texts such as "4@22 3@24.5": cell and speed of each gene."""
-    npcs = [
-        [
-            PositionInstruction(Cell(int(cell)), float(speed))
-            for cell, speed in (gene.split("@") for gene in text.split())
-        ]
-        for text in chains
-    ]
+    """Return a scenario from texts such as "4@22 3@24.5" or "left@22 keep@5": cell or lane, and speed of each gene."""
+    pairs = [[gene.split("@") for gene in text.split()] for text in chains]
+    npcs = [[gene_of(int(to) if to.isdigit() else to, float(speed)) for to, speed in chain] for chain in pairs]
     return Scenario(npcs=tuple(map(tuple, npcs)), **fields)
 
 
 def written(given):
     """Return the texts of a scenario, the inverse of `scenario`."""
-    return tuple(" ".join(f"{int(gene.cell)}@{gene.speed:g}" for gene in chain) for chain in given.npcs)
+    return tuple(" ".join(f"{gene.target}@{gene.speed:g}" for gene in chain) for chain in given.npcs)
 
 
 def shrunk(given, fails, *, rollouts=5000, **arguments):
@@ -268,11 +263,78 @@ def test_two_steps_are_combined_if_neither_helps_alone():
     assert minimal(given, lambda each: each == given or written(each) == ("3@5 2@5 1@5",)) == ("3@5 2@5 1@5",)
 
 
-def test_a_small_scenario_of_lane_instructions_is_found():
-    keep, left = LaneInstruction("keep", 7.0), LaneInstruction("left", 3.0)
-    given = Scenario(npcs=((keep, left, keep, left), (left, keep, keep, keep)))
-    wanted = Scenario(npcs=((LaneInstruction("right", 20.0),),))
-    assert shrunk(given, lambda each: each in (given, wanted))[0] == wanted
+IN_LANES = scenario("keep@7 left@3 keep@7 left@3", "left@3 keep@7 keep@7 keep@7")
+MIXED = scenario("4@20 4@20 3@20 2@5", "left@3 keep@7 keep@7 keep@7")
+
+
+@pytest.mark.parametrize("given", [IN_LANES, MIXED])
+@pytest.mark.parametrize("wanted", [("right@20",), ("left@20 keep@20 keep@20 keep@20",), ("6@25",), ("4@20", "6@25")])
+def test_small_scenarios_of_both_kinds_replace_npcs_in_lanes(given, wanted):
+    assert minimal(given, lambda each: each == given or written(each) == wanted) == wanted
+
+
+def test_small_scenarios_for_npcs_on_grid_are_on_grid():
+    asked = []
+    shrunk(BUSY, lambda each: asked.append(each) or each == BUSY, rollouts=300)
+    assert all(gene.target in tuple(Cell) for each in asked for chain in each.npcs for gene in chain)
+
+
+def start_cells(each):
+    """Return the start cells of a scenario's NPCs in the middle of a wide road: NPCs in lanes take the free ones."""
+    taken = [chain[0].target for chain in each.npcs]
+    free = iter([cell for cell in (1, 2, 3, 8, 4, 6, 7, 5) if cell not in taken])
+    return [next(free) if isinstance(target, str) else int(target) for target in taken]
+
+
+@table(
+    ("given", "cell", "answer"),
+    [
+        (scenario("keep@5", "keep@10", "keep@15", "keep@20"), 8, "8@20"),
+        (scenario("keep@5 left@2", "keep@10 right@3", "keep@20 keep@20"), 3, "3@20"),
+        (scenario("2@5 1@5", "keep@5 left@5", "keep@20 keep@20"), 3, "3@20"),
+    ],
+)
+def test_npc_on_grid_needs_no_others_to_start_in_its_place(given, cell, answer):
+    """In lanes, the third NPC starts in cell 3 only if two others are there."""
+
+    def fails(each):
+        starts = zip(start_cells(each), each.npcs, strict=True)
+        return any(start == cell and {gene.speed for gene in chain} == {20.0} for start, chain in starts)
+
+    assert minimal(given, fails) == (answer,)
+
+
+def test_npc_in_lanes_cuts_in_on_the_grid():
+    def cuts_in(each):
+        (chain,) = written(each)
+        return chain == "keep@5 right@5" or (chain.startswith("1@") and chain.endswith("2@5"))
+
+    assert minimal(scenario("keep@5 right@5"), cuts_in) == ("1@0 2@5",)
+
+
+def test_npc_stays_in_lanes_where_the_grid_does_not_fail():
+    assert minimal(MIXED, lambda each: any("right@" in chain for chain in written(each)) or each == MIXED) == (
+        "right@0",
+    )
+
+
+def test_a_change_of_lanes_lasts_for_as_long_as_needed():
+    given = scenario("keep@5 left@8 left@8 keep@3 right@2 left@11", "keep@1 keep@2 keep@3 keep@4 keep@5 keep@6")
+    assert minimal(given, lambda each: each.genes >= 4 and "left@" in written(each)[0]) == (
+        "left@0 keep@0 keep@0 keep@0",
+    )
+
+
+def test_long_chains_of_which_little_matters_take_few_runs():
+    genes = [f"{SHIFTS[gene * gene % 3]}@{gene * 7 % 26}" for gene in range(30)]
+    given = scenario(" ".join(genes), " ".join(reversed(genes)))
+
+    def fails(each):
+        return each.genes >= 25 and any(chain.count("left@") >= 1 for chain in written(each))
+
+    simplest, how = shrunk(given, fails, rollouts=300)
+    assert (len(simplest.npcs), instructions(simplest), simplest.genes) == (1, 1, 25)
+    assert how.rollouts < 300
 
 
 def test_small_scenario_trials_leave_budget_for_the_passes():
@@ -333,6 +395,11 @@ def test_sizes_read_as_words():
         (scenario("4@19"), scenario("4@18.5")),
         (scenario("4@15"), scenario("4@20")),
         (scenario("4@15"), scenario("4@15", seed=1)),
+        (scenario("left@5 keep@5 keep@5"), scenario("left@5 keep@0")),
+        (scenario("left@5 keep@5 keep@5"), scenario("left@5 left@5")),
+        (scenario("keep@5 keep@5 keep@5"), scenario("left@5")),
+        (scenario("2@20 2@20"), scenario("keep@20")),
+        (scenario("left@20"), scenario("1@20 2@20")),
     ],
 )
 def test_the_order_of_simpler(simpler, other):
@@ -341,18 +408,23 @@ def test_the_order_of_simpler(simpler, other):
 
 @st.composite
 def failures(draw):
-    """Return a scenario and a failure that it shows: numbers of NPCs and genes, and cells with speed limits."""
+    """Return a scenario and a failure that it shows: numbers of NPCs and genes, and cells or lanes with speed limits.
+
+    Each NPC is on the grid or in lanes.
+    """
     given = draw(scenarios(max_npcs=2, max_genes=4))
+    in_lanes = [[LaneInstruction(draw(st.sampled_from(SHIFTS)), gene.speed) for gene in chain] for chain in given.npcs]
+    given = replace(given, npcs=[draw(st.sampled_from(pair)) for pair in zip(given.npcs, in_lanes, strict=True)])
     genes = [gene for chain in given.npcs for gene in chain]
-    cells = draw(st.sets(st.sampled_from(sorted({gene.cell for gene in genes})), max_size=3))
+    targets = draw(st.sets(st.sampled_from(sorted({gene.target for gene in genes}, key=str)), max_size=3))
     least = draw(st.integers(1, len(given.npcs))), draw(st.integers(1, given.genes))
-    limit = draw(st.floats(0, 10)) + max((gene.speed for gene in genes if gene.cell in cells), default=0.0)
+    limit = draw(st.floats(0, 10)) + max((gene.speed for gene in genes if gene.target in targets), default=0.0)
 
     def fails(each):
         genes = [gene for chain in each.npcs for gene in chain]
         is_large = len(each.npcs) >= least[0] and each.genes >= least[1]
-        slow = all(gene.speed <= limit for gene in genes if gene.cell in cells)
-        return is_large and slow and cells <= {gene.cell for gene in genes}
+        slow = all(gene.speed <= limit for gene in genes if gene.target in targets)
+        return is_large and slow and targets <= {gene.target for gene in genes}
 
     assert fails(given)
     return given, fails
