@@ -1,14 +1,14 @@
 """How small do findings become? Sizes before and after shrinking, by the kind of the NPCs' instructions.
 
     python -m tests.benchmarks.shrinking [--runs 400] [--seeds 1] [--first-seed 0] [--workers 2]
-        [--policies NAME ...] [--instructions cells lanes both] [--each 0] [--save FILE] [--load FILE]
+        [--policies NAME ...] [--instructions both] [--each 0] [--save FILE] [--load FILE]
         [--brute-force 5000]
 
-Each policy with a defect is searched as in ``positive_controls``, once for each kind of instructions. The first
-scenario of each kind of failure, or of at most ``--each`` kinds of failure a search, is shrunk with the default budget
-and the preferences of a session, and the result is run once more to see that it fails in the same way. Prints a row for
-each finding, in Markdown, and the medians and means by kind of instructions. A policy may also be a planted one, one of
-``policies_with_defects``, or a ``module:name`` of a factory or a vehicle class.
+Each policy with a defect is searched as in ``positive_controls``, once for each of ``--instructions``, such as
+``cells lanes both``. The first scenario of each kind of failure, or of at most ``--each`` kinds of failure a search, is
+shrunk with the default budget and the preferences of a session, and the result is run once more to see that it fails in
+the same way. Prints a row for each finding, in Markdown, and the medians and means by kind of instructions. A policy
+may also be a planted one, one of ``policies_with_defects``, or a ``module:name`` of a factory or a vehicle class.
 
 ``--save`` appends the findings as found to a file of JSON lines, and shrinks nothing; ``--load`` shrinks those of a
 file, so that two versions of the shrinker can be compared with the same findings.
@@ -51,7 +51,7 @@ from tests.benchmarks.command import as_they_end, options, print_head, seeds_of
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION, factory_of, searched
 
 ROUND_SPEEDS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
-SIZES = ("NPCs", "instructions", "moves", "genes", "genes of all NPCs")
+SIZES = ("NPCs", "instructions", "moves", "NPCs in lanes", "genes", "genes of all NPCs")
 """What the first fields of a sort key count."""
 
 
@@ -176,7 +176,7 @@ def _average(counts: Sequence[int]) -> str:
 def main() -> None:
     flawed = [name for name in defects.POLICIES if name != "healthy"]
     given = options(
-        __doc__, runs=400, seeds=1, first_seed=0, workers=2, policies=flawed, instructions=["cells", "lanes", "both"],
+        __doc__, runs=400, seeds=1, first_seed=0, workers=2, policies=flawed, instructions=["both"],
         each=0, save="", load="", brute_force=0, algorithm="distinct", traffic="hostile",
     )  # fmt: skip
     if given.load:
