@@ -31,17 +31,17 @@ seen = []
 @pafot.search(SHORT)
 def test_fails(run):
     seen.append(run)
-    if len(seen) > 3:
+    if len(seen) > 2:
         raise KeyboardInterrupt
-    assert not run
+    pafot.check(1.0, name=f"run {len(seen)}", at_most=0.0)
 """
+"""A search that is interrupted in its third run, after two different findings."""
 
 
 SEVERAL_KINDS = """
-@pafot.search(SHORT)
+@pafot.search(SHORT, stop_after=3)
 def test_fails(run):
-    assert not run.scenario.npcs[0][0].speed < 15
-    assert not run
+    pafot.check(1.0, name=f"cell {run.event_cell}", at_most=0.0)
 """
 
 
@@ -247,7 +247,7 @@ def test_junit_properties_identify_search_finding_and_replay(failing):
 
 def test_junit_names_all_findings_and_unreadable_files(project):
     project.write(SEVERAL_KINDS)
-    project.run("--junitxml=junit.xml", "--pafot-shrink-rollouts=0")
+    project.run("--junitxml=junit.xml", "--pafot-shrink-rollouts=0", generations=20)
     search = properties(project)["test_fails[search]"]
     assert sorted(search["pafot_file"].split(", ")) == project.files
     assert len(project.files) == len(search["pafot_id"].split(", ")) == 3

@@ -99,7 +99,9 @@ def test_shrink_rollouts_option_works_in_every_source(project, monkeypatch, sour
     assert (shrunk.rollouts, shrunk.is_minimal) == (3, False)
 
 
-def test_report_shows_shrunk_run_and_both_sizes(collides):
+@pytest.mark.parametrize(("instructions", "where"), [("cells", "in cell *"), ("lanes", "* lane*")])
+def test_report_shows_shrunk_run_and_both_sizes(collides, instructions, where):
+    collides.write(COLLIDES.replace("SHORT", f"SHORT, instructions='{instructions}'"))
     result = run(collides, "-v")
     finding = load(collides.only_file)
     result.stdout.fnmatch_lines(
@@ -108,7 +110,7 @@ def test_report_shows_shrunk_run_and_both_sizes(collides):
             "shrunk     from 2 NPCs, 4 instructions to 1 NPC, *",
             f"scenario   <Scenario {finding.scenario.id}: *",
             "shrunk in  * runs",
-            "still      NPC 0 from 0 s in cell *: any speed from * to * m/s still fails",
+            f"still      NPC 0 from 0 s {where}: any speed from * to * m/s still fails",
         ]
     )
     result.stdout.fnmatch_lines(["  * runs and * to shrink in * s, *"])
