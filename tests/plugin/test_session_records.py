@@ -162,7 +162,7 @@ import time
 
 def slow():
     def drive(observation):
-        time.sleep({seconds})
+        {seconds} and time.sleep({seconds})
         return 0.0, 0.0
     return drive
 
@@ -197,7 +197,7 @@ def test_lost_process_and_slow_decision_are_recorded_alike(project):
         texts.append((project.path / "pafot.json").read_text())
     assert texts[0] == texts[1]
     assert "SlowDecision: a decision took N s, allowed are 0.01 s" in texts[0]
-    project.write(slow.replace("time.sleep(0.02)", "import os; os.abort()"))
+    project.write(slow.replace("0.02 and time.sleep(0.02)", "import os; os.abort()"))
     for _ in range(2):
         project.run(
             "--pafot-json=pafot.json", "--pafot-isolate", "--pafot-save=none", "--pafot-runs=2", generations=None
