@@ -1,7 +1,9 @@
 """Configuration of the project's own tests."""
 
 import gc
+import os
 import signal
+import sys
 from collections.abc import Callable, Generator
 from importlib import metadata
 
@@ -62,6 +64,16 @@ def pytest_collection() -> Generator[None, object, object]:
     gc.set_threshold(100_000, 50, 100)
     gc.enable()
     return collected
+
+
+@pytest.fixture(autouse=True)
+def modules_of_no_other_test(tmp_path_factory: pytest.TempPathFactory) -> Generator[None]:
+    """Forget the modules that a test imports from its files: another test of the process may have files so named."""
+    known, folder = {*sys.modules}, f"{tmp_path_factory.getbasetemp()}{os.sep}"
+    yield
+    for name in {*sys.modules} - known:
+        if str(getattr(sys.modules[name], "__file__", "")).startswith(folder):
+            del sys.modules[name]
 
 
 @pytest.fixture

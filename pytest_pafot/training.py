@@ -50,7 +50,7 @@ class ScenarioSteps:
 
     @property
     def trace(self) -> Trace | None:
-        """The trace of the run; None until the run is over."""
+        """The trace of the run; None until the run or the episode is over."""
         return self._run.trace
 
     def reset(self) -> tuple[Any, dict[str, Any]]:
@@ -73,6 +73,8 @@ class ScenarioSteps:
         seen = run.observe()
         env.vehicle.crashed = trace is not None and trace.collision is not None
         reward, is_terminated = float(env._reward(action)), bool(env._is_terminated())
+        if is_terminated and trace is None:  # it ends the episode before the run is over, such as behind a merge
+            run.trace = trace = run.traffic.record.trace()
         return seen, reward, is_terminated, trace is not None and not is_terminated, env._info(seen, action)
 
 

@@ -140,7 +140,8 @@ class TestAPullRequest:
         assert find.headline.startswith("collision after ")
 
         git(repository, "add", file)
-        commit(repository, {"planner.py": PLANNER.replace("2.0  #", "2.1  #")}, "Keep more distance, with the find")
+        fixed = PLANNER.replace("Goes at 22 m/s", "Drives at 22 m/s")  # other text, and the conduct of the base
+        commit(repository, {"planner.py": fixed}, "Keep the distance, with the find")
         code, printed = self.run(repository, summary)
         assert code == 0, printed
         assert "### pafot: nothing new, 1 fixed before\n" in summary.read_text()

@@ -77,12 +77,25 @@ def test_observations_and_rewards_match_the_original_environment(env_id, action)
         return own[-1]
 
     env = pafot.training_env(pafot.World(env_id), share=1.0)
-    _, results = driven(env, 2, keeping(action))
+    _, results = driven(env, 4, keeping(action))
     pafot.World(env_id, wrappers=[told]).rollout(env.trace.scenario, lambda: keeping(action))
     assert len(own[-1].results) == len(results) > 5
     for ours, theirs in zip(results[:-1], own[-1].results, strict=False):  # here the end is unknown
         assert np.allclose(ours[0], theirs[0], rtol=0, atol=1e-6)
         assert ours[1:4] == (pytest.approx(theirs[1], abs=1e-9), *theirs[2:4])
+
+
+def test_episode_that_the_environment_ends_has_its_record():
+    """The environment ends where the ego is beyond 370 m, and the run at the end of the road, at 460 m."""
+    world = pafot.World("merge-v0")
+    behind = Scenario(npcs=[[PositionInstruction(6, 10.0)] * 3], ego_speed=30.0)
+    env = pafot.training_env(world, [behind], share=1.0)
+    _, results = driven(env, 0, keeping(1))
+    assert results[-1][2:4] == (True, False)
+    trace = world.rollout(env.trace.scenario, lambda: keeping(1))
+    assert (env.trace.outcome, trace.outcome) == ("safe", "end_of_road")
+    assert 370 < env.trace.states[-1, 0, 0] < 395 < trace.states[-1, 0, 0]
+    assert np.array_equal(env.trace.states, trace.states[: len(env.trace.states)])
 
 
 def test_crash_ends_scenario_with_the_reward_for_crashes():

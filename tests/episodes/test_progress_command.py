@@ -62,7 +62,6 @@ def here(tmp_path, monkeypatch):
     (tmp_path / "versions.py").write_text(POLICY)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "versions", raising=False)
     return tmp_path
 
 
@@ -79,7 +78,6 @@ def repository(here, monkeypatch):
     text = POLICY.replace("import pytest_pafot as pafot", "import pytest_pafot as pafot\nfrom limits import LIMIT")
     (here / "versions.py").write_text(text.replace("20.0 - ego", "LIMIT - ego"))
     (here / ".gitignore").write_text("__pycache__/\n*.npz\n")
-    monkeypatch.delitem(sys.modules, "limits", raising=False)
     git(here, "init", "-q", "-b", "main")
     git(here, "add", "-A")
     git(here, "-c", "user.name=Ann", "-c", "user.email=a@b.c", "commit", "-qm", "Begin")
@@ -92,7 +90,7 @@ def git(folder, *arguments):
 
 
 @pytest.mark.processes
-def test_old_policy_may_come_from_a_revision(repository, capsys, monkeypatch):
+def test_old_policy_may_come_from_a_revision(repository, capsys):
     (repository / "limits.py").write_text("LIMIT = 40.0\n")
     assert progress("rev:main", "Careful", "--json", "one.json", "--workers", "2") == 0
     out, commit = capsys.readouterr().out, git(repository, "rev-parse", "main").strip()
@@ -103,7 +101,6 @@ def test_old_policy_may_come_from_a_revision(repository, capsys, monkeypatch):
     assert (lines[0][1] != lines[1][1], lines[0][2] == lines[1][2]) == (True, True)
     (repository / "before.py").write_text((repository / "versions.py").read_text().replace("limits", "before_limits"))
     (repository / "before_limits.py").write_text("LIMIT = 20.0\n")
-    monkeypatch.delitem(sys.modules, "before", raising=False)
     main(["progress", "before:Careful", "versions:Careful", *SHORT, "--json", "two.json"])
     assert json.loads((repository / "two.json").read_text())["rows"] == said["rows"]
 
@@ -144,8 +141,7 @@ def test_revision_without_a_driving_policy_is_refused(repository, capsys, change
     assert re.sub(r"\(\w{7}\)", "(*)", capsys.readouterr().err).count(told) == 1
 
 
-def test_policy_is_not_compared_with_itself(here, capsys, monkeypatch):
-    monkeypatch.delitem(sys.modules, "before", raising=False)
+def test_policy_is_not_compared_with_itself(here, capsys):
     (here / "before.py").write_text("from versions import Careful\n")
     assert main(["progress", "before:Careful", "versions:Careful", *SHORT]) == 2
     assert "OLD: expected a policy that differs from the tested one" in capsys.readouterr().err

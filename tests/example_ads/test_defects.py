@@ -188,9 +188,9 @@ def never_collides(run):
 @pytest.mark.parametrize(
     ("name", "seed", "fault", "npcs"),
     [
-        ("brakes-for-ghosts", 7, "braked-for-nothing", 1),
-        ("stops-in-its-lane", 8, "stopped-for-nothing", 1),
-        ("trusts-any-gap-behind", 7, "entered-lane", 2),
+        ("brakes-for-ghosts", 1, "braked-for-nothing", 1),
+        ("stops-in-its-lane", 7, "stopped-for-nothing", 1),
+        ("trusts-any-gap-behind", 1, "entered-lane", 2),
     ],
 )
 def test_search_finds_and_names_the_planted_fault(name, seed, fault, npcs):

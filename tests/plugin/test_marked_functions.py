@@ -360,12 +360,12 @@ class MuteAndExits(Exception):
     test = """
 @pafot.search(SHORT, shrink_rollouts=0)
 def test_NUMBER(run):
-    if run.scenario.npcs[0][0].cell < 5:
+    if run.scenario.npcs[0][0].speed < 15:
         raise RAISED
 """
     tests = (test.replace("NUMBER", str(n)).replace("RAISED", each) for n, each in enumerate(raised))
     project.write(classes + "".join(tests))
-    project.run().stdout.fnmatch_lines(["*new finding*"] * len(raised))
+    project.run(generations=3).stdout.fnmatch_lines(["*new finding*"] * len(raised))
     failures = {(name.split("/")[2], load(project.path / name).expect.failure) for name in project.files}
     assert failures == {(f"test_{n}", each.partition("(")[0]) for n, each in enumerate(raised)}
 

@@ -11,6 +11,9 @@ def test_it(run):
     assert not run.collision
 """
 
+ALWAYS = SOURCE.replace("not run.collision", "run.duration < 1")
+"""A test that fails for every run in the same way, so that its search has one finding."""
+
 ONLY, OTHER = "test_it.py::test_it[search]", "test_it.py::test_other[search]"
 
 KILLED = """
@@ -59,7 +62,7 @@ def test_four_resumed_sessions_equal_one_long_session(project):
 
 
 def test_resumed_session_without_new_finding_passes(project):
-    project.write(SOURCE.replace("not run.collision", "run.duration < 1"))
+    project.write(ALWAYS)
     first = night(project, runs=4)
     first.assert_outcomes(failed=1 + len(project.files))
     again = night(project, ONLY, runs=1)
@@ -67,7 +70,7 @@ def test_resumed_session_without_new_finding_passes(project):
 
 
 def test_unsaved_finding_is_reported_once_and_saved_later(project):
-    project.write(SOURCE)
+    project.write(ALWAYS)
     night(project, "--pafot-save=none", runs=10).stdout.fnmatch_lines(
         ["*1 new finding*", "*not saved: --pafot-save=none"]
     )
@@ -90,7 +93,7 @@ def test_resumed_base_seed_stays_the_same_unless_given(project):
 
 
 def test_invalid_state_fails_only_its_own_search(project):
-    project.write(SOURCE + SOURCE.replace("test_it", "test_other"))
+    project.write(ALWAYS + ALWAYS.replace("test_it", "test_other"))
     night(project, ONLY, OTHER, runs=4)
     (state,) = project.path.glob("states/*test_it~*")
     state.write_text("{")

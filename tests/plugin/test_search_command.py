@@ -334,5 +334,6 @@ def test_impossible_search_is_reported_and_writes_nothing(here, capsys, argument
 @pytest.mark.parametrize("check", ["def wrong(run): return True", "async def wrong(run): assert False"])
 def test_a_check_that_asserts_nothing_does_not_pass(here, check):
     (here / "checks.py").write_text(f"{check}\n")
-    code, told = python("pytest_pafot", "search", "a_planner:Planner", "--check", "checks:wrong", "--runs", "4")
+    given = ["a_planner:Planner", "--check", "checks:wrong", "--runs", "20", "--seed", "2"]
+    code, told = python("pytest_pafot", "search", *given)
     assert (code, "expected the test function to assert" in told) == (1, True), told
