@@ -41,8 +41,12 @@ class Story(NamedTuple):
 
 
 STORIES = (
-    Story("constant-speed", "test_never_at_fault_in_a_collision[constant-speed-search]", ("--pafot-runs=80",)),
-    Story("fiss", "test_fiss_is_never_at_fault_in_a_collision[search]", ("--pafot-runs=80",)),
+    Story(
+        "constant-speed",
+        "test_never_at_fault_in_a_collision[constant-speed-search]",
+        ("--pafot-runs=80", "--pafot-seed=4"),  # finds what the README's first search finds
+    ),
+    Story("fiss", "test_fiss_is_never_at_fault_in_a_collision[search]", ("--pafot-runs=80", "--pafot-seed=1")),
 )
 
 
@@ -53,7 +57,7 @@ def search(story: Story, folder: Path) -> Path:
     environment["PYTHONPATH"] = str(ROOT)
     command = [
         *(sys.executable, "-m", "pytest", f"example_ads/test_safety.py::{story.test}", "-p", "no:randomly", "-q"),
-        *("--tb=no", "--pafot-seed=1", f"--pafot-corpus={folder / 'corpus'}", f"--pafot-report={page}"),
+        *("--tb=no", f"--pafot-corpus={folder / 'corpus'}", f"--pafot-report={page}"),
         *story.options,
     ]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
