@@ -50,7 +50,8 @@ def compared(policy: str, number: int, seed: int, instructions: Instructions) ->
     theirs = (first.responsibility, first.fault, first.tick)
     try:
         said, true = numbers(found.trace, first)
-    except (AssertionError, LookupError, StopIteration, ValueError) as error:  # the reason describes something that did not happen
+    except (AssertionError, LookupError, StopIteration, ValueError) as error:
+        # The reason describes something that did not happen.
         said, true = [first.reason], [repr(error)]
     text = (
         f"collision({policy!r}, {number}, {seed}, {instructions!r}) in {found.world!r}\n"
