@@ -371,14 +371,25 @@ def test_styles_are_only_said_of_worlds_that_have_them(project, has_styles):
     assert ("traffic: hostile" in project.only_file.read_text()) is has_styles
 
 
-def test_style_is_refused_for_a_world_without_styles(project):
+@pytest.mark.parametrize(
+    ("argument", "ability", "words", "begin"),
+    [
+        ("traffic='everyday'", "has_traffic_styles", "whose NPCs have styles", "whose NPCs have styles, received "),
+        (
+            "instructions='both'",
+            "has_lane_instructions",
+            "whose NPCs can have Lane-Instructions",
+            "whose NPCs can have Lane-Ins",  # the message is cut after this
+        ),
+    ],
+)
+def test_argument_is_refused_for_a_world_without_its_ability(project, argument, ability, words, begin):
     own(project)
     path = project.path / "test_it.py"
-    path.write_text(path.read_text().replace("npcs=1", "npcs=1, traffic='everyday'"))
-    result = project.run()
-    result.stdout.fnmatch_lines(["*expected a world whose NPCs have styles, received *has_traffic_styles = True*"])
-    path.write_text(path.read_text().replace("class Ring:", "class Ring:\n    has_traffic_styles = True\n"))
-    project.run(generations=1).stdout.no_fnmatch_line("*whose NPCs have styles*")
+    path.write_text(path.read_text().replace("npcs=1", f"npcs=1, {argument}"))
+    project.run().stdout.fnmatch_lines([f"*expected a world {begin}*{ability} = True*"])
+    path.write_text(path.read_text().replace("class Ring:", f"class Ring:\n    {ability} = True\n"))
+    project.run(generations=1).stdout.no_fnmatch_line(f"*{words}*")
 
 
 @pytest.mark.parametrize("has_lanes", [False, True])
@@ -386,16 +397,6 @@ def test_lanes_are_only_drawn_for_worlds_that_have_them(project, has_lanes):
     only_cells = "trace.scenario.positions == run.trace.scenario.npcs"
     own(project, data="{'lanes': self.lanes}\n\n    has_lane_instructions = " + str(has_lanes), verdict=only_cells)
     project.run(generations=2).assert_outcomes(**({"failed": 2} if has_lanes else {"passed": 1, "skipped": 0}))
-
-
-def test_kind_is_refused_for_a_world_without_lane_instructions(project):
-    own(project)
-    path = project.path / "test_it.py"
-    path.write_text(path.read_text().replace("npcs=1", "npcs=1, instructions='both'"))
-    result = project.run()
-    result.stdout.fnmatch_lines(["*expected a world whose NPCs can have Lane-Ins*has_lane_instructions = True*"])
-    path.write_text(path.read_text().replace("class Ring:", "class Ring:\n    has_lane_instructions = True\n"))
-    project.run(generations=1).stdout.no_fnmatch_line("*whose NPCs can have Lane-Instructions*")
 
 
 DRIVERS = """
