@@ -120,7 +120,7 @@ def chromosomes(
     return build()
 
 
-def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
+def scenarios(
     *,
     cells: Iterable[int] = tuple(Cell),
     min_speed: float = 0.0,

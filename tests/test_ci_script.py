@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.actions import SCRIPT, environment, git, inputs_of, run_action, shell
+from tests.helpers.processes import begun
 from tests.helpers.sessions import read_record
 
 pytestmark = pytest.mark.processes
@@ -325,9 +326,7 @@ def test_signal_ends_pytest_and_then_the_script(repository, tmp_path, shells, na
     commit(repository, {"planner.py": PLANNER, "test_safety.py": slow}, "A planner")
     (tmp_path / "temporary").mkdir()
     own = environment(BRANCH="finds", TMPDIR=str(tmp_path / "temporary"))
-    with subprocess.Popen(
-        [shells, SCRIPT, "night"], cwd=repository, env=own, stdout=subprocess.PIPE, text=True, start_new_session=True
-    ) as script:
+    with begun([shells, SCRIPT, "night"], cwd=repository, env=own, stdout=subprocess.PIPE, text=True) as script:
         printed = ""
         while "distinct" not in printed and "runs" not in printed:
             line = script.stdout.readline()

@@ -65,15 +65,10 @@ def walked(node: ast.AST) -> Iterator[ast.AST]:
 
 
 @cache
-def nodes_of(path: Path) -> list[ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef]:
-    """Return imports, functions and classes of a module, including those inside functions."""
-    nodes = walked(ast.parse(path.read_text(encoding="utf-8")))
-    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef)]
-
-
 def imports_of(path: Path) -> list[ast.Import | ast.ImportFrom]:
     """Return the imports anywhere in a module, including those inside functions and only for types."""
-    return [node for node in nodes_of(path) if isinstance(node, ast.Import | ast.ImportFrom)]
+    nodes = walked(ast.parse(path.read_text(encoding="utf-8")))
+    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
 
 
 def imported_names(path: Path) -> list[str]:

@@ -1,6 +1,5 @@
 """The project itself: which warnings are errors in its tests, its Python versions, and the shape of its code."""
 
-import ast
 import re
 import shutil
 import tomllib
@@ -11,14 +10,13 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.tables import table
-from tests.test_layers import MODULES, ROOMS, nodes_of, statements
+from tests.test_layers import MODULES, ROOMS
 
 ROOT = Path(__file__).parents[1]
 OF_ONE_NAME = {
     "events": "what a campaign of generations yields, and what a whole search tells",
 }
 """The reasons why modules of different rooms have the same name."""
-BLOCKS = (ast.If, ast.For, ast.While, ast.With, ast.Try, ast.Match)
 
 
 def test_every_warning_is_an_error():
@@ -49,30 +47,6 @@ def test_wheels_are_built_for_every_supported_python():
 
 def repeated(names):
     return {name for name, count in Counter(names).items() if count > 1}
-
-
-def nesting(node, depth=0):
-    """Return the largest number of nested blocks; ``elif`` is no block inside ``if``."""
-    deepest = depth
-    for child in statements(node):
-        is_elif = isinstance(node, ast.If) and isinstance(child, ast.If) and node.orelse == [child]
-        deepest = max(deepest, nesting(child, depth + (isinstance(child, BLOCKS) and not is_elif)))
-    return deepest
-
-
-def test_blocks_inside_of_each_other_are_counted():
-    flat = "if a:\n    pass\nelif b:\n    pass\nelse:\n    pass\n"
-    assert nesting(ast.parse(flat)) == 1
-    assert nesting(ast.parse("for a in b:\n    with c:\n        if d:\n            pass\n")) == 3
-
-
-def test_functions_nest_little():
-    functions = [(path.name, each) for path in MODULES for each in nodes_of(path) if isinstance(each, ast.FunctionDef)]
-    assert [f"{file}: {each.name}" for file, each in functions if nesting(each) > 4] == []
-
-
-def test_no_two_classes_have_one_name():
-    assert repeated(node.name for path in MODULES for node in nodes_of(path) if isinstance(node, ast.ClassDef)) == set()
 
 
 def test_modules_with_equal_names_are_listed_exceptions():

@@ -65,7 +65,7 @@ class Exploration(Shown):
         return tuple(last[finding.id] for finding in self.findings)
 
 
-def explore(  # noqa: PLR0913  (the arguments in which most searches differ)
+def explore(
     ads: AdsFactory | str,
     *,
     holds: Callable[[Run], None],

@@ -163,7 +163,7 @@ def _worsening(verdict: Verdict) -> str:
     return "" if verdict.reference is None else worsening(verdict.severity, verdict.reference.severity)
 
 
-def _tell(  # noqa: PLR0913  (the fields of a record)
+def _tell(
     item: pytest.Function,
     replays: Replays,
     saved: Saved,

@@ -53,7 +53,7 @@ class CheckpointError(ValueError):
     """A checkpoint that does not belong to the campaign that should continue from it."""
 
 
-def run_campaign(  # noqa: PLR0913  (each parameter is an independent choice)
+def run_campaign(
     algorithm: Algorithm[StateT],
     evaluate: Evaluate,
     *,

@@ -4,29 +4,33 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """The signals that end a process without giving it time, unless it handles them."""
+AGAIN_SECONDS = 0.05
+"""The time after which an interrupt that Python could not raise comes again [s]."""
 
 
 class Ended(KeyboardInterrupt):
-    """One of :data:`ENDS`, as an interrupt. ``code`` is the exit code that a shell reports for it."""
+    """One of :data:`ENDS`, as an interrupt. ``code`` is the exit code that a shell reports for its ``number``."""
 
     def __init__(self, number: int) -> None:
         super().__init__(f"received {signal.Signals(number).name}")
-        self.code = 128 + number
+        self.number, self.code = number, 128 + number
 
 
 @contextmanager
 def interrupted_by_signals() -> Iterator[None]:
     """Let the first of :data:`ENDS` raise :class:`Ended` in the main thread; further ones have no effect.
 
-    A signal that the user's code handles, or that is ignored as by ``nohup``, is left alone.
+    A signal that the user's code handles, or that is ignored as by ``nohup``, is left alone. Python drops what
+    a handler raises while a finalizer or the callback of a weak reference runs; such an interrupt comes again shortly.
     """
-    owner, ended = os.getpid(), False
+    owner, ended, told = os.getpid(), False, sys.unraisablehook
 
     def received(number: int, _: object) -> None:
         nonlocal ended
@@ -37,13 +41,25 @@ def interrupted_by_signals() -> Iterator[None]:
             ended = True
             raise Ended(number)
 
+    def unraisable(lost: sys.UnraisableHookArgs) -> None:
+        nonlocal ended
+        if not isinstance(lost.exc_value, KeyboardInterrupt) or os.getpid() != owner:
+            told(lost)
+            return
+        ended, number = False, lost.exc_value.number if isinstance(lost.exc_value, Ended) else signal.SIGINT
+        threading.Timer(AGAIN_SECONDS, os.kill, (owner, number)).start()
+
     is_main = threading.current_thread() is threading.main_thread()
     mine = [number for number in ENDS if is_main and signal.getsignal(number) == signal.SIG_DFL]
     for number in mine:
         signal.signal(number, received)
+    if is_main:
+        sys.unraisablehook = unraisable
     try:
         yield
     finally:
+        if sys.unraisablehook is unraisable:
+            sys.unraisablehook = told
         for number in mine:
             if signal.getsignal(number) is received:  # The user's code may handle it since.
                 signal.signal(number, signal.SIG_DFL)

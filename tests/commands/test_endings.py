@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.processes import begun
 from tests.helpers.sessions import INTERRUPTIBLE
 
 pytestmark = [
@@ -67,22 +68,16 @@ def test_command_ends_all_that_it_began(tmp_path, tmp_path_factory, command, nam
     places, number = tmp_path_factory.mktemp("places"), getattr(signal, name)
     (tmp_path / "slow.py").write_text(SLOW)
     environ = {**os.environ, "TMPDIR": str(places)}
-    begun = subprocess.Popen(
-        [*INTERRUPTIBLE, *COMMANDS[command]],
-        cwd=tmp_path,
-        env=environ,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    with begun:
+    command = [*INTERRUPTIBLE, *COMMANDS[command]]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with begun(command, cwd=tmp_path, env=environ, **quiet) as process:
         mark, deadline = f"TMPDIR={places}".encode(), time.monotonic() + 60.0
         while len(processes_with(mark)) < 3 and time.monotonic() < deadline:
             time.sleep(0.1)
         assert len(processes_with(mark)) >= 3
-        os.killpg(begun.pid, number) if number == signal.SIGINT else begun.send_signal(number)
-        begun.wait(60)
-    assert begun.returncode == 128 + number
+        os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+        process.wait(60)
+    assert process.returncode == 128 + number
     while processes_with(mark) and time.monotonic() < deadline:  # what is killed takes a moment to go
         time.sleep(0.1)
     assert processes_with(mark) == []

@@ -16,6 +16,7 @@ import pytest
 from pytest_pafot.__main__ import main
 from pytest_pafot.commands.bisect_command import Trials, _group, parted
 from pytest_pafot.plugin.bisect_session import TOLD
+from tests.helpers.processes import begun
 from tests.helpers.sessions import INTERRUPTIBLE
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide" / "what-broke.md"
@@ -377,7 +378,7 @@ def test_interrupt_leaves_no_processes_or_folders_behind(real, tmp_path, monkeyp
     command = [*INTERRUPTIBLE, "bisect", FILE, "--good", first, "--policy", "planner.py"]
     for end, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)):
         pid.unlink(missing_ok=True)
-        with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        with begun(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE) as process:
             wait_for(lambda: pid.exists() and pid.read_text())
             process.send_signal(end)
             process.communicate(timeout=60)
@@ -399,7 +400,7 @@ def test_killed_bisect_takes_its_session_along(real, tmp_path, monkeypatch, caps
     (tmp_path / "temporary").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     command = [sys.executable, "-m", "pytest_pafot", "bisect", FILE, "--good", first, "--policy", "planner.py"]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
+    with begun(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
         wait_for(lambda: pid.exists() and pid.read_text())
         process.kill()
     wait_for(lambda: not Path(f"/proc/{pid.read_text()}/cmdline").exists())

@@ -17,6 +17,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.revision_policy import RevisionPolicy
 from pytest_pafot.plugin import search_item
+from tests.helpers.processes import begun
 from tests.helpers.tables import table
 
 pytestmark = [
@@ -523,9 +524,8 @@ def test_copy_of_an_ended_session_is_removed(repository, number):
         repository, {"test_it.py": (repository.path / "test_it.py").read_text().replace("stop_after=1", "max_time=99")}
     )
     command = [sys.executable, "-m", "pytest", "-q", "-p", "pafot", "--pafot-against=rev:main", "--pafot-runs=1000000"]
-    with subprocess.Popen(
-        command, cwd=repository.path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    ) as session:
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with begun(command, cwd=repository.path, **quiet) as session:
         deadline = time.monotonic() + 60
         while len(git(repository, "worktree", "list").splitlines()) == 1 and time.monotonic() < deadline:
             time.sleep(0.1)

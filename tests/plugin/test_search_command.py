@@ -10,6 +10,7 @@ import time
 import pytest
 
 from pytest_pafot.__main__ import main
+from tests.helpers.processes import begun
 from tests.helpers.sessions import INTERRUPTIBLE
 
 POLICY = """\
@@ -257,9 +258,7 @@ def test_a_wrong_option_is_told_by_its_name_here(here, capsys, arguments, told):
 @pytest.mark.skipif(os.name == "nt", reason="a group of processes has no signals there")
 def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
     command = [*INTERRUPTIBLE, "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
-    ) as search:
+    with begun(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as search:
         told = ""
         while "pafot: found" not in told:
             line = search.stdout.readline()
@@ -285,7 +284,7 @@ def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_
         subprocess.run([*git, *arguments], cwd=here, check=True)
     (here / "a_planner.py").write_text((here / "a_planner.py").read_text() + "\n")
     command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
-    with subprocess.Popen([*command, "--against", "rev:main"], stdout=subprocess.PIPE, text=True) as search:
+    with begun([*command, "--against", "rev:main"], stdout=subprocess.PIPE, text=True) as search:
         deadline = time.monotonic() + 60.0
         while not [*places.glob("pafot-tree-*/*/a_planner.py")] and time.monotonic() < deadline:
             time.sleep(0.05)

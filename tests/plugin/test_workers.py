@@ -13,6 +13,7 @@ import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution import prefetching
 from pytest_pafot.model.trace import Outcome
+from tests.helpers.processes import begun
 
 pytestmark = [
     pytest.mark.processes,
@@ -235,14 +236,8 @@ def noting(observation):
 """
     project = dear("noting", more, test=MANY)
     command = [sys.executable, "-c", OBEYING, "-p", "pafot", "--pafot-generations=999", "--pafot-seed=1"]
-    with subprocess.Popen(
-        [*command, "--pafot-workers=2"],
-        cwd=project.path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    ) as process:
+    one = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with begun([*command, "--pafot-workers=2"], cwd=project.path, text=True, **one) as process:
         found = next(line for line in process.stdout if line.startswith("pafot: found ")).split()[-1]
         while len(list(project.path.glob("pid-*"))) < 3:
             time.sleep(0.01)

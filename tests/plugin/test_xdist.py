@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from pytest_pafot.corpus.reader import load
+from tests.helpers.processes import begun
 from tests.plugin.test_report_page import data_of
 
 pytestmark = pytest.mark.processes
@@ -144,7 +145,7 @@ def test_load_groups_do_not_change_finding_ids(project):
 def test_kill_loses_no_announced_finding_or_file(project):
     project.write(TWO.replace("assert run", "__import__('time').sleep(0.05)\n    assert run"))
     command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=5", "--pafot-seed=1"]
-    with subprocess.Popen(command, cwd=project.path, stdout=subprocess.PIPE, text=True) as process:
+    with begun(command, cwd=project.path, stdout=subprocess.PIPE, text=True) as process:
         announced = []
         for line in process.stdout:
             if line.startswith("pafot: found "):

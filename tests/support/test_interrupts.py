@@ -2,6 +2,8 @@
 
 import os
 import signal
+import sys
+import time
 
 import pytest
 
@@ -25,6 +27,34 @@ def test_first_signal_is_an_interrupt_and_others_have_no_effect(number):
     assert ended.value.code == 128 + number
     assert isinstance(ended.value, KeyboardInterrupt)
     assert [signal.getsignal(each) for each in ENDS] == before
+
+
+class Final:
+    def __init__(self, number):
+        self.number = number
+
+    def __del__(self):
+        os.kill(os.getpid(), self.number)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, *ENDS])
+def test_interrupt_that_a_finalizer_swallows_comes_again(number):
+    def finalize():
+        Final(number)
+        time.sleep(60)
+
+    hook = sys.unraisablehook
+    with pytest.raises(KeyboardInterrupt), interrupted_by_signals():
+        finalize()
+    assert sys.unraisablehook is hook
+
+
+def test_what_else_a_finalizer_raises_is_told_as_before(monkeypatch):
+    told, final = [], Final(10**6)
+    monkeypatch.setattr(sys, "unraisablehook", lambda lost: told.append(lost.exc_type))
+    with interrupted_by_signals():
+        del final
+    assert told == [OSError]
 
 
 def test_signal_that_is_ignored_or_handled_stays_so():

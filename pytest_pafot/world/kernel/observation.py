@@ -150,7 +150,7 @@ class Observation:
         "_time",
     )  # fmt: skip
 
-    def __init__(  # noqa: PLR0913, PLR0917  (a value with many fields)
+    def __init__(
         self,
         time: float,
         ego: VehicleState,
