@@ -12,16 +12,9 @@ from typing import Any, NoReturn
 
 from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent, SearchSummary
 from pytest_pafot.campaign.harness import Harness, reference_of, source_file
-from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, OptionError, Settings
+from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import (
-    Request,
-    RequestError,
-    SearchArguments,
-    build_world,
-    check_names,
-    checked_request,
-)
+from pytest_pafot.campaign.request import Request, SearchArguments, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search import Search, prepared, time_limit
@@ -29,6 +22,7 @@ from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.support.ways_out import command
@@ -148,7 +142,7 @@ def request_of(given: dict[str, Any]) -> Request:
     for name in sorted(given.keys() & values.keys()):
         try:
             values[name] = None if given[name] is None else BY_NAME[name].read(given[name])
-        except OptionError as error:
+        except RequestError as error:
             raise RequestError(f"{PLACE}({name}=...): {error}") from None
     return checked_request(given, Settings(**values), place=PLACE)
 

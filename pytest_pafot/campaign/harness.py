@@ -17,7 +17,7 @@ from typing import Any
 from pytest_pafot.attribution.excuses import Escape
 from pytest_pafot.attribution.last_chance import Avoidance, LastChance, avoidance, last_decision
 from pytest_pafot.campaign.options import REVISION
-from pytest_pafot.campaign.request import AgainstError, Request, RequestError
+from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
@@ -29,7 +29,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import ReferenceOutcome, Run
-from pytest_pafot.support.errors import DriverError, OutOfTime
+from pytest_pafot.support.errors import DriverError, OutOfTime, RequestError
 from pytest_pafot.support.references import factory_named, referred_to
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol

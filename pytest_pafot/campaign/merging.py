@@ -10,7 +10,6 @@ from datetime import date
 from pathlib import Path
 
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.saved import Saved, saved_in
@@ -20,6 +19,7 @@ from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.findings.signature import Signature
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import plural, visible
 from pytest_pafot.support.ways_out import flag
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import difflib
 import os
-from argparse import ArgumentTypeError
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pytest_pafot.corpus.layout import CORPUS
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.ways_out import flag
 
 if TYPE_CHECKING:
@@ -46,10 +46,6 @@ PROFILES: Mapping[str, Mapping[str, object]] = {
 
 BUDGETS = ("runs", "generations")
 """The options that limit a search. If one is given, the other has no default; if both are, the lower limit holds."""
-
-
-class OptionError(ArgumentTypeError):
-    """An error for a wrong option value: where the value is, what was expected, and what was received."""
 
 
 class Option(NamedTuple):
@@ -91,7 +87,7 @@ class Option(NamedTuple):
         """Convert a text or a Python value to the type of the option.
 
         Raises:
-            OptionError: if the value is wrong. The caller adds to the message where the value is from.
+            RequestError: if the value is wrong. The caller adds to the message where the value is from.
         """
         if self.or_class and (not isinstance(value, str) or ":" in value):
             return value  # checked where it is used, since reading options must not import anything
@@ -101,7 +97,7 @@ class Option(NamedTuple):
             near = difflib.get_close_matches(str(value), self.choices, n=1)
             hint = "; or give your own class, as module:Class outside Python code" if self.or_class else ""
             hint = f"; did you mean {near[0]!r}?" if near else hint
-            raise OptionError(f"expected {', '.join(others)} or {last}, received {value!r}{hint}")
+            raise RequestError(f"expected {', '.join(others)} or {last}, received {value!r}{hint}")
         return typed
 
 
@@ -361,7 +357,7 @@ def _read_integer(option: Option, value: object) -> int:
         number = None
     if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number <= option.most:
         limit = f" and at most {option.most}" if isinstance(number, int) and number > option.most else ""
-        raise OptionError(f"expected a whole number, at least {option.least:g}{limit}, received {value!r}")
+        raise RequestError(f"expected a whole number, at least {option.least:g}{limit}, received {value!r}")
     return number
 
 
@@ -370,8 +366,8 @@ def _read_workers(option: Option, value: object) -> int:
         return cores()
     try:
         return _read_integer(option, value)
-    except OptionError as error:
-        raise OptionError(str(error).replace("expected a", f"expected {AUTO} or a", 1)) from None
+    except RequestError as error:
+        raise RequestError(str(error).replace("expected a", f"expected {AUTO} or a", 1)) from None
 
 
 def cores() -> int:
@@ -387,13 +383,13 @@ def _read_seconds(option: Option, value: object) -> float:
     except ValueError:
         seconds = -1.0
     if not option.least <= seconds < float("inf"):
-        raise OptionError(f"expected seconds, at least {option.least:g}, received {value!r}")
+        raise RequestError(f"expected seconds, at least {option.least:g}, received {value!r}")
     return seconds
 
 
 def _read_text(option: Option, value: object) -> str:
     if not isinstance(value, (str, os.PathLike)) or not os.fspath(value):
-        raise OptionError(f"expected a text, received {value!r}")
+        raise RequestError(f"expected a text, received {value!r}")
     return str(os.fspath(value))
 
 
@@ -401,7 +397,7 @@ def _read_day(option: Option, value: object) -> str:
     from pytest_pafot.support.text import day_of  # noqa: PLC0415  (for few sessions)
 
     if not isinstance(value, str) or day_of(value) is None:
-        raise OptionError(f"expected a day of the calendar, such as 2027-01-31, received {value!r}")
+        raise RequestError(f"expected a day of the calendar, such as 2027-01-31, received {value!r}")
     return value
 
 
@@ -409,20 +405,20 @@ def _read_page(option: Option, value: object) -> str:
     text = _read_text(option, value)
     if is_page_file(text) or text.endswith(("/", "\\")) or not PurePath(text).suffix:
         return text
-    raise OptionError(f"expected the name of a page FILE.html, or of a folder DIR/, received {value!r}")
+    raise RequestError(f"expected the name of a page FILE.html, or of a folder DIR/, received {value!r}")
 
 
 def _read_file(option: Option, value: object) -> str:
     text = _read_text(option, value)
     if text.endswith(("/", "\\")):
-        raise OptionError(f"expected the name of a file, received {value!r}, which is a folder; give {text}pafot.json")
+        raise RequestError(f"expected the name of a file, received {value!r}, which is a folder; give {text}pafot.json")
     return text
 
 
 def _read_table(option: Option, value: object) -> str:
     text = _read_text(option, value)
     if PurePath(text).suffix.lower() not in (".csv", ".parquet"):
-        raise OptionError(f"expected the name of a file FILE.csv or FILE.parquet, received {value!r}")
+        raise RequestError(f"expected the name of a file FILE.csv or FILE.parquet, received {value!r}")
     return text
 
 
@@ -439,7 +435,7 @@ def _read_switch(option: Option, value: object) -> bool:
     words = {"1": True, "true": True, "yes": True, "on": True, "0": False, "false": False, "no": False, "off": False}
     word = value.lower() if isinstance(value, str) else None
     if word not in words:
-        raise OptionError(f"expected true or false, received {value!r}")
+        raise RequestError(f"expected true or false, received {value!r}")
     return words[word]
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals
-from pytest_pafot.campaign.request import AgainstError, RequestError, build_space
+from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.corpus.reader import located
@@ -40,6 +40,7 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import weights_digest

@@ -18,7 +18,7 @@ from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample, space_on
-from pytest_pafot.support.errors import plain_number
+from pytest_pafot.support.errors import RequestError, plain_number
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.text import shown
 from pytest_pafot.support.ways_out import flag
@@ -49,10 +49,6 @@ SLICE = 3.0
 SLOWEST_START = 12.0
 """The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower."""
 BLAMES = ("any", "ego", "preventable")
-
-
-class RequestError(Exception):
-    """An error for a search that cannot be run as requested. Its message is written for the user."""
 
 
 class AgainstError(RequestError):
@@ -154,33 +150,30 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         place=place,
         **own,
     )
-    for argument, problem in _problems(request).items():
-        if problem:
-            raise request.error(argument, problem)
+    world, limit, goal = request.world, request.decision_limit, request.fitness
+    if world is not None and request.road:
+        part = next(iter(request.road))
+        problem = f"expected either world= or arguments of the road, received both; pass {part} to the world"
+        raise request.error(f"world=..., {part}=...", problem)
+    if world is not None and (isinstance(world, type) or not callable(getattr(world, "rollout", None))):
+        problem = f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}"
+        raise request.error("world=...", problem)
+    problem_of_ads = _problem_of_ads(request.ads)
+    if problem_of_ads:
+        raise request.error("ads=...", problem_of_ads)
+    if not _is_name(request.arg):
+        raise request.error("arg=...", f"expected a name, received {request.arg!r}")
+    if request.blame not in BLAMES:
+        raise request.error("blame=...", f"expected one of {', '.join(BLAMES)}, received {request.blame!r}")
+    if limit is not None and not (plain_number(limit) or 0) > 0:  # written so that NaN is refused, too
+        raise request.error("decision_limit=...", f"expected seconds, more than 0, received {limit!r}")
+    if not (isinstance(goal, (str, Weights)) or callable(goal)):
+        raise request.error(
+            "fitness=...",
+            "expected default, paper, av-fuzzer, a measure such as headway, pafot.Weights(...) or a function of a "
+            f"Trace that returns a float, received {goal!r}",
+        )
     return request
-
-
-def _problems(request: Request) -> Mapping[str, object]:
-    """Return the problem of each argument, in the order of reporting; a false value if an argument is right."""
-    world, limit, fitness = request.world, request.decision_limit, request.fitness
-    part = next(iter(request.road), "")
-    return {
-        f"world=..., {part}=...": world is not None
-        and part
-        and f"expected either world= or arguments of the road, received both; pass {part} to the world",
-        "world=...": world is not None
-        and (isinstance(world, type) or not callable(getattr(world, "rollout", None)))
-        and f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}",
-        "ads=...": _problem_of_ads(request.ads),
-        "arg=...": not _is_name(request.arg) and f"expected a name, received {request.arg!r}",
-        "blame=...": request.blame not in BLAMES and f"expected one of {', '.join(BLAMES)}, received {request.blame!r}",
-        "decision_limit=...": limit is not None
-        and not (plain_number(limit) or 0) > 0  # written so that NaN is refused, too
-        and f"expected seconds, more than 0, received {limit!r}",
-        "fitness=...": not (isinstance(fitness, (str, Weights)) or callable(fitness))
-        and "expected default, paper, av-fuzzer, a measure such as headway, pafot.Weights(...) or a function of a "
-        f"Trace that returns a float, received {fitness!r}",
-    }
 
 
 def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:

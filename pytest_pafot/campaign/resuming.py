@@ -13,7 +13,6 @@ from typing import Any
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.state_file import FLAG, Answer, Counts, EarlierFind, StateFile, state_path
 from pytest_pafot.corpus.layout import link_below
@@ -25,6 +24,7 @@ from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
 from pytest_pafot.searching.campaign import Checkpoint
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural

@@ -20,7 +20,7 @@ from pytest_pafot.campaign.harness import Harness, Simulation, refusals
 from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.recorder import Recorder, difference
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import RequestError, build_space
+from pytest_pafot.campaign.request import build_space
 from pytest_pafot.campaign.resuming import RandomBeginning, Sessions
 from pytest_pafot.campaign.search_loop import SearchLoop, read_ahead
 from pytest_pafot.campaign.setup_fault import SetupFaultError
@@ -37,7 +37,7 @@ from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.campaign import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
-from pytest_pafot.support.errors import OutOfTime
+from pytest_pafot.support.errors import OutOfTime, RequestError
 from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import loading_hint

@@ -18,7 +18,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
-from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus.layout import safe_name
 from pytest_pafot.findings.shrink import Start
 from pytest_pafot.findings.signature import Signature
@@ -30,7 +29,7 @@ from pytest_pafot.searching.evaluation_cache import Remembered
 from pytest_pafot.searching.events import CampaignFinished
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plain import from_plain, plain
-from pytest_pafot.support.errors import FieldError
+from pytest_pafot.support.errors import FieldError, RequestError
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world import codec

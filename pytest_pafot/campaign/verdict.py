@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
-from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.severity import Severity, severity_of
 from pytest_pafot.findings.signature import Failure
@@ -16,7 +15,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.checks import Check, Recording, Rejected, recorded
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference_outcome
-from pytest_pafot.support.errors import DriverError
+from pytest_pafot.support.errors import DriverError, RequestError
 from pytest_pafot.world.guard.failure import UNFIT, is_interruption
 
 Test = Callable[[Run], Any]

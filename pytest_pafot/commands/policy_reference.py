@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.world.driving.ads import weights_digest
@@ -29,10 +30,6 @@ ABOUT_POLICIES = (
 """The text on policies in the help of commands."""
 
 
-class PlanError(ValueError):
-    """An error for wrong arguments of a command. The message says what was expected and what to do."""
-
-
 def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") -> Callable[..., Any]:
     """Return the ADS factory that the user names on the command line.
 
@@ -42,7 +39,7 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
         what: a description of the expected function, for errors.
 
     Raises:
-        PlanError: if there is no such factory.
+        RequestError: if there is no such factory.
     """
     if ":" not in reference:
         examples = importlib.import_module(_package_of_examples())
@@ -52,14 +49,14 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
         if reference not in names:
             near = difflib.get_close_matches(reference, policies, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise PlanError(
+            raise RequestError(
                 f"{option}: expected one of {', '.join(policies)}, or module:factory for your own policy, "
                 f"received {reference!r}{hint}"
             )
     try:
         return factory_named(whole_name(reference), what)
     except ValueError as error:
-        raise PlanError(f"{option}: {error}") from error
+        raise RequestError(f"{option}: {error}") from error
 
 
 def whole_name(reference: str) -> str:
@@ -79,10 +76,10 @@ def check_function(reference: str) -> Callable[..., Any]:
     """Return the function that ``--check`` names; it is called with a run.
 
     Raises:
-        PlanError: if there is no such function.
+        RequestError: if there is no such function.
     """
     if reference.count(":") != 1:
-        raise PlanError(f"--check: expected the name module:function of a function of a run, received {reference!r}")
+        raise RequestError(f"--check: expected the name module:function of a function of a run, received {reference!r}")
     return ads_factory(reference, "--check", "a function of a run")
 
 
@@ -93,7 +90,7 @@ def identity(reference: str) -> dict[str, Any]:
     with this package has the version of this package.
 
     Raises:
-        PlanError: if there is no policy of the given name.
+        RequestError: if there is no policy of the given name.
         AdsFactoryError: if the weights cannot be read.
     """
     factory = ads_factory(reference)

@@ -17,8 +17,8 @@ from pathlib import Path, PurePath
 from typing import Any, TextIO
 
 from pytest_pafot.campaign.options import MOST_WORKERS, cores
-from pytest_pafot.commands.policy_reference import PlanError
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.text import visible
 from pytest_pafot.world.codec import differences
@@ -105,7 +105,7 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
         clock: returns the seconds since some fixed moment.
 
     Raises:
-        PlanError: if the folder holds the results of a different job, or cannot be written.
+        RequestError: if the folder holds the results of a different job, or cannot be written.
         ChildProcessError: if a worker is killed.
         Exception: any exception of a task.
     """
@@ -154,10 +154,10 @@ def worker_count(given: int | None) -> int:
     """Return the number of processes that ``--workers`` requests, by default one for each core.
 
     Raises:
-        PlanError: if the requested number is less than one, or too large.
+        RequestError: if the requested number is less than one, or too large.
     """
     if given is not None and not 1 <= given <= MOST_WORKERS:
-        raise PlanError(f"--workers: expected a whole number, from 1 to {MOST_WORKERS}, received {given}")
+        raise RequestError(f"--workers: expected a whole number, from 1 to {MOST_WORKERS}, received {given}")
     return given or cores()
 
 
@@ -165,7 +165,7 @@ def claim(job: ResumableJob, folder: Path) -> None:
     """Reserve a folder for a job, by writing a file into it that states what the job's results depend on.
 
     Raises:
-        PlanError: if the folder holds the results of a different job, or cannot be written.
+        RequestError: if the folder holds the results of a different job, or cannot be written.
     """
     path = folder / job.question_file
     now: dict[str, Any] = json.loads(json.dumps({**job.question, OF_NAMES: job.identities}))  # tuples become lists
@@ -183,7 +183,7 @@ def claim(job: ResumableJob, folder: Path) -> None:
                 compared = {**then, OF_NAMES: others | {n: e for n, e in now[OF_NAMES].items() if n not in done}}
                 differ = visible("; ".join(differences("", compared, now)))  # a folder may come from somebody else
             if differ:
-                raise PlanError(
+                raise RequestError(
                     f"--out: expected an empty folder or the folder of this {job.noun}, received {folder}, whose "
                     f"{job.question_file} does not agree: {differ}; give another folder, or what it was made with"
                 )
@@ -208,14 +208,14 @@ def written_into(folder: Path, elsewhere: str = "or give another folder") -> Ite
     The message ends with ``elsewhere``, the advice to use another folder.
 
     Raises:
-        PlanError: in place of an OSError.
+        RequestError: in place of an OSError.
     """
     try:
         yield
     except OSError as error:
         # Name an existing file that is in the way, but not a temporary file that was being written.
         what = error.filename2 or (error.filename if isinstance(error, FileExistsError) else folder)
-        raise PlanError(
+        raise RequestError(
             f"--out: expected a folder that can be written, received {what}: {error.strerror or error}; "
             f"{way_out(error, elsewhere)}"
         ) from None

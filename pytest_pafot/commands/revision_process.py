@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.harness import name_of
-from pytest_pafot.commands.policy_reference import PlanError, ads_factory
+from pytest_pafot.commands.policy_reference import ads_factory
 from pytest_pafot.execution.pool import IGNORED, portable, sendable
 from pytest_pafot.execution.revision_policy import PACKAGE, STUCK, RevisionError, RevisionPolicy, mapped
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import described
 from pytest_pafot.support.source_files import is_users, source_files
 from pytest_pafot.support.text import one_line, visible
@@ -202,7 +203,7 @@ def failed(policy: RevisionPolicy, error: BaseException | str, missing: str = ""
 
     Its ``missing`` is by default the module, or ``module:`` for a name in it, that an import did not find.
     """
-    received = one_line(str(error)) if isinstance(error, str | PlanError) else described(error, policy.tree)
+    received = one_line(str(error)) if isinstance(error, str | RequestError) else described(error, policy.tree)
     cause = None if isinstance(error, str) else error
     while cause is not None and not missing:
         if isinstance(cause, ImportError) and cause.name:

@@ -21,16 +21,10 @@ from typing import Any
 
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, REVISION
 from pytest_pafot.campaign.request import BLAMES
-from pytest_pafot.commands.policy_reference import (
-    ABOUT_POLICIES,
-    BAD_USE,
-    PlanError,
-    ads_factory,
-    check_function,
-    whole_name,
-)
+from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, BAD_USE, ads_factory, check_function, whole_name
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
 from pytest_pafot.support.text import one_line, visible
@@ -106,7 +100,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if against is not None and not against.startswith(REVISION):
             ads_factory(against, "--against")
             against = whole_name(against)
-    except PlanError as error:
+    except RequestError as error:
         sys.stderr.write(f"search: {error}\n")
         return BAD_USE
     given = {name: getattr(arguments, name) for name in OWN}
@@ -165,11 +159,11 @@ def _write_test(here: Path, files: Mapping[str, str], ads: str) -> int:
     """Write the files of a test, which have to be new, after a few runs of the test. Return the exit code.
 
     Raises:
-        PlanError: if a file is there or cannot be written, or if the test cannot run.
+        RequestError: if a file is there or cannot be written, or if the test cannot run.
     """
     there = [name for name in files if os.path.lexists(here / name)]
     if there:
-        raise PlanError(
+        raise RequestError(
             f"--write-test: expected a folder without {' and '.join(there)}, received {here}; run the command in "
             "another folder, or write the test by hand"
         )
@@ -184,7 +178,7 @@ def _write_test(here: Path, files: Mapping[str, str], ads: str) -> int:
         for name in written:
             (here / name).unlink(missing_ok=True)
         fix = way_out(error, "or run the command in another folder")
-        raise PlanError(
+        raise RequestError(
             f"--write-test: expected a folder in which {' and '.join(files)} can be written, received {here}: "
             f"{error.strerror or error}; {fix}"
         ) from None
@@ -196,7 +190,7 @@ def _check_that_it_runs(files: Mapping[str, str], ads: str) -> None:
     """Run a test on a few scenarios, so that only a test that can run is written. A failing run is a finding, no error.
 
     Raises:
-        PlanError: if the test cannot run.
+        RequestError: if the test cannot run.
     """
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch, tempfile.TemporaryFile() as output:
         told, environ = Path(scratch, "pafot.json"), {**os.environ, OF_COMMAND: ads}
@@ -211,7 +205,7 @@ def _check_that_it_runs(files: Mapping[str, str], ads: str) -> None:
         return
     errors = [line[1:].strip() for line in words if line.startswith("E ")]
     received = next((search["message"] for search in record["searches"] if search["message"]), " ".join(errors[-1:]))
-    raise PlanError(
+    raise RequestError(
         f"--write-test: expected a test that can run, received {one_line(visible(received or 'no test'))}; nothing was "
         "written: correct it, and see more by the same command without --write-test"
     )
@@ -250,9 +244,11 @@ def _import(module: str, name: str, alias: str, option: str) -> str:
     """Return the import of a function. Its alias hides no fixture, and is no test or hook for pytest."""
     if module in (Path(CONFTEST).stem, Path(TEST).stem):
         received = f"{module}:{name}, in a file of the search itself"
-        raise PlanError(f"{option}: expected a module other than {CONFTEST} and {TEST}, received {received}; rename it")
+        raise RequestError(
+            f"{option}: expected a module other than {CONFTEST} and {TEST}, received {received}; rename it"
+        )
     for part in (*module.split("."), name):
         if not part.isidentifier() or keyword.iskeyword(part):
             received = f"{part!r} in {module}:{name}"
-            raise PlanError(f"{option}: expected names that `import` takes, received {received}; rename it")
+            raise RequestError(f"{option}: expected names that `import` takes, received {received}; rename it")
     return f"from {module} import {name} as {alias}\n"

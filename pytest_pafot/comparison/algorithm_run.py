@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
-from pytest_pafot.commands.policy_reference import PlanError, ads_factory, caution
+from pytest_pafot.commands.policy_reference import ads_factory, caution
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, claim, run_job
 from pytest_pafot.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.execution.runner import runner_here
@@ -23,6 +23,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import Evaluation, run_campaign
 from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import Fitness, resolve
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import csv_text
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.protocol import WorldLike, first_decision, reference_world
@@ -120,7 +121,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     """Run one campaign of an algorithm, and yield a row for each scenario after its evaluation.
 
     Raises:
-        PlanError: if the ADS fails for the same reason at its first decision in all scenarios of the first generation.
+        RequestError: if the ADS fails for the same reason at its first decision in the whole first generation.
     """
     (world, _), factory, chosen = plan.setting(algorithm), ads_factory(plan.ads), plan.entrant(algorithm).algorithm
     seed, name = plan.run_seed(algorithm, run), plan.fitness or chosen.fitness
@@ -230,7 +231,7 @@ def check_set_up(world: WorldLike, factory: Callable[..., Any], first: Sequence[
     """Check in the first generation that the ADS drives at all: an error of the set-up says nothing about algorithms.
 
     Raises:
-        PlanError: if the ADS failed for the same reason at its first decision in all runs.
+        RequestError: if the ADS failed for the same reason at its first decision in all runs.
     """
     error: AdsError | None = first[0].note.error
     causes = {first_decision_cause(each.note.error) for each in first}
@@ -247,7 +248,7 @@ def check_set_up(world: WorldLike, factory: Callable[..., Any], first: Sequence[
             "in SI units needs the road without --env."
         )
         given = f"{asked.text} {others}"
-    raise PlanError(
+    raise RequestError(
         f"--ads: expected a policy that drives, received {error.kind}: {error.message}{where}\n\n"
         f"This happened in all {len(first)} runs of the first generation, at the first decision: it is an error of the "
         "set-up, which says nothing about the algorithms. Correct the ADS, its factory, or the world that it drives in "

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS, drawn_space
-from pytest_pafot.commands.policy_reference import BAD_USE, PlanError
+from pytest_pafot.commands.policy_reference import BAD_USE
 from pytest_pafot.commands.resumable import AGAIN, worker_count, written_into
 from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan, checked
@@ -20,6 +20,7 @@ from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, ScenarioError
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.searching.space import space_on
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.ways_out import install
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
@@ -112,7 +113,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         # Errors on the command line are reported before the user installs anything for it.
         missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
         if missing:
-            raise PlanError(
+            raise RequestError(
                 f"expected the library {missing} for the report, received a Python without it; "
                 f"run `{install('compare')}`"
             )
@@ -125,7 +126,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             titles = figures.draw_all(measured, folder / "figures")
             report = markdown.report(measured, command, markdown.wall_seconds(plan, folder), titles)
             write_whole(folder / "report.md", report)
-    except (PlanError, WorldError, AdsFactoryError, ScenarioError, ChildProcessError) as error:
+    except (RequestError, WorldError, AdsFactoryError, ScenarioError, ChildProcessError) as error:
         sys.stderr.write(f"compare: {error}\n")
         return BAD_USE
     except KeyboardInterrupt as interrupt:
@@ -139,14 +140,14 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
     """Make the plan of a comparison from parsed arguments.
 
     Raises:
-        PlanError: for a value that no world or space accepts.
+        RequestError: for a value that no world or space accepts.
     """
     world = _world(arguments)
     given = {name: value for name in SPACE_ARGUMENTS if (value := getattr(arguments, name, None)) is not None}
     try:
         space = space_on(world, given, road_start(world))
     except ValueError as error:
-        raise PlanError(str(error)) from None
+        raise RequestError(str(error)) from None
     generations = None if arguments.seconds is not None else arguments.generations
     if arguments.seconds is None and generations is None:
         generations = 100
@@ -176,7 +177,7 @@ def _world(arguments: argparse.Namespace) -> Highway | World:
         return Highway(**given)
     for name in ("lanes", "speed_limit"):
         if name in given:
-            raise PlanError(
+            raise RequestError(
                 f"--{name.replace('_', '-')}: expected no such option with --env, received {given[name]!r}; leave it "
                 "out, because the environment has its own road"
             )

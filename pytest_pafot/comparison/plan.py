@@ -9,11 +9,12 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pytest_pafot.commands.policy_reference import PlanError, ads_factory, identity
+from pytest_pafot.commands.policy_reference import ads_factory, identity
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
@@ -44,7 +45,7 @@ class Entrant(NamedTuple):
 
         Raises:
             ValueError: if there is no such algorithm.
-            PlanError: if the text after the ``@`` is not a time.
+            RequestError: if the text after the ``@`` is not a time.
         """
         reference, at, text = given.partition("@")
         if text == PAPER:
@@ -54,7 +55,7 @@ class Entrant(NamedTuple):
         except ValueError:
             seconds = math.nan
         if seconds is not None and not 0 < seconds < math.inf:
-            raise PlanError(
+            raise RequestError(
                 f"--algorithms: expected seconds or {PAPER} after the @, as in av-fuzzer@15, received {given!r}"
             )
         return cls(resolve_algorithm(reference), seconds)
@@ -177,19 +178,19 @@ def checked(plan: Plan) -> Plan:
     """Return the plan if it can be run.
 
     Raises:
-        PlanError: for the first option that is wrong; the message names it.
+        RequestError: for the first option that is wrong; the message names it.
     """
     if not plan.algorithms:
-        raise PlanError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, received none")
+        raise RequestError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, received none")
     if (plan.generations is None) == (plan.seconds is None):
-        raise PlanError("--generations, --seconds: expected one budget, received both or none")
+        raise RequestError("--generations, --seconds: expected one budget, received both or none")
     for name, value in (("--runs", plan.runs), ("--generations", plan.generations)):
         if value is not None and value < 1:
-            raise PlanError(f"{name}: expected a whole number, at least 1, received {value}")
+            raise RequestError(f"{name}: expected a whole number, at least 1, received {value}")
     if plan.seconds is not None and not 0 < plan.seconds < math.inf:
-        raise PlanError(f"--seconds: expected simulated seconds, more than 0, received {plan.seconds:g}")
+        raise RequestError(f"--seconds: expected simulated seconds, more than 0, received {plan.seconds:g}")
     if plan.seed < 0:
-        raise PlanError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
+        raise RequestError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
     _check_searches(plan)
     ads_factory(plan.ads)
     return plan
@@ -200,13 +201,13 @@ def _check_searches(plan: Plan) -> None:
         names = plan.names
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
-            raise PlanError(f"--algorithms: expected each name once, received {', '.join(repeated)} again")
+            raise RequestError(f"--algorithms: expected each name once, received {', '.join(repeated)} again")
         for name in names:
             plan.made(name)
         if plan.fitness is not None:
             resolve(plan.fitness)
     except ValueError as error:
-        raise PlanError(str(error)) from None
+        raise RequestError(str(error)) from None
 
 
 def world_of(plan: Plan) -> WorldLike:

@@ -24,16 +24,10 @@ from pytest_pafot.campaign.events import Judged
 from pytest_pafot.campaign.explore import explore, replays_of, request_of
 from pytest_pafot.campaign.harness import same_policy, source_file
 from pytest_pafot.campaign.options import REVISION
-from pytest_pafot.campaign.request import RequestError, drawn_space
+from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, judge
-from pytest_pafot.commands.policy_reference import (
-    ABOUT_POLICIES,
-    BAD_USE,
-    PlanError,
-    ads_factory,
-    check_function,
-)
+from pytest_pafot.commands.policy_reference import ABOUT_POLICIES, BAD_USE, ads_factory, check_function
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, gate_workers, run_job, worker_count
 from pytest_pafot.commands.revision import PROCESS, revision_at
 from pytest_pafot.commands.revision_process import Served
@@ -50,6 +44,7 @@ from pytest_pafot.findings.severity import worsening
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample, space_on
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.references import described
 from pytest_pafot.support.text import csv_text
@@ -153,7 +148,7 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
     """Return the plan, if it can be run.
 
     Raises:
-        PlanError: naming the first thing that is wrong.
+        RequestError: naming the first thing that is wrong.
         WorldError: if the environment cannot be used.
     """
     are_planners = [name.endswith(PLANNER) for name in (plan.old, plan.new)[plan.revision is not None :]]
@@ -167,11 +162,11 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
         (plan.config is not None and not plan.env_id, "--config: expected an environment, received none; give --world"),
     ):
         if is_wrong:
-            raise PlanError(problem)
+            raise RequestError(problem)
     if plan.env_id:
         plan.traffic.environment.with_traffic()
     if same := same_policy(plan.factory("new"), plan.factory("old")):
-        raise PlanError(f"OLD: {same}")
+        raise RequestError(f"OLD: {same}")
     for side in ("old", "new"):
         _check_set_up(plan, side)
     return plan
@@ -182,7 +177,7 @@ def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[Prog
     """Provide the plan with the policy of its revision, if it names one; lines on both sides; why they are the same.
 
     Raises:
-        PlanError: if the revision does not have the policy.
+        RequestError: if the revision does not have the policy.
         RevisionError: if there is no such revision, or its policy cannot be built.
     """
     if not plan.old.startswith(REVISION):
@@ -201,9 +196,13 @@ def _of_revision(plan: ProgressPlan, copy: Sequence[str]) -> Iterator[tuple[Prog
         except RevisionError as error:
             if not revision.lacks(error.missing):
                 raise
-            raise PlanError(f"OLD: expected a revision with {name}, received {policy.label}, which lacks it") from None
+            raise RequestError(
+                f"OLD: expected a revision with {name}, received {policy.label}, which lacks it"
+            ) from None
         except ProcessLostError as error:
-            raise PlanError(f"OLD: expected a policy that drives, received {policy.label}, which {error.how}") from None
+            raise RequestError(
+                f"OLD: expected a policy that drives, received {policy.label}, which {error.how}"
+            ) from None
         finally:
             policy.close()
 
@@ -221,17 +220,19 @@ def _check_set_up(plan: ProgressPlan, side: str) -> None:
         failure, asked = fault.verdict.failure, first_decision(plan.world, fault.run.scenario)
         received = "" if failure is None else f"received {failure.kind}: {failure.message} in all of {first.runs} runs"
         if not fault.verdict.is_ads:
-            raise PlanError(f"--check: expected a function of a run that asserts, {received}; correct it") from None
-        raise PlanError(
+            raise RequestError(f"--check: expected a function of a run that asserts, {received}; correct it") from None
+        raise RequestError(
             f"{side.upper()}: expected a policy that drives, {received}, at its first decision. "
             f"{'' if asked is None else asked.text} A policy of an environment needs --world, and the --config that it "
             f"was trained with; a planner in SI units needs no --world, or {PLANNER} after its name"
         ) from None
-    except (PlanError, RequestError, WorldError, AdsFactoryError):
+    except (RequestError, WorldError, AdsFactoryError):
         raise
     except Exception as error:  # what a policy raises as it drives is part of its run
         received = f"one that raises {described(error)}"
-        raise PlanError(f"{side.upper()}: expected a factory of a policy, received {received}; correct it") from error
+        raise RequestError(
+            f"{side.upper()}: expected a factory of a policy, received {received}; correct it"
+        ) from error
 
 
 def _text(plan: ProgressPlan, task: Task, tick: Tick) -> str:
@@ -389,7 +390,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if given.report is not None:
             title = f"# From {plan.old} to {plan.new}\n\n```sh\n{shlex.join(command)}\n```"
             write_whole(given.report, f"{title}\n\n{shown}{HOW_TO_READ}")
-    except (PlanError, RequestError, RevisionError, WorldError, AdsFactoryError, ChildProcessError) as error:
+    except (RequestError, RevisionError, WorldError, AdsFactoryError, ChildProcessError) as error:
         sys.stderr.write(f"progress: {error}\n")
         return BAD_USE
     except OSError as error:
@@ -402,11 +403,11 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 def _check_arguments(given: argparse.Namespace) -> None:
     for path in (each for each in (given.json, given.report) if each is not None):
         if not path.parent.is_dir() or path.is_dir():
-            raise PlanError(f"expected a file in a folder that exists, received {path}; give a different one")
+            raise RequestError(f"expected a file in a folder that exists, received {path}; give a different one")
     if given.corpus is not None and not given.corpus.is_dir():
-        raise PlanError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
+        raise RequestError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
     if given.episodes is not None and not given.world:
-        raise PlanError("--episodes: expected an environment, received none; give --world")
+        raise RequestError("--episodes: expected an environment, received none; give --world")
 
 
 def _compared(plan: ProgressPlan, workers: int, *, is_gate: bool) -> list[PairRow]:

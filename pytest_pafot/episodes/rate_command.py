@@ -14,13 +14,14 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_pafot.commands.policy_reference import BAD_USE, PlanError
+from pytest_pafot.commands.policy_reference import BAD_USE
 from pytest_pafot.commands.resumable import AGAIN, gate_workers, printing_elsewhere, run_job, worker_count, written_into
 from pytest_pafot.episodes.rate import Pair, Rate, rows_of
 from pytest_pafot.episodes.rate_page import page, picture
 from pytest_pafot.episodes.rate_plan import CHUNK, RatePlan, checked, factory_of, told
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.animation import AnimationError
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.proportions import CONFIDENCE, interval
 from pytest_pafot.support.text import plural, quiet_json
@@ -78,10 +79,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         plan = checked(_plan_of(arguments))
         workers = worker_count(arguments.workers)
         if arguments.episode is not None and arguments.episode < 0:
-            raise PlanError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
+            raise RequestError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
         limit = _share_of(arguments.fail_above, plan.episodes)
         if arguments.episode is not None and (arguments.json or limit is not None):
-            raise PlanError("--episode: expected no --json and no --fail-above, which need a rate; leave them out")
+            raise RequestError("--episode: expected no --json and no --fail-above, which need a rate; leave them out")
         if arguments.episode is not None:
             return _replay(plan, arguments.episode, arguments.out or Path())
         with ExitStack() as stack:
@@ -106,7 +107,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if objection:
             sys.stderr.write(f"rate: {objection}\n")
             return ABOVE
-    except (PlanError, WorldError, AdsFactoryError, ChildProcessError, AnimationError) as error:
+    except (RequestError, WorldError, AdsFactoryError, ChildProcessError, AnimationError) as error:
         sys.stderr.write(f"rate: {error}\n")
         return BAD_USE
     except KeyboardInterrupt as interrupt:
@@ -120,7 +121,7 @@ def _share_of(text: str | None, episodes: int) -> float | None:
     """Return the share that the text of ``--fail-above`` means, such as ``2%`` or ``0.02``; None without a text.
 
     Raises:
-        PlanError: if the text is no share from 0 to less than 1, or if so few episodes cannot show a higher share.
+        RequestError: if the text is no share from 0 to less than 1, or if so few episodes cannot show a higher share.
     """
     if text is None:
         return None
@@ -130,10 +131,12 @@ def _share_of(text: str | None, episodes: int) -> float | None:
     except ValueError:
         share = math.nan
     if rest or not 0 <= share < 1:  # a rate is never above 1
-        raise PlanError(f"--fail-above: expected a share from 0 to less than 1, such as 2% or 0.02, received {text!r}")
+        raise RequestError(
+            f"--fail-above: expected a share from 0 to less than 1, such as 2% or 0.02, received {text!r}"
+        )
     if interval(episodes, episodes)[0] <= share:
         needed = math.floor(math.log((1 - CONFIDENCE) / 2) / math.log(share)) + 1
-        raise PlanError(
+        raise RequestError(
             f"--episodes: expected {needed} or more, received {episodes}: even if all crash, fewer do not show a share "
             f"above {text}"
         )
@@ -195,16 +198,16 @@ def config_of(text: str | None) -> dict[str, Any] | None:
     """Return the environment's options from the text of ``--config``; None without a text.
 
     Raises:
-        PlanError: if the text is not a JSON object.
+        RequestError: if the text is not a JSON object.
     """
     if text is None:
         return None
     try:
         config = json.loads(text)
     except json.JSONDecodeError as error:
-        raise PlanError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', {error}") from None
+        raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', {error}") from None
     if not isinstance(config, dict):
-        raise PlanError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
+        raise RequestError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
     return config
 
 

@@ -8,10 +8,11 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.commands.policy_reference import PlanError, ads_factory, caution, identity
+from pytest_pafot.commands.policy_reference import ads_factory, caution, identity
 from pytest_pafot.commands.resumable import ResumableJob, Task, Tick
 from pytest_pafot.episodes.rate import EpisodeRow, text_of
 from pytest_pafot.model.trace import AdsError
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import World, codec
@@ -92,15 +93,15 @@ def checked(plan: RatePlan) -> RatePlan:
     """Return the plan, if it can be run.
 
     Raises:
-        PlanError: naming the first thing that is wrong.
+        RequestError: naming the first thing that is wrong.
         WorldError: if the environment cannot be used.
     """
     if plan.episodes < 1:
-        raise PlanError(f"--episodes: expected a whole number, at least 1, received {plan.episodes}")
+        raise RequestError(f"--episodes: expected a whole number, at least 1, received {plan.episodes}")
     if plan.seed < 0:
-        raise PlanError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
+        raise RequestError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
     if plan.against == plan.ads:
-        raise PlanError(f"--against: expected a different policy than --ads, received {plan.ads!r} again")
+        raise RequestError(f"--against: expected a different policy than --ads, received {plan.ads!r} again")
     for name in plan.policies.values():
         factory_of(name)
     plan.world.environment.with_traffic()
@@ -111,7 +112,7 @@ def factory_of(name: str) -> tuple[AdsFactory, bool]:
     """Return the factory with a name, and whether its policy is a planner in SI units.
 
     Raises:
-        PlanError: if there is no such factory.
+        RequestError: if there is no such factory.
     """
     return ads_factory(name.removesuffix(PLANNER)), name.endswith(PLANNER)
 

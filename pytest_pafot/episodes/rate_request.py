@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Required, TypedDict
 
-from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.episodes.rate import EpisodeRow, Rate
 from pytest_pafot.episodes.rate_plan import driven
 from pytest_pafot.execution.pool import GRACE, WorkerPool
 from pytest_pafot.execution.scenario_pool import METHOD, ExecutionError, check_can_be_given
-from pytest_pafot.support.errors import plain_number, plain_whole
+from pytest_pafot.support.errors import RequestError, plain_number, plain_whole
 from pytest_pafot.support.proportions import percent
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.ways_out import flag

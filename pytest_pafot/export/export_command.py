@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pytest_pafot.campaign.saved_scenario import load
-from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory
+from pytest_pafot.commands.policy_reference import BAD_USE, ads_factory
 from pytest_pafot.commands.resumable import written_into
 from pytest_pafot.corpus.saved import named_file
 from pytest_pafot.export.exporter import BUILT_IN, GROUP, ExportError, exporter
 from pytest_pafot.findings.replay import ending
 from pytest_pafot.model.scenario import ScenarioError
-from pytest_pafot.support.errors import AdsFactoryError, CorpusError, WorldError
+from pytest_pafot.support.errors import AdsFactoryError, CorpusError, RequestError, WorldError
 from pytest_pafot.support.files import write_whole
 
 
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             with written_into(arguments.out):
                 write_whole(arguments.out / name, content)
             sys.stdout.write(f"{arguments.out / name}\n")
-    except (ExportError, PlanError, CorpusError, ScenarioError, WorldError, AdsFactoryError) as error:
+    except (ExportError, RequestError, CorpusError, ScenarioError, WorldError, AdsFactoryError) as error:
         sys.stderr.write(f"export: {error}\n")
         return BAD_USE
     # A failed check cannot be compared, because the test function is not called.

@@ -9,7 +9,7 @@ from collections.abc import Generator, Sequence
 
 import pytest
 
-from pytest_pafot.campaign.request import Request, RequestError
+from pytest_pafot.campaign.request import Request
 from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.plugin.collection import is_search, saved_of
 from pytest_pafot.plugin.marks import ANY_MARK, DEFAULT_ADS, DEFAULT_ARG, SEARCH_MARK, WORLD_FIXTURE, arguments_of
@@ -18,6 +18,7 @@ from pytest_pafot.plugin.messages import set_of_saved
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id
 from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.session import SHARED, records_folder
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import wrapped_to
 from pytest_pafot.support.ways_out import flag
 
@@ -160,11 +161,12 @@ class Execution:
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None
-        from pytest_pafot.campaign.request import AgainstError, RequestError  # noqa: PLC0415
+        from pytest_pafot.campaign.request import AgainstError  # noqa: PLC0415
         from pytest_pafot.plugin import messages  # noqa: PLC0415
         from pytest_pafot.plugin.own_session import session_ends_if_stuck  # noqa: PLC0415
         from pytest_pafot.plugin.replay_item import run_replay  # noqa: PLC0415
         from pytest_pafot.plugin.search_item import run_search  # noqa: PLC0415
+        from pytest_pafot.support.errors import RequestError  # noqa: PLC0415
 
         saved = saved_of(pyfuncitem)
         try:

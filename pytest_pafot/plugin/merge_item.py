@@ -84,7 +84,7 @@ def run_merge(item: pytest.Function, request: Request) -> None:
 
 def _refuse(file: Path, job: Job, scenario: Scenario) -> None:
     """Raise an error instead of replaying in a separate session, which could not replay a file of another project."""
-    from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
+    from pytest_pafot.support.errors import RequestError  # noqa: PLC0415
 
     raise RequestError(
         f"{file}: expected an ADS that can be sent to another process, since the scenario may end the process that "

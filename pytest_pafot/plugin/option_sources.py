@@ -14,19 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import pytest
 
-from pytest_pafot.campaign.options import (
-    BUDGETS,
-    BY_NAME,
-    FULL,
-    LOCAL,
-    OPTIONS,
-    PROFILES,
-    Option,
-    OptionError,
-    Settings,
-    is_ci,
-)
+from pytest_pafot.campaign.options import BUDGETS, BY_NAME, FULL, LOCAL, OPTIONS, PROFILES, Option, Settings, is_ci
 from pytest_pafot.plugin.marks import DEFAULT_ADS, DEFAULT_ARG, POSITIONAL
+from pytest_pafot.support.errors import RequestError
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
@@ -62,7 +52,7 @@ def option_value(config: pytest.Config, option: Option, marker: Mapping[str, obj
     """Return the value of an option for a mark with some arguments; None if it is wrong, which each search reports."""
     try:
         return Sources(config=config, marker=marker, environ=os.environ).value(option, None, LOCAL)
-    except OptionError:
+    except RequestError:
         return None
 
 
@@ -72,7 +62,8 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_s
     Raises:
         RequestError: on the first wrong argument or option.
     """
-    from pytest_pafot.campaign.request import RequestError, check_names, checked_request  # noqa: PLC0415
+    from pytest_pafot.campaign.request import check_names, checked_request  # noqa: PLC0415
+    from pytest_pafot.support.errors import RequestError  # noqa: PLC0415
 
     given = {"ads": DEFAULT_ADS, "arg": DEFAULT_ARG, **arguments}
     positional = given.pop(POSITIONAL, ())
@@ -86,7 +77,7 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_s
     check_names(given)
     try:
         settings = resolve(config, arguments, fresh_seed)
-    except OptionError as error:
+    except RequestError as error:
         raise RequestError(str(error)) from None
     return checked_request(given, settings)
 
@@ -99,7 +90,7 @@ def resolve(
     Arguments that are not options are ignored. The base seed is ``fresh_seed`` if no source gives a base seed.
 
     Raises:
-        OptionError: if a value is wrong; the message names its source.
+        RequestError: if a value is wrong; the message names its source.
     """
     sources = Sources(config=config, marker=marker, environ=environ)
     for option in OPTIONS:  # A wrong argument is an error even if another source replaces it today.
@@ -133,7 +124,7 @@ class Sources(NamedTuple):
             automatic: the profile that is used otherwise.
 
         Raises:
-            OptionError: if the value is wrong; the message names its source.
+            RequestError: if the value is wrong; the message names its source.
         """
         sources = self._sources(option, named, automatic)
         return next((value for source in sources if (value := source()) is not None), option.default)
@@ -183,5 +174,5 @@ class Sources(NamedTuple):
 def _read(option: Option, place: str, value: object) -> Any:
     try:
         return None if value is None else option.read(value)
-    except OptionError as error:
-        raise OptionError(f"{place}: {error}") from None
+    except RequestError as error:
+        raise RequestError(f"{place}: {error}") from None

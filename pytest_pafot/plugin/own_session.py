@@ -17,13 +17,13 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, ending
 from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.plugin.session import HERE, is_worker
 from pytest_pafot.plugin.terminal_reporter import uncaptured
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.ways_out import flag
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 

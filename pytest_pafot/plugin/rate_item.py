@@ -27,11 +27,10 @@ class Rates:
         if mark is None:
             return None
         from pytest_pafot.campaign.harness import checked_factory  # noqa: PLC0415
-        from pytest_pafot.campaign.options import OptionError  # noqa: PLC0415
-        from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
         from pytest_pafot.episodes.rate_request import checked_rate  # noqa: PLC0415
         from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
         from pytest_pafot.plugin.own_session import session_ends_if_stuck  # noqa: PLC0415
+        from pytest_pafot.support.errors import RequestError  # noqa: PLC0415
         from pytest_pafot.world import AdsFactoryError, WorldError  # noqa: PLC0415
 
         try:
@@ -42,7 +41,7 @@ class Rates:
                 settings = resolve(pyfuncitem.config, {}, fresh_seed=0)
                 workers = 1 if is_worker(pyfuncitem.config) else settings.workers
                 rate = request.measured(factory, workers, isolate=settings.isolate)
-        except (RequestError, OptionError, WorldError, AdsFactoryError, ProcessLostError) as error:
+        except (RequestError, WorldError, AdsFactoryError, ProcessLostError) as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None
         messages.send(pyfuncitem, "rate", {"text": f"{pyfuncitem.nodeid}: {rate.sentence}"})
         pyfuncitem.user_properties.append(("pafot_rate", rate.sentence))

@@ -13,7 +13,7 @@ import pytest
 
 from pytest_pafot.campaign.harness import Harness, refusals
 from pytest_pafot.campaign.options import OF_COMMAND, REVISION
-from pytest_pafot.campaign.request import AgainstError, Request, RequestError, build_space
+from pytest_pafot.campaign.request import AgainstError, Request, build_space
 from pytest_pafot.commands.revision import PROCESS, Revision, files_line, revision_at
 from pytest_pafot.commands.revision_process import NO_TEST, Served
 from pytest_pafot.execution.pool import ProcessLostError
@@ -21,7 +21,7 @@ from pytest_pafot.execution.revision_policy import RevisionError, RevisionPolicy
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.node_ids import base_id, qualified_name
 from pytest_pafot.searching.space import sample
-from pytest_pafot.support.errors import OutOfTime
+from pytest_pafot.support.errors import OutOfTime, RequestError
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.ways_out import flag
 

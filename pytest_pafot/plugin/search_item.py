@@ -21,7 +21,7 @@ from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of
 from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.recorder import NOT_REPEATED
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import Request, RequestError, build_world
+from pytest_pafot.campaign.request import Request, build_world
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, prepared, time_limit
 from pytest_pafot.campaign.verdict import PlainFailure, Test
@@ -42,6 +42,7 @@ from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.plugin.session_records import tell_finding
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.plain import plain
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions

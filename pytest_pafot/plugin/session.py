@@ -18,12 +18,13 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.options import OPTIONS, OptionError, Settings
+from pytest_pafot.campaign.options import OPTIONS, Settings
 from pytest_pafot.corpus.layout import chosen_folder, corpus_root, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.orphans import UNRUN, Orphan
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.ways_out import flag
 
@@ -87,7 +88,7 @@ def base_line(config: pytest.Config) -> str:
     """Return a line with the profile and the base seed of searches without arguments; empty if no search runs."""
     try:
         settings = resolve(config, {}, config.stash[SHARED].fresh_seed)
-    except OptionError as error:
+    except RequestError as error:
         return str(error)
     if not settings.is_search:
         return ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+from argparse import ArgumentTypeError
 from collections.abc import Iterator
 from contextlib import contextmanager
 from numbers import Integral, Real
@@ -16,6 +17,13 @@ RESTORE = "restore the file from version control, or delete it"
 
 class OutOfTime(BaseException):
     """The end of a run because the time limit of its search is over; no ``except Exception`` of an ADS catches it."""
+
+
+class RequestError(ArgumentTypeError):
+    """Something that cannot be done as the user asks, in an option, an argument or a call. The message is for the user.
+
+    argparse prints the message of an error of this type, which a reader of an option raises.
+    """
 
 
 class FieldError(ValueError):

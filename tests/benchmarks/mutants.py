@@ -27,11 +27,10 @@ from typing import Any
 
 from pytest_pafot import Highway, World
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.errors import CorpusError, RequestError
 from tests.benchmarks.command import options
 from tests.helpers.mutations import MUTATIONS, misread
 

@@ -13,12 +13,12 @@ import pytest
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted, SearchSummary
-from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
 
 SHORT = {"generations": 2, "population": 4, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 10}

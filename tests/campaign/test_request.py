@@ -6,10 +6,11 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, World
 from pytest_pafot.campaign.explore import request_of
-from pytest_pafot.campaign.request import RequestError, build_space, drawn_space
+from pytest_pafot.campaign.request import build_space, drawn_space
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.algorithms.random_search import RandomSearch
 from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
 
 ANY_LANE, ANY_SPEED = (0, 1, 2, 3), (12.0, 26.8)

@@ -15,9 +15,9 @@ import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign import state_file
 from pytest_pafot.campaign.events import FindTold
-from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.searching import Checkpoint, GenerationalSearch, GenerationState, from_plain, plain, sample
 from pytest_pafot.searching.events import CampaignFinished, Evaluated, GenerationFinished, NewBest
+from pytest_pafot.support.errors import RequestError
 from tests.helpers.stages import mostly_oracle
 
 SHORT = {

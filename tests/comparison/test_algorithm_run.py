@@ -9,12 +9,12 @@ import pytest
 
 from pytest_pafot import Highway
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
-from pytest_pafot.commands.policy_reference import PlanError
 from pytest_pafot.comparison.algorithm_run import COLUMNS, evaluated, run_rows, text_of
 from pytest_pafot.comparison.plan import Plan
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.support.errors import RequestError
 from tests.helpers.reference_runs import Drivers, closing, rammed, running_into
 from tests.helpers.stages import mostly_oracle, oracle
 
@@ -127,7 +127,7 @@ def raising():
 def test_ads_failing_every_first_decision_ends_the_run(quick, algorithm, budget):
     """It also ends with a budget of simulated seconds, although none would ever pass."""
     plan = quick(ads="tests.comparison.test_algorithm_run:failing_at_once", **budget)
-    with pytest.raises(PlanError, match=r"in all \d+ runs of the first generation"):
+    with pytest.raises(RequestError, match=r"in all \d+ runs of the first generation"):
         list(run_rows(plan, algorithm, 0))
 
 

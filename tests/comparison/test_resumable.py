@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.commands import resumable
-from pytest_pafot.commands.policy_reference import PlanError
 from pytest_pafot.commands.resumable import ProgressLine, ResumableJob
 from pytest_pafot.comparison import algorithm_run
 from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.world import Highway
 
 
@@ -180,10 +180,10 @@ def test_results_without_readable_question_are_refused(tmp_path, quick, quiet):
     run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
     (question,) = tmp_path.glob("*.json")
     question.write_bytes(b"\xff")
-    with pytest.raises(PlanError, match="json does not agree: it cannot be read"):
+    with pytest.raises(RequestError, match="json does not agree: it cannot be read"):
         run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
     question.unlink()
-    with pytest.raises(PlanError, match="json does not agree: it is gone; give another folder"):
+    with pytest.raises(RequestError, match="json does not agree: it is gone; give another folder"):
         run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
 
 
@@ -198,7 +198,7 @@ def test_a_folder_of_another_comparison_is_refused(tmp_path, quick, quiet, chang
     small = {"runs": 1, "algorithms": ("random",)}
     run_all(quick(**small), tmp_path, workers=1, told=quiet, clock=clock)
     before = contents(tmp_path)
-    with pytest.raises(PlanError, match=r"--out: expected an empty folder or the folder of this comparison"):
+    with pytest.raises(RequestError, match=r"--out: expected an empty folder or the folder of this comparison"):
         run_all(quick(**(small | changes)), tmp_path, workers=1, told=quiet, clock=clock)
     assert contents(tmp_path) == before
 
@@ -240,12 +240,12 @@ def test_a_changed_algorithm_is_refused_by_file_name(quick, quiet, own_algorithm
     before = contents(out)
     imported.write_text("COUNT = 4\n")
     why = r"names\.mine\.code\.sampling_of_mine\.py 'sha256:\w+' in the file, 'sha256:\w+' now; give another folder"
-    with pytest.raises(PlanError, match=why):
+    with pytest.raises(RequestError, match=why):
         run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, told=quiet, clock=clock)
     assert contents(out) == before
     # Without the algorithm nothing is mixed, and its identity stays: it cannot come back changed afterwards.
     run_all(quick(algorithms=("random",), **both), out, workers=1, told=quiet, clock=clock)
-    with pytest.raises(PlanError, match=why):
+    with pytest.raises(RequestError, match=why):
         run_all(quick(algorithms=(mine, "random"), **both), out, workers=1, told=quiet, clock=clock)
     run_all(quick(algorithms=(mine, "random"), **both), out.with_name("other"), workers=1, told=quiet, clock=clock)
     imported.write_text("COUNT = 2\n")
@@ -277,7 +277,7 @@ def test_two_algorithms_of_one_name_are_not_mixed(quick, quiet, own_algorithm):
     mine, other = "algorithm_of_mine:Mine", "other_of_mine:Mine"
     run_all(quick(algorithms=(mine,), runs=1, generations=1), out, workers=1, told=quiet, clock=clock)
     imported.with_name("other_of_mine.py").write_text(OWN_ALGORITHM)
-    with pytest.raises(PlanError, match=f"names.mine.given '{mine}' in the file, '{other}' now"):
+    with pytest.raises(RequestError, match=f"names.mine.given '{mine}' in the file, '{other}' now"):
         run_all(quick(algorithms=(other,), runs=2, generations=1), out, workers=1, told=quiet, clock=clock)
 
 
@@ -292,7 +292,7 @@ def test_a_changed_policy_or_fitness_is_refused_by_file_name(tmp_path, quick, qu
     plan = quick(algorithms=("random",), runs=1, generations=1, **{what: f"module_of_{what}:{what}"})
     run_all(plan, tmp_path / "out", workers=1, told=quiet, clock=clock)
     imported.write_text("NUMBER = 1.0\n")
-    with pytest.raises(PlanError, match=rf"code\.core_of_{what}\.py 'sha256:\w+' in the file"):
+    with pytest.raises(RequestError, match=rf"code\.core_of_{what}\.py 'sha256:\w+' in the file"):
         run_all(plan, tmp_path / "out", workers=1, told=quiet, clock=clock)
 
 

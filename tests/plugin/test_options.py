@@ -2,11 +2,12 @@
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, OPTIONS, OptionError, is_ci
+from pytest_pafot.campaign.options import BY_NAME, OPTIONS, is_ci
 from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS, SearchArguments
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.session import misspelt
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
+from pytest_pafot.support.errors import RequestError
 
 
 def settings(project, *args, ini="", marker=None, environ=None):
@@ -161,12 +162,12 @@ def test_native_toml_takes_native_types(project):
     ],
 )
 def test_wrong_value_error_names_source_expected_and_received(project, source, place):
-    with pytest.raises(OptionError, match=place):
+    with pytest.raises(RequestError, match=place):
         settings(project, **source)
 
 
 def test_wrong_argument_is_an_error_though_an_option_replaces_it(project):
-    with pytest.raises(OptionError, match=r"@pafot.search\(generations=...\): expected .* received -3"):
+    with pytest.raises(RequestError, match=r"@pafot.search\(generations=...\): expected .* received -3"):
         settings(project, "--pafot-generations=5", marker={"generations": -3})
 
 
